@@ -1,0 +1,2 @@
+//! Scenes: configuration, geometry, wall shapes.
+pub mod config;
