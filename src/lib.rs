@@ -1,10 +1,14 @@
 //! hydrograd: differentiable particle flow on candle tensors.
 
 pub mod adjoint;
+pub mod kernel;
+pub mod lanes;
 pub mod cli;
 pub mod design;
 pub mod io;
 pub mod neighbours;
+pub mod particles;
 pub mod report;
 pub mod scene;
+pub mod solver;
 pub mod sph;

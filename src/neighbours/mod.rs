@@ -1,1 +1,3 @@
-//! neighbours
+//! Who is near whom: a cell grid and the padded neighbour list built from it.
+pub mod list;
+pub use list::NeighbourList;

@@ -1,0 +1,38 @@
+//! Body force: a given acceleration of the fluid.
+
+/// An acceleration along x, by place. It is piecewise constant, so its derivative is zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BodyForce {
+    None,
+    /// The same everywhere in the fluid.
+    Uniform(f64),
+    /// Only where from < y < to.
+    Band { strength: f64, from: f64, to: f64 },
+    /// `strength` below y = turn, its opposite from there on (reverse Poiseuille flow).
+    Reversing { strength: f64, turn: f64 },
+}
+
+impl BodyForce {
+    /// Acceleration along x of fluid at height y.
+    #[inline(always)]
+    pub fn at(&self, y: f64) -> f64 {
+        match *self {
+            Self::None => 0.0,
+            Self::Uniform(g) => g,
+            Self::Band { strength, from, to } => {
+                if y > from && y < to {
+                    strength
+                } else {
+                    0.0
+                }
+            }
+            Self::Reversing { strength, turn } => {
+                if y > turn {
+                    -strength
+                } else {
+                    strength
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! What a scene needs and nothing else: the plan of its fields and all its constants.
+
+use super::body_force::BodyForce;
+use super::equation_of_state::EquationOfState;
+use crate::kernel::Quintic;
+use crate::lanes::Real;
+use crate::particles::Domain;
+use std::sync::Mutex;
+
+/// Which fields exist in a scene, and where they stand in the packed tensors `[fields, N]`.
+///
+/// No heat: no temperature row anywhere. No transport velocity: no second acceleration. Equal and constant
+/// mass: no mass row. D = dimension.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Layout {
+    pub dimension: usize,
+    pub transport: bool,
+    pub heat: bool,
+    pub mass: bool,
+}
+
+impl Layout {
+    fn d(&self) -> usize {
+        self.dimension
+    }
+    fn w(&self) -> usize {
+        if self.transport {
+            self.dimension
+        } else {
+            0
+        }
+    }
+
+    /// State: position D, velocity D, acceleration D, [transport acceleration D], [temperature, its rate], [mass].
+    pub fn state_rows(&self) -> usize {
+        self.state_mass() + self.mass as usize
+    }
+    pub fn velocity(&self) -> usize {
+        self.d()
+    }
+    pub fn acceleration(&self) -> usize {
+        2 * self.d()
+    }
+    pub fn transport_acceleration(&self) -> usize {
+        3 * self.d()
+    }
+    pub fn temperature(&self) -> usize {
+        3 * self.d() + self.w()
+    }
+    pub fn temperature_rate(&self) -> usize {
+        self.temperature() + 1
+    }
+    pub fn state_mass(&self) -> usize {
+        self.temperature() + 2 * self.heat as usize
+    }
+
+    /// Moved state, after the drift: position D, velocity D, [transport velocity - velocity D],
+    /// [temperature before, temperature after], [mass].
+    pub fn moved_rows(&self) -> usize {
+        self.moved_mass() + self.mass as usize
+    }
+    pub fn moved_shift(&self) -> usize {
+        2 * self.d()
+    }
+    pub fn moved_old_temperature(&self) -> usize {
+        2 * self.d() + self.w()
+    }
+    pub fn moved_temperature(&self) -> usize {
+        self.moved_old_temperature() + 1
+    }
+    pub fn moved_mass(&self) -> usize {
+        self.moved_old_temperature() + 2 * self.heat as usize
+    }
+
+    /// Primitives, walls included: density, velocity D, [transport velocity - velocity D], [temperature].
+    pub fn primitive_rows(&self) -> usize {
+        self.primitive_temperature() + self.heat as usize
+    }
+    pub fn primitive_velocity(&self) -> usize {
+        1
+    }
+    pub fn primitive_shift(&self) -> usize {
+        1 + self.d()
+    }
+    pub fn primitive_temperature(&self) -> usize {
+        1 + self.d() + self.w()
+    }
+
+    /// Rates: acceleration D, [transport acceleration D], [temperature rate].
+    pub fn rate_rows(&self) -> usize {
+        self.rate_temperature() + self.heat as usize
+    }
+    pub fn rate_transport(&self) -> usize {
+        self.d()
+    }
+    pub fn rate_temperature(&self) -> usize {
+        self.d() + self.w()
+    }
+}
+
+/// Heat conduction and its boundary conditions. Temperatures are kept as T - `reference`, because f32 has
+/// no digits to spare for the constant (its gradient error falls from 0.56 to 2e-4, DESIGN.md 3).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Heat<R> {
+    pub conductivity: f64,
+    pub capacity: f64,
+    /// The temperature subtracted from every stored one; also that of the inlet.
+    pub reference: f64,
+    /// Fluid with x below this is reset to `reference` and does not conduct.
+    pub inlet_below: f64,
+    /// Fluid with x above this does not conduct.
+    pub outlet_above: f64,
+    /// Wall particles: T = wall_constant + wall_factor * (Shepard average of the fluid), `[N]`.
+    pub wall_constant: Vec<R>,
+    pub wall_factor: Vec<R>,
+}
+
+/// Everything about a scene that does not change while it runs.
+#[derive(Debug)]
+pub struct Model<R> {
+    pub domain: Domain,
+    pub layout: Layout,
+    pub kernel: Quintic,
+    pub tags: Vec<u8>,
+    /// Extra reach of the neighbour list.
+    pub skin: f64,
+    pub dt: f64,
+    /// Mass of every particle where the layout has no mass row.
+    pub mass: f64,
+    pub equation_of_state: EquationOfState,
+    /// Dynamic viscosity.
+    pub viscosity: f64,
+    /// Strength of the transport velocity (0: off).
+    pub transport: f64,
+    pub body_force: BodyForce,
+    pub heat: Option<Heat<R>>,
+    /// Buffers that operators borrow, so that a step does not allocate.
+    pub scratch: Scratch<R>,
+}
+
+impl<R: Real> Model<R> {
+    pub fn particles(&self) -> usize {
+        self.tags.len()
+    }
+    /// Cut-off and skin.
+    pub fn reach(&self) -> f64 {
+        self.kernel.cutoff() + self.skin
+    }
+    pub fn is_fluid(&self, i: usize) -> bool {
+        self.tags[i] == crate::particles::tag::FLUID
+    }
+    pub fn has_walls(&self) -> bool {
+        self.tags.iter().any(|&t| t != crate::particles::tag::FLUID)
+    }
+}
+
+/// A pool of buffers.
+#[derive(Debug, Default)]
+pub struct Scratch<R>(Mutex<Vec<Vec<R>>>);
+
+impl<R: Real> Scratch<R> {
+    /// A buffer of this length with arbitrary content.
+    pub fn take(&self, length: usize) -> Vec<R> {
+        let mut buffer = self.0.lock().unwrap_or_else(|e| e.into_inner()).pop().unwrap_or_default();
+        buffer.resize(length, R::default());
+        buffer
+    }
+    pub fn give_back(&self, buffer: Vec<R>) {
+        self.0.lock().unwrap_or_else(|e| e.into_inner()).push(buffer);
+    }
+}

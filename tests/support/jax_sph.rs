@@ -1,0 +1,205 @@
+//! Reads JAX-SPH's reference files and sets up our solver from a group's configuration.
+
+use hdf5::{Group, Location};
+use hydrograd::kernel::Quintic;
+use hydrograd::particles::{tag, Domain};
+use hydrograd::sph::body_force::BodyForce;
+use hydrograd::sph::equation_of_state::EquationOfState;
+use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
+use serde_json::Value;
+use std::path::PathBuf;
+
+/// The file named by the environment variable, or the committed copy.
+pub fn reference_file(variable: &str, committed: &str) -> PathBuf {
+    match std::env::var_os(variable) {
+        Some(path) => PathBuf::from(path),
+        None => PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("data/reference").join(committed),
+    }
+}
+
+pub fn number(location: &Location, name: &str) -> f64 {
+    let attribute = location.attr(name).unwrap_or_else(|e| panic!("attribute {name}: {e}"));
+    if let Ok(x) = attribute.read_scalar::<f64>() {
+        return x;
+    }
+    attribute.read_scalar::<i64>().unwrap_or_else(|e| panic!("attribute {name}: {e}")) as f64
+}
+
+pub fn text(location: &Location, name: &str) -> String {
+    let attribute = location.attr(name).unwrap_or_else(|e| panic!("attribute {name}: {e}"));
+    attribute.read_scalar::<hdf5::types::VarLenUnicode>().unwrap_or_else(|e| panic!("attribute {name}: {e}")).to_string()
+}
+
+/// A field as rows `[columns][n]`; constants are stored as attributes.
+pub fn field(group: &Group, name: &str, n: usize, columns: usize) -> Option<Vec<Vec<f64>>> {
+    if let Ok(dataset) = group.dataset(name) {
+        let raw = dataset.read_raw::<f64>().unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(raw.len(), n * columns, "{}: {name} has the wrong size", group.name());
+        return Some((0..columns).map(|c| (0..n).map(|i| raw[i * columns + c]).collect()).collect());
+    }
+    let attribute = group.attr(name).ok()?;
+    let value = attribute.read_scalar::<f64>().ok()?;
+    Some(vec![vec![value; n]; columns])
+}
+
+/// A group's configuration, or why we cannot run it.
+pub struct Case {
+    pub dimension: usize,
+    pub n: usize,
+    pub tags: Vec<u8>,
+    pub transport: f64,
+    pub heat: bool,
+    pub reference_temperature: f64,
+    pub size: Vec<f64>,
+    config: Value,
+    dx: f64,
+    dt: f64,
+    mass: f64,
+    eta: f64,
+    kappa: f64,
+    capacity: f64,
+}
+
+impl Case {
+    pub fn read(group: &Group) -> Result<Self, String> {
+        let config: Value = serde_json::from_str(&text(group, "cfg")).expect("cfg is JSON");
+        let (solver, case) = (&config["solver"], &config["case"]);
+        let refuse = |wrong: bool, why: &str| if wrong { Err(why.to_string()) } else { Ok(()) };
+        let name = solver["name"].as_str().unwrap_or("");
+        refuse(name != "SPH", &format!("solver {name}"))?;
+        refuse(solver["density_evolution"].as_bool() != Some(false), "density evolution")?;
+        refuse(solver["artificial_alpha"].as_f64() != Some(0.0), "artificial viscosity")?;
+        refuse(solver["free_slip"].as_bool() == Some(true), "free slip")?;
+        let kernel = config["kernel"]["name"].as_str().unwrap_or("");
+        refuse(kernel != "QSK", &format!("kernel {kernel}"))?;
+        let gamma = config["eos"]["gamma"].as_f64().unwrap_or(0.0);
+        refuse(config["eos"]["name"] != "Tait", "equation of state")?;
+        refuse(gamma < 1.0 || gamma.fract() != 0.0, "gamma")?;
+        for constant in ["mass", "eta", "kappa", "Cp"] {
+            refuse(group.attr(constant).is_err(), &format!("{constant} varies"))?;
+        }
+        let tags: Vec<u8> =
+            group.dataset("tag").unwrap().read_raw::<i8>().unwrap().into_iter().map(|t| t as u8).collect();
+        let walls = tags.iter().any(|&t| t != tag::FLUID);
+        refuse(walls && solver["is_bc_trick"].as_bool() != Some(true), "walls without extrapolation")?;
+        let family = case["name"].as_str().unwrap_or("");
+        let known = ["ht", "pf", "cf", "tgv", "rpf", "ldc"].contains(&family);
+        refuse(!known && case["g_ext_magnitude"].as_f64() != Some(0.0), &format!("body force of case {family}"))?;
+        let size = group.attr("box_size").unwrap().read_raw::<f64>().unwrap();
+        Ok(Self {
+            dimension: case["dim"].as_u64().unwrap() as usize,
+            n: tags.len(),
+            tags,
+            transport: solver["tvf"].as_f64().unwrap(),
+            heat: solver["heat_conduction"].as_bool().unwrap(),
+            reference_temperature: case["T_ref"].as_f64().unwrap(),
+            size,
+            dx: number(group, "dx"),
+            dt: number(group, "dt"),
+            mass: number(group, "mass"),
+            eta: number(group, "eta"),
+            kappa: number(group, "kappa"),
+            capacity: number(group, "Cp"),
+            config,
+        })
+    }
+
+    fn body_force(&self) -> BodyForce {
+        let case = &self.config["case"];
+        let strength = case["g_ext_magnitude"].as_f64().unwrap();
+        let rows = self.config["solver"]["n_walls"].as_f64().unwrap() * self.dx;
+        match case["name"].as_str().unwrap() {
+            _ if strength == 0.0 => BodyForce::None,
+            "ht" => BodyForce::Band { strength, from: rows, to: self.size[1] - rows },
+            "pf" => {
+                let height = case["special"]["H"].as_f64().unwrap_or(1.0);
+                BodyForce::Band { strength, from: rows, to: height + rows }
+            }
+            "rpf" => BodyForce::Reversing { strength, turn: 1.0 },
+            _ => BodyForce::None,
+        }
+    }
+
+    /// `everything`: compute the transport acceleration even where the scene does not use it, and carry the masses.
+    pub fn model(&self, everything: bool) -> Model<f64> {
+        let (case, eos) = (&self.config["case"], &self.config["eos"]);
+        let d = self.dimension;
+        let mut domain = Domain { dimension: d, size: [1.0; 3], periodic: [false; 3] };
+        for k in 0..d {
+            domain.size[k] = self.size[k];
+            domain.periodic[k] = true;
+        }
+        let h = self.dx * self.config["kernel"]["h_factor"].as_f64().unwrap();
+        let heat = self.heat.then(|| {
+            let strip = self.config["solver"]["n_walls"].as_f64().unwrap() * self.dx;
+            let hot = case["special"]["hot_wall_temperature"].as_f64().unwrap_or(self.reference_temperature);
+            Heat {
+                conductivity: self.kappa,
+                capacity: self.capacity,
+                reference: self.reference_temperature,
+                inlet_below: strip,
+                outlet_above: self.size[0] - strip,
+                wall_constant: self
+                    .tags
+                    .iter()
+                    .map(|&t| if t == tag::HOT_WALL { hot - self.reference_temperature } else { 0.0 })
+                    .collect(),
+                wall_factor: self.tags.iter().map(|&t| if t == tag::HOT_WALL { 0.0 } else { 1.0 }).collect(),
+            }
+        });
+        Model {
+            domain,
+            layout: Layout {
+                dimension: d,
+                transport: everything || self.transport != 0.0,
+                heat: self.heat,
+                mass: everything,
+            },
+            kernel: Quintic::new(d, h),
+            tags: self.tags.clone(),
+            skin: 0.2 * self.dx,
+            dt: self.dt,
+            mass: self.mass,
+            equation_of_state: EquationOfState {
+                reference_density: case["rho_ref"].as_f64().unwrap(),
+                reference_pressure: case["p_ref"].as_f64().unwrap(),
+                background_pressure: case["p_bg"].as_f64().unwrap(),
+                gamma: eos["gamma"].as_f64().unwrap() as i32,
+            },
+            viscosity: self.eta,
+            transport: self.transport,
+            body_force: self.body_force(),
+            heat,
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Our packed state from a group of fields.
+    pub fn state(&self, layout: &Layout, group: &Group) -> Vec<f64> {
+        let (n, d) = (self.n, self.dimension);
+        let mut state = vec![0.0; layout.state_rows() * n];
+        let mut put = |row: usize, values: Vec<Vec<f64>>| {
+            for (k, column) in values.into_iter().enumerate() {
+                state[(row + k) * n..(row + k + 1) * n].copy_from_slice(&column);
+            }
+        };
+        put(0, field(group, "r", n, d).expect("r"));
+        put(layout.velocity(), field(group, "u", n, d).expect("u"));
+        put(layout.acceleration(), field(group, "dudt", n, d).unwrap_or_else(|| vec![vec![0.0; n]; d]));
+        if layout.transport {
+            put(layout.transport_acceleration(), field(group, "dvdt", n, d).unwrap_or_else(|| vec![vec![0.0; n]; d]));
+        }
+        if layout.heat {
+            let t = field(group, "T", n, 1).expect("T");
+            put(
+                layout.temperature(),
+                vec![t[0].iter().map(|t| t - self.reference_temperature).collect()],
+            );
+            put(layout.temperature_rate(), field(group, "dTdt", n, 1).unwrap_or_else(|| vec![vec![0.0; n]]));
+        }
+        if layout.mass {
+            put(layout.state_mass(), vec![vec![self.mass; n]]);
+        }
+        state
+    }
+}
