@@ -106,6 +106,11 @@ impl<R: Real> Solver<R> {
         primitives::forward(&step, &self.moved, &self.density, &mut self.primitives);
     }
 
+    /// The moved state of the last [`Self::advance`] or [`Self::look`], `[M, N]`.
+    pub fn moved(&self) -> &[R] {
+        &self.moved
+    }
+
     /// Row `row` of the state.
     pub fn row(&self, row: usize) -> &[R] {
         let n = self.model.particles();

@@ -1,1 +1,4 @@
-//! adjoint
+//! Gradients of long runs in bounded memory.
+pub mod check;
+pub mod schedule;
+pub mod segments;

@@ -6,6 +6,7 @@ pub mod density;
 pub mod drift;
 pub mod equation_of_state;
 pub mod heat;
+pub mod interpolation;
 pub mod model;
 pub mod pairs;
 pub mod pressure;

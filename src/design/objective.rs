@@ -1,0 +1,86 @@
+//! The outflowing heat.
+//!
+//! Q = sum over the targets of rho u_x (T - T_in) (eq. 12 of the original report), times the spacing of the targets:
+//! then it is the flux integral over the outlet section in units of rho u T, comparable between resolutions. At the
+//! last step, or averaged over evenly spaced steps of a window at the run's end.
+
+use crate::adjoint::segments::{Objective, Sph};
+use crate::lanes::Real;
+use crate::scene::config::Kernels;
+use crate::solver::{Solver, SolverError, TensorSolver};
+use crate::sph::interpolation::Interpolation;
+use crate::sph::step::Step;
+use crate::sph::{density, primitives};
+use candle_core::Tensor;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+#[derive(Debug, Clone)]
+pub struct Outflow {
+    pub targets: Arc<Vec<[f64; 3]>>,
+    /// Factor on the sum over targets: their spacing for the flux form, 1 for the report's sum.
+    pub scale: f64,
+    pub include_walls: bool,
+    /// Weight of the state after each step that is looked at.
+    pub samples: BTreeMap<usize, f64>,
+}
+
+impl Outflow {
+    /// `count` evenly spaced samples among the last `window` steps of `steps`, the last step among them, equally weighted.
+    pub fn window(steps: usize, window: usize, count: usize) -> BTreeMap<usize, f64> {
+        let count = count.min(window.max(1)).max(1);
+        let chosen: std::collections::BTreeSet<usize> =
+            (0..count).map(|k| steps - k * window / count).filter(|&s| s > 0).collect();
+        let weight = 1.0 / chosen.len().max(1) as f64;
+        chosen.into_iter().map(|s| (s, weight)).collect()
+    }
+
+    fn interpolation<R: Real>(&self, step: Arc<Step<R>>) -> Interpolation<R> {
+        Interpolation { step, targets: self.targets.clone(), include_walls: self.include_walls }
+    }
+
+    /// Interpolated fields of a plain run, `[3, targets]`: density, velocity, temperature above the inlet's.
+    pub fn fields<R: Real>(&self, run: &mut Solver<R>) -> Vec<R> {
+        run.look();
+        let step = Arc::new(Step { model: run.model.clone(), list: run.neighbourhood.list.clone(), dt: 0.0 });
+        self.interpolation(step).forward(run.moved(), &run.primitives)
+    }
+
+    /// Q from interpolated fields.
+    pub fn outflow<R: Real>(&self, fields: &[R]) -> f64 {
+        let m = self.targets.len();
+        self.scale * (0..m).map(|k| (fields[k] * fields[m + k] * fields[2 * m + k]).f64()).sum::<f64>()
+    }
+}
+
+impl<R: Real> Objective<Sph<R>> for Outflow {
+    fn weight(&self, step: usize) -> Option<f64> {
+        self.samples.get(&step).copied()
+    }
+
+    fn value(&self, run: &mut Solver<R>) -> Result<f64, SolverError> {
+        let fields = self.fields(run);
+        Ok(self.outflow(&fields))
+    }
+
+    fn tensor(&self, run: &TensorSolver<R>, state: &Tensor) -> Result<Tensor, SolverError> {
+        let go = || {
+            let step = run.step_now(0.0);
+            let fused = run.kernels == Kernels::Fused;
+            let moved = Step::drift(&run.model, 0.0, state, fused)?;
+            let fields = if fused {
+                let density = moved.apply_op1(density::Density(step.clone()))?;
+                let primitives = moved.apply_op2(&density, primitives::Primitives(step.clone()))?;
+                moved.apply_op2(&primitives, self.interpolation(step))?
+            } else {
+                let pairs = crate::sph::composed::Pairs::new(&step, &moved)?;
+                let density = density::composed(&step, &pairs, &moved)?;
+                let primitives = primitives::composed(&step, &pairs, &moved, &density)?;
+                self.interpolation(step.clone()).composed(&moved, &primitives)?
+            };
+            let flux = fields.get(0)?.mul(&fields.get(1)?)?.mul(&fields.get(2)?)?;
+            flux.sum_all()?.affine(self.scale, 0.0)
+        };
+        go().map_err(|source| SolverError::Tensor { step: run.step, source })
+    }
+}
