@@ -1,0 +1,99 @@
+//! From offsets to the initial state: positions of wall and fluid particles and their masses.
+//!
+//! A column whose wall is raised by s (the average of the wall shape over the column) keeps its number of particles:
+//! wall particles move by s, fluid is remapped to y + s (1 - y/H), so the column's height becomes H - s. With the mass
+//! convention `column-area` a particle's mass is scaled with the column's area, m (1 - s/H), and the density stays what
+//! it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is linear in the offsets.
+
+use crate::lanes::Real;
+use crate::sph::step::{input, output, read};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use std::sync::Arc;
+
+/// The map offsets `[K]` -> state `[F, N]`.
+#[derive(Debug, Clone)]
+pub struct Deformation {
+    /// Number of design variables K.
+    pub variables: usize,
+    /// State of the undeformed channel, `[F, N]`.
+    pub base: Vec<f64>,
+    /// Particles N.
+    pub particles: usize,
+    /// Column of each particle.
+    pub column: Vec<u32>,
+    /// dy/ds of each particle.
+    pub by_height: Vec<f64>,
+    /// dm/ds of each particle and the state's mass row, if mass is scaled.
+    pub by_mass: Option<(usize, Vec<f64>)>,
+    /// s of each column as pairs (variable, weight).
+    pub weights: Vec<Vec<(usize, f64)>>,
+}
+
+impl Deformation {
+    /// Average wall height over each column.
+    pub fn column_heights(&self, offsets: &[f64]) -> Vec<f64> {
+        self.weights.iter().map(|w| w.iter().map(|(k, w)| w * offsets[*k]).sum()).collect()
+    }
+
+    /// The initial state of these offsets.
+    pub fn state<R: Real>(&self, offsets: &[f64]) -> Vec<R> {
+        let n = self.particles;
+        let heights = self.column_heights(offsets);
+        let mut state = self.base.clone();
+        for i in 0..n {
+            let s = heights[self.column[i] as usize];
+            state[n + i] += self.by_height[i] * s;
+            if let Some((row, by_mass)) = &self.by_mass {
+                state[row * n + i] += by_mass[i] * s;
+            }
+        }
+        state.into_iter().map(R::of).collect()
+    }
+
+    /// The derivative by the offsets from the cotangent of the state, summed in f64 in particle order.
+    pub fn adjoint<R: Real>(&self, state_bar: &[R]) -> Vec<f64> {
+        let n = self.particles;
+        let mut heights_bar = vec![0.0; self.weights.len()];
+        for i in 0..n {
+            let mut bar = self.by_height[i] * state_bar[n + i].f64();
+            if let Some((row, by_mass)) = &self.by_mass {
+                bar += by_mass[i] * state_bar[row * n + i].f64();
+            }
+            heights_bar[self.column[i] as usize] += bar;
+        }
+        let mut gradient = vec![0.0; self.variables];
+        for (weights, bar) in self.weights.iter().zip(heights_bar) {
+            for (k, w) in weights {
+                gradient[*k] += w * bar;
+            }
+        }
+        gradient
+    }
+
+    /// Sets the cotangent of everything to zero that a state in the middle of a run does not take from the design
+    /// directly: what remains are wall positions and masses (for truncated gradients).
+    pub fn keep_static<R: Real>(&self, state_bar: &mut [R], is_fluid: impl Fn(usize) -> bool) {
+        let n = self.particles;
+        for i in (0..n).filter(|&i| is_fluid(i)) {
+            state_bar[n + i] = R::default();
+        }
+    }
+}
+
+/// [`Deformation`] on the graph: offsets `[K]` in f64 -> state `[F, N]` in the run's precision.
+pub struct Deform<R>(pub Arc<Deformation>, pub std::marker::PhantomData<R>);
+
+impl<R: Real> CustomOp1 for Deform<R> {
+    fn name(&self) -> &'static str {
+        "deform"
+    }
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        let state: Vec<R> = self.0.state(input::<f64>(s, l)?);
+        let rows = state.len() / self.0.particles;
+        Ok(output(state, (rows, self.0.particles)))
+    }
+    fn bwd(&self, offsets: &Tensor, _: &Tensor, state_bar: &Tensor) -> Result<Option<Tensor>> {
+        let gradient = read(&state_bar.contiguous()?, |bar: &[R]| Ok(self.0.adjoint(bar)))?;
+        Ok(Some(Tensor::from_vec(gradient, offsets.dims(), offsets.device())?))
+    }
+}

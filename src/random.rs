@@ -1,0 +1,44 @@
+//! Random numbers: ChaCha8, one named stream per purpose, so that a seed gives the same run whatever else is drawn.
+
+use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// The stream of a purpose: the name's bytes (at most 8) are the stream's number.
+pub fn stream(seed: u64, purpose: &str) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut number = [0; 8];
+    for (to, from) in number.iter_mut().zip(purpose.bytes()) {
+        *to = from;
+    }
+    rng.set_stream(u64::from_le_bytes(number));
+    rng
+}
+
+/// Uniform in [0, 1) with 53 bits.
+pub fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Standard normal numbers by Box and Muller, two at a time.
+pub struct Normal {
+    rng: ChaCha8Rng,
+    spare: Option<f64>,
+}
+
+impl Normal {
+    pub fn new(rng: ChaCha8Rng) -> Self {
+        Self { rng, spare: None }
+    }
+
+    // Not an Iterator: it never ends, and an Option per number would say otherwise.
+    #[allow(clippy::should_implement_trait)]
+    pub fn next(&mut self) -> f64 {
+        if let Some(z) = self.spare.take() {
+            return z;
+        }
+        let radius = (-2.0 * (1.0 - uniform(&mut self.rng)).ln()).sqrt();
+        let (sin, cos) = (std::f64::consts::TAU * uniform(&mut self.rng)).sin_cos();
+        self.spare = Some(radius * sin);
+        radius * cos
+    }
+}
