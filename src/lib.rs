@@ -3,6 +3,7 @@
 pub mod adjoint;
 pub mod cli;
 pub mod design;
+pub mod error;
 pub mod io;
 pub mod neighbours;
 pub mod report;
