@@ -38,9 +38,9 @@ impl From<BadInput> for Error {
 
 /// The exit code for an error: bad input anywhere in the chain of causes is 2, everything else 1.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
-    let bad_input = error
-        .chain()
-        .any(|cause| cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_))));
+    let bad_input = error.chain().any(|cause| {
+        cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_)))
+    });
     if bad_input {
         EXIT_INPUT
     } else {
@@ -91,6 +91,11 @@ impl BadInput {
     pub fn key(mut self, key: impl Into<String>) -> Self {
         self.key = Some(key.into());
         self
+    }
+
+    /// Whether this is the key at fault.
+    pub fn is_about(&self, key: &str) -> bool {
+        self.key.as_deref() == Some(key)
     }
 
     pub fn allowed(mut self, allowed: impl Into<String>) -> Self {

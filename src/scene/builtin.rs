@@ -44,7 +44,7 @@ pub fn unknown(kind: &str, name: &str, known: &[BuiltIn]) -> BadInput {
     let names: Vec<&str> = known.iter().map(|known| known.name).collect();
     let bad = BadInput::new(format!("there is no {kind} `{name}`")).allowed(names.join(", "));
     match suggest::nearest(name, &names) {
-        Some(near) => bad.advice(format!("did you mean `{near}`?")),
+        Some(near) => bad.advice(format!("`{near}`")),
         None => bad.advice("`hydrograd scenes` describes them"),
     }
 }

@@ -65,7 +65,9 @@ impl Layer {
         if let Err(error) = toml::from_str::<Config>(text) {
             let at = error.span().unwrap_or_default();
             let inside = |span: Range<usize>| span.contains(&at.start);
-            let key = found.iter().find(|(_, item)| item.span().is_some_and(inside));
+            let key = found
+                .iter()
+                .find(|(_, item)| item.span().is_some_and(inside));
             let key = key.map(|(path, _)| path.clone());
             return Err(explain(&error, &error.to_string(), key.as_deref()).place(name));
         }
@@ -97,7 +99,8 @@ impl Layer {
         if keys.iter().any(|key| key.is_empty()) {
             return Err(bad(format!("`{path}` is not a key")).allowed(form));
         }
-        let value = parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
+        let value =
+            parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
 
         let mut document = DocumentMut::new();
         let mut item: &mut Item = document.as_item_mut();
@@ -218,7 +221,11 @@ fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
     let mut found = Vec::new();
     for (key, item) in table.iter() {
         match item.as_table_like() {
-            Some(inner) => found.extend(flatten(inner).into_iter().map(|(rest, item)| (format!("{key}.{rest}"), item))),
+            Some(inner) => found.extend(
+                flatten(inner)
+                    .into_iter()
+                    .map(|(rest, item)| (format!("{key}.{rest}"), item)),
+            ),
             None => found.push((key.to_string(), item)),
         }
     }
@@ -250,7 +257,9 @@ fn parse_value(text: &str) -> Result<Value, String> {
     if text.starts_with(['[', '{', '"', '\'']) {
         return Err(format!("`{text}` is not a complete TOML value"));
     }
-    Ok(text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from))
+    Ok(text
+        .parse::<f64>()
+        .map_or_else(|_| Value::from(text), Value::from))
 }
 
 /// Every key of a configuration, as `section.key`.
@@ -262,7 +271,10 @@ pub fn known_keys() -> Vec<String> {
     config.design.file = Some(String::new());
     let text = toml::to_string(&config).expect("a configuration is representable in TOML");
     let document: DocumentMut = text.parse().expect("toml writes valid TOML");
-    flatten(document.as_table()).into_iter().map(|(path, _)| path).collect()
+    flatten(document.as_table())
+        .into_iter()
+        .map(|(path, _)| path)
+        .collect()
 }
 
 /// The comment above a key in the first built-in scene: its meaning, units and range, on one line.
@@ -299,9 +311,9 @@ fn explain(error: &toml::de::Error, text: &str, key: Option<&str>) -> BadInput {
     ] {
         text = text.replace(rust, plain);
     }
-    let bad = BadInput::new(text);
     let message = error.message();
     if !message.starts_with("unknown") {
+        let bad = BadInput::new(text);
         return match key.and_then(|key| description(key).map(|what| format!("{key}: {what}"))) {
             Some(allowed) => bad.allowed(allowed),
             None => bad,
@@ -311,12 +323,18 @@ fn explain(error: &toml::de::Error, text: &str, key: Option<&str>) -> BadInput {
     let mut words = message.split('`').skip(1).step_by(2);
     let given = words.next().unwrap_or_default();
     let expected: Vec<&str> = words.collect();
-    let bad = bad.allowed(expected.join(", "));
+    // The expected names go into the line of allowed values.
+    let problem = text
+        .rsplit_once(", expected")
+        .map_or(text.as_str(), |(problem, _)| problem);
+    let bad = BadInput::new(problem).allowed(expected.join(", "));
     let ends_with = format!(".{given}");
-    let elsewhere = known_keys().into_iter().find(|path| path.ends_with(&ends_with));
+    let elsewhere = known_keys()
+        .into_iter()
+        .find(|path| path.ends_with(&ends_with));
     match (elsewhere, suggest::nearest(given, &expected)) {
-        (Some(path), _) if message.starts_with("unknown field") => bad.advice(format!("did you mean `{path}`?")),
-        (_, Some(near)) => bad.advice(format!("did you mean `{near}`?")),
+        (Some(path), _) if message.starts_with("unknown field") => bad.advice(format!("`{path}`")),
+        (_, Some(near)) => bad.advice(format!("`{near}`")),
         _ => bad.advice("`hydrograd scenes heated-channel` prints every key with its meaning"),
     }
 }

@@ -1,19 +1,26 @@
 //! "Did you mean ...?"
 
-/// Levenshtein distance: insertions, deletions and substitutions between two words.
+/// Insertions, deletions, substitutions and swaps of neighbours that turn one word into the other
+/// (optimal string alignment).
 pub fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, from) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, to) in b.iter().enumerate() {
-            let substitute = diagonal + usize::from(from != *to);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(row[j] + 1).min(row[j + 1] + 1);
+    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
+    // distance[i][j]: between the first i letters of a and the first j of b.
+    let mut distance = vec![vec![0; b.len() + 1]; a.len() + 1];
+    for i in 0..=a.len() {
+        for j in 0..=b.len() {
+            if i == 0 || j == 0 {
+                distance[i][j] = i + j;
+                continue;
+            }
+            let substitute = distance[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+            let insert_or_delete = distance[i - 1][j].min(distance[i][j - 1]) + 1;
+            distance[i][j] = substitute.min(insert_or_delete);
+            if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                distance[i][j] = distance[i][j].min(distance[i - 2][j - 2] + 1);
+            }
         }
     }
-    row[b.len()]
+    distance[a.len()][b.len()]
 }
 
 /// The known word nearest to `word`, if near enough to be a slip of the keyboard:
@@ -25,7 +32,8 @@ pub fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
         .copied()
         .map(|candidate| (edit_distance(word, candidate), candidate))
         .filter(|(distance, candidate)| {
-            let prefix = word.len() >= 3 && (candidate.starts_with(word) || word.starts_with(candidate));
+            let prefix =
+                word.len() >= 3 && (candidate.starts_with(word) || word.starts_with(candidate));
             prefix || (*distance <= limit && *distance < candidate.chars().count())
         })
         .min_by_key(|(distance, _)| *distance)
@@ -41,6 +49,7 @@ mod tests {
         assert_eq!(edit_distance("", "abc"), 3);
         assert_eq!(edit_distance("kitten", "sitting"), 3);
         assert_eq!(edit_distance("optimize", "optimise"), 1);
+        assert_eq!(edit_distance("heigth", "height"), 1);
         assert_eq!(edit_distance("dx", "dx"), 0);
     }
 
