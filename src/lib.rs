@@ -5,6 +5,7 @@ pub mod kernel;
 pub mod lanes;
 pub mod cli;
 pub mod design;
+pub mod error;
 pub mod io;
 pub mod neighbours;
 pub mod particles;

@@ -1,1 +1,24 @@
-//! cli
+//! The command line: one file per subcommand.
+
+mod arguments;
+mod check_gradient;
+mod guard;
+mod optimize;
+mod scenes;
+mod simulate;
+
+pub use arguments::{
+    CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments,
+    ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+};
+pub use guard::{guarded, install_panic_hook};
+
+/// Runs the parsed command line.
+pub fn run(cli: Cli) -> anyhow::Result<()> {
+    match cli.command {
+        Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
+        Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
+        Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
+        Command::Scenes(arguments) => scenes::run(arguments),
+    }
+}

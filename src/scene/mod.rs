@@ -1,2 +1,10 @@
 //! Scenes: configuration, geometry, wall shapes.
+pub mod builtin;
 pub mod config;
+pub mod derived;
+pub mod layers;
+pub mod load;
+pub mod shape;
+pub mod start_shape;
+pub mod suggest;
+pub mod validate;

@@ -1,0 +1,434 @@
+//! Options of every subcommand. Each option that overrides a configuration key becomes a [`Setting`].
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::error::{BadInput, Error};
+use crate::scene::config::{Config, GradientMode, Kernels, Precision};
+use crate::scene::layers::Setting;
+use crate::scene::load::Loaded;
+
+/// Steps that `check-gradient` differentiates unless told otherwise.
+const CHECK_STEPS: usize = 500;
+
+/// Differentiable particle flow: simulate a fluid by SPH and shape its walls by exact gradients.
+#[derive(Debug, Parser)]
+#[command(name = "hydrograd", version, arg_required_else_help = true)]
+#[command(after_help = "Begin with `hydrograd optimize`. `hydrograd help COMMAND` has examples.")]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    Simulate(SimulateArguments),
+    #[command(visible_alias = "optimise")]
+    Optimize(OptimizeArguments),
+    CheckGradient(CheckGradientArguments),
+    Scenes(ScenesArguments),
+}
+
+/// Simulate a scene with its start shape; writes figures, plots and ParaView frames.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd simulate
+      the heated channel with a flat wall
+  hydrograd simulate --set design.shape=sine --set design.amplitude=0.02 --out runs/sine
+      with a sine-shaped wall
+  hydrograd simulate --set design.file=runs/optimize-heated-channel/shape.csv --set resolution.dx=0.01
+      the optimum of a run again, at half the spacing
+  hydrograd simulate my.toml --precision f32 --threads 2
+      a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
+pub struct SimulateArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub resume: ResumeArgument,
+}
+
+/// Shape the hot wall so that the fluid carries out more heat (the main job).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd optimize
+      the heated channel from a flat wall, in about 3 minutes on two cores
+  hydrograd optimize --start all --out runs/starts
+      from four start shapes, compared in one plot
+  hydrograd optimize --preset report --start random --seed 7
+      the original report's settings, from a random wall
+  hydrograd optimize --resume runs/optimize-heated-channel --epochs 40
+      go on with a run, up to 40 epochs in all")]
+pub struct OptimizeArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub gradient: GradientArguments,
+    /// Start shape (design.shape); `all` runs flat, random, linear and sine and compares them.
+    #[arg(long, value_enum)]
+    pub start: Option<StartName>,
+    /// Optimiser steps (optimise.epochs).
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<usize>,
+}
+
+/// Compare the design gradient with central differences; fails (exit code 1) if they disagree.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd check-gradient
+      500 steps of the heated channel, objective at the last step
+  hydrograd check-gradient --steps 100 --directions 5
+      quicker, along five random directions
+  hydrograd check-gradient --precision f32 --set design.shape=sine
+      in single precision, at a sine-shaped wall
+  hydrograd check-gradient --steps 500 --set objective.window=0.2
+      with an objective averaged over a window")]
+pub struct CheckGradientArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub gradient: GradientArguments,
+    /// Steps to differentiate. The objective is then taken at the last step, unless
+    /// `--set objective.window=...` says otherwise.
+    #[arg(long, value_name = "N", default_value_t = CHECK_STEPS)]
+    pub steps: usize,
+    /// Random directions to compare along.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
+    pub directions: usize,
+}
+
+/// List the built-in scenes and presets, or print a scene as TOML.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd scenes
+      what there is
+  hydrograd scenes heated-channel > my.toml
+      every key with its meaning, unit and range, to change and run
+  hydrograd scenes heated-channel --preset report
+      the same with a preset's values")]
+pub struct ScenesArguments {
+    /// Scene to print.
+    #[arg(value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Lay a preset over it.
+    #[arg(long, value_name = "NAME", requires = "scene")]
+    pub preset: Option<String>,
+}
+
+/// Options of every run.
+#[derive(Debug, Clone, Args)]
+pub struct CommonArguments {
+    /// Built-in scene (`hydrograd scenes` lists them) or TOML file [default: heated-channel].
+    #[arg(value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Override a key of the scene, e.g. `--set time.end=1.5`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Lay a preset over the scene: report.
+    #[arg(long, value_name = "NAME")]
+    pub preset: Option<String>,
+    /// Folder for the results [default: runs/COMMAND-SCENE].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Floating-point type (run.precision).
+    #[arg(long, value_enum)]
+    pub precision: Option<Precision>,
+    /// Worker threads, 0 for every core (run.threads).
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Seed of every random number (run.seed).
+    // TOML's integers are signed.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Implementation of the operators (run.kernels).
+    #[arg(long, value_enum)]
+    pub kernels: Option<Kernels>,
+}
+
+/// Going on with an earlier run.
+#[derive(Debug, Clone, Args)]
+pub struct ResumeArgument {
+    /// Go on with the run in this folder, with its configuration; results go there too unless --out is given.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "preset"])]
+    pub resume: Option<PathBuf>,
+}
+
+/// How gradients are computed.
+#[derive(Debug, Clone, Args)]
+pub struct GradientArguments {
+    /// Method (optimise.gradient): segments and taped are exact, truncated is not.
+    #[arg(long = "gradient", value_name = "METHOD", value_enum)]
+    pub method: Option<GradientMode>,
+    /// Steps per segment, 0 to choose (optimise.segment).
+    #[arg(long, value_name = "N")]
+    pub segment: Option<usize>,
+    /// Steps that `truncated` looks back (optimise.horizon).
+    #[arg(long, value_name = "N")]
+    pub horizon: Option<usize>,
+}
+
+/// Start shapes of `optimize`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum StartName {
+    Flat,
+    Random,
+    Linear,
+    Sine,
+    /// Each of the others in turn.
+    All,
+}
+
+impl StartName {
+    /// The shapes that `--start all` compares.
+    pub const EACH: [Self; 4] = [Self::Flat, Self::Random, Self::Linear, Self::Sine];
+
+    /// The setting that selects this shape; none for `all`.
+    pub fn setting(self) -> Option<Setting> {
+        (self != Self::All).then(|| Setting::option("--start", "design.shape", name_of(self)))
+    }
+}
+
+impl CommonArguments {
+    /// Loads the scene with `defaults` below and `options` above what the user set.
+    fn load(
+        &self,
+        resume: Option<&Path>,
+        defaults: Vec<Setting>,
+        options: Vec<Setting>,
+    ) -> Result<Loaded, Error> {
+        let mut settings = defaults;
+        settings.extend(self.sets.iter().map(|text| Setting::set(text)));
+        let own = [
+            self.precision
+                .map(|value| Setting::option("--precision", "run.precision", name_of(value))),
+            self.threads
+                .map(|value| Setting::option("--threads", "run.threads", value)),
+            self.seed
+                .map(|value| Setting::option("--seed", "run.seed", value)),
+            self.kernels
+                .map(|value| Setting::option("--kernels", "run.kernels", name_of(value))),
+        ];
+        settings.extend(own.into_iter().flatten());
+        settings.extend(options);
+        let Some(folder) = resume else {
+            return Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings);
+        };
+        let file = folder.join("config.toml");
+        if !file.is_file() {
+            return Err(BadInput::new(format!(
+                "there is no run to resume: no file {}",
+                file.display()
+            ))
+            .place(format!("--resume {}", folder.display()))
+            .allowed("the folder of an earlier run (its --out)")
+            .into());
+        }
+        Config::load_settings(Some(&file.to_string_lossy()), None, &settings)
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    fn folder(
+        &self,
+        resume: Option<&Path>,
+        subcommand: &str,
+        loaded: &Loaded,
+    ) -> Result<PathBuf, Error> {
+        let given = self.out.as_deref().or(resume).map(Path::to_path_buf);
+        let folder = given.unwrap_or_else(|| {
+            Path::new("runs").join(format!("{subcommand}-{}", loaded.source.name()))
+        });
+        check_writable(&folder)?;
+        Ok(folder)
+    }
+}
+
+/// Checks that `folder` is one or can be created, without leaving anything behind.
+fn check_writable(folder: &Path) -> Result<(), BadInput> {
+    let bad = |problem: String| {
+        BadInput::new(problem)
+            .place(format!("--out {}", folder.display()))
+            .allowed("a folder that can be written to, or a new one")
+    };
+    let existing = folder
+        .ancestors()
+        .find(|path| path.exists())
+        .unwrap_or(Path::new(""));
+    let existing = match existing.as_os_str().is_empty() {
+        true => Path::new("."),
+        false => existing,
+    };
+    if !existing.is_dir() {
+        return Err(bad(format!("{} is a file", existing.display())));
+    }
+    match tempfile::tempfile_in(existing) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(bad(format!(
+            "can not write to {}: {error}",
+            existing.display()
+        ))),
+    }
+}
+
+impl GradientArguments {
+    fn settings(&self) -> Vec<Setting> {
+        let settings = [
+            self.method
+                .map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
+            self.segment
+                .map(|value| Setting::option("--segment", "optimise.segment", value)),
+            self.horizon
+                .map(|value| Setting::option("--horizon", "optimise.horizon", value)),
+        ];
+        settings.into_iter().flatten().collect()
+    }
+}
+
+impl SimulateArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common
+            .load(self.resume.resume.as_deref(), vec![], vec![])
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common
+            .folder(self.resume.resume.as_deref(), "simulate", loaded)
+    }
+}
+
+impl OptimizeArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        let mut options = self.gradient.settings();
+        options.extend(
+            self.epochs
+                .map(|value| Setting::option("--epochs", "optimise.epochs", value)),
+        );
+        options.extend(self.start.and_then(StartName::setting));
+        self.common
+            .load(self.resume.resume.as_deref(), vec![], options)
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common
+            .folder(self.resume.resume.as_deref(), "optimize", loaded)
+    }
+}
+
+impl CheckGradientArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
+        // longer than the steps checked.
+        let defaults = vec![
+            Setting::option("--steps", "time.steps", self.steps),
+            Setting::set("objective.window=0"),
+        ];
+        self.common.load(None, defaults, self.gradient.settings())
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common.folder(None, "check-gradient", loaded)
+    }
+}
+
+/// The name of a value as the command line and the configuration spell it.
+fn name_of(value: impl ValueEnum) -> String {
+    let value = value.to_possible_value().expect("no value is hidden");
+    value.get_name().to_string()
+}
+
+fn directions(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if count >= 1 => Ok(count),
+        _ => Err("allowed: a whole number, at least 1".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    fn parse(line: &str) -> Command {
+        Cli::try_parse_from(line.split(' ')).unwrap().command
+    }
+
+    #[test]
+    fn options_override_keys() {
+        let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
+                    --segment 7 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
+        let Command::Optimize(arguments) = parse(line) else {
+            panic!("not optimize")
+        };
+        let loaded = arguments.load().unwrap();
+        let mut expected = Config::default();
+        expected.run.precision = Precision::F32;
+        expected.run.threads = 2;
+        expected.run.seed = 9;
+        expected.run.kernels = Kernels::Composed;
+        expected.optimise.gradient = GradientMode::Truncated;
+        expected.optimise.segment = 7;
+        expected.optimise.horizon = 30;
+        expected.optimise.epochs = 3;
+        expected.design.shape = crate::scene::config::ShapeName::Random;
+        expected.time.end = 1.0;
+        assert_eq!(loaded.config, expected);
+        let folder = arguments.folder(&loaded).unwrap();
+        assert_eq!(folder, Path::new("runs/optimize-heated-channel"));
+    }
+
+    #[test]
+    fn check_gradient_takes_the_last_step_unless_told() {
+        let Command::CheckGradient(arguments) = parse("hydrograd check-gradient --steps 20") else {
+            panic!("not check-gradient")
+        };
+        let config = arguments.load().unwrap().config;
+        assert_eq!(
+            (config.time.steps, config.objective.window),
+            (Some(20), 0.0)
+        );
+        let line = "hydrograd check-gradient --steps 200 --set objective.window=0.1";
+        let Command::CheckGradient(arguments) = parse(line) else {
+            panic!("not check-gradient")
+        };
+        let config = arguments.load().unwrap().config;
+        assert_eq!(
+            (config.time.steps, config.objective.window),
+            (Some(200), 0.1)
+        );
+    }
+
+    #[test]
+    fn resume_reads_the_run_and_stays_in_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = Config::load(None, None, &["run.seed=4".into()])
+            .unwrap()
+            .text;
+        std::fs::write(folder.path().join("config.toml"), text).unwrap();
+        let line = format!(
+            "hydrograd optimize --epochs 40 --resume {}",
+            folder.path().display()
+        );
+        let Command::Optimize(arguments) = parse(&line) else {
+            panic!("not optimize")
+        };
+        let loaded = arguments.load().unwrap();
+        assert_eq!(
+            (loaded.config.run.seed, loaded.config.optimise.epochs),
+            (4, 40)
+        );
+        assert_eq!(arguments.folder(&loaded).unwrap(), folder.path());
+    }
+}

@@ -1,0 +1,10 @@
+//! `hydrograd check-gradient`.
+
+use super::CheckGradientArguments;
+use crate::error::Error;
+use crate::scene::load::Loaded;
+
+pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
+    let _folder = arguments.folder(&loaded)?;
+    Err(Error::run("not built yet", "a later version").into())
+}

@@ -1,0 +1,90 @@
+//! Nothing but one clear line reaches the user: errors with their causes, and panics as a bug to report.
+
+use std::any::Any;
+use std::io::Write;
+use std::panic::{catch_unwind, AssertUnwindSafe};
+
+use crate::error::{exit_code, EXIT_INTERNAL};
+
+/// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
+const BROKEN_PIPE: &str = "failed printing to std";
+
+/// 128 + SIGPIPE, as the shell reports a program that a closed pipe ended.
+const EXIT_BROKEN_PIPE: u8 = 141;
+
+/// Replaces Rust's panic message by one line that asks to report it.
+pub fn install_panic_hook() {
+    std::panic::set_hook(Box::new(|info| {
+        let message = message(info.payload());
+        if message.starts_with(BROKEN_PIPE) {
+            return;
+        }
+        let place = info
+            .location()
+            .map(|location| format!(" at {}:{}", location.file(), location.line()));
+        // One line, whatever the panic says.
+        let message = message.replace('\n', " ");
+        complain(&format!(
+            "error: internal error{}: {message}; this is a bug in hydrograd {}: please report it with the command line",
+            place.unwrap_or_default(),
+            env!("CARGO_PKG_VERSION")
+        ));
+    }));
+}
+
+/// Runs a command, prints its error and the causes to stderr, and returns the exit code: 0, 1 for a failed
+/// run, 2 for bad input, 70 for a panic.
+pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
+    match catch_unwind(AssertUnwindSafe(command)) {
+        Ok(Ok(())) => 0,
+        Ok(Err(error)) => {
+            complain(&format!("error: {error}"));
+            for cause in error.chain().skip(1) {
+                complain(&format!("  cause: {cause}"));
+            }
+            exit_code(&error)
+        }
+        Err(payload) if message(&*payload).starts_with(BROKEN_PIPE) => EXIT_BROKEN_PIPE,
+        Err(_) => EXIT_INTERNAL,
+    }
+}
+
+/// A line on stderr; if stderr is closed there is nobody to tell (`eprintln!` would panic).
+fn complain(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+fn message(payload: &(dyn Any + Send)) -> &str {
+    payload
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| payload.downcast_ref::<&str>().copied())
+        .unwrap_or("panic")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::{BadInput, Error};
+    use anyhow::Context;
+
+    #[test]
+    fn exit_codes() {
+        assert_eq!(guarded(|| Ok(())), 0);
+        assert_eq!(
+            guarded(|| Err(Error::run("diverged", "a smaller time.cfl").into())),
+            1
+        );
+        assert_eq!(guarded(|| Err(anyhow::anyhow!("disk full"))), 1);
+        assert_eq!(guarded(|| Err(Error::from(BadInput::new("bad")).into())), 2);
+        assert_eq!(
+            guarded(|| Err(BadInput::new("bad")).context("while reading")),
+            2
+        );
+        assert_eq!(guarded(|| panic!("a bug")), EXIT_INTERNAL);
+        assert_eq!(
+            guarded(|| panic!("failed printing to stdout: Broken pipe")),
+            EXIT_BROKEN_PIPE
+        );
+    }
+}

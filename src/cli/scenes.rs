@@ -1,0 +1,38 @@
+//! `hydrograd scenes`: lists the built-in scenes, or prints one as TOML.
+
+use std::io::Write;
+
+use super::ScenesArguments;
+use crate::error::Error;
+use crate::scene::builtin::{self, BuiltIn, PRESETS, SCENES};
+use crate::scene::config::Config;
+
+pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
+    let text = match &arguments.scene {
+        None => list(),
+        Some(name) => {
+            if builtin::scene(name).is_none() {
+                return Err(Error::from(builtin::unknown("built-in scene", name, SCENES)).into());
+            }
+            Config::load(Some(name), arguments.preset.as_deref(), &[])?.text
+        }
+    };
+    match std::io::stdout().write_all(text.as_bytes()) {
+        // The reader has seen enough: `hydrograd scenes heated-channel | head`.
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        result => Ok(result?),
+    }
+}
+
+fn list() -> String {
+    let lines = |items: &[BuiltIn]| -> String {
+        let line = |item: &BuiltIn| format!("  {:<16} {}\n", item.name, item.description);
+        items.iter().map(line).collect()
+    };
+    format!(
+        "Scenes:\n{}\nPresets (--preset NAME):\n{}\n\
+         `hydrograd scenes NAME` prints a scene as TOML, to save and change.\n",
+        lines(SCENES),
+        lines(PRESETS)
+    )
+}

@@ -1,0 +1,136 @@
+//! Errors that a user sees: bad input (exit code 2) and failed runs (exit code 1).
+
+use std::fmt;
+
+/// Exit code of a run that started and failed (divergence, full disk, a gradient check that does not pass).
+pub const EXIT_RUN: u8 = 1;
+/// Exit code of bad input: nothing was computed and nothing was written.
+pub const EXIT_INPUT: u8 = 2;
+/// Exit code of a panic, which is a bug in hydrograd (`EX_SOFTWARE` of sysexits.h).
+pub const EXIT_INTERNAL: u8 = 70;
+
+/// What went wrong, in words for the user.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// Detected before anything is computed or written.
+    #[error("{0}")]
+    Input(Box<BadInput>),
+    /// Detected while running.
+    #[error("{problem}\n  try: {advice}")]
+    Run { problem: String, advice: String },
+}
+
+impl Error {
+    /// A run that failed, with advice on what to try.
+    pub fn run(problem: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self::Run {
+            problem: problem.into(),
+            advice: advice.into(),
+        }
+    }
+}
+
+impl From<BadInput> for Error {
+    fn from(bad: BadInput) -> Self {
+        Self::Input(Box::new(bad))
+    }
+}
+
+/// The exit code for an error: bad input anywhere in the chain of causes is 2, everything else 1.
+pub fn exit_code(error: &anyhow::Error) -> u8 {
+    let bad_input = error.chain().any(|cause| {
+        cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_)))
+    });
+    if bad_input {
+        EXIT_INPUT
+    } else {
+        EXIT_RUN
+    }
+}
+
+/// One piece of input that cannot be used: where it is, what it is, what is allowed, what to try.
+///
+/// ```
+/// use hydrograd::error::BadInput;
+/// let bad = BadInput::new("time.cfl = 9 is out of range")
+///     .place("channel.toml, line 3")
+///     .allowed("0 < time.cfl <= 4")
+///     .advice("--set time.cfl=1");
+/// let text = "channel.toml, line 3: time.cfl = 9 is out of range\n  \
+///             allowed: 0 < time.cfl <= 4\n  try: --set time.cfl=1";
+/// assert_eq!(bad.to_string(), text);
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BadInput {
+    place: Option<String>,
+    key: Option<String>,
+    problem: String,
+    allowed: Option<String>,
+    advice: Option<String>,
+}
+
+impl BadInput {
+    /// `problem` names the key or thing and the offending value.
+    pub fn new(problem: impl Into<String>) -> Self {
+        Self {
+            place: None,
+            key: None,
+            problem: problem.into(),
+            allowed: None,
+            advice: None,
+        }
+    }
+
+    /// File and line, or the command-line text.
+    pub fn place(mut self, place: impl Into<String>) -> Self {
+        self.place = Some(place.into());
+        self
+    }
+
+    /// The configuration key; the loader turns it into a place (it knows which file or option set it).
+    pub fn key(mut self, key: impl Into<String>) -> Self {
+        self.key = Some(key.into());
+        self
+    }
+
+    /// Whether this is the key at fault.
+    pub fn is_about(&self, key: &str) -> bool {
+        self.key.as_deref() == Some(key)
+    }
+
+    pub fn allowed(mut self, allowed: impl Into<String>) -> Self {
+        self.allowed = Some(allowed.into());
+        self
+    }
+
+    pub fn advice(mut self, advice: impl Into<String>) -> Self {
+        self.advice = Some(advice.into());
+        self
+    }
+
+    /// Fills in the place from the key, unless a place is known already.
+    pub fn located(mut self, place_of: impl Fn(&str) -> Option<String>) -> Self {
+        if let (None, Some(key)) = (&self.place, &self.key) {
+            self.place = place_of(key);
+        }
+        self
+    }
+}
+
+impl std::error::Error for BadInput {}
+
+impl fmt::Display for BadInput {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(place) = &self.place {
+            write!(out, "{place}: ")?;
+        }
+        write!(out, "{}", self.problem)?;
+        if let Some(allowed) = &self.allowed {
+            write!(out, "\n  allowed: {allowed}")?;
+        }
+        if let Some(advice) = &self.advice {
+            write!(out, "\n  try: {advice}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,197 @@
+//! From a scene's name or file, a preset and `--set` options to a checked configuration.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use toml_edit::{Array, Value};
+
+use super::builtin::{self, BuiltIn, SCENES};
+use super::config::Config;
+use super::layers::{Layer, Merged, Setting};
+use super::shape;
+use crate::error::{BadInput, Error};
+
+/// Where a configuration began.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    BuiltIn(&'static str),
+    File(PathBuf),
+}
+
+impl Source {
+    /// A short name for folders: the scene's, or the file's without folder and extension.
+    pub fn name(&self) -> String {
+        match self {
+            Self::BuiltIn(name) => name.to_string(),
+            Self::File(path) => path
+                .file_stem()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into(),
+        }
+    }
+}
+
+impl std::fmt::Display for Source {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::BuiltIn(name) => write!(out, "built-in scene {name}"),
+            Self::File(path) => write!(out, "{}", path.display()),
+        }
+    }
+}
+
+/// A checked configuration with the text that reproduces it.
+#[derive(Debug, Clone)]
+pub struct Loaded {
+    pub config: Config,
+    /// The resolved TOML: every key, with the built-in scene's comments; reads back to `config`, also when
+    /// the files that it came from are gone (a `design.file` is copied into `nodes` and `offsets`).
+    pub text: String,
+    pub source: Source,
+    places: BTreeMap<String, String>,
+}
+
+impl Config {
+    /// Loads and checks a configuration.
+    ///
+    /// Layers, later ones win: the built-in scene, the preset, the user's file, each of `sets`
+    /// (`section.key=value`). Within `{time.end, time.steps}` and `{design.shape, design.offsets, design.file}`
+    /// the last layer that gives one of them replaces the others.
+    ///
+    /// * `scene_or_file`: name of a built-in scene or path of a TOML file; default `heated-channel`.
+    /// * `preset`: name of a built-in preset.
+    ///
+    /// Errors: anything a user can get wrong, as [`Error::Input`].
+    pub fn load(
+        scene_or_file: Option<&str>,
+        preset: Option<&str>,
+        sets: &[String],
+    ) -> Result<Loaded, Error> {
+        let settings: Vec<Setting> = sets.iter().map(|text| Setting::set(text)).collect();
+        Ok(load(scene_or_file, preset, &settings)?)
+    }
+
+    /// [`Config::load`] with the options' own names in error messages.
+    pub fn load_settings(
+        scene_or_file: Option<&str>,
+        preset: Option<&str>,
+        settings: &[Setting],
+    ) -> Result<Loaded, Error> {
+        Ok(load(scene_or_file, preset, settings)?)
+    }
+}
+
+impl Loaded {
+    /// The same configuration with more settings on top, e.g. each start of `--start all`.
+    pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
+        let mut merged = Merged::new(&self.text, self.places.clone());
+        for setting in settings {
+            merged.apply(&Layer::from_setting(setting)?);
+        }
+        Ok(finish(merged, self.source.clone())?)
+    }
+}
+
+fn load(
+    scene_or_file: Option<&str>,
+    preset: Option<&str>,
+    settings: &[Setting],
+) -> Result<Loaded, BadInput> {
+    let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
+    let mut merged = Merged::new(base.text, BTreeMap::new());
+    if let Some(name) = preset {
+        let preset = builtin::preset(name)?;
+        merged.apply(&Layer::from_text(&format!("preset {name}"), preset.text)?);
+    }
+    if let Some(layer) = file {
+        merged.apply(&layer);
+    }
+    for setting in settings {
+        merged.apply(&Layer::from_setting(setting)?);
+    }
+    finish(merged, source)
+}
+
+/// The built-in scene to begin with, and the user's file as a layer if it is one.
+fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInput> {
+    if let Some(scene) = builtin::scene(name) {
+        return Ok((scene, None, Source::BuiltIn(scene.name)));
+    }
+    let path = Path::new(name);
+    let text = std::fs::read_to_string(path).map_err(|error| unreadable(name, path, &error))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let layer = Layer::from_text(name, &text)?.relative_to(folder);
+    let family = layer.string("scene").unwrap_or(SCENES[0].name);
+    // The file was read as a Config, so its family exists.
+    let scene = builtin::scene(family).expect("every scene family has a built-in scene");
+    Ok((scene, Some(layer), Source::File(path.to_path_buf())))
+}
+
+fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
+    let scenes: Vec<&str> = SCENES.iter().map(|scene| scene.name).collect();
+    let allowed = format!(
+        "a built-in scene ({}) or the path of a TOML file",
+        scenes.join(", ")
+    );
+    if path.is_dir() {
+        let config = path.join("config.toml");
+        let bad = BadInput::new(format!("`{name}` is a folder, not a scene")).allowed(allowed);
+        return match config.is_file() {
+            true => bad.advice(format!(
+                "the configuration of that run: {}",
+                config.display()
+            )),
+            false => bad,
+        };
+    }
+    let looks_like_a_name = !name.contains(['/', '\\', '.']);
+    if error.kind() == std::io::ErrorKind::NotFound && looks_like_a_name {
+        return builtin::unknown("scene or file", name, SCENES).allowed(allowed);
+    }
+    let problem = match error.kind() {
+        std::io::ErrorKind::NotFound => format!("no such file: {name}"),
+        std::io::ErrorKind::InvalidData => format!("{name} is not a text file (UTF-8)"),
+        _ => format!("can not read {name}: {error}"),
+    };
+    BadInput::new(problem)
+        .allowed(allowed)
+        .advice(format!("hydrograd scenes {} > my.toml", SCENES[0].name))
+}
+
+fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
+    let read = |merged: &Merged| -> Config {
+        toml::from_str(&merged.text())
+            .expect("every layer was read as a Config, so their union is one")
+    };
+    let mut config = read(&merged);
+    let place_of = |merged: &Merged, key: &str| {
+        let key = key.split('[').next().unwrap_or(key);
+        let default = || format!("default of scene {}", SCENES[0].name);
+        Some(merged.places().get(key).cloned().unwrap_or_else(default))
+    };
+    if let Some(file) = config.design.file.clone() {
+        if config.design.offsets.is_none() && config.design.nodes.is_none() {
+            let columns = shape::read_columns(Path::new(&file)).map_err(|bad| {
+                match merged.places().get("design.file") {
+                    Some(place) => bad.advice(format!("design.file was given by {place}")),
+                    None => bad,
+                }
+            })?;
+            merged.remove("design.file");
+            let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
+            merged.set("design.nodes", array(columns.nodes), &file);
+            merged.set("design.offsets", array(columns.offsets), &file);
+            config = read(&merged);
+        }
+    }
+    config
+        .check()
+        .map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
+    Ok(Loaded {
+        config,
+        text: merged.text(),
+        source,
+        places: merged.places().clone(),
+    })
+}

@@ -1,0 +1,325 @@
+//! The shape of the hot wall: a function of x, independent of the resolution.
+//!
+//! ```text
+//!            0                                       x <= hot_from or x >= hot_to
+//!   y(x) =   o_0                                     hot_from < x <= x_0
+//!            o_i + (o_{i+1} - o_i) (x - x_i) / (x_{i+1} - x_i)    x_i <= x <= x_{i+1}
+//!            o_last                                  x_last <= x < hot_to
+//! ```
+
+use std::path::Path;
+
+use crate::error::BadInput;
+
+/// Neighbouring nodes may differ by this times their distance: the walls of neighbouring columns, one spacing
+/// apart, then differ by at most two spacings, so that their three rows of dummy particles overlap.
+pub const MAX_SLOPE: f64 = 2.0;
+
+/// Section ends within this of a column's edge, in spacings, count as on the edge: no slivers from rounding.
+const EDGE: f64 = 1e-9;
+
+/// Wall height above y = 0 at nodes, linear between them; zero outside `hot_from < x < hot_to`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shape {
+    /// Positions, strictly increasing, in `hot_from ..= hot_to`.
+    pub nodes: Vec<f64>,
+    /// Heights; positive narrows the channel.
+    pub offsets: Vec<f64>,
+    pub hot_from: f64,
+    pub hot_to: f64,
+}
+
+impl Shape {
+    /// A checked shape.
+    ///
+    /// Errors: numbers that are not finite, lengths that differ, no node, nodes out of order or outside the hot
+    /// section, neighbours steeper than [`MAX_SLOPE`].
+    pub fn new(
+        nodes: Vec<f64>,
+        offsets: Vec<f64>,
+        hot_from: f64,
+        hot_to: f64,
+    ) -> Result<Self, BadInput> {
+        finite("design.nodes", &nodes)?;
+        finite("design.offsets", &offsets)?;
+        if nodes.is_empty() {
+            let bad = BadInput::new("design.nodes is empty").key("design.nodes");
+            return Err(bad.allowed("at least one node"));
+        }
+        if nodes.len() != offsets.len() {
+            let problem = format!(
+                "design.offsets has {} numbers for {} nodes",
+                offsets.len(),
+                nodes.len()
+            );
+            return Err(BadInput::new(problem)
+                .key("design.offsets")
+                .allowed(format!(
+                    "{} offsets, one per node (default: a node per spacing)",
+                    nodes.len()
+                ))
+                .advice("give design.nodes with the positions that these offsets belong to"));
+        }
+        for (i, x) in nodes.iter().enumerate() {
+            if !(hot_from..=hot_to).contains(x) {
+                return Err(BadInput::new(format!(
+                    "design.nodes[{i}] = {x} is outside the hot section"
+                ))
+                .key("design.nodes")
+                .allowed(format!(
+                    "{hot_from} ... {hot_to} (channel.hot_from ... channel.hot_to)"
+                )));
+            }
+        }
+        for (i, pair) in nodes.windows(2).enumerate() {
+            if pair[1] <= pair[0] {
+                let problem = format!("design.nodes[{}] = {} follows {}", i + 1, pair[1], pair[0]);
+                return Err(BadInput::new(problem)
+                    .key("design.nodes")
+                    .allowed("increasing positions"));
+            }
+            let limit = MAX_SLOPE * (pair[1] - pair[0]);
+            let step = offsets[i + 1] - offsets[i];
+            if step.abs() > limit * (1.0 + 1e-9) {
+                return Err(BadInput::new(format!(
+                    "design.offsets is too steep between [{i}] and [{}]: {} to {} over {:.6}",
+                    i + 1,
+                    offsets[i],
+                    offsets[i + 1],
+                    pair[1] - pair[0]
+                ))
+                .key("design.offsets")
+                .allowed(format!(
+                    "a step of at most {limit:.6}, twice the distance of the nodes"
+                ))
+                .advice("a smoother shape, or a smaller design.amplitude or design.periods"));
+            }
+        }
+        Ok(Self {
+            nodes,
+            offsets,
+            hot_from,
+            hot_to,
+        })
+    }
+
+    /// Checks |offset| <= bound.
+    pub fn check_bound(&self, bound: f64) -> Result<(), BadInput> {
+        match self
+            .offsets
+            .iter()
+            .position(|o| o.abs() > bound * (1.0 + 1e-12))
+        {
+            None => Ok(()),
+            Some(i) => {
+                let problem = format!("design.offsets[{i}] = {} is out of bounds", self.offsets[i]);
+                Err(BadInput::new(problem)
+                    .key("design.offsets")
+                    .allowed(format!("-{bound} ... {bound} (design.bound)"))
+                    .advice("a smaller design.amplitude, or a larger design.bound"))
+            }
+        }
+    }
+
+    /// Wall height at x (length units).
+    pub fn height(&self, x: f64) -> f64 {
+        if x <= self.hot_from || x >= self.hot_to {
+            return 0.0;
+        }
+        let last = self.nodes.len() - 1;
+        match self.nodes.partition_point(|node| *node <= x) {
+            0 => self.offsets[0],
+            right if right > last => self.offsets[last],
+            right => {
+                let (a, b) = (self.nodes[right - 1], self.nodes[right]);
+                let fraction = (x - a) / (b - a);
+                self.offsets[right - 1] * (1.0 - fraction) + self.offsets[right] * fraction
+            }
+        }
+    }
+
+    /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the
+    /// average of y(x) over the column: pairs (node, weight), exact, so that the fluid area is the same at every
+    /// resolution. A column cut by an end of the hot section has weights that sum to its hot share.
+    pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {
+        let share = self.hot_share(dx, length);
+        (0..columns(dx, length))
+            .map(|column| {
+                let Some((from, to)) = self.hot_part(column, dx) else {
+                    return vec![];
+                };
+                let mut weights = self.integrals(from, to, dx);
+                // Column edges c dx are rounded, which costs 1e-14 of a narrow column: a uniform shape would
+                // come out slightly rough.
+                let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
+                weights
+                    .iter_mut()
+                    .for_each(|(_, weight)| *weight *= share[column] / sum);
+                weights
+            })
+            .collect()
+    }
+
+    /// The share (0 ... 1) of each column's width that lies in the hot section.
+    pub fn hot_share(&self, dx: f64, length: f64) -> Vec<f64> {
+        (0..columns(dx, length))
+            .map(|column| match self.hot_part(column, dx) {
+                // Exactly 1, where (to - from) / dx would be off by rounding.
+                Some((from, to))
+                    if from == column as f64 * dx && to == (column + 1) as f64 * dx =>
+                {
+                    1.0
+                }
+                Some((from, to)) => (to - from) / dx,
+                None => 0.0,
+            })
+            .collect()
+    }
+
+    /// The part of a column in the hot section.
+    fn hot_part(&self, column: usize, dx: f64) -> Option<(f64, f64)> {
+        let (left, right) = (column as f64 * dx, (column + 1) as f64 * dx);
+        let from = match self.hot_from - left > EDGE * dx {
+            true => self.hot_from,
+            false => left,
+        };
+        let to = match right - self.hot_to > EDGE * dx {
+            true => self.hot_to,
+            false => right,
+        };
+        (to - from > EDGE * dx).then_some((from, to))
+    }
+
+    /// Integrals over `from ..= to` of the nodes' hat functions, divided by dx.
+    fn integrals(&self, from: f64, to: f64, dx: f64) -> Vec<(usize, f64)> {
+        let mut weights: Vec<(usize, f64)> = vec![];
+        let mut add = |node: usize, weight: f64| match weights.last_mut() {
+            _ if weight == 0.0 => {}
+            Some((last, sum)) if *last == node => *sum += weight,
+            _ => weights.push((node, weight)),
+        };
+        let last = self.nodes.len() - 1;
+        let mut right = self.nodes.partition_point(|node| *node <= from);
+        let mut start = from;
+        while start < to {
+            // Here nodes[right - 1] <= start < nodes[right], where they exist.
+            let end = self.nodes.get(right).map_or(to, |node| node.min(to));
+            let width = (end - start) / dx;
+            if right == 0 || right > last {
+                add(right.min(last), width);
+            } else {
+                let (a, b) = (self.nodes[right - 1], self.nodes[right]);
+                let fraction = ((0.5 * (start + end) - a) / (b - a)).clamp(0.0, 1.0);
+                add(right - 1, width * (1.0 - fraction));
+                add(right, width * fraction);
+            }
+            start = end;
+            right += 1;
+        }
+        weights
+    }
+}
+
+fn columns(dx: f64, length: f64) -> usize {
+    (length / dx).round() as usize
+}
+
+/// One node per spacing in the hot section: hot_from + (k + 1/2) dx.
+pub fn default_nodes(hot_from: f64, hot_to: f64, dx: f64) -> Vec<f64> {
+    // The small term keeps a node from landing on hot_to by rounding.
+    let count = ((hot_to - hot_from) / dx + 0.5 - 1e-9).floor() as usize;
+    (0..count)
+        .map(|k| hot_from + (k as f64 + 0.5) * dx)
+        .collect()
+}
+
+fn finite(key: &str, numbers: &[f64]) -> Result<(), BadInput> {
+    match numbers.iter().position(|number| !number.is_finite()) {
+        None => Ok(()),
+        Some(i) => Err(BadInput::new(format!(
+            "{key}[{i}] = {} is not a number to compute with",
+            numbers[i]
+        ))
+        .key(key)
+        .allowed("finite numbers")),
+    }
+}
+
+/// The columns of a shape file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Columns {
+    pub nodes: Vec<f64>,
+    pub offsets: Vec<f64>,
+}
+
+/// Reads the columns `x` and `offset` of a CSV file with a header line; other columns, empty lines and lines
+/// that begin with `#` are skipped.
+pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
+    let form = "a CSV file with the header x,offset and one line of two finite numbers per node";
+    let file = path.display();
+    let bad = |line: Option<usize>, problem: String| {
+        let place = line.map_or(format!("{file}"), |line| {
+            format!("{file}, line {}", line + 1)
+        });
+        BadInput::new(problem).place(place).allowed(form)
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => bad(None, "design.file: no such file".into()),
+        _ => bad(None, format!("design.file: can not read: {error}")),
+    })?;
+    let mut lines = text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+    let cells = |line: &str| -> Vec<String> {
+        line.split(',')
+            .map(|cell| cell.trim().to_string())
+            .collect()
+    };
+    let (header_line, header) = match lines.next() {
+        Some((number, line)) => (number, cells(line)),
+        None => return Err(bad(None, "the file is empty".into())),
+    };
+    let column = |name: &str| {
+        header.iter().position(|cell| cell == name).ok_or_else(|| {
+            bad(
+                Some(header_line),
+                format!("no column `{name}` in `{}`", header.join(",")),
+            )
+        })
+    };
+    let (x, offset) = (column("x")?, column("offset")?);
+    let mut columns = Columns {
+        nodes: vec![],
+        offsets: vec![],
+    };
+    for (number, line) in lines {
+        let row = cells(line);
+        if row.len() != header.len() {
+            let problem = format!(
+                "`{line}` has {} cells, the header {}",
+                row.len(),
+                header.len()
+            );
+            return Err(bad(Some(number), problem));
+        }
+        for (index, name, numbers) in [
+            (x, "x", &mut columns.nodes),
+            (offset, "offset", &mut columns.offsets),
+        ] {
+            match row[index].parse::<f64>() {
+                Ok(value) if value.is_finite() => numbers.push(value),
+                _ => {
+                    return Err(bad(
+                        Some(number),
+                        format!("{name} is `{}`, not a finite number", row[index]),
+                    ))
+                }
+            }
+        }
+    }
+    match columns.nodes.is_empty() {
+        true => Err(bad(None, "there are no lines after the header".into())),
+        false => Ok(columns),
+    }
+}

@@ -1,0 +1,610 @@
+//! Bad input: one clear message, exit code 2, nothing written.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use tempfile::TempDir;
+
+/// A folder with files, and the command line run in it.
+struct Case {
+    folder: TempDir,
+}
+
+impl Case {
+    fn new(files: &[(&str, &str)]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        Self { folder }
+    }
+
+    /// Runs `hydrograd`, expects exit code 2, exactly one error that has every part of `expected`, nothing on
+    /// stdout, and no new file; returns the message.
+    fn refuses(&self, arguments: &[&str], expected: &[&str]) -> String {
+        let before = files(self.folder.path());
+        let output = Command::cargo_bin("hydrograd")
+            .unwrap()
+            .current_dir(self.folder.path())
+            .args(arguments)
+            .output()
+            .unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+        assert!(output.stdout.is_empty());
+        assert_eq!(message.matches("error:").count(), 1, "{message}");
+        assert!(message.starts_with("error: "), "{message}");
+        for part in expected {
+            assert!(message.contains(part), "no `{part}` in: {message}");
+        }
+        assert_eq!(files(self.folder.path()), before, "something was written");
+        message
+    }
+
+    /// The same for every run command with `--set` options.
+    fn refuses_sets(&self, sets: &[&str], expected: &[&str]) {
+        let mut arguments = vec!["simulate", "--out", "out"];
+        sets.iter().for_each(|set| arguments.extend(["--set", set]));
+        for command in ["simulate", "optimize", "check-gradient"] {
+            arguments[0] = command;
+            self.refuses(&arguments, expected);
+        }
+    }
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let names = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name());
+    let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into()).collect();
+    names.sort();
+    names
+}
+
+fn refuses_sets(sets: &[&str], expected: &[&str]) {
+    Case::new(&[]).refuses_sets(sets, expected);
+}
+
+fn refuses_file(text: &str, expected: &[&str]) {
+    let case = Case::new(&[("mine.toml", text)]);
+    case.refuses(&["optimize", "mine.toml", "--out", "out"], expected);
+}
+
+#[test]
+fn unknown_key() {
+    let parts = [
+        "mine.toml",
+        "line 2",
+        "heigth",
+        "length",
+        "wall_rows",
+        "try: `height`",
+    ];
+    refuses_file("[channel]\nheigth = 0.2\n", &parts);
+    let parts = [
+        "--set channel.heigth=0.2",
+        "heigth",
+        "wall_rows",
+        "try: `height`",
+    ];
+    refuses_sets(&["channel.heigth=0.2"], &parts);
+}
+
+#[test]
+fn unknown_section() {
+    let parts = ["mine.toml", "line 1", "optimize", "try: `optimise`"];
+    refuses_file("[optimize]\nepochs = 2\n", &parts);
+    refuses_sets(
+        &["optimize.epochs=2"],
+        &["--set optimize.epochs=2", "try: `optimise`"],
+    );
+}
+
+#[test]
+fn key_of_another_section() {
+    refuses_file(
+        "[time]\nepochs = 2\n",
+        &["line 2", "epochs", "try: `optimise.epochs`"],
+    );
+    refuses_sets(&["dx=0.01"], &["--set dx=0.01", "try: `resolution.dx`"]);
+}
+
+#[test]
+fn unknown_value() {
+    let parts = [
+        "design.shape=sin",
+        "`sine`",
+        "cosine",
+        "random",
+        "try: `sine`",
+    ];
+    refuses_sets(&["design.shape=sin"], &parts);
+    refuses_file(
+        "[run]\nprecision = \"f16\"\n",
+        &["line 2", "f16", "f32, f64"],
+    );
+}
+
+#[test]
+fn wrong_type() {
+    let parts = [
+        "mine.toml",
+        "line 3",
+        "epochs = \"ten\"",
+        "a whole number",
+        "optimise.epochs",
+    ];
+    refuses_file("[optimise]\nsmoothing = 1\nepochs = \"ten\"\n", &parts);
+    let parts = ["--set time.end=soon", "soon", "a number", "time.end", "> 0"];
+    refuses_sets(&["time.end=soon"], &parts);
+    refuses_sets(
+        &["design.offsets=0.01"],
+        &["--set design.offsets=0.01", "an array of numbers"],
+    );
+    refuses_sets(&["optimise.epochs=2.5"], &["2.5", "a whole number"]);
+}
+
+#[test]
+fn section_that_is_a_value() {
+    refuses_sets(&["channel=3"], &["--set channel=3", "section"]);
+    refuses_file(
+        "resolution = [0.01]\n",
+        &["mine.toml, line 1", "`resolution`", "section"],
+    );
+}
+
+#[test]
+fn not_toml() {
+    refuses_file("[channel\nheight = 0.2\n", &["mine.toml", "line 1", "^"]);
+    refuses_file(
+        "[channel]\nheight = 0.2\nheight = 0.3\n",
+        &["mine.toml", "line 3", "duplicate key"],
+    );
+}
+
+#[test]
+fn out_of_range() {
+    let parts = [
+        "mine.toml, line 3",
+        "time.cfl = 4.5",
+        "0 < time.cfl <= 4",
+        "time.cfl = 1",
+    ];
+    refuses_file("[time]\n\ncfl = 4.5\n", &parts);
+    let cases = [
+        ("resolution.dx=0", "resolution.dx > 0"),
+        ("resolution.dx=-0.02", "resolution.dx > 0"),
+        ("resolution.dx=nan", "resolution.dx > 0"),
+        ("channel.wall_rows=2", "3 <= channel.wall_rows"),
+        ("channel.inlet_length=-0.1", "channel.inlet_length >= 0"),
+        ("fluid.viscosity=inf", "fluid.viscosity > 0, finite"),
+        (
+            "wall.hot_temperature=nan",
+            "wall.hot_temperature: any finite number",
+        ),
+        ("time.end=0", "time.end > 0"),
+        ("time.end=-1", "time.end > 0"),
+        (
+            "time.diffusion_number=1.5",
+            "0 < time.diffusion_number <= 1",
+        ),
+        ("time.skin=0", "0 < time.skin <= 2"),
+        ("objective.samples=0", "1 <= objective.samples"),
+        ("optimise.epochs=0", "1 <= optimise.epochs"),
+        ("optimise.learning_rate=0", "optimise.learning_rate > 0"),
+        ("design.bound=-0.01", "design.bound >= 0"),
+        ("run.threads=5000", "0 <= run.threads <= 1024"),
+    ];
+    for (set, allowed) in cases {
+        let (key, value) = set.split_once('=').unwrap();
+        let value = value.replace("nan", "NaN");
+        refuses_sets(
+            &[set],
+            &[
+                &format!("--set {set}"),
+                &format!("{key} = {value}"),
+                allowed,
+            ],
+        );
+    }
+}
+
+#[test]
+fn zero_or_negative_steps() {
+    let case = Case::new(&[]);
+    for command in ["simulate", "optimize"] {
+        let run = |set: &str, parts: &[&str]| {
+            case.refuses(&[command, "--out", "out", "--set", set], parts)
+        };
+        run(
+            "time.steps=0",
+            &["--set time.steps=0", "time.steps = 0", "1 <= time.steps"],
+        );
+        run(
+            "time.steps=-5",
+            &["--set time.steps=-5", "-5", "time.steps", ">= 1"],
+        );
+    }
+    let parts = ["--steps 0", "time.steps = 0", "1 <= time.steps"];
+    case.refuses(&["check-gradient", "--steps", "0", "--out", "out"], &parts);
+    case.refuses(
+        &["check-gradient", "--directions", "0"],
+        &["--directions", "at least 1"],
+    );
+    case.refuses(
+        &["optimize", "--epochs", "0"],
+        &["--epochs 0", "1 <= optimise.epochs"],
+    );
+}
+
+#[test]
+fn spacing_does_not_divide() {
+    let parts = [
+        "--set resolution.dx=0.03",
+        "resolution.dx = 0.03",
+        "channel.length = 1",
+        "resolution.dx=0.03333333333333333",
+        "resolution.dx=0.02857142857142857",
+    ];
+    refuses_sets(&["resolution.dx=0.03"], &parts);
+    let parts = [
+        "resolution.dx = 0.02",
+        "channel.height = 0.21",
+        "resolution.dx=0.01",
+    ];
+    refuses_sets(&["channel.height=0.21"], &parts);
+    refuses_sets(
+        &["resolution.dx=1e-7"],
+        &["resolution.dx = 0.0000001", "particles"],
+    );
+}
+
+#[test]
+fn channel_too_short_or_low() {
+    let sets = [
+        "channel.length=0.12",
+        "channel.inlet_length=0",
+        "channel.outlet_length=0",
+        "channel.hot_from=0.02",
+        "channel.hot_to=0.08",
+        "objective.target_x=0.1",
+    ];
+    refuses_sets(&sets, &["channel.length = 0.12", "at least", "0.128"]);
+    refuses_sets(
+        &["channel.height=0.1"],
+        &["channel.height = 0.1", "six spacings", "0.12"],
+    );
+}
+
+#[test]
+fn sections_out_of_place() {
+    refuses_sets(
+        &["channel.hot_from=0.05"],
+        &["channel.hot_from = 0.05", "channel.inlet_length", "0.06"],
+    );
+    refuses_sets(
+        &["channel.hot_to=0.95"],
+        &["channel.hot_to = 0.95", "channel.outlet_length", "0.94"],
+    );
+    refuses_sets(
+        &["channel.hot_to=0.2"],
+        &["channel.hot_from = 0.25", "channel.hot_to - dx"],
+    );
+    refuses_sets(
+        &["objective.target_x=0.7"],
+        &["objective.target_x = 0.7", "0.75 ... 0.94"],
+    );
+    refuses_sets(
+        &["objective.target_x=0.95"],
+        &["objective.target_x = 0.95", "0.75 ... 0.94"],
+    );
+}
+
+#[test]
+fn window_longer_than_the_run() {
+    let case = Case::new(&[]);
+    let run = |sets: &[&str], parts: &[&str]| {
+        let mut arguments = vec!["optimize", "--out", "out"];
+        sets.iter().for_each(|set| arguments.extend(["--set", set]));
+        case.refuses(&arguments, parts);
+    };
+    run(
+        &["time.end=0.3"],
+        &["objective.window = 0.5", "0 (last step) ... 0.3"],
+    );
+    run(&["time.steps=100"], &["objective.window = 0.5", "0.181818"]);
+    run(
+        &["objective.samples=300"],
+        &["objective.samples = 300", "1 ... 275"],
+    );
+}
+
+#[test]
+fn no_time_step() {
+    let sets = ["fluid.conductivity=1e300", "fluid.density=1e-300"];
+    refuses_sets(&sets, &["time step of 0", "positive"]);
+}
+
+#[test]
+fn bound_too_large() {
+    refuses_sets(
+        &["design.bound=0.07"],
+        &["design.bound = 0.07", "0.06", "channel.wall_rows=4"],
+    );
+    refuses_sets(
+        &["design.bound=0.09"],
+        &["design.bound = 0.09", "0 ... 0.08", "six spacings"],
+    );
+    let parts = [
+        "design.bound = 0.11",
+        "0 ... 0.1",
+        "half the channel's height",
+    ];
+    refuses_sets(
+        &[
+            "design.bound=0.11",
+            "channel.wall_rows=20",
+            "resolution.dx=0.01",
+        ],
+        &parts,
+    );
+}
+
+#[test]
+fn offsets_of_the_wrong_length() {
+    let parts = [
+        "--set design.offsets=[0.0, 0.01]",
+        "2 numbers for 25 nodes",
+        "design.nodes",
+    ];
+    refuses_sets(&["design.offsets=[0.0, 0.01]"], &parts);
+    let parts = ["mine.toml, line 3", "3 numbers for 2 nodes"];
+    refuses_file(
+        "[design]\nnodes = [0.3, 0.5]\noffsets = [0, 0, 0]\n",
+        &parts,
+    );
+    refuses_sets(
+        &["design.nodes=[]", "design.offsets=[]"],
+        &["design.nodes is empty", "at least one"],
+    );
+}
+
+#[test]
+fn offsets_out_of_bounds() {
+    let nodes = "design.nodes=[0.3, 0.5, 0.7]";
+    let parts = [
+        "design.offsets[1] = -0.021",
+        "-0.02 ... 0.02",
+        "design.bound",
+    ];
+    refuses_sets(&[nodes, "design.offsets=[0.02, -0.021, 0.0]"], &parts);
+    let parts = [
+        "design.offsets[0] = 0.03",
+        "-0.02 ... 0.02",
+        "design.amplitude",
+    ];
+    refuses_sets(&["design.shape=uniform", "design.amplitude=0.03"], &parts);
+}
+
+#[test]
+fn shape_too_steep() {
+    let nodes = "design.nodes=[0.3, 0.5, 0.51]";
+    let parts = [
+        "too steep between [1] and [2]",
+        "-0.01 to 0.02",
+        "at most 0.02",
+    ];
+    refuses_sets(&[nodes, "design.offsets=[0.0, -0.01, 0.02]"], &parts);
+    let sets = [
+        "design.shape=sine",
+        "design.amplitude=0.02",
+        "design.periods=13",
+        "resolution.dx=0.01",
+    ];
+    refuses_sets(
+        &sets,
+        &["--set design.shape=sine", "too steep", "design.periods"],
+    );
+}
+
+#[test]
+fn nodes_out_of_order_or_outside() {
+    let offsets = "design.offsets=[0.0, 0.0]";
+    refuses_sets(
+        &["design.nodes=[0.5, 0.4]", offsets],
+        &["design.nodes[1] = 0.4", "increasing"],
+    );
+    refuses_sets(
+        &["design.nodes=[0.5, 0.5]", offsets],
+        &["design.nodes[1] = 0.5", "increasing"],
+    );
+    refuses_sets(
+        &["design.nodes=[0.2, 0.5]", offsets],
+        &["design.nodes[0] = 0.2", "0.25 ... 0.75"],
+    );
+}
+
+#[test]
+fn not_a_number_in_an_array() {
+    let nodes = "design.nodes=[0.3, 0.5]";
+    let parts = [
+        "--set design.offsets=[0.0, nan]",
+        "design.offsets[1] = NaN",
+        "finite",
+    ];
+    refuses_sets(&[nodes, "design.offsets=[0.0, nan]"], &parts);
+    let parts = ["design.nodes[0] = inf", "finite"];
+    refuses_sets(
+        &["design.nodes=[inf, 0.5]", "design.offsets=[0.0, 0.0]"],
+        &parts,
+    );
+    refuses_file(
+        "[design]\noffsets = [0.0, nan]\n",
+        &["mine.toml, line 2", "design.offsets[1] = NaN"],
+    );
+}
+
+#[test]
+fn missing_scene_file() {
+    let case = Case::new(&[]);
+    for command in ["simulate", "optimize", "check-gradient"] {
+        let parts = [
+            "no such file: mine.toml",
+            "heated-channel",
+            "hydrograd scenes",
+        ];
+        case.refuses(&[command, "mine.toml", "--out", "out"], &parts);
+    }
+    let parts = ["heated-chanel", "allowed", "try: `heated-channel`"];
+    case.refuses(&["optimize", "heated-chanel"], &parts);
+    case.refuses(&["optimize", "."], &["`.` is a folder", "heated-channel"]);
+    case.refuses(
+        &["scenes", "heated-chanel"],
+        &["heated-chanel", "try: `heated-channel`"],
+    );
+}
+
+#[test]
+fn scene_file_that_is_not_text() {
+    let case = Case::new(&[]);
+    std::fs::write(
+        case.folder.path().join("frame.h5"),
+        [0x89, b'H', 0xff, 0xfe],
+    )
+    .unwrap();
+    case.refuses(
+        &["optimize", "frame.h5", "--out", "out"],
+        &["frame.h5 is not a text file"],
+    );
+}
+
+#[test]
+fn malformed_set() {
+    refuses_sets(
+        &["time.end"],
+        &["--set time.end", "`=`", "section.key=value"],
+    );
+    refuses_sets(&["=3"], &["--set =3", "section.key=value"]);
+    refuses_sets(&["time.end="], &["--set time.end=", "no value"]);
+    refuses_sets(
+        &["design.offsets=[0.0, 0.1"],
+        &["[0.0, 0.1", "not a complete TOML value"],
+    );
+    refuses_sets(&["time.end.x=3"], &["--set time.end.x=3"]);
+}
+
+#[test]
+fn unknown_preset() {
+    let case = Case::new(&[]);
+    let parts = ["--preset reprot", "allowed: report", "try: `report`"];
+    case.refuses(&["optimize", "--preset", "reprot", "--out", "out"], &parts);
+}
+
+#[test]
+fn nothing_to_resume() {
+    let case = Case::new(&[]);
+    for command in ["simulate", "optimize"] {
+        case.refuses(
+            &[command, "--resume", "runs/none"],
+            &["--resume runs/none", "config.toml", "earlier run"],
+        );
+    }
+}
+
+#[test]
+fn bad_shape_files() {
+    let case = Case::new(&[
+        ("empty.csv", ""),
+        ("header.csv", "x,offset\n"),
+        ("columns.csv", "x,height\n0.3,0.0\n"),
+        ("text.csv", "x,offset\n0.3,0.0\n0.4,high\n"),
+        ("nan.csv", "x,offset\n0.3,0.0\n\n0.4,nan\n"),
+        ("cells.csv", "x,offset\n0.3\n"),
+        ("bound.csv", "x,offset\n0.3,0.05\n"),
+        ("outside.csv", "x,offset\n0.1,0.0\n"),
+    ]);
+    let cases: [(&str, &[&str]); 9] = [
+        (
+            "none.csv",
+            &["none.csv", "no such file", "--set design.file=none.csv"],
+        ),
+        ("empty.csv", &["empty.csv", "empty", "x,offset"]),
+        ("header.csv", &["header.csv", "no lines", "x,offset"]),
+        (
+            "columns.csv",
+            &["columns.csv, line 1", "no column `offset`", "x,height"],
+        ),
+        ("text.csv", &["text.csv, line 3", "`high`", "finite"]),
+        ("nan.csv", &["nan.csv, line 4", "`nan`", "finite"]),
+        ("cells.csv", &["cells.csv, line 2", "1 cells", "header 2"]),
+        (
+            "bound.csv",
+            &["bound.csv", "design.offsets[0] = 0.05", "-0.02 ... 0.02"],
+        ),
+        (
+            "outside.csv",
+            &["outside.csv", "design.nodes[0] = 0.1", "0.25 ... 0.75"],
+        ),
+    ];
+    for (file, parts) in cases {
+        case.refuses_sets(&[&format!("design.file={file}")], parts);
+    }
+    let sets = ["design.file=bound.csv", "design.nodes=[0.3]"];
+    case.refuses_sets(&sets, &["design.file", "design.nodes", "one of them"]);
+}
+
+#[test]
+fn output_folder_that_can_not_be_one() {
+    let case = Case::new(&[("results", "")]);
+    for command in ["simulate", "optimize", "check-gradient"] {
+        let parts = ["--out results", "is a file", "allowed: a folder"];
+        case.refuses(&[command, "--out", "results"], &parts);
+        case.refuses(
+            &[command, "--out", "results/a/b"],
+            &["--out results/a/b", "results is a file"],
+        );
+        // Nobody may create files there, root included.
+        case.refuses(
+            &[command, "--out", "/proc/results"],
+            &["--out /proc/results", "can not write"],
+        );
+    }
+}
+
+#[test]
+fn unknown_command_or_option() {
+    let case = Case::new(&[]);
+    case.refuses(&["optimse"], &["optimse", "optimize"]);
+    case.refuses(
+        &["optimize", "--presision", "f32"],
+        &["--presision", "--precision"],
+    );
+    case.refuses(&["optimize", "--precision", "f16"], &["f16", "f32", "f64"]);
+    case.refuses(
+        &["optimize", "heated-channel", "--resume", "x"],
+        &["--resume", "SCENE"],
+    );
+}
+
+#[test]
+fn scenes_prints_a_complete_scene() {
+    let run = |arguments: &[&str]| {
+        let output = Command::cargo_bin("hydrograd")
+            .unwrap()
+            .args(arguments)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert!(run(&["scenes"]).contains("heated-channel"));
+    assert!(run(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
+    let case = Case::new(&[(
+        "mine.toml",
+        &run(&["scenes", "heated-channel", "--preset", "report"]),
+    )]);
+    let file = case.folder.path().join("mine.toml");
+    let loaded = hydrograd::scene::config::Config::load(file.to_str(), None, &[]).unwrap();
+    let preset = hydrograd::scene::config::Config::load(None, Some("report"), &[]).unwrap();
+    assert_eq!(loaded.config, preset.config);
+}

@@ -1,0 +1,401 @@
+//! Loading of scenes and the wall shape.
+
+use hydrograd::scene::builtin::{PRESETS, SCENES};
+use hydrograd::scene::config::*;
+use hydrograd::scene::layers::{description, known_keys, Setting};
+use hydrograd::scene::load::Source;
+use hydrograd::scene::shape::{default_nodes, Shape};
+use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn load(sets: &[&str]) -> hydrograd::scene::load::Loaded {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    Config::load(None, None, &sets).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn read(text: &str) -> Config {
+    toml::from_str(text).unwrap()
+}
+
+#[test]
+fn built_in_scene_is_the_default_configuration() {
+    assert_eq!(read(SCENES[0].text), Config::default());
+    let loaded = Config::load(Some("heated-channel"), None, &[]).unwrap();
+    assert_eq!(loaded.config, Config::default());
+    assert_eq!(loaded.text, SCENES[0].text);
+    assert_eq!(loaded.source, Source::BuiltIn("heated-channel"));
+}
+
+#[test]
+fn every_key_is_described_in_the_built_in_scene() {
+    let keys = known_keys();
+    assert!(keys.len() > 50, "only {} keys", keys.len());
+    for key in keys {
+        let text = description(&key).unwrap_or_else(|| panic!("{key} has no comment"));
+        assert!(
+            text.ends_with(['.', ')']) && text.len() > 20,
+            "{key}: {text}"
+        );
+    }
+}
+
+#[test]
+fn report_preset() {
+    let config = Config::load(None, Some("report"), &[]).unwrap().config;
+    assert_eq!(config.channel.height, 0.26);
+    assert_eq!(
+        config.columns() * (config.rows() + 2 * config.channel.wall_rows),
+        950
+    );
+    assert_eq!(
+        (config.time.steps, config.time.cfl, config.time.start),
+        (Some(2000), 0.25, Start::Rest)
+    );
+    assert_eq!(
+        (config.objective.window, config.optimise.segment),
+        (0.0, 200)
+    );
+    assert_eq!(
+        (config.optimise.learning_rate, config.optimise.smoothing),
+        (2e-2, 5e-2)
+    );
+    assert_eq!(config.optimise.epochs, 10);
+    for preset in PRESETS {
+        Config::load(None, Some(preset.name), &[])
+            .unwrap_or_else(|error| panic!("{}: {error}", preset.name));
+    }
+}
+
+#[test]
+fn later_layers_win_and_comments_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    let text = "channel.height = 0.24\n[optimise]\nepochs = 3 # few\n[fluid]\nbody_force = 1\nviscosity = 0.02\n";
+    std::fs::write(&file, text).unwrap();
+    let sets = ["fluid.viscosity=0.03".to_string(), "time.end=1.0".into()];
+    let loaded = Config::load(file.to_str(), Some("report"), &sets).unwrap();
+
+    let mut expected = Config::load(None, Some("report"), &[]).unwrap().config;
+    expected.channel.height = 0.24;
+    expected.optimise.epochs = 3;
+    expected.fluid.body_force = 1.0;
+    expected.fluid.viscosity = 0.03;
+    // `--set time.end` replaces the preset's number of steps.
+    expected.time.end = 1.0;
+    expected.time.steps = None;
+    assert_eq!(loaded.config, expected);
+    assert_eq!(loaded.source.name(), "mine");
+    assert_eq!(read(&loaded.text), loaded.config);
+    let comments = |text: &str| -> Vec<String> {
+        let lines = text.lines().filter(|line| line.starts_with('#'));
+        lines.map(str::to_string).collect()
+    };
+    assert_eq!(comments(&loaded.text), comments(SCENES[0].text));
+}
+
+#[test]
+fn resolved_text_reads_back_to_the_bit() {
+    // Numbers with every bit in use, tiny and huge exponents, and arrays.
+    let number = 0.1 + 0.2;
+    let sets = [
+        format!("optimise.smoothing={}", number * 1e-17),
+        format!("optimise.memory_mb={}", number * 1e200),
+        "optimise.learning_rate=.5".to_string(),
+        format!("fluid.viscosity={}", std::f64::consts::PI / 100.0),
+        "design.nodes=[0.3, 0.4000000000000001, 0.6]".into(),
+        "design.offsets=[1e-3,-0.010000000000000002, 0]".into(),
+        "time.steps=300".into(),
+        "time.cfl=2".into(),
+    ];
+    let loaded = Config::load(None, None, &sets).unwrap();
+    assert_eq!(loaded.config.optimise.smoothing, number * 1e-17);
+    assert_eq!(loaded.config.optimise.memory_mb, number * 1e200);
+    assert_eq!(loaded.config.optimise.learning_rate, 0.5);
+    assert_eq!(
+        loaded.config.design.offsets,
+        Some(vec![1e-3, -0.010000000000000002, 0.0])
+    );
+    assert_eq!(read(&loaded.text), loaded.config);
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("config.toml");
+    std::fs::write(&file, &loaded.text).unwrap();
+    let again = Config::load(file.to_str(), None, &[]).unwrap();
+    assert_eq!(again.config, loaded.config);
+    assert_eq!(again.text, loaded.text);
+}
+
+#[test]
+fn words_need_no_quotes() {
+    assert_eq!(
+        load(&["design.shape=sine"]).config.design.shape,
+        ShapeName::Sine
+    );
+    assert_eq!(
+        load(&["design.shape = \"cosine\""]).config.design.shape,
+        ShapeName::Cosine
+    );
+    assert_eq!(load(&["scene=heated-channel"]).config, Config::default());
+    assert_eq!(
+        load(&["fluid.body_force_region=original-channel"])
+            .config
+            .fluid
+            .body_force_region,
+        BodyForceRegion::OriginalChannel
+    );
+}
+
+#[test]
+fn a_later_shape_replaces_an_earlier_array() {
+    let array = "design.offsets=[0.0, 0.01]";
+    let nodes = "design.nodes=[0.3, 0.6]";
+    assert!(load(&[nodes, array]).config.design.offsets.is_some());
+    assert!(load(&[nodes, array, "design.shape=flat"])
+        .config
+        .design
+        .offsets
+        .is_none());
+    let loaded = load(&[nodes, array])
+        .with(&[Setting::set("design.shape=linear")])
+        .unwrap();
+    assert_eq!(loaded.config.design.offsets, None);
+    assert_eq!(loaded.config.design.nodes, Some(vec![0.3, 0.6]));
+    assert_eq!(read(&loaded.text), loaded.config);
+}
+
+#[test]
+fn shape_file_is_copied_into_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = "# best\nx,first,offset\n0.3,9,0.01\n\n0.45, 9, -0.005\n0.7,9,2e-2\n";
+    std::fs::write(folder.path().join("shape.csv"), csv).unwrap();
+    let file = folder.path().join("mine.toml");
+    // Relative to the TOML file, not to the current folder.
+    std::fs::write(&file, "[design]\nfile = \"shape.csv\"\n").unwrap();
+    let loaded = Config::load(file.to_str(), None, &[]).unwrap();
+    assert_eq!(loaded.config.design.file, None);
+    assert_eq!(loaded.config.design.nodes, Some(vec![0.3, 0.45, 0.7]));
+    assert_eq!(loaded.config.design.offsets, Some(vec![0.01, -0.005, 0.02]));
+    assert_eq!(read(&loaded.text), loaded.config);
+    // A file given later replaces the nodes of an earlier one.
+    std::fs::write(folder.path().join("two.csv"), "x,offset\n0.5,0.01\n").unwrap();
+    let two = folder.path().join("two.csv");
+    let set = Setting::set(&format!("design.file={}", two.display()));
+    assert_eq!(
+        loaded.with(&[set]).unwrap().config.design.offsets,
+        Some(vec![0.01])
+    );
+}
+
+#[test]
+fn default_nodes_are_the_reference_columns() {
+    let shape = Shape::from_config(&Config::default()).unwrap();
+    assert_eq!(shape.nodes.len(), 25);
+    for (k, x) in shape.nodes.iter().enumerate() {
+        assert!((x - (0.26 + 0.02 * k as f64)).abs() < 1e-15);
+    }
+    assert!(shape.offsets.iter().all(|offset| *offset == 0.0));
+    assert_eq!(default_nodes(0.25, 0.75, 0.01).len(), 50);
+    // A node that would lie on the end of the section is left out: 0.25 + 2.5 * 0.2 = 0.75.
+    assert_eq!(default_nodes(0.25, 0.75, 0.2).len(), 2);
+}
+
+#[test]
+fn named_shapes() {
+    let shape = |sets: &[&str]| Shape::from_config(&load(sets).config).unwrap();
+    let uniform = shape(&["design.shape=uniform", "design.amplitude=-0.015"]);
+    assert!(uniform.offsets.iter().all(|offset| *offset == -0.015));
+    let sine = shape(&[
+        "design.shape=sine",
+        "design.periods=2",
+        "design.nodes=[0.3125, 0.4375]",
+    ]);
+    assert!((sine.offsets[0] - 0.01).abs() < 1e-15 && (sine.offsets[1] + 0.01).abs() < 1e-15);
+    let cosine = shape(&["design.shape=cosine", "design.nodes=[0.25, 0.5, 0.75]"]);
+    assert!((cosine.offsets[0] - 0.01).abs() < 1e-15 && (cosine.offsets[1] + 0.01).abs() < 1e-15);
+    let linear = shape(&["design.shape=linear", "design.nodes=[0.25, 0.375, 0.75]"]);
+    assert!((linear.offsets[0] + 0.01).abs() < 1e-15);
+    assert!((linear.offsets[1] + 0.005).abs() < 1e-15);
+    assert!((linear.offsets[2] - 0.01).abs() < 1e-15);
+}
+
+#[test]
+fn random_shape_follows_the_seed() {
+    let shape = |seed: &str| {
+        Shape::from_config(&load(&["design.shape=random", seed]).config)
+            .unwrap()
+            .offsets
+    };
+    let (a, b) = (shape("run.seed=1"), shape("run.seed=2"));
+    assert_eq!(a, shape("run.seed=1"));
+    assert_ne!(a, b);
+    for offsets in [a, b] {
+        assert!(offsets.iter().all(|offset| offset.abs() <= 0.01));
+        // Uniform in +-0.01: of 25 numbers some are beyond half way on either side.
+        assert!(
+            offsets.iter().any(|offset| *offset > 0.005)
+                && offsets.iter().any(|offset| *offset < -0.005)
+        );
+    }
+}
+
+/// Shapes with nodes of several spacings that are none of the particles' spacings, regular and irregular.
+fn random_shapes() -> Vec<Shape> {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut uniform = move || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+    let mut shapes = vec![];
+    for (from, to) in [
+        (0.25, 0.75),
+        (0.26, 0.74),
+        (0.2137, 0.7003),
+        (0.251, 0.2699),
+    ] {
+        for count in [1, 2, 7, 25, 93] {
+            let width = (to - from) / count as f64;
+            let nodes: Vec<f64> = (0..count)
+                .map(|k| from + (k as f64 + 0.05 + 0.9 * uniform()) * width)
+                .collect();
+            let mut offsets = vec![0.02 * (uniform() - 0.5)];
+            for pair in nodes.windows(2) {
+                let step = 2.0 * (pair[1] - pair[0]) * (2.0 * uniform() - 1.0);
+                offsets.push(offsets.last().unwrap() + step);
+            }
+            shapes.push(Shape::new(nodes, offsets, from, to).unwrap());
+        }
+        // Nodes at the very ends.
+        shapes.push(Shape::new(vec![from, to], vec![0.01, 0.012], from, to).unwrap());
+    }
+    shapes
+}
+
+const SPACINGS: [f64; 5] = [0.02, 0.01, 0.005, 0.03333, 1.0 / 30.0];
+
+fn averages(shape: &Shape, dx: f64) -> Vec<f64> {
+    let average = |row: &Vec<(usize, f64)>| {
+        row.iter()
+            .map(|(node, weight)| weight * shape.offsets[*node])
+            .sum()
+    };
+    shape.column_weights(dx, 1.0).iter().map(average).collect()
+}
+
+#[test]
+fn weights_sum_to_the_hot_share() {
+    for shape in random_shapes() {
+        for dx in SPACINGS {
+            let (weights, share) = (shape.column_weights(dx, 1.0), shape.hot_share(dx, 1.0));
+            assert_eq!(weights.len(), (1.0 / dx).round() as usize);
+            assert_eq!(share.len(), weights.len());
+            for (row, share) in weights.iter().zip(&share) {
+                let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
+                assert!((sum - share).abs() < 1e-15);
+                assert!(row
+                    .iter()
+                    .all(|(node, weight)| *weight > 0.0 && *node < shape.nodes.len()));
+                assert!(
+                    row.windows(2).all(|pair| pair[0].0 + 1 == pair[1].0),
+                    "{row:?}"
+                );
+            }
+            let hot: f64 = share.iter().map(|share| share * dx).sum();
+            assert!((hot - (shape.hot_to - shape.hot_from)).abs() < 1e-14);
+        }
+    }
+}
+
+#[test]
+fn hot_share_counts_cut_columns() {
+    let shape = Shape::from_config(&Config::default()).unwrap();
+    // The columns 0.24 ... 0.26 and 0.74 ... 0.76 are half hot.
+    let share = shape.hot_share(0.02, 1.0);
+    assert!((share[12] - 0.5).abs() < 1e-12 && (share[37] - 0.5).abs() < 1e-12);
+    assert_eq!(
+        (share[11], share[13], share[36], share[38]),
+        (0.0, 1.0, 1.0, 0.0)
+    );
+    // At 0.01 and 0.005 its ends are on column edges: no slivers.
+    for dx in [0.01, 0.005] {
+        let share = shape.hot_share(dx, 1.0);
+        assert!(share.iter().all(|share| *share == 0.0 || *share == 1.0));
+        assert_eq!(share.iter().sum::<f64>() * dx, 0.5);
+    }
+}
+
+#[test]
+fn uniform_shape_is_uniform() {
+    let mut shape = Shape::from_config(&Config::default()).unwrap();
+    shape.offsets.fill(0.013);
+    for dx in SPACINGS {
+        for (average, share) in averages(&shape, dx).iter().zip(shape.hot_share(dx, 1.0)) {
+            assert!((average - 0.013 * share).abs() < 1e-16);
+        }
+    }
+}
+
+#[test]
+fn area_is_exact_at_every_spacing() {
+    for shape in random_shapes() {
+        let (x, o) = (&shape.nodes, &shape.offsets);
+        let last = x.len() - 1;
+        let mut exact = o[0] * (x[0] - shape.hot_from) + o[last] * (shape.hot_to - x[last]);
+        for i in 0..last {
+            exact += 0.5 * (o[i] + o[i + 1]) * (x[i + 1] - x[i]);
+        }
+        for dx in SPACINGS {
+            let area: f64 = averages(&shape, dx)
+                .iter()
+                .map(|average| average * dx)
+                .sum();
+            assert!(
+                (area - exact).abs() < 1e-15,
+                "dx {dx}: {area} instead of {exact}"
+            );
+        }
+    }
+}
+
+/// Each column's average against the midpoint rule on y(x): the right area in the right place.
+#[test]
+fn column_averages_follow_the_height() {
+    let points = 4000;
+    for shape in random_shapes() {
+        for dx in SPACINGS {
+            for (column, average) in averages(&shape, dx).iter().enumerate() {
+                let at = |k: usize| {
+                    shape.height((column as f64 + (k as f64 + 0.5) / points as f64) * dx)
+                };
+                let sampled = (0..points).map(at).sum::<f64>() / points as f64;
+                // Each jump at an end of the section costs at most half a point.
+                let largest = shape
+                    .offsets
+                    .iter()
+                    .fold(0.0_f64, |most, o| most.max(o.abs()));
+                assert!((average - sampled).abs() < 1.1 * largest / points as f64 + 1e-9);
+            }
+        }
+    }
+}
+
+#[test]
+fn height_at_nodes_between_and_outside() {
+    let shape = Shape::new(vec![0.3, 0.5, 0.6], vec![0.01, -0.01, 0.02], 0.25, 0.75).unwrap();
+    let expected = [
+        (0.0, 0.0),
+        (0.25, 0.0),
+        (0.2501, 0.01),
+        (0.3, 0.01),
+        (0.4, 0.0),
+        (0.5, -0.01),
+        (0.55, 0.005),
+        (0.6, 0.02),
+        (0.7499, 0.02),
+        (0.75, 0.0),
+        (0.9, 0.0),
+    ];
+    for (x, y) in expected {
+        assert!(
+            (shape.height(x) - y).abs() < 1e-15,
+            "y({x}) = {}",
+            shape.height(x)
+        );
+    }
+}
