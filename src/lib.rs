@@ -9,6 +9,7 @@ pub mod error;
 pub mod io;
 pub mod neighbours;
 pub mod particles;
+pub mod random;
 pub mod report;
 pub mod scene;
 pub mod solver;

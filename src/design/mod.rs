@@ -1,2 +1,3 @@
 //! design
 pub mod objective;
+pub mod parametrisation;

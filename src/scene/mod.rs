@@ -8,3 +8,4 @@ pub mod shape;
 pub mod start_shape;
 pub mod suggest;
 pub mod validate;
+pub mod heated_channel;
