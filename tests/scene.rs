@@ -227,6 +227,8 @@ fn random_shape_follows_the_seed() {
     };
     let (a, b) = (shape("run.seed=1"), shape("run.seed=2"));
     assert_eq!(a, shape("run.seed=1"));
+    // Pinned: figures that name a seed must stay reproducible.
+    assert_eq!(a[..2], [0.007038243216883704, -0.008981732679959439]);
     assert_ne!(a, b);
     for offsets in [a, b] {
         assert!(offsets.iter().all(|offset| offset.abs() <= 0.01));
@@ -318,6 +320,12 @@ fn hot_share_counts_cut_columns() {
         assert!(share.iter().all(|share| *share == 0.0 || *share == 1.0));
         assert_eq!(share.iter().sum::<f64>() * dx, 0.5);
     }
+    // 3 * 0.1 is a little more than 0.3.
+    let shape = Shape::new(vec![0.5], vec![0.01], 0.3, 0.7).unwrap();
+    assert_eq!(
+        shape.hot_share(0.1, 1.0),
+        [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    );
 }
 
 #[test]
