@@ -1,6 +1,6 @@
 //! Axes: ranges, round tick values, readable tick labels, and the frame around the data.
 
-use super::drawing::{Anchor, Color, Drawing, Point};
+use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 
 pub const INK: Color = [40, 40, 40];
 const GRID: Color = [226, 226, 226];
@@ -86,6 +86,15 @@ impl Axis {
         &self.ticks
     }
 
+    /// Width of the widest tick label in pixels.
+    fn label_width(&self) -> f64 {
+        let widths = self
+            .ticks
+            .iter()
+            .map(|(_, label)| text_width(label, TICK_SIZE));
+        widths.fold(0.0, f64::max)
+    }
+
     /// Place on the axis: 0 at the low end, 1 at the high end.
     pub fn part(&self, value: f64) -> f64 {
         let value = if self.log { value.log10() } else { value };
@@ -110,17 +119,14 @@ fn linear_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
     let rough = span / count as f64;
     let power = rough.log10().floor();
     let decade = 10_f64.powf(power);
+    // The nearest of 1, 2, 5, 10; the last one needs a decimal less.
     let (factor, extra) = match rough / decade {
-        r if r <= 1.0 => (1.0, 0),
-        r if r <= 2.0 => (2.0, 0),
-        r if r <= 5.0 => (5.0, 0),
-        _ => (1.0, -1),
+        r if r <= 1.5 => (1.0, 0),
+        r if r <= 3.2 => (2.0, 0),
+        r if r <= 6.8 => (5.0, 0),
+        _ => (10.0, -1),
     };
-    let step = if extra < 0 {
-        10.0 * decade
-    } else {
-        factor * decade
-    };
+    let step = factor * decade;
     let decimals = (-(power as i32) + extra).max(0) as usize;
     let largest = low.abs().max(high.abs());
     // Multiples of the step as integers: no 0.020000000001.
@@ -143,6 +149,8 @@ fn linear_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
 
 /// Whole decades; within few decades also 2 and 5 times them. `low` and `high` are decadic logarithms.
 fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
+    // All labels of an axis in the same way.
+    let small = low > -3.1 && high < 4.1;
     let stride = (((high - low) / 8.0).ceil() as i32).max(1);
     let factors: &[f64] = if high - low < 2.0 {
         &[1.0, 2.0, 5.0]
@@ -158,9 +166,9 @@ fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
         })
         .filter(|(value, ..)| (low - 1e-9..=high + 1e-9).contains(&value.log10()))
         .map(|(value, factor, power)| {
-            let label = match (factors.len(), power) {
-                (_, -3..=4) => plain(value, (-power).max(0) as usize),
-                _ if factor == 1.0 => format!("10{}", superscript(power)),
+            let label = match factor {
+                _ if small => plain(value, (-power).max(0) as usize),
+                1.0 => format!("10{}", superscript(power)),
                 _ => power_of_ten(value),
             };
             (value, label)
@@ -267,7 +275,7 @@ impl Frame {
         }
         drawing.text(
             y_label,
-            (self.left - 76.0, middle.1),
+            (self.left - 26.0 - self.y.label_width(), middle.1),
             LABEL_SIZE,
             Anchor::Upwards,
             y_color,
@@ -285,7 +293,7 @@ impl Frame {
         let middle = self.top + 0.5 * self.height;
         drawing.text(
             label,
-            (right + 80.0, middle),
+            (right + 28.0 + axis.label_width(), middle),
             LABEL_SIZE,
             Anchor::Upwards,
             color,
@@ -338,7 +346,7 @@ mod tests {
     fn logarithmic_ticks_are_decades() {
         assert_eq!(
             labels(&log_ticks(-4.1, 0.1)),
-            ["10⁻⁴", "0.001", "0.01", "0.1", "1"]
+            ["10⁻⁴", "10⁻³", "10⁻²", "10⁻¹", "10⁰"]
         );
         assert_eq!(labels(&log_ticks(0.2, 1.1)), ["2", "5", "10"]);
         assert!(labels(&log_ticks(-16.0, 0.0)).len() <= 9);

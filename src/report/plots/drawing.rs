@@ -30,8 +30,6 @@ pub enum Anchor {
     Left,
     /// The point is in the middle of the right edge.
     Right,
-    /// The point is the middle.
-    Middle,
     /// The point is in the middle of the upper edge.
     Top,
     /// The point is the middle; the text reads upwards.
@@ -351,7 +349,7 @@ fn draw_shape<B: DrawingBackend>(
             let (horizontal, vertical) = match anchor {
                 Anchor::Left => (HPos::Left, VPos::Center),
                 Anchor::Right => (HPos::Right, VPos::Center),
-                Anchor::Middle | Anchor::Upwards => (HPos::Center, VPos::Center),
+                Anchor::Upwards => (HPos::Center, VPos::Center),
                 Anchor::Top => (HPos::Center, VPos::Top),
             };
             let mut font = ("sans-serif", size * scale).into_font();
