@@ -21,7 +21,8 @@ impl Axis {
     /// A linear axis around all finite values, with a little room at both ends.
     pub fn around(values: impl IntoIterator<Item = f64>) -> Self {
         let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()), 0.0, 1.0);
-        let room = if high > low {
+        // What differs by rounding only is one value: its ticks would need too many digits.
+        let room = if high - low > 1e-7 * low.abs().max(high.abs()) {
             0.05 * (high - low)
         } else {
             0.05 * low.abs().max(1e-3)
@@ -84,6 +85,11 @@ impl Axis {
     /// Values and labels of the ticks.
     pub fn ticks(&self) -> &[(f64, String)] {
         &self.ticks
+    }
+
+    /// Pixels needed beside the frame for tick labels and axis label.
+    pub fn margin(&self) -> f64 {
+        (self.label_width() + 42.0).max(110.0)
     }
 
     /// Width of the widest tick label in pixels.
@@ -362,6 +368,7 @@ mod tests {
             vec![0.0],
             vec![5.0, 5.0],
             vec![f64::INFINITY, 2.0],
+            vec![0.3, 0.1 + 0.2],
         ] {
             let axis = Axis::around(values.clone());
             assert!(axis.high > axis.low && axis.low.is_finite(), "{values:?}");
@@ -372,6 +379,12 @@ mod tests {
         }
         assert!(!Axis::around_log([]).ticks().is_empty());
         assert!(!Axis::around_log([0.0, -1.0]).ticks().is_empty());
+    }
+
+    #[test]
+    fn long_labels_get_a_wide_margin() {
+        assert_eq!(Axis::linear(0.0, 1.0).margin(), 110.0);
+        assert!(Axis::linear(0.041_200_00, 0.041_200_02).margin() > 115.0);
     }
 
     #[test]

@@ -52,7 +52,8 @@ pub fn compare(
         })
         .collect();
 
-    let (left, top, width) = (110.0, 60.0, 740.0);
+    let y_axis = axis(points().map(|point| point.1).collect(), log_y);
+    let (left, top, width) = (y_axis.margin(), 60.0, 740.0);
     let height = f64::max(460.0, legend::height(&entries));
     let legend_left = left + width + 28.0;
     let total =
@@ -64,21 +65,19 @@ pub fn compare(
         width,
         height,
         x: axis(points().map(|point| point.0).collect(), log_x),
-        y: axis(points().map(|point| point.1).collect(), log_y),
+        y: y_axis,
     };
     drawing.text(title, (left, 32.0), 20.0, Anchor::Left, INK);
     frame.draw(&mut drawing, x_label, y_label, INK);
     for (index, (_, points)) in series.iter().enumerate() {
         let lines = frame.map_lines(points);
-        let many = points.len() > MOST_MARKERS;
         for line in lines {
-            let lone = line.len() == 1;
-            if !many || lone {
-                for &point in &line {
+            drawing.line(line.clone(), colors::series(index), 2.0);
+            if points.len() <= MOST_MARKERS || line.len() == 1 {
+                for point in line {
                     legend::marker(&mut drawing, point, index, colors::series(index));
                 }
             }
-            drawing.line(line, colors::series(index), 2.0);
         }
     }
     legend::draw(&mut drawing, (legend_left, top), &entries);

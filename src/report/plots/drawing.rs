@@ -23,6 +23,9 @@ const SMOOTHING: usize = 2;
 /// plotters has whole pixels only: both formats are drawn on this finer grid.
 const FINE: usize = PNG_SCALE * SMOOTHING;
 
+/// plotters' bitmaps centre texts too high by this part of their size (its SVGs do not).
+const PNG_TEXT_DROP: f64 = 0.13;
+
 /// Where a text stands relative to its point.
 #[derive(Clone, Copy, Debug)]
 pub enum Anchor {
@@ -194,7 +197,8 @@ impl Drawing {
         let mut pixels = vec![255_u8; 3 * width as usize * height as usize];
         {
             let area = BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area();
-            self.draw(&area).map_err(|what| plot_error(path, what))?;
+            self.draw(&area, PNG_TEXT_DROP)
+                .map_err(|what| plot_error(path, what))?;
         }
         let smooth = averaged(&pixels, width as usize);
         let size = (width / SMOOTHING as u32, height / SMOOTHING as u32);
@@ -210,7 +214,8 @@ impl Drawing {
         let mut text = String::new();
         {
             let area = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
-            self.draw(&area).map_err(|what| plot_error(path, what))?;
+            self.draw(&area, 0.0)
+                .map_err(|what| plot_error(path, what))?;
         }
         // Keep the fine grid inside, show it at nominal size.
         let fine = format!("width=\"{width}\" height=\"{height}\" viewBox");
@@ -223,11 +228,15 @@ impl Drawing {
         Ok(text.replacen(&fine, &nominal, 1))
     }
 
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String> {
+    fn draw<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        text_drop: f64,
+    ) -> Result<(), String> {
         area.fill(&plotters::style::WHITE)
             .map_err(|error| error.to_string())?;
         for shape in &self.shapes {
-            draw_shape(area, shape).map_err(|error| error.to_string())?;
+            draw_shape(area, shape, text_drop).map_err(|error| error.to_string())?;
         }
         area.present().map_err(|error| error.to_string())
     }
@@ -297,6 +306,7 @@ fn fine_point((x, y): Point) -> (i32, i32) {
 fn draw_shape<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
     shape: &Shape,
+    text_drop: f64,
 ) -> Result<(), plotters::drawing::DrawingAreaErrorKind<B::ErrorType>> {
     let scale = FINE as f64;
     let paint = |[red, green, blue]: Color, opacity: f64| RGBAColor(red, green, blue, opacity);
@@ -352,6 +362,12 @@ fn draw_shape<B: DrawingBackend>(
                 Anchor::Upwards => (HPos::Center, VPos::Center),
                 Anchor::Top => (HPos::Center, VPos::Top),
             };
+            let drop = text_drop * size;
+            let at = match anchor {
+                Anchor::Left | Anchor::Right => (at.0, at.1 + drop),
+                Anchor::Upwards => (at.0 + drop, at.1),
+                Anchor::Top => *at,
+            };
             let mut font = ("sans-serif", size * scale).into_font();
             if matches!(anchor, Anchor::Upwards) {
                 font = font.transform(FontTransform::Rotate270);
@@ -360,7 +376,7 @@ fn draw_shape<B: DrawingBackend>(
             let style = TextStyle::from(font)
                 .color(&color)
                 .pos(Pos::new(horizontal, vertical));
-            area.draw(&Text::new(text.as_str(), fine_point(*at), style))
+            area.draw(&Text::new(text.as_str(), fine_point(at), style))
         }
     }
 }

@@ -50,18 +50,18 @@ pub fn history(
     let values = |points: &[Point]| points.iter().map(|point| point.1).collect::<Vec<f64>>();
     let epoch_axis = || Axis::whole_numbers(epochs.iter().map(number));
 
-    let (left, width) = (110.0, 840.0);
+    let reference = q_reference.map(|(_, value)| value);
+    let q_axis = Axis::around(values(&q).into_iter().chain(reference));
+    let loss_axis = Axis::around(values(&loss));
+    let gradient_axis = Axis::around_log(values(&gradient));
+    let (left, width) = (q_axis.margin().max(loss_axis.margin()), 840.0);
     let upper = Frame {
         left,
         top: 62.0,
         width,
         height: 300.0,
         x: epoch_axis(),
-        y: Axis::around(
-            values(&q)
-                .into_iter()
-                .chain(q_reference.map(|(_, value)| value)),
-        ),
+        y: q_axis,
     };
     let lower = Frame {
         left,
@@ -69,14 +69,13 @@ pub fn history(
         width,
         height: 230.0,
         x: epoch_axis(),
-        y: Axis::around(values(&loss)),
+        y: loss_axis,
     };
-    let gradient_axis = Axis::around_log(values(&gradient));
     let on_gradient = Frame {
         y: gradient_axis.clone(),
         ..lower.clone()
     };
-    let mut drawing = Drawing::new(1060.0, 735.0);
+    let mut drawing = Drawing::new(left + width + gradient_axis.margin(), 735.0);
 
     upper.draw(&mut drawing, "", "heat outflow Q (scene units)", INK);
     let mut entries = vec![Entry {
@@ -128,12 +127,12 @@ pub fn history(
 fn curve(drawing: &mut Drawing, frame: &Frame, points: &[Point], series: usize) {
     let marked = points.len() <= 60;
     for line in frame.map_lines(points) {
+        drawing.line(line.clone(), colors::series(series), 2.0);
         if marked || line.len() == 1 {
-            for &point in &line {
+            for point in line {
                 legend::marker(drawing, point, series, colors::series(series));
             }
         }
-        drawing.line(line, colors::series(series), 2.0);
     }
 }
 

@@ -50,24 +50,30 @@ pub fn wall_shapes(
     }
     let color = |index: usize| colors::shade(index as f64 / (shapes.len() - 1).max(1) as f64);
     let entries = entries(shapes, best, bound, color);
-    let (left, top, width, height) = (110.0, 40.0, 740.0, 440.0_f64.max(legend::height(&entries)));
+    let bounds = bound.is_finite().then_some([-bound, bound]);
+    let values = shapes
+        .iter()
+        .flat_map(|(_, offsets)| offsets.iter().copied());
+    let y_axis = Axis::around(values.chain(bounds.into_iter().flatten()));
+    let (left, top, width, height) = (
+        y_axis.margin(),
+        40.0,
+        740.0,
+        440.0_f64.max(legend::height(&entries)),
+    );
     let legend_left = left + width + 28.0;
     let bar_label =
         text_width(&shapes[0].0, 14.0).max(text_width(&shapes[shapes.len() - 1].0, 14.0));
     let total = legend_left + legend::width(&entries).max(40.0 + bar_label) + 24.0;
     let mut drawing = Drawing::new(total.max(1000.0), top + height + 75.0);
 
-    let bounds = bound.is_finite().then_some([-bound, bound]);
-    let values = shapes
-        .iter()
-        .flat_map(|(_, offsets)| offsets.iter().copied());
     let frame = Frame {
         left,
         top,
         width,
         height,
         x: Axis::around(nodes.iter().copied()),
-        y: Axis::around(values.chain(bounds.into_iter().flatten())),
+        y: y_axis,
     };
     frame.draw(
         &mut drawing,
