@@ -149,7 +149,7 @@ fn channel(dx: f64, dip: f64) -> (Vec<f64>, Vec<f64>, Vec<u8>) {
         let x = (column as f64 + 0.5) * dx;
         let hot = (0.25..0.75).contains(&x);
         let floor = if hot {
-            -dip * (6.28 * (x - 0.25)).sin().powi(2)
+            -dip * (std::f64::consts::TAU * (x - 0.25)).sin().powi(2)
         } else {
             0.0
         };

@@ -188,8 +188,6 @@ fn parse_cell(path: &Path, line: usize, column: &str, value: &str) -> Result<f64
         column: column.to_owned(),
         value: value.to_owned(),
         what,
-        allowed: "finite numbers such as -0.02 or 1.5e-3",
-        hint: "correct the cell or remove the row",
     };
     match value.parse::<f64>() {
         Ok(number) if number.is_nan() => Err(error("not a number (NaN)")),

@@ -57,7 +57,8 @@ pub enum FileError {
     },
     /// One cell of a table is not a number that can be used.
     #[error(
-        "{}, line {line}, column `{column}`: `{value}` is {what}; allowed: {allowed}; {hint}",
+        "{}, line {line}, column `{column}`: `{value}` is {what}; \
+         allowed: finite numbers such as -0.02 or 1.5e-3; correct the cell or remove the row",
         path.display()
     )]
     Cell {
@@ -66,8 +67,6 @@ pub enum FileError {
         column: String,
         value: String,
         what: &'static str,
-        allowed: &'static str,
-        hint: &'static str,
     },
     /// The caller's data do not fit together; nothing was written.
     #[error("cannot write {}: {what}; allowed: {allowed}; nothing was written", path.display())]
