@@ -65,11 +65,11 @@ def check_tensors(path: Path) -> None:
     from safetensors import safe_open
 
     with safe_open(path, "numpy") as file:
-        assert sorted(file.keys()) == ["counter", "empty", "position", "single"]
+        assert sorted(file.keys()) == ["a_single", "counter", "empty", "position"]
         position = file.get_tensor("position")
         assert position.dtype == np.float64 and position.shape == (2, 3)
         np.testing.assert_array_equal(position, [[0.1, 1e-310, -0.0], [np.nan, np.inf, 6.0]])
-        assert file.get_tensor("single").dtype == np.float32
+        assert file.get_tensor("a_single").dtype == np.float32
         assert file.get_tensor("counter").item() == 2**64 - 1
         assert file.get_tensor("empty").shape == (0, 4)
         assert file.metadata() == {"config": '[a]\nb = "µ"', "version": "0.1.0", "z": ""}
