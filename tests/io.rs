@@ -69,10 +69,11 @@ fn targets_that_are_no_files_are_refused() -> TestResult {
         write_bytes_atomically(folder.path(), b""),
         &["is a folder", "name of a file"],
     );
-    message(
+    let text = message(
         write_bytes_atomically(&folder.path().join("missing/file"), b""),
-        &["missing/file", "its folder exists"],
+        &["missing/file: entity not found", "its folder exists"],
     );
+    assert!(!text.contains("partial"), "{text}");
     assert!(names_in(folder.path()).is_empty());
     Ok(())
 }

@@ -71,7 +71,7 @@ pub fn prepare_output_folder(path: &Path) -> Result<(), FileError> {
         .prefix(".write-test-")
         .tempfile_in(path)
         .map(drop)
-        .map_err(|source| FileError::write(path, source))
+        .map_err(|error| FileError::write(path, without_temporary_path(error)))
 }
 
 /// The file that a rename must replace: behind symbolic links, and never a folder or a device.
@@ -117,7 +117,20 @@ fn temporary_beside(target: &Path) -> Result<tempfile::NamedTempFile, FileError>
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder
         .tempfile_in(folder)
-        .map_err(|source| FileError::write(target, source))
+        .map_err(|error| FileError::write(target, without_temporary_path(error)))
+}
+
+/// The kind of error alone where it says enough: tempfile adds the random name, which tells a reader nothing.
+fn without_temporary_path(error: std::io::Error) -> std::io::Error {
+    use std::io::ErrorKind;
+    match error.kind() {
+        kind @ (ErrorKind::NotFound
+        | ErrorKind::NotADirectory
+        | ErrorKind::PermissionDenied
+        | ErrorKind::ReadOnlyFilesystem
+        | ErrorKind::StorageFull) => kind.into(),
+        _ => error,
+    }
 }
 
 /// Renames the finished temporary file onto its target.

@@ -11,7 +11,7 @@ use hdf5::H5Type;
 use std::path::Path;
 
 const HINT: &str =
-    "the file may come from another program or version; see the list of contents in the manual";
+    "the file may come from another program or version; write it again with this one";
 /// Particles per compressed chunk: large enough to compress, small enough to read a part.
 const CHUNK: usize = 16_384;
 
