@@ -1,1 +1,10 @@
-//! io
+//! Files in and out: atomic writing, particle series for ParaView, states, tables, tensors.
+
+pub mod atomic;
+pub mod csv;
+mod error;
+pub mod state_file;
+pub mod tensor_file;
+pub mod vtk;
+
+pub use error::FileError;

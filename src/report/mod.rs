@@ -1,1 +1,6 @@
-//! report
+//! What a person sees: tables, progress, memory, plots.
+
+pub mod memory;
+pub mod plots;
+pub mod progress;
+pub mod table;

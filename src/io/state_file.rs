@@ -1,0 +1,357 @@
+//! The state of a run at one time, in HDF5 (gzip 4 with shuffle), readable by h5py and by ourselves.
+//!
+//! Datasets: `position` [N, D], and where known `velocity` [N, D], `temperature`, `density`, `pressure`, `mass`
+//! [N] (all f64) and `tag` [N] (u8). Attributes of the file: `time`, `step`, `box_size` [D], `dx`,
+//! `configuration` (TOML text), `version`, `seed`.
+
+use super::atomic::write_path_atomically;
+use super::FileError;
+use hdf5::types::VarLenUnicode;
+use hdf5::H5Type;
+use std::path::Path;
+
+const HINT: &str =
+    "the file may come from another program or version; write it again with this one";
+/// Particles per compressed chunk: large enough to compress, small enough to read a part.
+const CHUNK: usize = 16_384;
+
+/// One state. Vectors are component-major [D, N] in memory (all x first), [N, D] in the file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State {
+    /// D, 1 to 3.
+    pub dimension: usize,
+    /// [D, N], scene length units.
+    pub position: Vec<f64>,
+    /// [D, N], scene velocity units.
+    pub velocity: Option<Vec<f64>>,
+    /// [N], as are the following.
+    pub temperature: Option<Vec<f64>>,
+    pub density: Option<Vec<f64>>,
+    pub pressure: Option<Vec<f64>>,
+    pub mass: Option<Vec<f64>>,
+    pub tag: Option<Vec<u8>>,
+    /// Scene time units.
+    pub time: f64,
+    pub step: u64,
+    /// [D], scene length units.
+    pub box_size: Vec<f64>,
+    /// Particle spacing, scene length units.
+    pub dx: f64,
+    /// The configuration of the run as TOML text.
+    pub configuration: String,
+    /// Version of the program that wrote the state.
+    pub version: String,
+    pub seed: u64,
+}
+
+impl State {
+    /// Number of particles N.
+    pub fn count(&self) -> usize {
+        self.position.len() / self.dimension.max(1)
+    }
+
+    fn scalars(&self) -> [(&'static str, &Option<Vec<f64>>); 4] {
+        [
+            ("temperature", &self.temperature),
+            ("density", &self.density),
+            ("pressure", &self.pressure),
+            ("mass", &self.mass),
+        ]
+    }
+
+    fn check(&self, path: &Path) -> Result<(), FileError> {
+        if !(1..=3).contains(&self.dimension) {
+            return Err(FileError::input(
+                path,
+                format!("dimension is {}", self.dimension),
+                "1, 2 or 3",
+            ));
+        }
+        let count = self.count();
+        let vector = self.dimension * count;
+        let wanted = |name: &str, found: Option<usize>, wanted: usize| match found {
+            Some(found) if found != wanted => Err(FileError::input(
+                path,
+                format!("{name} has {found} values"),
+                format!(
+                    "{wanted} for {count} particles in {} dimensions",
+                    self.dimension
+                ),
+            )),
+            _ => Ok(()),
+        };
+        wanted("position", Some(self.position.len()), vector)?;
+        wanted("velocity", self.velocity.as_ref().map(Vec::len), vector)?;
+        for (name, values) in self.scalars() {
+            wanted(name, values.as_ref().map(Vec::len), count)?;
+        }
+        wanted("tag", self.tag.as_ref().map(Vec::len), count)?;
+        wanted("box_size", Some(self.box_size.len()), self.dimension)
+    }
+}
+
+/// Writes a state atomically.
+///
+/// # Errors
+/// [`FileError::Input`] if lengths do not fit together, [`FileError::Hdf5`] or system errors.
+pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
+    state.check(path)?;
+    let count = state.count();
+    write_path_atomically(path, |temporary| {
+        let fail = failed(path, "write");
+        let file = hdf5::File::create(temporary).map_err(fail("the file"))?;
+        let shape = [count, state.dimension];
+        write_dataset(
+            path,
+            &file,
+            "position",
+            &shape,
+            &particle_major(&state.position, state.dimension),
+        )?;
+        if let Some(velocity) = &state.velocity {
+            write_dataset(
+                path,
+                &file,
+                "velocity",
+                &shape,
+                &particle_major(velocity, state.dimension),
+            )?;
+        }
+        for (name, values) in state.scalars() {
+            if let Some(values) = values {
+                write_dataset(path, &file, name, &[count], values)?;
+            }
+        }
+        if let Some(tag) = &state.tag {
+            write_dataset(path, &file, "tag", &[count], tag)?;
+        }
+        write_attribute(path, &file, "time", &[], &[state.time])?;
+        write_attribute(path, &file, "step", &[], &[state.step])?;
+        write_attribute(path, &file, "box_size", &[state.dimension], &state.box_size)?;
+        write_attribute(path, &file, "dx", &[], &[state.dx])?;
+        write_attribute(path, &file, "seed", &[], &[state.seed])?;
+        for (name, text) in [
+            ("configuration", &state.configuration),
+            ("version", &state.version),
+        ] {
+            let text: VarLenUnicode = text.parse().map_err(|_| {
+                FileError::input(
+                    path,
+                    format!("{name} holds a NUL character"),
+                    "text without NUL",
+                )
+            })?;
+            write_attribute(path, &file, name, &[], &[text])?;
+        }
+        file.close().map_err(fail("the end of the file"))
+    })
+}
+
+/// Reads a state; each name in `required` (`velocity`, `temperature`, `density`, `pressure`, `mass`, `tag`) must
+/// be there.
+///
+/// # Errors
+/// The file is missing, cut short or of another format; a dataset or attribute is missing or of wrong shape.
+pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
+    // HDF5's own message for a missing file is a page long.
+    std::fs::File::open(path).map_err(|source| FileError::read(path, source))?;
+    let file = hdf5::File::open(path).map_err(|error| FileError::Damaged {
+        path: path.to_owned(),
+        format: "HDF5 state",
+        what: error.to_string(),
+        hint: "take another state, or write it again",
+    })?;
+    let present = file
+        .member_names()
+        .map_err(failed(path, "read")("the list of datasets"))?;
+    for name in required.iter().chain(&["position"]) {
+        if !present.iter().any(|other| other == name) {
+            return Err(missing(path, "dataset", name, present));
+        }
+    }
+
+    let shape = file
+        .dataset("position")
+        .map_err(failed(path, "open")("position"))?
+        .shape();
+    let &[count, dimension @ 1..=3] = shape.as_slice() else {
+        return Err(mismatch(
+            path,
+            "position",
+            format!("of shape {shape:?}"),
+            "of shape [N, 1], [N, 2] or [N, 3]",
+        ));
+    };
+    let vector = |name: &str| -> Result<Option<Vec<f64>>, FileError> {
+        let values = read_dataset::<f64>(path, &file, &present, name, &[count, dimension])?;
+        Ok(values.map(|values| component_major(&values, dimension)))
+    };
+    let scalar = |name: &str| read_dataset::<f64>(path, &file, &present, name, &[count]);
+    Ok(State {
+        dimension,
+        position: vector("position")?.unwrap_or_default(),
+        velocity: vector("velocity")?,
+        temperature: scalar("temperature")?,
+        density: scalar("density")?,
+        pressure: scalar("pressure")?,
+        mass: scalar("mass")?,
+        tag: read_dataset::<u8>(path, &file, &present, "tag", &[count])?,
+        time: read_number(path, &file, "time")?,
+        step: read_number(path, &file, "step")?,
+        box_size: read_attribute(path, &file, "box_size", &[dimension])?,
+        dx: read_number(path, &file, "dx")?,
+        configuration: read_text(path, &file, "configuration")?,
+        version: read_text(path, &file, "version")?,
+        seed: read_number(path, &file, "seed")?,
+    })
+}
+
+/// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
+fn failed<'a>(
+    path: &'a Path,
+    action: &'a str,
+) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
+    move |what| {
+        Box::new(move |source| FileError::Hdf5 {
+            path: path.to_owned(),
+            action: format!("{action} {what}"),
+            source,
+        })
+    }
+}
+
+fn missing(path: &Path, kind: &'static str, name: &str, present: Vec<String>) -> FileError {
+    FileError::Missing {
+        path: path.to_owned(),
+        kind,
+        name: name.to_owned(),
+        present,
+        hint: HINT,
+    }
+}
+
+fn mismatch(path: &Path, name: &str, found: String, allowed: &str) -> FileError {
+    FileError::Mismatch {
+        path: path.to_owned(),
+        name: name.to_owned(),
+        found,
+        allowed: allowed.to_owned(),
+        hint: HINT,
+    }
+}
+
+fn write_dataset<T: H5Type>(
+    path: &Path,
+    file: &hdf5::File,
+    name: &str,
+    shape: &[usize],
+    values: &[T],
+) -> Result<(), FileError> {
+    let builder = file.new_dataset::<T>().shape(shape);
+    let builder = if values.is_empty() {
+        // A chunk of no particles is not allowed.
+        builder
+    } else {
+        let mut chunk = shape.to_vec();
+        chunk[0] = chunk[0].min(CHUNK);
+        // Shuffle before deflate: HDF5 refuses the other order.
+        builder.chunk(chunk).shuffle().deflate(4)
+    };
+    builder
+        .create(name)
+        .and_then(|dataset| dataset.write_raw(values))
+        .map_err(failed(path, "write")(name))
+}
+
+fn read_dataset<T: H5Type>(
+    path: &Path,
+    file: &hdf5::File,
+    present: &[String],
+    name: &str,
+    shape: &[usize],
+) -> Result<Option<Vec<T>>, FileError> {
+    if !present.iter().any(|other| other == name) {
+        return Ok(None);
+    }
+    let dataset = file.dataset(name).map_err(failed(path, "open")(name))?;
+    let found = dataset.shape();
+    if found != shape {
+        return Err(mismatch(
+            path,
+            name,
+            format!("of shape {found:?}"),
+            &format!("of shape {shape:?}"),
+        ));
+    }
+    dataset
+        .read_raw()
+        .map(Some)
+        .map_err(failed(path, "read")(name))
+}
+
+fn write_attribute<T: H5Type>(
+    path: &Path,
+    file: &hdf5::File,
+    name: &str,
+    shape: &[usize],
+    values: &[T],
+) -> Result<(), FileError> {
+    file.new_attr::<T>()
+        .shape(shape)
+        .create(name)
+        .and_then(|attribute| attribute.write_raw(values))
+        .map_err(failed(path, "write")(name))
+}
+
+fn read_attribute<T: H5Type>(
+    path: &Path,
+    file: &hdf5::File,
+    name: &str,
+    shape: &[usize],
+) -> Result<Vec<T>, FileError> {
+    let present = file
+        .attr_names()
+        .map_err(failed(path, "read")("the list of attributes"))?;
+    if !present.iter().any(|other| other == name) {
+        return Err(missing(path, "attribute", name, present));
+    }
+    let attribute = file.attr(name).map_err(failed(path, "open")(name))?;
+    let found = attribute.shape();
+    if found != shape {
+        return Err(mismatch(
+            path,
+            name,
+            format!("of shape {found:?}"),
+            &format!("of shape {shape:?}"),
+        ));
+    }
+    attribute.read_raw().map_err(failed(path, "read")(name))
+}
+
+fn read_number<T: H5Type + Copy>(
+    path: &Path,
+    file: &hdf5::File,
+    name: &str,
+) -> Result<T, FileError> {
+    Ok(read_attribute::<T>(path, file, name, &[])?[0])
+}
+
+fn read_text(path: &Path, file: &hdf5::File, name: &str) -> Result<String, FileError> {
+    Ok(read_attribute::<VarLenUnicode>(path, file, name, &[])?[0].to_string())
+}
+
+/// [D, N] to [N, D].
+fn particle_major(values: &[f64], dimension: usize) -> Vec<f64> {
+    let count = values.len() / dimension;
+    (0..values.len())
+        .map(|index| values[(index % dimension) * count + index / dimension])
+        .collect()
+}
+
+/// [N, D] to [D, N].
+fn component_major(values: &[f64], dimension: usize) -> Vec<f64> {
+    let count = values.len() / dimension;
+    (0..values.len())
+        .map(|index| values[(index % count) * dimension + index / count])
+        .collect()
+}

@@ -1,0 +1,274 @@
+//! Named tensors and text in one safetensors file: checkpoints of any kind.
+//!
+//! The header is put together here instead of by the crate's `serialize`, which orders the metadata at random:
+//! equal contents give equal bytes. Reading goes through the crate, which validates the file.
+
+use super::atomic::write_atomically;
+use super::FileError;
+use safetensors::{Dtype, SafeTensors};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const FORMAT: &str = "safetensors file";
+const HINT_FILE: &str = "take an earlier checkpoint or start without one";
+const HINT_TENSOR: &str = "the file may come from another version or another kind of run";
+
+/// Elements of a tensor in row-major order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Data {
+    F64(Vec<f64>),
+    F32(Vec<f32>),
+    U64(Vec<u64>),
+}
+
+impl Data {
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::F64(values) => values.len(),
+            Self::F32(values) => values.len(),
+            Self::U64(values) => values.len(),
+        }
+    }
+
+    /// True if there are no elements.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Name of the element type in the format, and its bytes per element.
+    fn kind(&self) -> (&'static str, usize) {
+        match self {
+            Self::F64(_) => ("F64", 8),
+            Self::F32(_) => ("F32", 4),
+            Self::U64(_) => ("U64", 8),
+        }
+    }
+
+    fn write_to(&self, writer: &mut impl Write) -> std::io::Result<()> {
+        match self {
+            Self::F64(values) => values
+                .iter()
+                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::F32(values) => values
+                .iter()
+                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::U64(values) => values
+                .iter()
+                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+        }
+    }
+}
+
+/// Tensors by name: shape and elements.
+pub type Tensors = BTreeMap<String, (Vec<usize>, Data)>;
+
+/// Writes tensors and metadata atomically; equal contents give equal bytes.
+///
+/// # Errors
+/// [`FileError::Input`] if a shape does not hold the number of elements or a name is reserved; system errors.
+pub fn write_tensors(
+    path: &Path,
+    tensors: &Tensors,
+    metadata: &BTreeMap<String, String>,
+) -> Result<(), FileError> {
+    for (name, (shape, data)) in tensors {
+        let elements: usize = shape.iter().product();
+        if elements != data.len() {
+            return Err(FileError::input(
+                path,
+                format!(
+                    "tensor `{name}` has shape {shape:?} but {} elements",
+                    data.len()
+                ),
+                format!("{elements} elements for this shape"),
+            ));
+        }
+        if name == "__metadata__" {
+            return Err(FileError::input(
+                path,
+                "a tensor is named `__metadata__`",
+                "any other name (the format keeps this one for itself)",
+            ));
+        }
+    }
+    // Wide elements first keeps every tensor aligned (the crate requires no gaps).
+    let mut ordered: Vec<_> = tensors.iter().collect();
+    ordered.sort_by_key(|(_, (_, data))| std::cmp::Reverse(data.kind().1));
+
+    let mut header = serde_json::Map::new();
+    if !metadata.is_empty() {
+        header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
+    }
+    let mut offset = 0;
+    for (name, (shape, data)) in &ordered {
+        let (dtype, bytes) = data.kind();
+        let end = offset + bytes * data.len();
+        header.insert(
+            (*name).clone(),
+            serde_json::json!({"dtype": dtype, "shape": shape, "data_offsets": [offset, end]}),
+        );
+        offset = end;
+    }
+    let mut header = serde_json::Value::Object(header).to_string().into_bytes();
+    header.resize(header.len().next_multiple_of(8), b' ');
+
+    write_atomically(path, |writer| {
+        writer.write_all(&(header.len() as u64).to_le_bytes())?;
+        writer.write_all(&header)?;
+        ordered
+            .iter()
+            .try_for_each(|(_, (_, data))| data.write_to(writer))
+    })
+}
+
+/// Contents of a tensor file, with access by name that explains what is wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TensorFile {
+    pub path: PathBuf,
+    pub tensors: Tensors,
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl TensorFile {
+    /// Reads a whole file.
+    ///
+    /// # Errors
+    /// The file is missing, cut short, damaged, or has tensors of types other than F64, F32, U64.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
+        let damaged = |error: safetensors::SafeTensorError| FileError::Damaged {
+            path: path.to_owned(),
+            format: FORMAT,
+            what: format!("{error} ({} bytes)", bytes.len()),
+            hint: HINT_FILE,
+        };
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
+        let metadata = header.metadata().clone().unwrap_or_default();
+        let file = SafeTensors::deserialize(&bytes).map_err(damaged)?;
+        let mut tensors = Tensors::new();
+        for (name, view) in file.iter() {
+            let data = match view.dtype() {
+                Dtype::F64 => Data::F64(words(view.data(), f64::from_le_bytes)),
+                Dtype::F32 => Data::F32(words(view.data(), f32::from_le_bytes)),
+                Dtype::U64 => Data::U64(words(view.data(), u64::from_le_bytes)),
+                other => {
+                    return Err(FileError::Mismatch {
+                        path: path.to_owned(),
+                        name: name.to_owned(),
+                        found: format!("a tensor of {other:?}"),
+                        allowed: "of F64, F32 or U64".to_owned(),
+                        hint: "convert it first",
+                    })
+                }
+            };
+            tensors.insert(name.to_owned(), (view.shape().to_vec(), data));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            tensors,
+            metadata: metadata.into_iter().collect(),
+        })
+    }
+
+    /// Elements of the f64 tensor `name`, which must have the given shape.
+    ///
+    /// # Errors
+    /// Names what is there instead.
+    pub fn f64(&self, name: &str, shape: &[usize]) -> Result<&[f64], FileError> {
+        match self.get(name, shape)? {
+            Data::F64(values) => Ok(values),
+            other => Err(self.wrong_type(name, other, "F64")),
+        }
+    }
+
+    /// Elements of the f32 tensor `name`, which must have the given shape.
+    ///
+    /// # Errors
+    /// Names what is there instead.
+    pub fn f32(&self, name: &str, shape: &[usize]) -> Result<&[f32], FileError> {
+        match self.get(name, shape)? {
+            Data::F32(values) => Ok(values),
+            other => Err(self.wrong_type(name, other, "F32")),
+        }
+    }
+
+    /// Elements of the u64 tensor `name`, which must have the given shape.
+    ///
+    /// # Errors
+    /// Names what is there instead.
+    pub fn u64(&self, name: &str, shape: &[usize]) -> Result<&[u64], FileError> {
+        match self.get(name, shape)? {
+            Data::U64(values) => Ok(values),
+            other => Err(self.wrong_type(name, other, "U64")),
+        }
+    }
+
+    /// The metadata text `key`.
+    ///
+    /// # Errors
+    /// [`FileError::Missing`], with the keys that are there.
+    pub fn text(&self, key: &str) -> Result<&str, FileError> {
+        self.metadata
+            .get(key)
+            .map(String::as_str)
+            .ok_or_else(|| self.missing("metadata entry", key, self.metadata.keys()))
+    }
+
+    /// Shape of the tensor `name`, for those whose size is not known beforehand.
+    ///
+    /// # Errors
+    /// [`FileError::Missing`], with the names that are there.
+    pub fn shape(&self, name: &str) -> Result<&[usize], FileError> {
+        self.tensors
+            .get(name)
+            .map(|(shape, _)| shape.as_slice())
+            .ok_or_else(|| self.missing("tensor", name, self.tensors.keys()))
+    }
+
+    fn get(&self, name: &str, shape: &[usize]) -> Result<&Data, FileError> {
+        let found = self.shape(name)?;
+        if found != shape {
+            return Err(FileError::Mismatch {
+                path: self.path.clone(),
+                name: name.to_owned(),
+                found: format!("of shape {found:?}"),
+                allowed: format!("of shape {shape:?}"),
+                hint: HINT_TENSOR,
+            });
+        }
+        Ok(&self.tensors[name].1)
+    }
+
+    fn wrong_type(&self, name: &str, found: &Data, allowed: &str) -> FileError {
+        FileError::Mismatch {
+            path: self.path.clone(),
+            name: name.to_owned(),
+            found: format!("a tensor of {}", found.kind().0),
+            allowed: format!("of {allowed}"),
+            hint: HINT_TENSOR,
+        }
+    }
+
+    fn missing<'a>(
+        &self,
+        kind: &'static str,
+        name: &str,
+        present: impl Iterator<Item = &'a String>,
+    ) -> FileError {
+        FileError::Missing {
+            path: self.path.clone(),
+            kind,
+            name: name.to_owned(),
+            present: present.cloned().collect(),
+            hint: HINT_TENSOR,
+        }
+    }
+}
+
+/// Little-endian bytes to numbers; the crate has already checked that the length is a multiple of `BYTES`.
+fn words<const BYTES: usize, T>(bytes: &[u8], convert: fn([u8; BYTES]) -> T) -> Vec<T> {
+    let (chunks, _) = bytes.as_chunks::<BYTES>();
+    chunks.iter().map(|chunk| convert(*chunk)).collect()
+}

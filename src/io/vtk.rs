@@ -1,0 +1,336 @@
+//! Particle series for ParaView and PyVista: one `.vtp` per frame and a `.pvd` with the times.
+//!
+//! A `.vtp` is XML PolyData with the arrays as raw little-endian bytes after the text (`<AppendedData
+//! encoding="raw">`), each preceded by its length in bytes as u64. Every particle is one vertex cell, so that it
+//! shows without a filter.
+
+use super::atomic::{prepare_output_folder, write_atomically, write_bytes_atomically};
+use super::FileError;
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Element type of velocity and scalars in the file; positions are always f64.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    #[default]
+    F64,
+    /// Half the size; enough to look at.
+    F32,
+}
+
+/// Particles at one time. Vectors are component-major [D, N]: all x first, then all y, then all z.
+#[derive(Clone, Copy, Debug)]
+pub struct ParticleFrame<'a> {
+    /// D, 1 to 3; missing components are written as 0.
+    pub dimension: usize,
+    /// Time in scene units.
+    pub time: f64,
+    /// [D, N], scene length units.
+    pub position: &'a [f64],
+    /// [D, N], scene velocity units; empty leaves the array out.
+    pub velocity: &'a [f64],
+    /// Name and values [N], for example temperature, density, pressure.
+    pub scalars: &'a [(&'a str, &'a [f64])],
+    /// [N]; empty leaves the array out.
+    pub tag: &'a [u8],
+}
+
+impl ParticleFrame<'_> {
+    /// Number of particles N.
+    fn count(&self) -> usize {
+        self.position.len() / self.dimension.max(1)
+    }
+
+    /// Lengths must fit together, names must be usable.
+    fn check(&self, path: &Path) -> Result<(), FileError> {
+        if !(1..=3).contains(&self.dimension) {
+            return Err(FileError::input(
+                path,
+                format!("dimension is {}", self.dimension),
+                "1, 2 or 3",
+            ));
+        }
+        let count = self.count();
+        let vector = self.dimension * count;
+        let wrong_length = |name: &str, found: usize, wanted: usize| {
+            FileError::input(
+                path,
+                format!("{name} has {found} values"),
+                format!(
+                    "{wanted} for {count} particles in {} dimensions",
+                    self.dimension
+                ),
+            )
+        };
+        if self.position.len() != vector {
+            return Err(wrong_length("position", self.position.len(), vector));
+        }
+        if !self.velocity.is_empty() && self.velocity.len() != vector {
+            return Err(wrong_length("velocity", self.velocity.len(), vector));
+        }
+        if !self.tag.is_empty() && self.tag.len() != count {
+            return Err(wrong_length("tag", self.tag.len(), count));
+        }
+        for (index, (name, values)) in self.scalars.iter().enumerate() {
+            if values.len() != count {
+                return Err(wrong_length(name, values.len(), count));
+            }
+            let doubled = self.scalars[..index].iter().any(|(other, _)| other == name);
+            if doubled || ["", "velocity", "tag"].contains(name) {
+                return Err(FileError::input(
+                    path,
+                    format!("a scalar is named `{name}`"),
+                    "a name of its own, not empty, not `velocity` or `tag`",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One array of the appended block.
+struct Block {
+    /// XML attributes `type`, `Name`, `NumberOfComponents`.
+    attributes: String,
+    bytes: Vec<u8>,
+}
+
+impl Block {
+    fn new(kind: &str, name: &str, components: usize, bytes: Vec<u8>) -> Self {
+        let attributes = format!(
+            "type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\"",
+            escaped(name)
+        );
+        Self { attributes, bytes }
+    }
+
+    /// Reals in the wanted precision.
+    fn reals(
+        name: &str,
+        components: usize,
+        values: impl Iterator<Item = f64>,
+        precision: Precision,
+    ) -> Self {
+        match precision {
+            Precision::F64 => Self::new(
+                "Float64",
+                name,
+                components,
+                values.flat_map(f64::to_le_bytes).collect(),
+            ),
+            Precision::F32 => {
+                let bytes = values
+                    .flat_map(|value| (value as f32).to_le_bytes())
+                    .collect();
+                Self::new("Float32", name, components, bytes)
+            }
+        }
+    }
+
+    fn integers(name: &str, values: impl Iterator<Item = usize>) -> Self {
+        let bytes = values
+            .flat_map(|value| (value as i64).to_le_bytes())
+            .collect();
+        Self::new("Int64", name, 1, bytes)
+    }
+}
+
+/// Writes one frame as a `.vtp` file, atomically.
+///
+/// # Errors
+/// [`FileError::Input`] if lengths or names do not fit, else system errors.
+pub fn write_vtp(
+    path: &Path,
+    frame: &ParticleFrame,
+    precision: Precision,
+) -> Result<(), FileError> {
+    frame.check(path)?;
+    let count = frame.count();
+    // VTK wants three components, particle after particle.
+    let triples = |values: &'_ [f64]| -> Vec<f64> {
+        (0..count)
+            .flat_map(|particle| (0..3).map(move |axis| (particle, axis)))
+            .map(|(particle, axis)| {
+                if axis < frame.dimension {
+                    values[axis * count + particle]
+                } else {
+                    0.0
+                }
+            })
+            .collect()
+    };
+
+    let mut point_data = Vec::new();
+    if !frame.velocity.is_empty() {
+        point_data.push(Block::reals(
+            "velocity",
+            3,
+            triples(frame.velocity).into_iter(),
+            precision,
+        ));
+    }
+    for (name, values) in frame.scalars {
+        point_data.push(Block::reals(name, 1, values.iter().copied(), precision));
+    }
+    if !frame.tag.is_empty() {
+        point_data.push(Block::new("UInt8", "tag", 1, frame.tag.to_vec()));
+    }
+    let points = [Block::reals(
+        "Points",
+        3,
+        triples(frame.position).into_iter(),
+        Precision::F64,
+    )];
+    let vertices = [
+        Block::integers("connectivity", 0..count),
+        Block::integers("offsets", 1..count + 1),
+    ];
+
+    let mut offset = 0;
+    let mut header = String::from(
+        "<?xml version=\"1.0\"?>\n\
+         <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+         <PolyData>\n",
+    );
+    // ParaView and PyVista read this name as the time of a single file.
+    let _ = write!(
+        header,
+        "<FieldData>\n<DataArray type=\"Float64\" Name=\"TimeValue\" NumberOfTuples=\"1\" format=\"ascii\">\
+         {:?}</DataArray>\n</FieldData>\n",
+        frame.time
+    );
+    let _ = writeln!(
+        header,
+        "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{count}\" NumberOfLines=\"0\" \
+         NumberOfStrips=\"0\" NumberOfPolys=\"0\">"
+    );
+    let mut section = |name: &str, blocks: &[Block]| {
+        let _ = writeln!(header, "<{name}>");
+        for block in blocks {
+            let _ = writeln!(
+                header,
+                "<DataArray {} format=\"appended\" offset=\"{offset}\"/>",
+                block.attributes
+            );
+            offset += size_of::<u64>() + block.bytes.len();
+        }
+        let _ = writeln!(header, "</{name}>");
+    };
+    section("PointData", &point_data);
+    section("Points", &points);
+    section("Verts", &vertices);
+    header.push_str("</Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_");
+
+    write_atomically(path, |writer| {
+        writer.write_all(header.as_bytes())?;
+        for block in point_data.iter().chain(&points).chain(&vertices) {
+            writer.write_all(&(block.bytes.len() as u64).to_le_bytes())?;
+            writer.write_all(&block.bytes)?;
+        }
+        writer.write_all(b"\n</AppendedData>\n</VTKFile>\n")
+    })
+}
+
+/// A series of frames in a folder: `<name>_000000.vtp`, `<name>_000001.vtp`, ..., and `<name>.pvd`.
+///
+/// The `.pvd` is rewritten (atomically) after every frame: a run that is killed leaves a series that opens.
+#[derive(Debug)]
+pub struct VtkSeries {
+    folder: PathBuf,
+    name: String,
+    precision: Precision,
+    /// Time and file name of each frame.
+    frames: Vec<(f64, String)>,
+}
+
+impl VtkSeries {
+    /// A new series; an older one of the same name is overwritten frame by frame.
+    ///
+    /// # Errors
+    /// The folder cannot be created or written to; the name is not a plain file name.
+    pub fn new(folder: &Path, name: &str) -> Result<Self, FileError> {
+        if name.is_empty() || name.contains(['/', '\\', '\0']) {
+            return Err(FileError::input(
+                folder,
+                format!("a series is named `{name}`"),
+                "a plain file name without `/`",
+            ));
+        }
+        prepare_output_folder(folder)?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            name: name.to_owned(),
+            precision: Precision::default(),
+            frames: Vec::new(),
+        })
+    }
+
+    /// Sets the element type of velocity and scalars.
+    #[must_use]
+    pub fn with_precision(mut self, precision: Precision) -> Self {
+        self.precision = precision;
+        self
+    }
+
+    /// Writes the next frame and the list of frames so far; returns the path of the frame.
+    ///
+    /// # Errors
+    /// As [`write_vtp`].
+    pub fn write(&mut self, frame: &ParticleFrame) -> Result<PathBuf, FileError> {
+        let file_name = format!("{}_{:06}.vtp", self.name, self.frames.len());
+        let path = self.folder.join(&file_name);
+        write_vtp(&path, frame, self.precision)?;
+        self.frames.push((frame.time, file_name));
+        self.write_list()?;
+        Ok(path)
+    }
+
+    /// Path of the `.pvd` file.
+    pub fn list_path(&self) -> PathBuf {
+        self.folder.join(format!("{}.pvd", self.name))
+    }
+
+    /// Number of frames so far.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// True before the first frame.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
+    /// Ends the series; returns the path of the `.pvd` (written even if there is no frame).
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn finish(self) -> Result<PathBuf, FileError> {
+        self.write_list()?;
+        Ok(self.list_path())
+    }
+
+    fn write_list(&self) -> Result<(), FileError> {
+        let mut text = String::from(
+            "<?xml version=\"1.0\"?>\n\
+             <VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>\n",
+        );
+        for (time, file) in &self.frames {
+            let _ = writeln!(
+                text,
+                "<DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{}\"/>",
+                escaped(file)
+            );
+        }
+        text.push_str("</Collection>\n</VTKFile>\n");
+        write_bytes_atomically(&self.list_path(), text.as_bytes())
+    }
+}
+
+/// Text inside an XML attribute.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}

@@ -1,0 +1,405 @@
+//! Axes: ranges, round tick values, readable tick labels, and the frame around the data.
+
+use super::drawing::{text_width, Anchor, Color, Drawing, Point};
+
+pub const INK: Color = [40, 40, 40];
+const GRID: Color = [226, 226, 226];
+const TICK_SIZE: f64 = 14.0;
+const LABEL_SIZE: f64 = 16.0;
+
+/// One axis: what is mapped where, and the ticks.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    low: f64,
+    high: f64,
+    log: bool,
+    /// Values and their labels.
+    ticks: Vec<(f64, String)>,
+}
+
+impl Axis {
+    /// A linear axis around all finite values, with a little room at both ends.
+    pub fn around(values: impl IntoIterator<Item = f64>) -> Self {
+        let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()), 0.0, 1.0);
+        // What differs by rounding only is one value: its ticks would need too many digits.
+        let room = if high - low > 1e-7 * low.abs().max(high.abs()) {
+            0.05 * (high - low)
+        } else {
+            0.05 * low.abs().max(1e-3)
+        };
+        Self::linear(low - room, high + room)
+    }
+
+    /// A logarithmic axis around all positive values, with a little room at both ends.
+    pub fn around_log(values: impl IntoIterator<Item = f64>) -> Self {
+        let logs = values
+            .into_iter()
+            .filter(|v| *v > 0.0 && v.is_finite())
+            .map(f64::log10);
+        let (low, high) = limits(logs, 0.0, 1.0);
+        // Less than a third of a decade would leave no tick.
+        let room = (0.05 * (high - low))
+            .max(0.5 * (0.4 - (high - low)))
+            .max(0.03);
+        let (low, high) = (low - room, high + room);
+        Self {
+            low,
+            high,
+            log: true,
+            ticks: log_ticks(low, high),
+        }
+    }
+
+    /// A linear axis over exactly this range.
+    pub fn linear(low: f64, high: f64) -> Self {
+        Self::linear_with(low, high, 6)
+    }
+
+    /// A linear axis over exactly this range with about `count` ticks.
+    pub fn linear_with(low: f64, high: f64, count: usize) -> Self {
+        Self {
+            low,
+            high,
+            log: false,
+            ticks: linear_ticks(low, high, count),
+        }
+    }
+
+    /// A linear axis with whole numbers only (epochs).
+    pub fn whole_numbers(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut axis = Self::around(values);
+        axis.ticks
+            .retain(|(value, _)| (value - value.round()).abs() < 1e-9);
+        if axis.ticks.is_empty() {
+            let middle = (0.5 * (axis.low + axis.high)).round();
+            axis.ticks.push((middle, format!("{middle}")));
+        }
+        axis
+    }
+
+    /// True if the value can be shown at all.
+    pub fn shows(&self, value: f64) -> bool {
+        value.is_finite() && (!self.log || value > 0.0)
+    }
+
+    /// Values and labels of the ticks.
+    pub fn ticks(&self) -> &[(f64, String)] {
+        &self.ticks
+    }
+
+    /// Pixels needed beside the frame for tick labels and axis label.
+    pub fn margin(&self) -> f64 {
+        (self.label_width() + 42.0).max(110.0)
+    }
+
+    /// Width of the widest tick label in pixels.
+    fn label_width(&self) -> f64 {
+        let widths = self
+            .ticks
+            .iter()
+            .map(|(_, label)| text_width(label, TICK_SIZE));
+        widths.fold(0.0, f64::max)
+    }
+
+    /// Place on the axis: 0 at the low end, 1 at the high end.
+    pub fn part(&self, value: f64) -> f64 {
+        let value = if self.log { value.log10() } else { value };
+        (value - self.low) / (self.high - self.low)
+    }
+}
+
+/// Smallest and largest value, or the given limits if there is none.
+fn limits(values: impl Iterator<Item = f64>, low: f64, high: f64) -> (f64, f64) {
+    values
+        .map(|value| (value, value))
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        .unwrap_or((low, high))
+}
+
+/// Multiples of 1, 2 or 5 times a power of ten, at most `count` + 1 or so of them.
+fn linear_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
+    let span = high - low;
+    if !(span > 0.0 && span.is_finite()) {
+        return vec![(low, plain(low, 3))];
+    }
+    let rough = span / count as f64;
+    let power = rough.log10().floor();
+    let decade = 10_f64.powf(power);
+    // The nearest of 1, 2, 5, 10; the last one needs a decimal less.
+    let (factor, extra) = match rough / decade {
+        r if r <= 1.5 => (1.0, 0),
+        r if r <= 3.2 => (2.0, 0),
+        r if r <= 6.8 => (5.0, 0),
+        _ => (10.0, -1),
+    };
+    let step = factor * decade;
+    let decimals = (-(power as i32) + extra).max(0) as usize;
+    let largest = low.abs().max(high.abs());
+    // Multiples of the step as integers: no 0.020000000001.
+    let first = (low / step - 1e-9).ceil() as i64;
+    let last = (high / step + 1e-9).floor() as i64;
+    (first..=last)
+        .map(|multiple| {
+            let value = multiple as f64 * step;
+            let label = if multiple == 0 {
+                "0".to_owned()
+            } else if !(1e-3..1e5).contains(&largest) {
+                power_of_ten(value)
+            } else {
+                plain(value, decimals)
+            };
+            (value, label)
+        })
+        .collect()
+}
+
+/// Whole decades; within few decades also 2 and 5 times them. `low` and `high` are decadic logarithms.
+fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
+    // All labels of an axis in the same way.
+    let small = low > -3.1 && high < 4.1;
+    let stride = (((high - low) / 8.0).ceil() as i32).max(1);
+    let factors: &[f64] = if high - low < 2.0 {
+        &[1.0, 2.0, 5.0]
+    } else {
+        &[1.0]
+    };
+    (low.floor() as i32..=high.ceil() as i32)
+        .filter(|power| power.rem_euclid(stride) == 0)
+        .flat_map(|power| {
+            factors
+                .iter()
+                .map(move |factor| (factor * 10_f64.powi(power), *factor, power))
+        })
+        .filter(|(value, ..)| (low - 1e-9..=high + 1e-9).contains(&value.log10()))
+        .map(|(value, factor, power)| {
+            let label = match factor {
+                _ if small => plain(value, (-power).max(0) as usize),
+                1.0 => format!("10{}", superscript(power)),
+                _ => power_of_ten(value),
+            };
+            (value, label)
+        })
+        .collect()
+}
+
+/// Fixed number of decimals, with a true minus sign.
+fn plain(value: f64, decimals: usize) -> String {
+    format!("{value:.decimals$}").replace('-', "−")
+}
+
+/// Such as 2.5·10⁻⁷.
+fn power_of_ten(value: f64) -> String {
+    let text = format!("{value:.3e}");
+    let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+    let digits = digits
+        .trim_end_matches('0')
+        .trim_end_matches('.')
+        .replace('-', "−");
+    let power = superscript(power.parse().unwrap_or(0));
+    match digits.as_str() {
+        "1" => format!("10{power}"),
+        _ => format!("{digits}·10{power}"),
+    }
+}
+
+fn superscript(number: i32) -> String {
+    number
+        .to_string()
+        .chars()
+        .map(|character| match character {
+            '-' => '⁻',
+            '1' => '¹',
+            '2' => '²',
+            '3' => '³',
+            digit => char::from_u32('⁰' as u32 + digit as u32 - '0' as u32).unwrap_or(digit),
+        })
+        .collect()
+}
+
+/// The rectangle of the data, in pixels, with its two axes.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    pub left: f64,
+    pub top: f64,
+    pub width: f64,
+    pub height: f64,
+    pub x: Axis,
+    pub y: Axis,
+}
+
+impl Frame {
+    /// Pixels of a data point.
+    pub fn map(&self, (x, y): Point) -> Point {
+        (
+            self.left + self.width * self.x.part(x),
+            self.top + self.height * (1.0 - self.y.part(y)),
+        )
+    }
+
+    /// Data points as lines of pixels, broken where a point cannot be shown (NaN, or 0 on a logarithmic axis).
+    pub fn map_lines(&self, points: &[Point]) -> Vec<Vec<Point>> {
+        points
+            .split(|&(x, y)| !(self.x.shows(x) && self.y.shows(y)))
+            .filter(|run| !run.is_empty())
+            .map(|run| run.iter().map(|&point| self.map(point)).collect())
+            .collect()
+    }
+
+    /// Grid, frame, ticks and labels; the data come on top. An empty label is left out.
+    pub fn draw(&self, drawing: &mut Drawing, x_label: &str, y_label: &str, y_color: Color) {
+        let (right, bottom) = (self.left + self.width, self.top + self.height);
+        for (value, label) in self.x.ticks() {
+            let x = self.left + self.width * self.x.part(*value);
+            drawing.line(vec![(x, self.top), (x, bottom)], GRID, 1.0);
+            drawing.line(vec![(x, bottom), (x, bottom + 5.0)], INK, 1.0);
+            if !x_label.is_empty() {
+                drawing.text(label, (x, bottom + 8.0), TICK_SIZE, Anchor::Top, INK);
+            }
+        }
+        for (value, label) in self.y.ticks() {
+            let y = bottom - self.height * self.y.part(*value);
+            drawing.line(vec![(self.left, y), (right, y)], GRID, 1.0);
+            drawing.line(vec![(self.left - 5.0, y), (self.left, y)], INK, 1.0);
+            drawing.text(
+                label,
+                (self.left - 9.0, y),
+                TICK_SIZE,
+                Anchor::Right,
+                y_color,
+            );
+        }
+        self.outline(drawing);
+        let middle = (self.left + 0.5 * self.width, self.top + 0.5 * self.height);
+        if !x_label.is_empty() {
+            drawing.text(
+                x_label,
+                (middle.0, bottom + 31.0),
+                LABEL_SIZE,
+                Anchor::Top,
+                INK,
+            );
+        }
+        drawing.text(
+            y_label,
+            (self.left - 26.0 - self.y.label_width(), middle.1),
+            LABEL_SIZE,
+            Anchor::Upwards,
+            y_color,
+        );
+    }
+
+    /// A second vertical axis on the right.
+    pub fn draw_right(&self, drawing: &mut Drawing, axis: &Axis, label: &str, color: Color) {
+        let (right, bottom) = (self.left + self.width, self.top + self.height);
+        for (value, label) in axis.ticks() {
+            let y = bottom - self.height * axis.part(*value);
+            drawing.line(vec![(right, y), (right + 5.0, y)], INK, 1.0);
+            drawing.text(label, (right + 9.0, y), TICK_SIZE, Anchor::Left, color);
+        }
+        let middle = self.top + 0.5 * self.height;
+        drawing.text(
+            label,
+            (right + 28.0 + axis.label_width(), middle),
+            LABEL_SIZE,
+            Anchor::Upwards,
+            color,
+        );
+    }
+
+    /// The rectangle alone.
+    pub fn outline(&self, drawing: &mut Drawing) {
+        let (right, bottom) = (self.left + self.width, self.top + self.height);
+        let corners = [
+            (self.left, self.top),
+            (right, self.top),
+            (right, bottom),
+            (self.left, bottom),
+        ];
+        drawing.line([&corners[..], &corners[..1]].concat(), INK, 1.2);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(ticks: &[(f64, String)]) -> Vec<&str> {
+        ticks.iter().map(|(_, label)| label.as_str()).collect()
+    }
+
+    #[test]
+    fn tick_labels_are_round() {
+        assert_eq!(
+            labels(&linear_ticks(-0.021, 0.021, 6)),
+            ["−0.02", "−0.01", "0", "0.01", "0.02"]
+        );
+        assert_eq!(
+            labels(&linear_ticks(0.0, 1.0, 6)),
+            ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]
+        );
+        assert_eq!(
+            labels(&linear_ticks(0.0, 47.0, 6)),
+            ["0", "10", "20", "30", "40"]
+        );
+        assert_eq!(
+            labels(&linear_ticks(0.0, 4e-7, 4)),
+            ["0", "10⁻⁷", "2·10⁻⁷", "3·10⁻⁷", "4·10⁻⁷"]
+        );
+        assert_eq!(labels(&linear_ticks(1.0, 1.0, 6)), ["1.000"]);
+    }
+
+    #[test]
+    fn logarithmic_ticks_are_decades() {
+        assert_eq!(
+            labels(&log_ticks(-4.1, 0.1)),
+            ["10⁻⁴", "10⁻³", "10⁻²", "10⁻¹", "10⁰"]
+        );
+        assert_eq!(labels(&log_ticks(0.2, 1.1)), ["2", "5", "10"]);
+        assert!(labels(&log_ticks(-16.0, 0.0)).len() <= 9);
+        assert!(!Axis::around_log([3.0, 3.1]).ticks().is_empty());
+        assert!(!Axis::around_log([3.0]).ticks().is_empty());
+    }
+
+    #[test]
+    fn ranges_survive_poor_data() {
+        for values in [
+            vec![],
+            vec![f64::NAN],
+            vec![0.0],
+            vec![5.0, 5.0],
+            vec![f64::INFINITY, 2.0],
+            vec![0.3, 0.1 + 0.2],
+        ] {
+            let axis = Axis::around(values.clone());
+            assert!(axis.high > axis.low && axis.low.is_finite(), "{values:?}");
+            assert!(
+                !axis.ticks().is_empty() && axis.ticks().len() < 20,
+                "{values:?} {axis:?}"
+            );
+        }
+        assert!(!Axis::around_log([]).ticks().is_empty());
+        assert!(!Axis::around_log([0.0, -1.0]).ticks().is_empty());
+    }
+
+    #[test]
+    fn long_labels_get_a_wide_margin() {
+        assert_eq!(Axis::linear(0.0, 1.0).margin(), 110.0);
+        assert!(Axis::linear(0.041_200_00, 0.041_200_02).margin() > 115.0);
+    }
+
+    #[test]
+    fn data_map_to_the_frame() {
+        let frame = Frame {
+            left: 10.0,
+            top: 20.0,
+            width: 100.0,
+            height: 50.0,
+            x: Axis::linear(0.0, 2.0),
+            y: Axis::linear(0.0, 1.0),
+        };
+        assert_eq!(frame.map((0.0, 0.0)), (10.0, 70.0));
+        assert_eq!(frame.map((2.0, 1.0)), (110.0, 20.0));
+        let lines = frame.map_lines(&[(0.0, 0.0), (1.0, f64::NAN), (2.0, 0.0), (2.0, 1.0)]);
+        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [1, 2]);
+    }
+}

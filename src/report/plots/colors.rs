@@ -1,0 +1,93 @@
+//! Colours: a perceptually even map for temperature, shades for ordered lines, distinct ones for series.
+
+use super::drawing::Color;
+
+/// Seventeen samples of matplotlib's "plasma" (CC0, by Nathaniel Smith and Stéfan van der Walt). Its bright end is
+/// left out: pale yellow vanishes on white.
+const PLASMA: [Color; 17] = [
+    [13, 8, 135],
+    [49, 5, 151],
+    [76, 2, 161],
+    [102, 0, 167],
+    [126, 3, 168],
+    [149, 17, 161],
+    [170, 35, 149],
+    [188, 53, 135],
+    [204, 71, 120],
+    [218, 90, 106],
+    [230, 108, 92],
+    [240, 128, 78],
+    [248, 149, 64],
+    [253, 172, 51],
+    [253, 197, 39],
+    [248, 223, 37],
+    [240, 249, 33],
+];
+
+/// Distinct also for colour-blind readers (after Okabe and Ito, without the yellow).
+const SERIES: [Color; 7] = [
+    [0, 114, 178],
+    [213, 94, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [90, 90, 90],
+    [230, 159, 0],
+    [86, 180, 233],
+];
+
+/// Colour of a value between 0 (cold) and 1 (hot); values outside are cut, NaN is green to be seen.
+pub fn heat(part: f64) -> Color {
+    if part.is_nan() {
+        return [0, 200, 0];
+    }
+    let place = part.clamp(0.0, 1.0) * (PLASMA.len() - 2) as f64;
+    let index = (place as usize).min(PLASMA.len() - 3);
+    mix(PLASMA[index], PLASMA[index + 1], place - index as f64)
+}
+
+/// From light (0) to dark (1) blue, for lines in an order.
+pub fn shade(part: f64) -> Color {
+    const STOPS: [Color; 4] = [
+        [196, 218, 238],
+        [120, 174, 214],
+        [42, 110, 180],
+        [8, 38, 96],
+    ];
+    let place = part.clamp(0.0, 1.0) * 3.0;
+    let index = (place as usize).min(2);
+    mix(STOPS[index], STOPS[index + 1], place - index as f64)
+}
+
+/// Colour of series number `index`; repeats after seven.
+pub fn series(index: usize) -> Color {
+    SERIES[index % SERIES.len()]
+}
+
+fn mix(from: Color, to: Color, part: f64) -> Color {
+    std::array::from_fn(|channel| {
+        let (from, to) = (f64::from(from[channel]), f64::from(to[channel]));
+        (from + part * (to - from)).round() as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heat_gets_lighter_and_stays_in_range() {
+        let lightness = |[red, green, blue]: Color| {
+            0.2126 * f64::from(red) + 0.7152 * f64::from(green) + 0.0722 * f64::from(blue)
+        };
+        let shades: Vec<f64> = (0..=20)
+            .map(|i| lightness(heat(f64::from(i) / 20.0)))
+            .collect();
+        assert!(
+            shades.windows(2).all(|pair| pair[1] > pair[0]),
+            "{shades:?}"
+        );
+        assert_eq!(heat(-3.0), heat(0.0));
+        assert_eq!(heat(9.0), PLASMA[15]);
+        assert_ne!(heat(f64::NAN), heat(0.0));
+    }
+}

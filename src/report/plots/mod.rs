@@ -1,0 +1,17 @@
+//! Figures, each as `<stem>.png` (twice the nominal size, smoothed) and `<stem>.svg`.
+//!
+//! A figure is first a list of shapes ([`drawing::Drawing`]), laid out once; both formats show the same picture.
+
+mod axis;
+mod colors;
+mod compare;
+mod drawing;
+mod history;
+mod legend;
+mod temperature;
+mod wall_shapes;
+
+pub use compare::compare;
+pub use history::{history, HistoryPoint};
+pub use temperature::{temperature_particles, TemperaturePanel};
+pub use wall_shapes::wall_shapes;

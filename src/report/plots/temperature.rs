@@ -1,0 +1,234 @@
+//! Particles coloured by temperature, true to scale.
+
+use super::axis::{Axis, Frame, INK};
+use super::colors;
+use super::drawing::{text_width, Anchor, Color, Drawing, Point};
+use super::legend::{self, Entry, Sample};
+use crate::io::FileError;
+use std::path::{Path, PathBuf};
+
+/// Tags as in JAX-SPH.
+const FLUID: u8 = 0;
+const MOVING_WALL: u8 = 2;
+const HOT_WALL: u8 = 3;
+
+const WALL_GREY: Color = [188, 188, 188];
+const MOVING_GREY: Color = [140, 140, 140];
+const HOT_GREY: Color = [214, 214, 214];
+const HOT_OUTLINE: Color = [200, 30, 30];
+
+/// One picture of particles.
+#[derive(Clone, Copy, Debug)]
+pub struct TemperaturePanel<'a> {
+    pub title: &'a str,
+    /// Component-major [2, N]: all x, then all y; scene length units.
+    pub position: &'a [f64],
+    /// [N]; not looked at for walls.
+    pub temperature: &'a [f64],
+    /// [N]: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature.
+    pub tag: &'a [u8],
+    /// Of a particle, scene length units.
+    pub diameter: f64,
+}
+
+/// Draws panels under each other: fluid particles coloured from `t_min` to `t_max`, wall particles grey (those of
+/// set temperature outlined in red). Both axes have the same scale; particles whose centre lies outside the ranges
+/// are left out.
+///
+/// # Errors
+/// [`FileError::Input`] if lengths do not fit, a range is empty, or there is no panel.
+pub fn temperature_particles(
+    path_stem: &Path,
+    panels: &[TemperaturePanel],
+    t_min: f64,
+    t_max: f64,
+    x_range: (f64, f64),
+    y_range: (f64, f64),
+) -> Result<[PathBuf; 2], FileError> {
+    check(path_stem, panels, (t_min, t_max), x_range, y_range)?;
+    let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
+    // Wide scenes fill the width; tall ones are limited by height.
+    let pixels = f64::min(
+        900.0 / x_span,
+        if panels.len() > 1 { 460.0 } else { 700.0 } / y_span,
+    );
+    let (width, height) = (pixels * x_span, pixels * y_span);
+    let (left, first_top, gap) = (110.0, 48.0, 62.0);
+    let bottom = first_top + panels.len() as f64 * (height + gap) - gap;
+    let entries = entries(panels);
+    let bar_left = left + width + 30.0;
+    let legend_width: f64 = entries
+        .iter()
+        .map(|entry| legend::width(std::slice::from_ref(entry)) + 30.0)
+        .sum();
+    let title_width = panels
+        .iter()
+        .map(|panel| text_width(panel.title, 18.0))
+        .fold(0.0, f64::max);
+    let total = (bar_left + 125.0).max(left + legend_width.max(title_width) + 20.0);
+    let mut drawing = Drawing::new(total, bottom + 110.0);
+
+    for (index, panel) in panels.iter().enumerate() {
+        let frame = Frame {
+            left,
+            top: first_top + index as f64 * (height + gap),
+            width,
+            height,
+            x: Axis::linear(x_range.0, x_range.1),
+            y: Axis::linear_with(y_range.0, y_range.1, ticks_for(height)),
+        };
+        let last = index + 1 == panels.len();
+        let x_label = if last { "x (scene units)" } else { "" };
+        drawing.text(
+            panel.title,
+            (left, frame.top - 20.0),
+            18.0,
+            Anchor::Left,
+            INK,
+        );
+        frame.draw(&mut drawing, x_label, "y (scene units)", INK);
+        draw_particles(&mut drawing, &frame, panel, (t_min, t_max), pixels);
+        frame.outline(&mut drawing);
+    }
+    color_bar(
+        &mut drawing,
+        (bar_left, first_top),
+        bottom - first_top,
+        (t_min, t_max),
+    );
+    let mut x = left;
+    for entry in &entries {
+        let single = std::slice::from_ref(entry);
+        legend::draw(&mut drawing, (x, bottom + 68.0), single);
+        x += legend::width(single) + 30.0;
+    }
+    drawing.save(path_stem)
+}
+
+/// Low panels have room for few labels.
+fn ticks_for(height: f64) -> usize {
+    ((height / 60.0) as usize).clamp(2, 6)
+}
+
+fn draw_particles(
+    drawing: &mut Drawing,
+    frame: &Frame,
+    panel: &TemperaturePanel,
+    (t_min, t_max): (f64, f64),
+    pixels: f64,
+) {
+    let count = panel.tag.len();
+    let radius = 0.5 * panel.diameter * pixels;
+    let inside = |part: f64| (-1e-9..=1.0 + 1e-9).contains(&part);
+    for particle in 0..count {
+        let (x, y) = (panel.position[particle], panel.position[count + particle]);
+        if !(inside(frame.x.part(x)) && inside(frame.y.part(y))) {
+            continue;
+        }
+        let centre = frame.map((x, y));
+        let color = match panel.tag[particle] {
+            FLUID => colors::heat((panel.temperature[particle] - t_min) / (t_max - t_min)),
+            HOT_WALL => {
+                drawing.disc(centre, radius, HOT_OUTLINE);
+                drawing.disc(centre, radius - (0.22 * radius).min(1.5), HOT_GREY);
+                continue;
+            }
+            MOVING_WALL => MOVING_GREY,
+            _ => WALL_GREY,
+        };
+        drawing.disc(centre, radius, color);
+    }
+}
+
+/// Entries for the kinds of wall that occur.
+fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
+    let kinds = [
+        (1, "wall", WALL_GREY, None),
+        (MOVING_WALL, "moving wall", MOVING_GREY, None),
+        (
+            HOT_WALL,
+            "wall of set temperature",
+            HOT_GREY,
+            Some(HOT_OUTLINE),
+        ),
+    ];
+    kinds
+        .into_iter()
+        .filter(|(tag, ..)| panels.iter().any(|panel| panel.tag.contains(tag)))
+        .map(|(_, text, color, outline)| Entry {
+            text: text.to_owned(),
+            color,
+            sample: Sample::Disc { outline },
+        })
+        .collect()
+}
+
+fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_max): (f64, f64)) {
+    const STRIPES: usize = 200;
+    const WIDTH: f64 = 22.0;
+    let stripe = height / STRIPES as f64;
+    for index in 0..STRIPES {
+        let part = 1.0 - (index as f64 + 0.5) / STRIPES as f64;
+        drawing.rectangle(
+            (left, top + stripe * index as f64),
+            WIDTH,
+            stripe,
+            colors::heat(part),
+            1.0,
+        );
+    }
+    let frame = Frame {
+        left,
+        top,
+        width: WIDTH,
+        height,
+        x: Axis::linear(0.0, 1.0),
+        y: Axis::linear(t_min, t_max),
+    };
+    frame.outline(drawing);
+    frame.draw_right(drawing, &frame.y, "temperature T (scene units)", INK);
+}
+
+fn check(
+    path: &Path,
+    panels: &[TemperaturePanel],
+    t_range: (f64, f64),
+    x_range: (f64, f64),
+    y_range: (f64, f64),
+) -> Result<(), FileError> {
+    if panels.is_empty() {
+        return Err(FileError::input(path, "there is no panel", "at least one"));
+    }
+    for (name, (low, high)) in [("temperature", t_range), ("x", x_range), ("y", y_range)] {
+        if !(low < high && low.is_finite() && high.is_finite()) {
+            return Err(FileError::input(
+                path,
+                format!("the {name} range is {low} to {high}"),
+                "finite limits, the first below the second",
+            ));
+        }
+    }
+    for panel in panels {
+        let count = panel.tag.len();
+        if panel.position.len() != 2 * count || panel.temperature.len() != count {
+            return Err(FileError::input(
+                path,
+                format!(
+                    "panel `{}` has {count} tags, {} temperatures, {} coordinates",
+                    panel.title,
+                    panel.temperature.len(),
+                    panel.position.len()
+                ),
+                "one temperature and two coordinates for each tag",
+            ));
+        }
+        if !(panel.diameter > 0.0 && panel.diameter.is_finite()) {
+            return Err(FileError::input(
+                path,
+                format!("the particle diameter is {}", panel.diameter),
+                "a positive length",
+            ));
+        }
+    }
+    Ok(())
+}

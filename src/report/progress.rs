@@ -1,0 +1,99 @@
+//! A progress bar on stderr; where stderr is not a terminal it prints nothing at all.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+
+const TEMPLATE: &str = "{prefix} [{bar:30}] {pos}/{len} {elapsed} (left {eta}) {msg}";
+
+/// Progress of a task of known length.
+#[derive(Debug)]
+pub struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    /// Starts a bar over `total` units of work, with `label` in front.
+    pub fn new(total: u64, label: &str) -> Self {
+        Self::with_visibility(total, label, std::io::stderr().is_terminal())
+    }
+
+    /// A bar that never prints (quiet mode, tests).
+    pub fn hidden(total: u64) -> Self {
+        Self::with_visibility(total, "", false)
+    }
+
+    fn with_visibility(total: u64, label: &str, visible: bool) -> Self {
+        let target = if visible {
+            // Ten redraws a second: a redraw must cost nothing next to a step.
+            ProgressDrawTarget::stderr_with_hz(10)
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let bar = ProgressBar::with_draw_target(Some(total), target).with_prefix(label.to_owned());
+        // The template is a constant that the tests parse; the default style would still do.
+        if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        Self { bar }
+    }
+
+    /// Adds `steps` units.
+    pub fn advance(&self, steps: u64) {
+        self.bar.inc(steps);
+    }
+
+    /// Sets the units done so far (a resumed run starts above 0).
+    pub fn set_position(&self, position: u64) {
+        self.bar.set_position(position);
+    }
+
+    /// Units done so far.
+    pub fn position(&self) -> u64 {
+        self.bar.position()
+    }
+
+    /// Text behind the bar, such as `Q = 0.1234`.
+    pub fn message(&self, text: impl Into<String>) {
+        self.bar.set_message(text.into());
+    }
+
+    /// Prints a line above the bar; nothing if hidden.
+    pub fn line(&self, text: &str) {
+        self.bar.println(text);
+    }
+
+    /// Runs `print` (which may write to the terminal) with the bar out of the way.
+    pub fn suspend<R>(&self, print: impl FnOnce() -> R) -> R {
+        self.bar.suspend(print)
+    }
+
+    /// True if nothing is printed.
+    pub fn is_hidden(&self) -> bool {
+        self.bar.is_hidden()
+    }
+
+    /// Removes the bar from the screen.
+    pub fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bar_counts_while_hidden() {
+        let progress = Progress::hidden(10);
+        assert!(progress.is_hidden());
+        progress.set_position(3);
+        progress.advance(2);
+        assert_eq!(progress.position(), 5);
+        assert_eq!(progress.suspend(|| 7), 7);
+    }
+
+    #[test]
+    fn the_template_is_valid() {
+        assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
+    }
+}
