@@ -15,24 +15,47 @@ fn main() {
     let mut s = Solver::new(ch.model.clone(), ch.deformation.state(&off)).unwrap();
     let t0 = std::time::Instant::now();
     let n = ch.model.particles();
-    let mut q = 0.0; let mut um = 0.0; let mut cnt = 0.0; let mut flow=0.0; let mut rho=0.0;
-    let every = (0.1/ch.model.dt) as usize;
+    let mut q = 0.0;
+    let mut um = 0.0;
+    let mut cnt = 0.0;
+    let mut flow = 0.0;
+    let mut rho = 0.0;
+    let every = (0.1 / ch.model.dt) as usize;
     for k in 0..ch.steps {
-        if let Err(e) = s.advance() { println!("FAILED {e}"); return; }
+        if let Err(e) = s.advance() {
+            println!("FAILED {e}");
+            return;
+        }
         if k + ch.window >= ch.steps && k % 5 == 0 {
             let f = ch.objective.fields(&mut s);
             let m = ch.objective.targets.len();
             q += ch.objective.outflow(&f);
-            flow += ch.objective.scale*f[m..2*m].iter().sum::<f64>();
-            let mut u: f64 = 0.0; 
-            for i in 0..n { if ch.model.is_fluid(i) { u = u.max(s.row(2)[i]); rho += s.primitives[i]/(n as f64);} }
-            um += u; cnt += 1.0;
+            flow += ch.objective.scale * f[m..2 * m].iter().sum::<f64>();
+            let mut u: f64 = 0.0;
+            for i in 0..n {
+                if ch.model.is_fluid(i) {
+                    u = u.max(s.row(2)[i]);
+                    rho += s.primitives[i] / (n as f64);
+                }
+            }
+            um += u;
+            cnt += 1.0;
         }
         if std::env::var("HIST").is_ok() && k % every == 0 {
             let f = ch.objective.fields(&mut s);
-            println!("t {:.3} Q {:.6}", k as f64*ch.model.dt, ch.objective.outflow(&f));
+            println!("t {:.3} Q {:.6}", k as f64 * ch.model.dt, ch.objective.outflow(&f));
         }
     }
-    let fl = ch.model.tags.iter().filter(|&&t| t==0).count() as f64 / n as f64;
-    println!("{:?} N {n} dt {:.3e} steps {} Q {:.6} u_max {:.5} flow {:.5} rho {:.5} {:.4} ms/step", sets, ch.model.dt, ch.steps, q/cnt, um/cnt, flow/cnt, rho/cnt/fl, t0.elapsed().as_secs_f64()*1e3/ch.steps as f64);
+    let fl = ch.model.tags.iter().filter(|&&t| t == 0).count() as f64 / n as f64;
+    println!(
+        "{:?} N {n} dt {:.3e} steps {} Q {:.6} u_max {:.5} flow {:.5} rho {:.5} {:.4} ms/step",
+        sets,
+        ch.model.dt,
+        ch.steps,
+        q / cnt,
+        um / cnt,
+        flow / cnt,
+        rho / cnt / fl,
+        t0.elapsed().as_secs_f64() * 1e3 / ch.steps as f64
+    );
 }

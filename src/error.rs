@@ -23,10 +23,7 @@ pub enum Error {
 impl Error {
     /// A run that failed, with advice on what to try.
     pub fn run(problem: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self::Run {
-            problem: problem.into(),
-            advice: advice.into(),
-        }
+        Self::Run { problem: problem.into(), advice: advice.into() }
     }
 }
 
@@ -38,9 +35,9 @@ impl From<BadInput> for Error {
 
 /// The exit code for an error: bad input anywhere in the chain of causes is 2, everything else 1.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
-    let bad_input = error.chain().any(|cause| {
-        cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_)))
-    });
+    let bad_input = error
+        .chain()
+        .any(|cause| cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_))));
     if bad_input {
         EXIT_INPUT
     } else {
@@ -72,13 +69,7 @@ pub struct BadInput {
 impl BadInput {
     /// `problem` names the key or thing and the offending value.
     pub fn new(problem: impl Into<String>) -> Self {
-        Self {
-            place: None,
-            key: None,
-            problem: problem.into(),
-            allowed: None,
-            advice: None,
-        }
+        Self { place: None, key: None, problem: problem.into(), allowed: None, advice: None }
     }
 
     /// File and line, or the command-line text.

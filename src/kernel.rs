@@ -110,9 +110,6 @@ impl<L: Lanes> QuinticLanes<L> {
         let inner_f = (q * q).mul_add(number::<L>(10.0) * q - number::<L>(24.0), number(24.0));
         let inner_g = q.mul_add(number(30.0), number(-48.0));
         let one = number(1.0);
-        (
-            self.f * q.select_less(one, inner_f, outer_f),
-            self.g * q.select_less(one, inner_g, outer_g),
-        )
+        (self.f * q.select_less(one, inner_f, outer_f), self.g * q.select_less(one, inner_g, outer_g))
     }
 }

@@ -9,15 +9,7 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Range, Sub, SubAssign};
 
 /// A scalar of the simulation: `f32` or `f64`.
 pub trait Real:
-    WithDType
-    + Default
-    + PartialOrd
-    + Neg<Output = Self>
-    + AddAssign
-    + SubAssign
-    + Sync
-    + Send
-    + std::iter::Sum
+    WithDType + Default + PartialOrd + Neg<Output = Self> + AddAssign + SubAssign + Sync + Send + std::iter::Sum
 {
     type Portable: Lanes<Real = Self>;
     #[cfg(target_arch = "x86_64")]
@@ -221,13 +213,7 @@ macro_rules! portable {
             }
             #[inline(always)]
             fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
-                Self(std::array::from_fn(|l| {
-                    if self.0[l] < limit.0[l] {
-                        below.0[l]
-                    } else {
-                        above.0[l]
-                    }
-                }))
+                Self(std::array::from_fn(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
             }
             #[inline(always)]
             fn sum(self) -> $real {
@@ -237,17 +223,13 @@ macro_rules! portable {
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                 // SAFETY: the caller promises valid indices and records of at least 4 numbers.
                 std::array::from_fn(|q| {
-                    Self(std::array::from_fn(|l| unsafe {
-                        *records.add(*index.add(l) as usize * stride + q)
-                    }))
+                    Self(std::array::from_fn(|l| unsafe { *records.add(*index.add(l) as usize * stride + q) }))
                 })
             }
             #[inline(always)]
             unsafe fn gather(values: *const $real, index: *const u32) -> Self {
                 // SAFETY: the caller promises valid indices.
-                Self(std::array::from_fn(|l| unsafe {
-                    *values.add(*index.add(l) as usize)
-                }))
+                Self(std::array::from_fn(|l| unsafe { *values.add(*index.add(l) as usize) }))
             }
         }
     };
@@ -324,31 +306,69 @@ mod x86 {
                     unsafe { sum::$name(self) }
                 }
                 #[inline(always)]
-                unsafe fn gather4(
-                    records: *const $real,
-                    stride: usize,
-                    index: *const u32,
-                ) -> [Self; 4] {
+                unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                     unsafe { gather4::$name(records, stride, index) }.map(Self)
                 }
                 #[inline(always)]
                 unsafe fn gather(values: *const $real, index: *const u32) -> Self {
-                    Self::from_array(std::array::from_fn(|l| unsafe {
-                        *values.add(*index.add(l) as usize)
-                    }))
+                    Self::from_array(std::array::from_fn(|l| unsafe { *values.add(*index.add(l) as usize) }))
                 }
             }
         };
     }
 
-    vector!(Avx2F64, f64, 4, __m256d, _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd,
-        _mm256_fmadd_pd, _mm256_sqrt_pd, _mm256_max_pd, _mm256_setzero_pd);
-    vector!(Avx2F32, f32, 8, __m256, _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps,
-        _mm256_fmadd_ps, _mm256_sqrt_ps, _mm256_max_ps, _mm256_setzero_ps);
-    vector!(Avx512F64, f64, 8, __m512d, _mm512_set1_pd, _mm512_loadu_pd, _mm512_storeu_pd,
-        _mm512_fmadd_pd, _mm512_sqrt_pd, _mm512_max_pd, _mm512_setzero_pd);
-    vector!(Avx512F32, f32, 16, __m512, _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps,
-        _mm512_fmadd_ps, _mm512_sqrt_ps, _mm512_max_ps, _mm512_setzero_ps);
+    vector!(
+        Avx2F64,
+        f64,
+        4,
+        __m256d,
+        _mm256_set1_pd,
+        _mm256_loadu_pd,
+        _mm256_storeu_pd,
+        _mm256_fmadd_pd,
+        _mm256_sqrt_pd,
+        _mm256_max_pd,
+        _mm256_setzero_pd
+    );
+    vector!(
+        Avx2F32,
+        f32,
+        8,
+        __m256,
+        _mm256_set1_ps,
+        _mm256_loadu_ps,
+        _mm256_storeu_ps,
+        _mm256_fmadd_ps,
+        _mm256_sqrt_ps,
+        _mm256_max_ps,
+        _mm256_setzero_ps
+    );
+    vector!(
+        Avx512F64,
+        f64,
+        8,
+        __m512d,
+        _mm512_set1_pd,
+        _mm512_loadu_pd,
+        _mm512_storeu_pd,
+        _mm512_fmadd_pd,
+        _mm512_sqrt_pd,
+        _mm512_max_pd,
+        _mm512_setzero_pd
+    );
+    vector!(
+        Avx512F32,
+        f32,
+        16,
+        __m512,
+        _mm512_set1_ps,
+        _mm512_loadu_ps,
+        _mm512_storeu_ps,
+        _mm512_fmadd_ps,
+        _mm512_sqrt_ps,
+        _mm512_max_ps,
+        _mm512_setzero_ps
+    );
 
     operators!(Avx2F64, f64, 4, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_div_pd);
     operators!(Avx2F32, f32, 8, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps);
@@ -449,9 +469,7 @@ mod x86 {
         pub unsafe fn Avx2F32(rec: *const f32, stride: usize, j: *const u32) -> [__m256; 4] {
             unsafe {
                 let row = |l: usize| _mm_loadu_ps(rec.add(*j.add(l) as usize * stride));
-                let two = |l: usize| {
-                    _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(row(l)), row(l + 4))
-                };
+                let two = |l: usize| _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(row(l)), row(l + 4));
                 let (z0, z1, z2, z3) = (two(0), two(1), two(2), two(3));
                 let a = _mm256_castps_pd(_mm256_unpacklo_ps(z0, z1));
                 let b = _mm256_castps_pd(_mm256_unpackhi_ps(z0, z1));
@@ -469,9 +487,7 @@ mod x86 {
         pub unsafe fn Avx512F64(rec: *const f64, stride: usize, j: *const u32) -> [__m512d; 4] {
             unsafe {
                 let row = |l: usize| _mm256_loadu_pd(rec.add(*j.add(l) as usize * stride));
-                let two = |l: usize, m: usize| {
-                    _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(row(l)), row(m))
-                };
+                let two = |l: usize, m: usize| _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(row(l)), row(m));
                 let (a, b, c, d) = (two(0, 2), two(1, 3), two(4, 6), two(5, 7));
                 let t0 = _mm512_unpacklo_pd(a, b);
                 let t1 = _mm512_unpackhi_pd(a, b);
@@ -622,11 +638,7 @@ unsafe impl<T: Send> Sync for Shared<'_, T> {}
 
 impl<'a, T: Copy> Shared<'a, T> {
     pub fn new(slice: &'a mut [T]) -> Self {
-        Self {
-            pointer: slice.as_mut_ptr(),
-            length: slice.len(),
-            lifetime: std::marker::PhantomData,
-        }
+        Self { pointer: slice.as_mut_ptr(), length: slice.len(), lifetime: std::marker::PhantomData }
     }
     /// Writes one place.
     ///

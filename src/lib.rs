@@ -1,12 +1,12 @@
 //! hydrograd: differentiable particle flow on candle tensors.
 
 pub mod adjoint;
-pub mod kernel;
-pub mod lanes;
 pub mod cli;
 pub mod design;
 pub mod error;
 pub mod io;
+pub mod kernel;
+pub mod lanes;
 pub mod neighbours;
 pub mod particles;
 pub mod random;

@@ -48,8 +48,8 @@ pub struct Solver<R> {
 
 impl<R: Real> Solver<R> {
     pub fn new(model: Arc<Model<R>>, state: Vec<R>) -> Result<Self, SolverError> {
-        let neighbourhood = Neighbourhood::build(&model, &state, 0)
-            .map_err(|source| SolverError::Neighbours { step: 0, source })?;
+        let neighbourhood =
+            Neighbourhood::build(&model, &state, 0).map_err(|source| SolverError::Neighbours { step: 0, source })?;
         Ok(Self::with_list(model, state, 0, neighbourhood))
     }
 

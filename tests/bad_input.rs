@@ -23,12 +23,8 @@ impl Case {
     /// stdout, and no new file; returns the message.
     fn refuses(&self, arguments: &[&str], expected: &[&str]) -> String {
         let before = files(self.folder.path());
-        let output = Command::cargo_bin("hydrograd")
-            .unwrap()
-            .current_dir(self.folder.path())
-            .args(arguments)
-            .output()
-            .unwrap();
+        let output =
+            Command::cargo_bin("hydrograd").unwrap().current_dir(self.folder.path()).args(arguments).output().unwrap();
         let message = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
         assert!(output.stdout.is_empty());
@@ -53,9 +49,7 @@ impl Case {
 }
 
 fn files(folder: &Path) -> Vec<String> {
-    let names = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name());
+    let names = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
     let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into()).collect();
     names.sort();
     names
@@ -72,21 +66,9 @@ fn refuses_file(text: &str, expected: &[&str]) {
 
 #[test]
 fn unknown_key() {
-    let parts = [
-        "mine.toml",
-        "line 2",
-        "heigth",
-        "length",
-        "wall_rows",
-        "try: `height`",
-    ];
+    let parts = ["mine.toml", "line 2", "heigth", "length", "wall_rows", "try: `height`"];
     refuses_file("[channel]\nheigth = 0.2\n", &parts);
-    let parts = [
-        "--set channel.heigth=0.2",
-        "heigth",
-        "wall_rows",
-        "try: `height`",
-    ];
+    let parts = ["--set channel.heigth=0.2", "heigth", "wall_rows", "try: `height`"];
     refuses_sets(&["channel.heigth=0.2"], &parts);
 }
 
@@ -94,82 +76,47 @@ fn unknown_key() {
 fn unknown_section() {
     let parts = ["mine.toml", "line 1", "optimize", "try: `optimise`"];
     refuses_file("[optimize]\nepochs = 2\n", &parts);
-    refuses_sets(
-        &["optimize.epochs=2"],
-        &["--set optimize.epochs=2", "try: `optimise`"],
-    );
+    refuses_sets(&["optimize.epochs=2"], &["--set optimize.epochs=2", "try: `optimise`"]);
 }
 
 #[test]
 fn key_of_another_section() {
-    refuses_file(
-        "[time]\nepochs = 2\n",
-        &["line 2", "epochs", "try: `optimise.epochs`"],
-    );
+    refuses_file("[time]\nepochs = 2\n", &["line 2", "epochs", "try: `optimise.epochs`"]);
     refuses_sets(&["dx=0.01"], &["--set dx=0.01", "try: `resolution.dx`"]);
 }
 
 #[test]
 fn unknown_value() {
-    let parts = [
-        "design.shape=sin",
-        "`sine`",
-        "cosine",
-        "random",
-        "try: `sine`",
-    ];
+    let parts = ["design.shape=sin", "`sine`", "cosine", "random", "try: `sine`"];
     refuses_sets(&["design.shape=sin"], &parts);
-    refuses_file(
-        "[run]\nprecision = \"f16\"\n",
-        &["line 2", "f16", "f32, f64"],
-    );
+    refuses_file("[run]\nprecision = \"f16\"\n", &["line 2", "f16", "f32, f64"]);
 }
 
 #[test]
 fn wrong_type() {
-    let parts = [
-        "mine.toml",
-        "line 3",
-        "epochs = \"ten\"",
-        "a whole number",
-        "optimise.epochs",
-    ];
+    let parts = ["mine.toml", "line 3", "epochs = \"ten\"", "a whole number", "optimise.epochs"];
     refuses_file("[optimise]\nsmoothing = 1\nepochs = \"ten\"\n", &parts);
     let parts = ["--set time.end=soon", "soon", "a number", "time.end", "> 0"];
     refuses_sets(&["time.end=soon"], &parts);
-    refuses_sets(
-        &["design.offsets=0.01"],
-        &["--set design.offsets=0.01", "an array of numbers"],
-    );
+    refuses_sets(&["design.offsets=0.01"], &["--set design.offsets=0.01", "an array of numbers"]);
     refuses_sets(&["optimise.epochs=2.5"], &["2.5", "a whole number"]);
 }
 
 #[test]
 fn section_that_is_a_value() {
     refuses_sets(&["channel=3"], &["--set channel=3", "section"]);
-    refuses_file(
-        "resolution = [0.01]\n",
-        &["mine.toml, line 1", "`resolution`", "section"],
-    );
+    refuses_file("resolution = [0.01]\n", &["mine.toml, line 1", "`resolution`", "section"]);
 }
 
 #[test]
 fn not_toml() {
     refuses_file("[channel\nheight = 0.2\n", &["mine.toml", "line 1", "^"]);
-    refuses_file(
-        "[channel]\nheight = 0.2\nheight = 0.3\n",
-        &["mine.toml", "line 3", "duplicate key"],
-    );
+    refuses_file("[channel]\nheight = 0.2\nheight = 0.3\n", &["mine.toml", "line 3", "duplicate key"]);
 }
 
 #[test]
 fn out_of_range() {
-    let parts = [
-        "mine.toml, line 3",
-        "time.cfl = 4.5",
-        "0 < time.cfl <= 4",
-        "time.cfl = 1",
-    ];
+    let parts = ["mine.toml, line 3", "time.cfl = 4.5", "0 < time.cfl <= 4", "time.cfl = 1"];
     refuses_file("[time]\n\ncfl = 4.5\n", &parts);
     let cases = [
         ("resolution.dx=0", "resolution.dx > 0"),
@@ -178,16 +125,10 @@ fn out_of_range() {
         ("channel.wall_rows=2", "3 <= channel.wall_rows"),
         ("channel.inlet_length=-0.1", "channel.inlet_length >= 0"),
         ("fluid.viscosity=inf", "fluid.viscosity > 0, finite"),
-        (
-            "wall.hot_temperature=nan",
-            "wall.hot_temperature: any finite number",
-        ),
+        ("wall.hot_temperature=nan", "wall.hot_temperature: any finite number"),
         ("time.end=0", "time.end > 0"),
         ("time.end=-1", "time.end > 0"),
-        (
-            "time.diffusion_number=1.5",
-            "0 < time.diffusion_number <= 1",
-        ),
+        ("time.diffusion_number=1.5", "0 < time.diffusion_number <= 1"),
         ("time.skin=0", "0 < time.skin <= 2"),
         ("objective.samples=0", "1 <= objective.samples"),
         ("optimise.epochs=0", "1 <= optimise.epochs"),
@@ -198,14 +139,7 @@ fn out_of_range() {
     for (set, allowed) in cases {
         let (key, value) = set.split_once('=').unwrap();
         let value = value.replace("nan", "NaN");
-        refuses_sets(
-            &[set],
-            &[
-                &format!("--set {set}"),
-                &format!("{key} = {value}"),
-                allowed,
-            ],
-        );
+        refuses_sets(&[set], &[&format!("--set {set}"), &format!("{key} = {value}"), allowed]);
     }
 }
 
@@ -213,28 +147,14 @@ fn out_of_range() {
 fn zero_or_negative_steps() {
     let case = Case::new(&[]);
     for command in ["simulate", "optimize"] {
-        let run = |set: &str, parts: &[&str]| {
-            case.refuses(&[command, "--out", "out", "--set", set], parts)
-        };
-        run(
-            "time.steps=0",
-            &["--set time.steps=0", "time.steps = 0", "1 <= time.steps"],
-        );
-        run(
-            "time.steps=-5",
-            &["--set time.steps=-5", "-5", "time.steps", ">= 1"],
-        );
+        let run = |set: &str, parts: &[&str]| case.refuses(&[command, "--out", "out", "--set", set], parts);
+        run("time.steps=0", &["--set time.steps=0", "time.steps = 0", "1 <= time.steps"]);
+        run("time.steps=-5", &["--set time.steps=-5", "-5", "time.steps", ">= 1"]);
     }
     let parts = ["--steps 0", "time.steps = 0", "1 <= time.steps"];
     case.refuses(&["check-gradient", "--steps", "0", "--out", "out"], &parts);
-    case.refuses(
-        &["check-gradient", "--directions", "0"],
-        &["--directions", "at least 1"],
-    );
-    case.refuses(
-        &["optimize", "--epochs", "0"],
-        &["--epochs 0", "1 <= optimise.epochs"],
-    );
+    case.refuses(&["check-gradient", "--directions", "0"], &["--directions", "at least 1"]);
+    case.refuses(&["optimize", "--epochs", "0"], &["--epochs 0", "1 <= optimise.epochs"]);
 }
 
 #[test]
@@ -247,16 +167,9 @@ fn spacing_does_not_divide() {
         "resolution.dx=0.02857142857142857",
     ];
     refuses_sets(&["resolution.dx=0.03"], &parts);
-    let parts = [
-        "resolution.dx = 0.02",
-        "channel.height = 0.21",
-        "resolution.dx=0.01",
-    ];
+    let parts = ["resolution.dx = 0.02", "channel.height = 0.21", "resolution.dx=0.01"];
     refuses_sets(&["channel.height=0.21"], &parts);
-    refuses_sets(
-        &["resolution.dx=1e-7"],
-        &["resolution.dx = 0.0000001", "particles"],
-    );
+    refuses_sets(&["resolution.dx=1e-7"], &["resolution.dx = 0.0000001", "particles"]);
 }
 
 #[test]
@@ -270,34 +183,16 @@ fn channel_too_short_or_low() {
         "objective.target_x=0.1",
     ];
     refuses_sets(&sets, &["channel.length = 0.12", "at least", "0.128"]);
-    refuses_sets(
-        &["channel.height=0.1"],
-        &["channel.height = 0.1", "six spacings", "0.12"],
-    );
+    refuses_sets(&["channel.height=0.1"], &["channel.height = 0.1", "six spacings", "0.12"]);
 }
 
 #[test]
 fn sections_out_of_place() {
-    refuses_sets(
-        &["channel.hot_from=0.05"],
-        &["channel.hot_from = 0.05", "channel.inlet_length", "0.06"],
-    );
-    refuses_sets(
-        &["channel.hot_to=0.95"],
-        &["channel.hot_to = 0.95", "channel.outlet_length", "0.94"],
-    );
-    refuses_sets(
-        &["channel.hot_to=0.2"],
-        &["channel.hot_from = 0.25", "channel.hot_to - dx"],
-    );
-    refuses_sets(
-        &["objective.target_x=0.7"],
-        &["objective.target_x = 0.7", "0.75 ... 0.94"],
-    );
-    refuses_sets(
-        &["objective.target_x=0.95"],
-        &["objective.target_x = 0.95", "0.75 ... 0.94"],
-    );
+    refuses_sets(&["channel.hot_from=0.05"], &["channel.hot_from = 0.05", "channel.inlet_length", "0.06"]);
+    refuses_sets(&["channel.hot_to=0.95"], &["channel.hot_to = 0.95", "channel.outlet_length", "0.94"]);
+    refuses_sets(&["channel.hot_to=0.2"], &["channel.hot_from = 0.25", "channel.hot_to - dx"]);
+    refuses_sets(&["objective.target_x=0.7"], &["objective.target_x = 0.7", "0.75 ... 0.94"]);
+    refuses_sets(&["objective.target_x=0.95"], &["objective.target_x = 0.95", "0.75 ... 0.94"]);
 }
 
 #[test]
@@ -308,15 +203,9 @@ fn window_longer_than_the_run() {
         sets.iter().for_each(|set| arguments.extend(["--set", set]));
         case.refuses(&arguments, parts);
     };
-    run(
-        &["time.end=0.3"],
-        &["objective.window = 0.5", "0 (last step) ... 0.3"],
-    );
+    run(&["time.end=0.3"], &["objective.window = 0.5", "0 (last step) ... 0.3"]);
     run(&["time.steps=100"], &["objective.window = 0.5", "0.181818"]);
-    run(
-        &["objective.samples=300"],
-        &["objective.samples = 300", "1 ... 275"],
-    );
+    run(&["objective.samples=300"], &["objective.samples = 300", "1 ... 275"]);
 }
 
 #[test]
@@ -327,169 +216,83 @@ fn no_time_step() {
 
 #[test]
 fn bound_too_large() {
-    refuses_sets(
-        &["design.bound=0.07"],
-        &["design.bound = 0.07", "0.06", "channel.wall_rows=4"],
-    );
-    refuses_sets(
-        &["design.bound=0.09"],
-        &["design.bound = 0.09", "0 ... 0.08", "six spacings"],
-    );
-    let parts = [
-        "design.bound = 0.11",
-        "0 ... 0.1",
-        "half the channel's height",
-    ];
-    refuses_sets(
-        &[
-            "design.bound=0.11",
-            "channel.wall_rows=20",
-            "resolution.dx=0.01",
-        ],
-        &parts,
-    );
+    refuses_sets(&["design.bound=0.07"], &["design.bound = 0.07", "0.06", "channel.wall_rows=4"]);
+    refuses_sets(&["design.bound=0.09"], &["design.bound = 0.09", "0 ... 0.08", "six spacings"]);
+    let parts = ["design.bound = 0.11", "0 ... 0.1", "half the channel's height"];
+    refuses_sets(&["design.bound=0.11", "channel.wall_rows=20", "resolution.dx=0.01"], &parts);
 }
 
 #[test]
 fn offsets_of_the_wrong_length() {
-    let parts = [
-        "--set design.offsets=[0.0, 0.01]",
-        "2 numbers for 25 nodes",
-        "design.nodes",
-    ];
+    let parts = ["--set design.offsets=[0.0, 0.01]", "2 numbers for 25 nodes", "design.nodes"];
     refuses_sets(&["design.offsets=[0.0, 0.01]"], &parts);
     let parts = ["mine.toml, line 3", "3 numbers for 2 nodes"];
-    refuses_file(
-        "[design]\nnodes = [0.3, 0.5]\noffsets = [0, 0, 0]\n",
-        &parts,
-    );
-    refuses_sets(
-        &["design.nodes=[]", "design.offsets=[]"],
-        &["design.nodes is empty", "at least one"],
-    );
+    refuses_file("[design]\nnodes = [0.3, 0.5]\noffsets = [0, 0, 0]\n", &parts);
+    refuses_sets(&["design.nodes=[]", "design.offsets=[]"], &["design.nodes is empty", "at least one"]);
 }
 
 #[test]
 fn offsets_out_of_bounds() {
     let nodes = "design.nodes=[0.3, 0.5, 0.7]";
-    let parts = [
-        "design.offsets[1] = -0.021",
-        "-0.02 ... 0.02",
-        "design.bound",
-    ];
+    let parts = ["design.offsets[1] = -0.021", "-0.02 ... 0.02", "design.bound"];
     refuses_sets(&[nodes, "design.offsets=[0.02, -0.021, 0.0]"], &parts);
-    let parts = [
-        "design.offsets[0] = 0.03",
-        "-0.02 ... 0.02",
-        "design.amplitude",
-    ];
+    let parts = ["design.offsets[0] = 0.03", "-0.02 ... 0.02", "design.amplitude"];
     refuses_sets(&["design.shape=uniform", "design.amplitude=0.03"], &parts);
 }
 
 #[test]
 fn shape_too_steep() {
     let nodes = "design.nodes=[0.3, 0.5, 0.51]";
-    let parts = [
-        "too steep between [1] and [2]",
-        "-0.01 to 0.02",
-        "at most 0.02",
-    ];
+    let parts = ["too steep between [1] and [2]", "-0.01 to 0.02", "at most 0.02"];
     refuses_sets(&[nodes, "design.offsets=[0.0, -0.01, 0.02]"], &parts);
-    let sets = [
-        "design.shape=sine",
-        "design.amplitude=0.02",
-        "design.periods=13",
-        "resolution.dx=0.01",
-    ];
-    refuses_sets(
-        &sets,
-        &["--set design.shape=sine", "too steep", "design.periods"],
-    );
+    let sets = ["design.shape=sine", "design.amplitude=0.02", "design.periods=13", "resolution.dx=0.01"];
+    refuses_sets(&sets, &["--set design.shape=sine", "too steep", "design.periods"]);
 }
 
 #[test]
 fn nodes_out_of_order_or_outside() {
     let offsets = "design.offsets=[0.0, 0.0]";
-    refuses_sets(
-        &["design.nodes=[0.5, 0.4]", offsets],
-        &["design.nodes[1] = 0.4", "increasing"],
-    );
-    refuses_sets(
-        &["design.nodes=[0.5, 0.5]", offsets],
-        &["design.nodes[1] = 0.5", "increasing"],
-    );
-    refuses_sets(
-        &["design.nodes=[0.2, 0.5]", offsets],
-        &["design.nodes[0] = 0.2", "0.25 ... 0.75"],
-    );
+    refuses_sets(&["design.nodes=[0.5, 0.4]", offsets], &["design.nodes[1] = 0.4", "increasing"]);
+    refuses_sets(&["design.nodes=[0.5, 0.5]", offsets], &["design.nodes[1] = 0.5", "increasing"]);
+    refuses_sets(&["design.nodes=[0.2, 0.5]", offsets], &["design.nodes[0] = 0.2", "0.25 ... 0.75"]);
 }
 
 #[test]
 fn not_a_number_in_an_array() {
     let nodes = "design.nodes=[0.3, 0.5]";
-    let parts = [
-        "--set design.offsets=[0.0, nan]",
-        "design.offsets[1] = NaN",
-        "finite",
-    ];
+    let parts = ["--set design.offsets=[0.0, nan]", "design.offsets[1] = NaN", "finite"];
     refuses_sets(&[nodes, "design.offsets=[0.0, nan]"], &parts);
     let parts = ["design.nodes[0] = inf", "finite"];
-    refuses_sets(
-        &["design.nodes=[inf, 0.5]", "design.offsets=[0.0, 0.0]"],
-        &parts,
-    );
-    refuses_file(
-        "[design]\noffsets = [0.0, nan]\n",
-        &["mine.toml, line 2", "design.offsets[1] = NaN"],
-    );
+    refuses_sets(&["design.nodes=[inf, 0.5]", "design.offsets=[0.0, 0.0]"], &parts);
+    refuses_file("[design]\noffsets = [0.0, nan]\n", &["mine.toml, line 2", "design.offsets[1] = NaN"]);
 }
 
 #[test]
 fn missing_scene_file() {
     let case = Case::new(&[]);
     for command in ["simulate", "optimize", "check-gradient"] {
-        let parts = [
-            "no such file: mine.toml",
-            "heated-channel",
-            "hydrograd scenes",
-        ];
+        let parts = ["no such file: mine.toml", "heated-channel", "hydrograd scenes"];
         case.refuses(&[command, "mine.toml", "--out", "out"], &parts);
     }
     let parts = ["heated-chanel", "allowed", "try: `heated-channel`"];
     case.refuses(&["optimize", "heated-chanel"], &parts);
     case.refuses(&["optimize", "."], &["`.` is a folder", "heated-channel"]);
-    case.refuses(
-        &["scenes", "heated-chanel"],
-        &["heated-chanel", "try: `heated-channel`"],
-    );
+    case.refuses(&["scenes", "heated-chanel"], &["heated-chanel", "try: `heated-channel`"]);
 }
 
 #[test]
 fn scene_file_that_is_not_text() {
     let case = Case::new(&[]);
-    std::fs::write(
-        case.folder.path().join("frame.h5"),
-        [0x89, b'H', 0xff, 0xfe],
-    )
-    .unwrap();
-    case.refuses(
-        &["optimize", "frame.h5", "--out", "out"],
-        &["frame.h5 is not a text file"],
-    );
+    std::fs::write(case.folder.path().join("frame.h5"), [0x89, b'H', 0xff, 0xfe]).unwrap();
+    case.refuses(&["optimize", "frame.h5", "--out", "out"], &["frame.h5 is not a text file"]);
 }
 
 #[test]
 fn malformed_set() {
-    refuses_sets(
-        &["time.end"],
-        &["--set time.end", "`=`", "section.key=value"],
-    );
+    refuses_sets(&["time.end"], &["--set time.end", "`=`", "section.key=value"]);
     refuses_sets(&["=3"], &["--set =3", "section.key=value"]);
     refuses_sets(&["time.end="], &["--set time.end=", "no value"]);
-    refuses_sets(
-        &["design.offsets=[0.0, 0.1"],
-        &["[0.0, 0.1", "not a complete TOML value"],
-    );
+    refuses_sets(&["design.offsets=[0.0, 0.1"], &["[0.0, 0.1", "not a complete TOML value"]);
     refuses_sets(&["time.end.x=3"], &["--set time.end.x=3"]);
 }
 
@@ -504,10 +307,7 @@ fn unknown_preset() {
 fn nothing_to_resume() {
     let case = Case::new(&[]);
     for command in ["simulate", "optimize"] {
-        case.refuses(
-            &[command, "--resume", "runs/none"],
-            &["--resume runs/none", "config.toml", "earlier run"],
-        );
+        case.refuses(&[command, "--resume", "runs/none"], &["--resume runs/none", "config.toml", "earlier run"]);
     }
 }
 
@@ -524,27 +324,15 @@ fn bad_shape_files() {
         ("outside.csv", "x,offset\n0.1,0.0\n"),
     ]);
     let cases: [(&str, &[&str]); 9] = [
-        (
-            "none.csv",
-            &["none.csv", "no such file", "--set design.file=none.csv"],
-        ),
+        ("none.csv", &["none.csv", "no such file", "--set design.file=none.csv"]),
         ("empty.csv", &["empty.csv", "empty", "x,offset"]),
         ("header.csv", &["header.csv", "no lines", "x,offset"]),
-        (
-            "columns.csv",
-            &["columns.csv, line 1", "no column `offset`", "x,height"],
-        ),
+        ("columns.csv", &["columns.csv, line 1", "no column `offset`", "x,height"]),
         ("text.csv", &["text.csv, line 3", "`high`", "finite"]),
         ("nan.csv", &["nan.csv, line 4", "`nan`", "finite"]),
         ("cells.csv", &["cells.csv, line 2", "1 cells", "header 2"]),
-        (
-            "bound.csv",
-            &["bound.csv", "design.offsets[0] = 0.05", "-0.02 ... 0.02"],
-        ),
-        (
-            "outside.csv",
-            &["outside.csv", "design.nodes[0] = 0.1", "0.25 ... 0.75"],
-        ),
+        ("bound.csv", &["bound.csv", "design.offsets[0] = 0.05", "-0.02 ... 0.02"]),
+        ("outside.csv", &["outside.csv", "design.nodes[0] = 0.1", "0.25 ... 0.75"]),
     ];
     for (file, parts) in cases {
         case.refuses_sets(&[&format!("design.file={file}")], parts);
@@ -559,15 +347,9 @@ fn output_folder_that_can_not_be_one() {
     for command in ["simulate", "optimize", "check-gradient"] {
         let parts = ["--out results", "is a file", "allowed: a folder"];
         case.refuses(&[command, "--out", "results"], &parts);
-        case.refuses(
-            &[command, "--out", "results/a/b"],
-            &["--out results/a/b", "results is a file"],
-        );
+        case.refuses(&[command, "--out", "results/a/b"], &["--out results/a/b", "results is a file"]);
         // Nobody may create files there, root included.
-        case.refuses(
-            &[command, "--out", "/proc/results"],
-            &["--out /proc/results", "can not write"],
-        );
+        case.refuses(&[command, "--out", "/proc/results"], &["--out /proc/results", "can not write"]);
     }
 }
 
@@ -575,34 +357,21 @@ fn output_folder_that_can_not_be_one() {
 fn unknown_command_or_option() {
     let case = Case::new(&[]);
     case.refuses(&["optimse"], &["optimse", "optimize"]);
-    case.refuses(
-        &["optimize", "--presision", "f32"],
-        &["--presision", "--precision"],
-    );
+    case.refuses(&["optimize", "--presision", "f32"], &["--presision", "--precision"]);
     case.refuses(&["optimize", "--precision", "f16"], &["f16", "f32", "f64"]);
-    case.refuses(
-        &["optimize", "heated-channel", "--resume", "x"],
-        &["--resume", "SCENE"],
-    );
+    case.refuses(&["optimize", "heated-channel", "--resume", "x"], &["--resume", "SCENE"]);
 }
 
 #[test]
 fn scenes_prints_a_complete_scene() {
     let run = |arguments: &[&str]| {
-        let output = Command::cargo_bin("hydrograd")
-            .unwrap()
-            .args(arguments)
-            .output()
-            .unwrap();
+        let output = Command::cargo_bin("hydrograd").unwrap().args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(0));
         String::from_utf8(output.stdout).unwrap()
     };
     assert!(run(&["scenes"]).contains("heated-channel"));
     assert!(run(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
-    let case = Case::new(&[(
-        "mine.toml",
-        &run(&["scenes", "heated-channel", "--preset", "report"]),
-    )]);
+    let case = Case::new(&[("mine.toml", &run(&["scenes", "heated-channel", "--preset", "report"]))]);
     let file = case.folder.path().join("mine.toml");
     let loaded = hydrograd::scene::config::Config::load(file.to_str(), None, &[]).unwrap();
     let preset = hydrograd::scene::config::Config::load(None, Some("report"), &[]).unwrap();

@@ -1,8 +1,6 @@
 //! Files: what is written comes back, and what is wrong is said clearly.
 
-use hydrograd::io::atomic::{
-    prepare_output_folder, write_atomically, write_bytes_atomically, write_path_atomically,
-};
+use hydrograd::io::atomic::{prepare_output_folder, write_atomically, write_bytes_atomically, write_path_atomically};
 use hydrograd::io::csv::{read_columns, write_columns, write_table, Cell};
 use hydrograd::io::state_file::{read_state, write_state, State};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
@@ -16,10 +14,8 @@ use std::path::Path;
 type TestResult = Result<(), Box<dyn std::error::Error>>;
 
 fn names_in(folder: &Path) -> Vec<String> {
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let mut names: Vec<String> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
 }
@@ -42,10 +38,7 @@ fn a_failed_write_leaves_the_old_file_and_nothing_else() -> TestResult {
     write_bytes_atomically(&path, b"old")?;
     let result = write_atomically(&path, |writer| {
         writer.write_all(&[b'x'; 200_000])?;
-        Err(std::io::Error::new(
-            std::io::ErrorKind::StorageFull,
-            "no space",
-        ))
+        Err(std::io::Error::new(std::io::ErrorKind::StorageFull, "no space"))
     });
     message(result, &["table.csv", "no space", "free some space"]);
     let result = write_path_atomically(&path, |temporary| {
@@ -65,10 +58,7 @@ fn a_failed_write_leaves_the_old_file_and_nothing_else() -> TestResult {
 #[test]
 fn targets_that_are_no_files_are_refused() -> TestResult {
     let folder = tempfile::tempdir()?;
-    message(
-        write_bytes_atomically(folder.path(), b""),
-        &["is a folder", "name of a file"],
-    );
+    message(write_bytes_atomically(folder.path(), b""), &["is a folder", "name of a file"]);
     let text = message(
         write_bytes_atomically(&folder.path().join("missing/file"), b""),
         &["missing/file: entity not found", "its folder exists"],
@@ -82,10 +72,7 @@ fn targets_that_are_no_files_are_refused() -> TestResult {
 #[test]
 fn links_devices_and_permissions() -> TestResult {
     use std::os::unix::fs::PermissionsExt;
-    message(
-        write_bytes_atomically(Path::new("/dev/null"), b"x"),
-        &["a device"],
-    );
+    message(write_bytes_atomically(Path::new("/dev/null"), b"x"), &["a device"]);
     let folder = tempfile::tempdir()?;
     let (file, link) = (folder.path().join("file"), folder.path().join("link"));
     std::fs::write(&file, "old")?;
@@ -110,16 +97,10 @@ fn output_folders() -> TestResult {
     assert!(nested.is_dir() && names_in(&nested).is_empty());
     let file = folder.path().join("file");
     std::fs::write(&file, "")?;
-    message(
-        prepare_output_folder(&file),
-        &["is a file", "another output folder"],
-    );
+    message(prepare_output_folder(&file), &["is a file", "another output folder"]);
     message(prepare_output_folder(&file.join("below")), &["file/below"]);
     #[cfg(target_os = "linux")]
-    message(
-        prepare_output_folder(Path::new("/proc/self")),
-        &["/proc/self"],
-    );
+    message(prepare_output_folder(Path::new("/proc/self")), &["/proc/self"]);
     Ok(())
 }
 
@@ -143,36 +124,20 @@ fn frame<'a>() -> ParticleFrame<'a> {
 /// Type and raw bytes of an array of a .vtp, found through its offset in the header.
 fn appended(bytes: &[u8], name: &str) -> (String, Vec<u8>) {
     let marker = b"<AppendedData encoding=\"raw\">\n_";
-    let start = bytes
-        .windows(marker.len())
-        .position(|window| window == marker)
-        .unwrap();
+    let start = bytes.windows(marker.len()).position(|window| window == marker).unwrap();
     let header = std::str::from_utf8(&bytes[..start]).unwrap();
     let line = header
         .lines()
         .find(|line| line.contains(&format!("Name=\"{name}\"")))
         .unwrap_or_else(|| panic!("{name} in {header}"));
-    let value = |key: &str| {
-        line.split(&format!("{key}=\""))
-            .nth(1)
-            .unwrap()
-            .split('"')
-            .next()
-            .unwrap()
-    };
+    let value = |key: &str| line.split(&format!("{key}=\"")).nth(1).unwrap().split('"').next().unwrap();
     let at = start + marker.len() + value("offset").parse::<usize>().unwrap();
     let length = u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
-    (
-        value("type").to_owned(),
-        bytes[at + 8..at + 8 + length].to_vec(),
-    )
+    (value("type").to_owned(), bytes[at + 8..at + 8 + length].to_vec())
 }
 
 fn reals(bytes: &[u8]) -> Vec<f64> {
-    bytes
-        .chunks_exact(8)
-        .map(|b| f64::from_le_bytes(b.try_into().unwrap()))
-        .collect()
+    bytes.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
 #[test]
@@ -192,22 +157,14 @@ fn vtp_arrays_are_where_the_header_says() -> TestResult {
     }
     let (kind, points) = appended(&bytes, "Points");
     assert_eq!(kind, "Float64");
-    assert_eq!(
-        reals(&points),
-        [0.1, 1.1, 0.0, 0.2, 1.2, 0.0, 0.3, 1.3, 0.0]
-    );
+    assert_eq!(reals(&points), [0.1, 1.1, 0.0, 0.2, 1.2, 0.0, 0.3, 1.3, 0.0]);
     let (_, velocity) = appended(&bytes, "velocity");
-    assert_eq!(
-        reals(&velocity),
-        [1.0, -1.0, 0.0, 2.0, -2.0, 0.0, 3.0, -3.0, 0.0]
-    );
+    assert_eq!(reals(&velocity), [1.0, -1.0, 0.0, 2.0, -2.0, 0.0, 3.0, -3.0, 0.0]);
     assert_eq!(reals(&appended(&bytes, "temperature").1), TEMPERATURE);
     assert_eq!(appended(&bytes, "tag"), ("UInt8".to_owned(), vec![0, 1, 3]));
     let integers = |name| -> Vec<i64> {
         let (_, raw) = appended(&bytes, name);
-        raw.chunks_exact(8)
-            .map(|b| i64::from_le_bytes(b.try_into().unwrap()))
-            .collect()
+        raw.chunks_exact(8).map(|b| i64::from_le_bytes(b.try_into().unwrap())).collect()
     };
     assert_eq!(integers("connectivity"), [0, 1, 2]);
     assert_eq!(integers("offsets"), [1, 2, 3]);
@@ -224,41 +181,11 @@ fn vtp_arrays_are_where_the_header_says() -> TestResult {
 fn vtp_refuses_what_does_not_fit() {
     let path = Path::new("/no-such-folder/x.vtp");
     let write = |frame: ParticleFrame| write_vtp(path, &frame, Precision::F64);
-    message(
-        write(ParticleFrame {
-            dimension: 4,
-            ..frame()
-        }),
-        &["dimension is 4", "1, 2 or 3"],
-    );
-    message(
-        write(ParticleFrame {
-            velocity: &[1.0],
-            ..frame()
-        }),
-        &["velocity has 1 values", "6 for 3 particles"],
-    );
-    message(
-        write(ParticleFrame {
-            position: &[1.0; 5],
-            ..frame()
-        }),
-        &["position has 5 values"],
-    );
-    message(
-        write(ParticleFrame {
-            tag: &[0],
-            ..frame()
-        }),
-        &["tag has 1 values"],
-    );
-    message(
-        write(ParticleFrame {
-            scalars: &[("tag", &TEMPERATURE)],
-            ..frame()
-        }),
-        &["named `tag`"],
-    );
+    message(write(ParticleFrame { dimension: 4, ..frame() }), &["dimension is 4", "1, 2 or 3"]);
+    message(write(ParticleFrame { velocity: &[1.0], ..frame() }), &["velocity has 1 values", "6 for 3 particles"]);
+    message(write(ParticleFrame { position: &[1.0; 5], ..frame() }), &["position has 5 values"]);
+    message(write(ParticleFrame { tag: &[0], ..frame() }), &["tag has 1 values"]);
+    message(write(ParticleFrame { scalars: &[("tag", &TEMPERATURE)], ..frame() }), &["named `tag`"]);
     message(write(frame()), &["cannot write /no-such-folder/x.vtp"]);
 }
 
@@ -268,39 +195,23 @@ fn the_series_list_is_complete_after_every_frame() -> TestResult {
     let mut series = VtkSeries::new(&folder.path().join("vtk"), "a&b")?;
     series.write(&frame())?;
     let one = std::fs::read_to_string(series.list_path())?;
-    assert!(
-        one.contains("timestep=\"0.25\"") && one.contains("file=\"a&amp;b_000000.vtp\""),
-        "{one}"
-    );
+    assert!(one.contains("timestep=\"0.25\"") && one.contains("file=\"a&amp;b_000000.vtp\""), "{one}");
     assert!(one.ends_with("</VTKFile>\n"));
-    let path = series.write(&ParticleFrame {
-        time: 1e-7,
-        ..frame()
-    })?;
+    let path = series.write(&ParticleFrame { time: 1e-7, ..frame() })?;
     assert!(path.ends_with("a&b_000001.vtp") && path.is_file());
     assert_eq!(series.len(), 2);
     let two = std::fs::read_to_string(series.finish()?)?;
     assert_eq!(two.matches("<DataSet").count(), 2);
     assert!(two.contains("timestep=\"1e-7\""));
-    assert_eq!(
-        names_in(&folder.path().join("vtk")),
-        ["a&b.pvd", "a&b_000000.vtp", "a&b_000001.vtp"]
-    );
-    message(
-        VtkSeries::new(folder.path(), "a/b"),
-        &["`a/b`", "plain file name"],
-    );
+    assert_eq!(names_in(&folder.path().join("vtk")), ["a&b.pvd", "a&b_000000.vtp", "a&b_000001.vtp"]);
+    message(VtkSeries::new(folder.path(), "a/b"), &["`a/b`", "plain file name"]);
     Ok(())
 }
 
 // --- state ----------------------------------------------------------------------------------------------------
 
 fn state(count: usize) -> State {
-    let values = |factor: f64| {
-        (0..count)
-            .map(|i| factor * (i as f64).sin())
-            .collect::<Vec<f64>>()
-    };
+    let values = |factor: f64| (0..count).map(|i| factor * (i as f64).sin()).collect::<Vec<f64>>();
     State {
         dimension: 2,
         position: [values(1.0), values(0.3)].concat(),
@@ -337,10 +248,7 @@ fn a_state_comes_back_bit_for_bit() -> TestResult {
         assert_eq!(read_state(&path, &[])?, written);
         assert_eq!(names_in(folder.path()), ["state.h5"]);
     }
-    message(
-        read_state(&path, &["temperature"]),
-        &["state.h5", "no dataset `temperature`", "it has: position"],
-    );
+    message(read_state(&path, &["temperature"]), &["state.h5", "no dataset `temperature`", "it has: position"]);
     Ok(())
 }
 
@@ -364,10 +272,7 @@ fn a_state_is_compressed_and_particle_major() -> TestResult {
 fn states_that_cannot_be_read_say_why() -> TestResult {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("state.h5");
-    message(
-        read_state(&path, &[]),
-        &["cannot read", "state.h5", "spelling"],
-    );
+    message(read_state(&path, &[]), &["cannot read", "state.h5", "spelling"]);
     write_state(&path, &state(2000))?;
     let bytes = std::fs::read(&path)?;
     for length in [bytes.len() - 100, bytes.len() / 2, 100, 0] {
@@ -386,28 +291,13 @@ fn states_that_cannot_be_read_say_why() -> TestResult {
     let replace = |name: &'static str, shape: &'static [usize]| {
         move |file: &hdf5::File| {
             file.unlink(name)?;
-            file.new_dataset::<f64>()
-                .shape(shape)
-                .create(name)
-                .map(drop)
+            file.new_dataset::<f64>().shape(shape).create(name).map(drop)
         }
     };
-    message(
-        change(&replace("temperature", &[4])),
-        &["`temperature` is of shape [4]", "of shape [5]"],
-    );
-    message(
-        change(&replace("position", &[5, 4])),
-        &["`position`", "[5, 4]", "[N, 2]"],
-    );
-    message(
-        change(&|file| file.unlink("position")),
-        &["no dataset `position`", "velocity"],
-    );
-    message(
-        change(&|file| file.delete_attr("dx")),
-        &["no attribute `dx`", "box_size"],
-    );
+    message(change(&replace("temperature", &[4])), &["`temperature` is of shape [4]", "of shape [5]"]);
+    message(change(&replace("position", &[5, 4])), &["`position`", "[5, 4]", "[N, 2]"]);
+    message(change(&|file| file.unlink("position")), &["no dataset `position`", "velocity"]);
+    message(change(&|file| file.delete_attr("dx")), &["no attribute `dx`", "box_size"]);
     Ok(())
 }
 
@@ -416,21 +306,11 @@ fn a_state_that_does_not_fit_together_is_not_written() {
     let path = Path::new("/no-such-folder/state.h5");
     let mut wrong = state(3);
     wrong.mass = Some(vec![1.0]);
-    message(
-        write_state(path, &wrong),
-        &[
-            "mass has 1 values",
-            "3 for 3 particles",
-            "nothing was written",
-        ],
-    );
+    message(write_state(path, &wrong), &["mass has 1 values", "3 for 3 particles", "nothing was written"]);
     let mut wrong = state(3);
     wrong.box_size = vec![1.0];
     message(write_state(path, &wrong), &["box_size has 1 values"]);
-    message(
-        write_state(path, &state(3)),
-        &["cannot write", "its folder exists"],
-    );
+    message(write_state(path, &state(3)), &["cannot write", "its folder exists"]);
 }
 
 // --- tables ---------------------------------------------------------------------------------------------------
@@ -454,34 +334,14 @@ fn tables_with_mixed_cells() -> TestResult {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("history.csv");
     let rows = vec![
-        vec![
-            Cell::from(0_usize),
-            Cell::from(0.1),
-            Cell::from("start, flat"),
-        ],
-        vec![
-            Cell::from(1_usize),
-            Cell::from(1e-300),
-            Cell::from("two\nlines"),
-        ],
+        vec![Cell::from(0_usize), Cell::from(0.1), Cell::from("start, flat")],
+        vec![Cell::from(1_usize), Cell::from(1e-300), Cell::from("two\nlines")],
     ];
     write_table(&path, &["epoch", "q", "note"], &rows)?;
-    assert_eq!(
-        std::fs::read_to_string(&path)?,
-        "epoch,q,note\n0,0.1,\"start, flat\"\n1,1e-300,two lines\n"
-    );
-    assert_eq!(
-        read_columns(&path, &["q", "epoch"])?,
-        [[0.1, 1e-300], [0.0, 1.0]]
-    );
-    message(
-        write_table(&path, &["epoch"], &rows),
-        &["row 1 has 3 cells", "1 cells, as in the header"],
-    );
-    message(
-        write_columns(&path, &[("a", &[1.0]), ("b", &[])]),
-        &["column `b` has 0 values"],
-    );
+    assert_eq!(std::fs::read_to_string(&path)?, "epoch,q,note\n0,0.1,\"start, flat\"\n1,1e-300,two lines\n");
+    assert_eq!(read_columns(&path, &["q", "epoch"])?, [[0.1, 1e-300], [0.0, 1.0]]);
+    message(write_table(&path, &["epoch"], &rows), &["row 1 has 3 cells", "1 cells, as in the header"]);
+    message(write_columns(&path, &[("a", &[1.0]), ("b", &[])]), &["column `b` has 0 values"]);
     Ok(())
 }
 
@@ -495,45 +355,23 @@ fn tables_from_elsewhere_are_read_with_care() -> TestResult {
     };
     let good = "\u{feff}# a shape\r\n x , offset\r\n\r\n0.26, -0.01\r\n# more\r\n0.28, +2e-2\r\n";
     assert_eq!(read(good)?, [[0.26, 0.28], [-0.01, 0.02]]);
-    message(
-        read("x,y\n1,2\n"),
-        &["shape.csv", "no column `offset`", "it has: x, y"],
-    );
-    message(
-        read("x;offset\n1;2\n"),
-        &["no column `x`", "not semicolons"],
-    );
+    message(read("x,y\n1,2\n"), &["shape.csv", "no column `offset`", "it has: x, y"]);
+    message(read("x;offset\n1;2\n"), &["no column `x`", "not semicolons"]);
     message(
         read("x,offset\n1,2\n\n3,abc\n"),
-        &[
-            "shape.csv, line 4, column `offset`",
-            "`abc` is not a number",
-            "allowed: finite numbers",
-        ],
+        &["shape.csv, line 4, column `offset`", "`abc` is not a number", "allowed: finite numbers"],
     );
     message(read("x,offset\n1,NaN\n"), &["line 2", "NaN"]);
-    message(
-        read("x,offset\n-inf,1\n"),
-        &["line 2, column `x`", "infinite"],
-    );
+    message(read("x,offset\n-inf,1\n"), &["line 2, column `x`", "infinite"]);
     message(read("x,offset\n1,\n"), &["`` is empty"]);
-    message(
-        read("x,offset\n1,2,3\n"),
-        &["line 2", "3 cells", "2 cells, as in the header"],
-    );
-    message(
-        read("x,x,offset\n1,2,3\n"),
-        &["`x`", "two columns", "rename"],
-    );
+    message(read("x,offset\n1,2,3\n"), &["line 2", "3 cells", "2 cells, as in the header"]);
+    message(read("x,x,offset\n1,2,3\n"), &["`x`", "two columns", "rename"]);
     message(read(""), &["empty"]);
     message(read("# nothing\n\n"), &["empty"]);
     message(read("x,offset\n"), &["no rows"]);
     std::fs::write(&path, [0xff, 0xfe, 0x00])?;
     message(read_columns(&path, &["x"]), &["not UTF-8"]);
-    message(
-        read_columns(&folder.path().join("no.csv"), &["x"]),
-        &["cannot read", "no.csv", "spelling"],
-    );
+    message(read_columns(&folder.path().join("no.csv"), &["x"]), &["cannot read", "no.csv", "spelling"]);
     Ok(())
 }
 
@@ -542,27 +380,14 @@ fn tables_from_elsewhere_are_read_with_care() -> TestResult {
 fn tensors() -> (Tensors, BTreeMap<String, String>) {
     let tensors = [
         ("a_single", vec![3], Data::F32(vec![0.1, -3.25e38, 7.0])),
-        (
-            "position",
-            vec![2, 3],
-            Data::F64(vec![0.1, 1e-310, -0.0, f64::NAN, f64::INFINITY, 6.0]),
-        ),
+        ("position", vec![2, 3], Data::F64(vec![0.1, 1e-310, -0.0, f64::NAN, f64::INFINITY, 6.0])),
         ("counter", vec![], Data::U64(vec![u64::MAX])),
         ("empty", vec![0, 4], Data::F64(vec![])),
     ];
-    let metadata = [
-        ("config", "[a]\nb = \"µ\""),
-        ("version", "0.1.0"),
-        ("z", ""),
-    ];
+    let metadata = [("config", "[a]\nb = \"µ\""), ("version", "0.1.0"), ("z", "")];
     (
-        tensors
-            .into_iter()
-            .map(|(name, shape, data)| (name.to_owned(), (shape, data)))
-            .collect(),
-        metadata
-            .map(|(key, value)| (key.to_owned(), value.to_owned()))
-            .into(),
+        tensors.into_iter().map(|(name, shape, data)| (name.to_owned(), (shape, data))).collect(),
+        metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into(),
     )
 }
 
@@ -575,14 +400,9 @@ fn tensors_come_back_bit_for_bit() -> TestResult {
     let bytes = std::fs::read(&path)?;
     let back = TensorFile::read(&path)?;
     assert_eq!(back.metadata, metadata);
-    assert_eq!(
-        back.tensors.keys().collect::<Vec<_>>(),
-        tensors.keys().collect::<Vec<_>>()
-    );
+    assert_eq!(back.tensors.keys().collect::<Vec<_>>(), tensors.keys().collect::<Vec<_>>());
     let bits = |values: &[f64]| values.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
-    let Data::F64(position) = &tensors["position"].1 else {
-        panic!()
-    };
+    let Data::F64(position) = &tensors["position"].1 else { panic!() };
     assert_eq!(bits(back.f64("position", &[2, 3])?), bits(position));
     assert_eq!(back.f32("a_single", &[3])?, [0.1, -3.25e38, 7.0]);
     assert_eq!(back.u64("counter", &[])?, [u64::MAX]);
@@ -593,10 +413,7 @@ fn tensors_come_back_bit_for_bit() -> TestResult {
     let length = u64::from_le_bytes(bytes[..8].try_into()?) as usize;
     let header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length])?;
     assert_eq!(length % 8, 0);
-    assert_eq!(
-        header["position"]["data_offsets"][0].as_u64().unwrap() % 8,
-        0
-    );
+    assert_eq!(header["position"]["data_offsets"][0].as_u64().unwrap() % 8, 0);
     // Equal contents, equal bytes; no metadata is fine too.
     write_tensors(&path, &back.tensors, &back.metadata)?;
     assert_eq!(std::fs::read(&path)?, bytes);
@@ -609,56 +426,32 @@ fn tensors_come_back_bit_for_bit() -> TestResult {
 fn tensor_files_that_do_not_fit_say_why() -> TestResult {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("checkpoint.safetensors");
-    message(
-        TensorFile::read(&path),
-        &["cannot read", "checkpoint.safetensors"],
-    );
+    message(TensorFile::read(&path), &["cannot read", "checkpoint.safetensors"]);
     let (tensors, metadata) = tensors();
     write_tensors(&path, &tensors, &metadata)?;
     let file = TensorFile::read(&path)?;
-    message(
-        file.f64("velocity", &[1]),
-        &["no tensor `velocity`", "a_single, counter, empty, position"],
-    );
-    message(
-        file.f64("position", &[3, 2]),
-        &["of shape [2, 3]", "must be of shape [3, 2]"],
-    );
-    message(
-        file.f32("position", &[2, 3]),
-        &["a tensor of F64", "of F32"],
-    );
+    message(file.f64("velocity", &[1]), &["no tensor `velocity`", "a_single, counter, empty, position"]);
+    message(file.f64("position", &[3, 2]), &["of shape [2, 3]", "must be of shape [3, 2]"]);
+    message(file.f32("position", &[2, 3]), &["a tensor of F64", "of F32"]);
     message(file.u64("a_single", &[3]), &["a tensor of F32", "of U64"]);
-    message(
-        file.text("seed"),
-        &["no metadata entry `seed`", "config, version, z"],
-    );
+    message(file.text("seed"), &["no metadata entry `seed`", "config, version, z"]);
 
     let bytes = std::fs::read(&path)?;
     for length in [bytes.len() - 1, 50, 3, 0] {
         std::fs::write(&path, &bytes[..length])?;
-        message(
-            TensorFile::read(&path),
-            &["checkpoint.safetensors", "cut short", "earlier checkpoint"],
-        );
+        message(TensorFile::read(&path), &["checkpoint.safetensors", "cut short", "earlier checkpoint"]);
     }
     // A type that we do not use.
     let header = br#"{"a":{"dtype":"I32","shape":[1],"data_offsets":[0,4]}}"#;
     let foreign = [&(header.len() as u64).to_le_bytes()[..], header, &[0; 4]].concat();
     std::fs::write(&path, foreign)?;
-    message(
-        TensorFile::read(&path),
-        &["`a` is a tensor of I32", "F64, F32 or U64"],
-    );
+    message(TensorFile::read(&path), &["`a` is a tensor of I32", "F64, F32 or U64"]);
 
     let write = |name: &str, shape: Vec<usize>| {
         let tensors = Tensors::from([(name.to_owned(), (shape, Data::F64(vec![1.0])))]);
         write_tensors(&path, &tensors, &BTreeMap::new())
     };
-    message(
-        write("a", vec![2]),
-        &["tensor `a` has shape [2] but 1 elements", "2 elements"],
-    );
+    message(write("a", vec![2]), &["tensor `a` has shape [2] but 1 elements", "2 elements"]);
     message(write("__metadata__", vec![1]), &["__metadata__"]);
     Ok(())
 }
@@ -672,26 +465,12 @@ fn samples_for_python() -> TestResult {
     let folder = Path::new(&folder);
     let mut series = VtkSeries::new(folder, "series")?;
     series.write(&frame())?;
-    series.write(&ParticleFrame {
-        time: 0.75,
-        ..frame()
-    })?;
+    series.write(&ParticleFrame { time: 0.75, ..frame() })?;
     series.finish()?;
     let position = [POSITION, POSITION].concat();
-    let three = ParticleFrame {
-        dimension: 3,
-        position: &position[..9],
-        velocity: &position[3..],
-        ..frame()
-    };
+    let three = ParticleFrame { dimension: 3, position: &position[..9], velocity: &position[3..], ..frame() };
     write_vtp(&folder.join("three.vtp"), &three, Precision::F32)?;
-    let none = ParticleFrame {
-        position: &[],
-        velocity: &[],
-        scalars: &[],
-        tag: &[],
-        ..frame()
-    };
+    let none = ParticleFrame { position: &[], velocity: &[], scalars: &[], tag: &[], ..frame() };
     write_vtp(&folder.join("none.vtp"), &none, Precision::F64)?;
     write_state(&folder.join("state.h5"), &state(2000))?;
     let (tensors, metadata) = tensors();

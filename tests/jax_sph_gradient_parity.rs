@@ -43,8 +43,7 @@ impl Objective<Sph<f64>> for FinalSum {
             let n = run.model.particles();
             let rows = state.narrow(0, self.row, self.rows)?;
             let rows = if self.squared { rows.sqr()?.affine(0.5, 0.0)? } else { rows };
-            let keep: Vec<f64> =
-                (0..n).map(|i| (!self.fluid_only || run.model.is_fluid(i)) as u8 as f64).collect();
+            let keep: Vec<f64> = (0..n).map(|i| (!self.fluid_only || run.model.is_fluid(i)) as u8 as f64).collect();
             rows.broadcast_mul(&Tensor::from_vec(keep, (1, n), state.device())?)?.sum_all()
         };
         go().map_err(|source| SolverError::Tensor { step: run.step, source })
@@ -55,7 +54,11 @@ fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     let scale = theirs.iter().fold(0.0f64, |m, x| m.max(x.abs()));
     assert!(scale > 0.0, "the reference gradient is zero");
-    ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, |m: f64, x| if x.is_nan() { f64::INFINITY } else { m.max(x) }) / scale
+    ours.iter()
+        .zip(theirs)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, |m: f64, x| if x.is_nan() { f64::INFINITY } else { m.max(x) })
+        / scale
 }
 
 fn run<O: Objective<Sph<f64>> + Sync>(case: &Case, state: Vec<f64>, steps: usize, objective: &O) -> (f64, Vec<f64>) {
@@ -79,7 +82,11 @@ fn kinetic_energy(group: &hdf5::Group, case: &Case) -> Result<String, String> {
     let theirs = field(group, "grad", n, d).ok_or("grad is missing")?;
     let gradient = difference(&bar[..d * n], &theirs.concat());
     let report = format!("loss {loss:.1e}, gradient {gradient:.1e}");
-    if loss <= TOLERANCE && gradient <= TOLERANCE { Ok(report) } else { Err(report) }
+    if loss <= TOLERANCE && gradient <= TOLERANCE {
+        Ok(report)
+    } else {
+        Err(report)
+    }
 }
 
 /// dQ and dTsum by the wall's offsets.
@@ -137,7 +144,11 @@ fn heated_channel(group: &hdf5::Group, case: &Case) -> Result<String, String> {
         good &= loss <= TOLERANCE && gradient <= TOLERANCE;
         reports.push(format!("{value_name} {loss:.1e}, {name} {gradient:.1e}"));
     }
-    if good { Ok(reports.join(", ")) } else { Err(reports.join(", ")) }
+    if good {
+        Ok(reports.join(", "))
+    } else {
+        Err(reports.join(", "))
+    }
 }
 
 #[test]

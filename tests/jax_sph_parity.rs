@@ -20,9 +20,8 @@ type Fields = Vec<(&'static str, Vec<Vec<f64>>)>;
 fn fields(case: &Case, solver: &Solver<f64>, before: &[f64]) -> Fields {
     let (n, d, model) = (case.n, case.dimension, &solver.model);
     let l = model.layout;
-    let rows = |from: usize, count: usize| -> Vec<Vec<f64>> {
-        (from..from + count).map(|r| solver.row(r).to_vec()).collect()
-    };
+    let rows =
+        |from: usize, count: usize| -> Vec<Vec<f64>> { (from..from + count).map(|r| solver.row(r).to_vec()).collect() };
     let density = solver.primitives[..n].to_vec();
     let pressure = density.iter().map(|&rho| model.equation_of_state.pressure(rho)).collect::<Vec<f64>>();
     let mut fields = vec![

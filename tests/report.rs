@@ -2,9 +2,7 @@
 
 use hydrograd::io::FileError;
 use hydrograd::report::memory::{peak_memory_bytes, reset_peak_memory};
-use hydrograd::report::plots::{
-    compare, history, temperature_particles, wall_shapes, HistoryPoint, TemperaturePanel,
-};
+use hydrograd::report::plots::{compare, history, temperature_particles, wall_shapes, HistoryPoint, TemperaturePanel};
 use hydrograd::report::table::Table;
 use std::path::{Path, PathBuf};
 
@@ -20,17 +18,11 @@ fn folder() -> Folder {
     match std::env::var_os("HYDROGRAD_PLOTS") {
         Some(path) => {
             std::fs::create_dir_all(&path).unwrap();
-            Folder {
-                path: path.into(),
-                _temporary: None,
-            }
+            Folder { path: path.into(), _temporary: None }
         }
         None => {
             let temporary = tempfile::tempdir().unwrap();
-            Folder {
-                path: temporary.path().to_owned(),
-                _temporary: Some(temporary),
-            }
+            Folder { path: temporary.path().to_owned(), _temporary: Some(temporary) }
         }
     }
 }
@@ -41,12 +33,7 @@ fn check_picture(paths: &[PathBuf; 2], least_width: u32, least_height: u32) -> T
     assert!(png.starts_with(b"\x89PNG\r\n\x1a\n"));
     assert!(png.ends_with(b"IEND\xaeB`\x82"));
     let number = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
-    assert!(
-        number(16) >= least_width && number(20) >= least_height,
-        "{} x {}",
-        number(16),
-        number(20)
-    );
+    assert!(number(16) >= least_width && number(20) >= least_height, "{} x {}", number(16), number(20));
     let svg = std::fs::read_to_string(&paths[1])?;
     assert!(svg.starts_with("<svg width=\"") && svg.trim_end().ends_with("</svg>"));
     Ok(())
@@ -69,28 +56,14 @@ fn history_of_an_optimisation() -> TestResult {
                 epoch,
                 q: 0.0412 - 0.0093 * decay + 2e-4 * (epoch as f64).sin() * decay,
                 loss: -0.0412 + 0.0093 * decay,
-                gradient_norm: if epoch == 20 {
-                    f64::NAN
-                } else {
-                    0.08 * decay.powi(2) + 1e-5
-                },
+                gradient_norm: if epoch == 20 { f64::NAN } else { 0.08 * decay.powi(2) + 1e-5 },
             }
         })
         .collect();
-    let paths = history(
-        &folder.path.join("history"),
-        &epochs,
-        Some(("finite elements: 0.0420", 0.042)),
-    )?;
+    let paths = history(&folder.path.join("history"), &epochs, Some(("finite elements: 0.0420", 0.042)))?;
     check_picture(&paths, 2000, 1200)?;
     let svg = std::fs::read_to_string(&paths[1])?;
-    for text in [
-        "epoch",
-        "heat outflow Q",
-        "finite elements: 0.0420",
-        "|gradient|",
-        "0.040",
-    ] {
+    for text in ["epoch", "heat outflow Q", "finite elements: 0.0420", "|gradient|", "0.040"] {
         assert!(svg.contains(text), "{text}");
     }
     // One epoch only, without reference: still a picture.
@@ -104,9 +77,7 @@ fn shapes(count: usize, nodes: &[f64]) -> Vec<(String, Vec<f64>)> {
     (0..count)
         .map(|epoch| {
             let grown = 1.0 - (-(epoch as f64) / 6.0).exp();
-            let offsets = nodes
-                .iter()
-                .map(|x| -0.04 * grown * (12.0 * (x - 0.25)).sin().powi(2) * (1.0 + x));
+            let offsets = nodes.iter().map(|x| -0.04 * grown * (12.0 * (x - 0.25)).sin().powi(2) * (1.0 + x));
             (format!("epoch {epoch}"), offsets.collect())
         })
         .collect()
@@ -116,26 +87,14 @@ fn shapes(count: usize, nodes: &[f64]) -> Vec<(String, Vec<f64>)> {
 fn wall_shapes_over_epochs() -> TestResult {
     let folder = folder();
     let nodes: Vec<f64> = (0..25).map(|i| 0.26 + 0.02 * f64::from(i)).collect();
-    let paths = wall_shapes(
-        &folder.path.join("wall_many"),
-        &nodes,
-        &shapes(24, &nodes),
-        Some(19),
-        0.06,
-    )?;
+    let paths = wall_shapes(&folder.path.join("wall_many"), &nodes, &shapes(24, &nodes), Some(19), 0.06)?;
     check_picture(&paths, 2000, 1000)?;
     let svg = std::fs::read_to_string(&paths[1])?;
     assert!(svg.contains("best: epoch 19") && svg.contains("bounds ±0.06"));
     let few = shapes(4, &nodes);
-    check_picture(
-        &wall_shapes(&folder.path.join("wall_few"), &nodes, &few, None, 0.06)?,
-        2000,
-        1000,
-    )?;
+    check_picture(&wall_shapes(&folder.path.join("wall_few"), &nodes, &few, None, 0.06)?, 2000, 1000)?;
     let stem = folder.path.join("bad");
-    assert!(
-        input_message(wall_shapes(&stem, &nodes[1..], &few, None, 0.06)).contains("25 offsets")
-    );
+    assert!(input_message(wall_shapes(&stem, &nodes[1..], &few, None, 0.06)).contains("25 offsets"));
     assert!(input_message(wall_shapes(&stem, &nodes, &few, Some(4), 0.06)).contains("0 to 3"));
     assert!(input_message(wall_shapes(&stem, &nodes, &[], None, 0.06)).contains("no wall shape"));
     Ok(())
@@ -148,11 +107,7 @@ fn channel(dx: f64, dip: f64) -> (Vec<f64>, Vec<f64>, Vec<u8>) {
     for column in 0..columns {
         let x = (column as f64 + 0.5) * dx;
         let hot = (0.25..0.75).contains(&x);
-        let floor = if hot {
-            -dip * (std::f64::consts::TAU * (x - 0.25)).sin().powi(2)
-        } else {
-            0.0
-        };
+        let floor = if hot { -dip * (std::f64::consts::TAU * (x - 0.25)).sin().powi(2) } else { 0.0 };
         for row in 0..rows + 2 * layers {
             let level = row as f64 - layers as f64 + 0.5;
             let tag = match level {
@@ -160,40 +115,25 @@ fn channel(dx: f64, dip: f64) -> (Vec<f64>, Vec<f64>, Vec<u8>) {
                 l if l < 0.0 || l > rows as f64 => 1,
                 _ => 0,
             };
-            let y = if level < rows as f64 {
-                floor + level * dx * (0.26 - floor).max(0.26) / 0.26
-            } else {
-                level * dx
-            };
-            let warm =
-                1.0 + 0.23 * ((x - 0.25).max(0.0) * 1.6).min(1.0) * (-(y - floor) / 0.05).exp();
+            let y = if level < rows as f64 { floor + level * dx * (0.26 - floor).max(0.26) / 0.26 } else { level * dx };
+            let warm = 1.0 + 0.23 * ((x - 0.25).max(0.0) * 1.6).min(1.0) * (-(y - floor) / 0.05).exp();
             points.push((x, y, warm, tag));
         }
     }
-    let position = points
-        .iter()
-        .map(|p| p.0)
-        .chain(points.iter().map(|p| p.1))
-        .collect();
-    (
-        position,
-        points.iter().map(|p| p.2).collect(),
-        points.iter().map(|p| p.3).collect(),
-    )
+    let position = points.iter().map(|p| p.0).chain(points.iter().map(|p| p.1)).collect();
+    (position, points.iter().map(|p| p.2).collect(), points.iter().map(|p| p.3).collect())
 }
 
 #[test]
 fn particles_by_temperature() -> TestResult {
     let folder = folder();
     let (before, after) = (channel(0.02, 0.0), channel(0.02, 0.05));
-    let panel = |title, (position, temperature, tag): &'static (Vec<f64>, Vec<f64>, Vec<u8>)| {
-        TemperaturePanel {
-            title,
-            position,
-            temperature,
-            tag,
-            diameter: 0.02,
-        }
+    let panel = |title, (position, temperature, tag): &'static (Vec<f64>, Vec<f64>, Vec<u8>)| TemperaturePanel {
+        title,
+        position,
+        temperature,
+        tag,
+        diameter: 0.02,
     };
     let panels = [
         panel("Before: flat wall, Q = 0.0319", Box::leak(Box::new(before))),
@@ -219,45 +159,19 @@ fn particles_by_temperature() -> TestResult {
         tag: &tag,
         diameter: 0.05,
     };
-    let paths = temperature_particles(
-        &folder.path.join("temperature_square"),
-        &[square],
-        1.0,
-        1.2,
-        (0.0, 0.5),
-        (-0.15, 0.35),
-    )?;
+    let paths =
+        temperature_particles(&folder.path.join("temperature_square"), &[square], 1.0, 1.2, (0.0, 0.5), (-0.15, 0.35))?;
     check_picture(&paths, 1500, 1500)?;
     // 20 columns of 5 + 6 particles, of which 10 columns and all but the uppermost row are in the ranges; of the hot
     // ones (two discs each) 5 columns; 3 discs of the legend.
     let svg = std::fs::read_to_string(&paths[1])?;
     assert_eq!(svg.matches("<circle").count(), 10 * 10 + 5 * 3 + 3);
 
-    let short = TemperaturePanel {
-        temperature: &temperature[1..],
-        ..square
-    };
-    let message = input_message(temperature_particles(
-        &stem,
-        &[short],
-        1.0,
-        1.2,
-        (0.0, 1.0),
-        (0.0, 1.0),
-    ));
+    let short = TemperaturePanel { temperature: &temperature[1..], ..square };
+    let message = input_message(temperature_particles(&stem, &[short], 1.0, 1.2, (0.0, 1.0), (0.0, 1.0)));
     assert!(message.contains("One panel"), "{message}");
-    let message = input_message(temperature_particles(
-        &stem,
-        &[square],
-        1.2,
-        1.2,
-        (0.0, 1.0),
-        (0.0, 1.0),
-    ));
-    assert!(
-        message.contains("temperature range is 1.2 to 1.2"),
-        "{message}"
-    );
+    let message = input_message(temperature_particles(&stem, &[square], 1.2, 1.2, (0.0, 1.0), (0.0, 1.0)));
+    assert!(message.contains("temperature range is 1.2 to 1.2"), "{message}");
     Ok(())
 }
 
@@ -269,14 +183,8 @@ fn comparison_plots() -> TestResult {
         .enumerate()
         .map(|(index, name)| {
             let rate = 0.1 + 0.05 * index as f64;
-            let points = (0..25)
-                .map(|epoch| {
-                    (
-                        f64::from(epoch),
-                        0.0412 - 0.008 * (-rate * f64::from(epoch)).exp(),
-                    )
-                })
-                .collect();
+            let points =
+                (0..25).map(|epoch| (f64::from(epoch), 0.0412 - 0.008 * (-rate * f64::from(epoch)).exp())).collect();
             ((*name).to_owned(), points)
         })
         .collect();
@@ -291,18 +199,15 @@ fn comparison_plots() -> TestResult {
     )?;
     check_picture(&paths, 2000, 1000)?;
 
-    let errors: Vec<(String, Vec<(f64, f64)>)> =
-        ["f64, segment of 10 steps", "f32, segment of 10 steps"]
-            .iter()
-            .enumerate()
-            .map(|(index, name)| {
-                let floor = [1e-16, 6e-8][index];
-                let points = (0..12)
-                    .map(|i| 10_f64.powi(-i))
-                    .map(|h| (h, 0.3 * h * h + floor / h));
-                ((*name).to_owned(), points.collect())
-            })
-            .collect();
+    let errors: Vec<(String, Vec<(f64, f64)>)> = ["f64, segment of 10 steps", "f32, segment of 10 steps"]
+        .iter()
+        .enumerate()
+        .map(|(index, name)| {
+            let floor = [1e-16, 6e-8][index];
+            let points = (0..12).map(|i| 10_f64.powi(-i)).map(|h| (h, 0.3 * h * h + floor / h));
+            ((*name).to_owned(), points.collect())
+        })
+        .collect();
     let paths = compare(
         &folder.path.join("gradient_check"),
         "Gradient check",
@@ -316,15 +221,7 @@ fn comparison_plots() -> TestResult {
     assert!(std::fs::read_to_string(&paths[1])?.contains("10⁻¹⁰"));
 
     let nothing = [("zero".to_owned(), vec![(0.0, 1.0), (f64::NAN, 1.0)])];
-    let message = input_message(compare(
-        Path::new("nowhere/x"),
-        "",
-        "",
-        "",
-        &nothing,
-        true,
-        false,
-    ));
+    let message = input_message(compare(Path::new("nowhere/x"), "", "", "", &nothing, true, false));
     assert!(message.contains("no series"), "{message}");
     Ok(())
 }
@@ -332,40 +229,19 @@ fn comparison_plots() -> TestResult {
 #[test]
 fn a_plot_into_a_missing_folder_says_so() {
     let nothing = [("a".to_owned(), vec![(1.0, 1.0)])];
-    let error = compare(
-        Path::new("/no-such-folder/plot"),
-        "",
-        "x",
-        "y",
-        &nothing,
-        false,
-        false,
-    )
-    .unwrap_err()
-    .to_string();
-    assert!(
-        error.contains("/no-such-folder/plot.png") && error.contains("its folder exists"),
-        "{error}"
-    );
+    let error =
+        compare(Path::new("/no-such-folder/plot"), "", "x", "y", &nothing, false, false).unwrap_err().to_string();
+    assert!(error.contains("/no-such-folder/plot.png") && error.contains("its folder exists"), "{error}");
 }
 
 #[test]
 fn tables_are_aligned() {
     let mut table = Table::new(["start", "Q", "gain"]);
-    table
-        .row(["flat", "0.031", "-"])
-        .row(["wave|2", "12.5", "+30 %"])
-        .row(["dip"]);
+    table.row(["flat", "0.031", "-"]).row(["wave|2", "12.5", "+30 %"]).row(["dip"]);
     let lines: Vec<String> = table.to_text().lines().map(str::to_owned).collect();
     assert_eq!(
         lines,
-        [
-            "start       Q   gain",
-            "------  -----  -----",
-            "flat    0.031      -",
-            "wave|2   12.5  +30 %",
-            "dip"
-        ]
+        ["start       Q   gain", "------  -----  -----", "flat    0.031      -", "wave|2   12.5  +30 %", "dip"]
     );
     assert_eq!(
         table.to_markdown(),

@@ -32,10 +32,7 @@ fn every_key_is_described_in_the_built_in_scene() {
     assert!(keys.len() > 50, "only {} keys", keys.len());
     for key in keys {
         let text = description(&key).unwrap_or_else(|| panic!("{key} has no comment"));
-        assert!(
-            text.ends_with(['.', ')']) && text.len() > 20,
-            "{key}: {text}"
-        );
+        assert!(text.ends_with(['.', ')']) && text.len() > 20, "{key}: {text}");
     }
 }
 
@@ -43,26 +40,13 @@ fn every_key_is_described_in_the_built_in_scene() {
 fn report_preset() {
     let config = Config::load(None, Some("report"), &[]).unwrap().config;
     assert_eq!(config.channel.height, 0.26);
-    assert_eq!(
-        config.columns() * (config.rows() + 2 * config.channel.wall_rows),
-        950
-    );
-    assert_eq!(
-        (config.time.steps, config.time.cfl, config.time.start),
-        (Some(2000), 0.25, Start::Rest)
-    );
-    assert_eq!(
-        (config.objective.window, config.optimise.segment),
-        (0.0, 200)
-    );
-    assert_eq!(
-        (config.optimise.learning_rate, config.optimise.smoothing),
-        (2e-2, 5e-2)
-    );
+    assert_eq!(config.columns() * (config.rows() + 2 * config.channel.wall_rows), 950);
+    assert_eq!((config.time.steps, config.time.cfl, config.time.start), (Some(2000), 0.25, Start::Rest));
+    assert_eq!((config.objective.window, config.optimise.segment), (0.0, 200));
+    assert_eq!((config.optimise.learning_rate, config.optimise.smoothing), (2e-2, 5e-2));
     assert_eq!(config.optimise.epochs, 10);
     for preset in PRESETS {
-        Config::load(None, Some(preset.name), &[])
-            .unwrap_or_else(|error| panic!("{}: {error}", preset.name));
+        Config::load(None, Some(preset.name), &[]).unwrap_or_else(|error| panic!("{}: {error}", preset.name));
     }
 }
 
@@ -111,10 +95,7 @@ fn resolved_text_reads_back_to_the_bit() {
     assert_eq!(loaded.config.optimise.smoothing, number * 1e-17);
     assert_eq!(loaded.config.optimise.memory_mb, number * 1e200);
     assert_eq!(loaded.config.optimise.learning_rate, 0.5);
-    assert_eq!(
-        loaded.config.design.offsets,
-        Some(vec![1e-3, -0.010000000000000002, 0.0])
-    );
+    assert_eq!(loaded.config.design.offsets, Some(vec![1e-3, -0.010000000000000002, 0.0]));
     assert_eq!(read(&loaded.text), loaded.config);
 
     let folder = tempfile::tempdir().unwrap();
@@ -127,20 +108,11 @@ fn resolved_text_reads_back_to_the_bit() {
 
 #[test]
 fn words_need_no_quotes() {
-    assert_eq!(
-        load(&["design.shape=sine"]).config.design.shape,
-        ShapeName::Sine
-    );
-    assert_eq!(
-        load(&["design.shape = \"cosine\""]).config.design.shape,
-        ShapeName::Cosine
-    );
+    assert_eq!(load(&["design.shape=sine"]).config.design.shape, ShapeName::Sine);
+    assert_eq!(load(&["design.shape = \"cosine\""]).config.design.shape, ShapeName::Cosine);
     assert_eq!(load(&["scene=heated-channel"]).config, Config::default());
     assert_eq!(
-        load(&["fluid.body_force_region=original-channel"])
-            .config
-            .fluid
-            .body_force_region,
+        load(&["fluid.body_force_region=original-channel"]).config.fluid.body_force_region,
         BodyForceRegion::OriginalChannel
     );
 }
@@ -150,14 +122,8 @@ fn a_later_shape_replaces_an_earlier_array() {
     let array = "design.offsets=[0.0, 0.01]";
     let nodes = "design.nodes=[0.3, 0.6]";
     assert!(load(&[nodes, array]).config.design.offsets.is_some());
-    assert!(load(&[nodes, array, "design.shape=flat"])
-        .config
-        .design
-        .offsets
-        .is_none());
-    let loaded = load(&[nodes, array])
-        .with(&[Setting::set("design.shape=linear")])
-        .unwrap();
+    assert!(load(&[nodes, array, "design.shape=flat"]).config.design.offsets.is_none());
+    let loaded = load(&[nodes, array]).with(&[Setting::set("design.shape=linear")]).unwrap();
     assert_eq!(loaded.config.design.offsets, None);
     assert_eq!(loaded.config.design.nodes, Some(vec![0.3, 0.6]));
     assert_eq!(read(&loaded.text), loaded.config);
@@ -180,10 +146,7 @@ fn shape_file_is_copied_into_the_configuration() {
     std::fs::write(folder.path().join("two.csv"), "x,offset\n0.5,0.01\n").unwrap();
     let two = folder.path().join("two.csv");
     let set = Setting::set(&format!("design.file={}", two.display()));
-    assert_eq!(
-        loaded.with(&[set]).unwrap().config.design.offsets,
-        Some(vec![0.01])
-    );
+    assert_eq!(loaded.with(&[set]).unwrap().config.design.offsets, Some(vec![0.01]));
 }
 
 #[test]
@@ -204,11 +167,7 @@ fn named_shapes() {
     let shape = |sets: &[&str]| Shape::from_config(&load(sets).config).unwrap();
     let uniform = shape(&["design.shape=uniform", "design.amplitude=-0.015"]);
     assert!(uniform.offsets.iter().all(|offset| *offset == -0.015));
-    let sine = shape(&[
-        "design.shape=sine",
-        "design.periods=2",
-        "design.nodes=[0.3125, 0.4375]",
-    ]);
+    let sine = shape(&["design.shape=sine", "design.periods=2", "design.nodes=[0.3125, 0.4375]"]);
     assert!((sine.offsets[0] - 0.01).abs() < 1e-15 && (sine.offsets[1] + 0.01).abs() < 1e-15);
     let cosine = shape(&["design.shape=cosine", "design.nodes=[0.25, 0.5, 0.75]"]);
     assert!((cosine.offsets[0] - 0.01).abs() < 1e-15 && (cosine.offsets[1] + 0.01).abs() < 1e-15);
@@ -220,11 +179,7 @@ fn named_shapes() {
 
 #[test]
 fn random_shape_follows_the_seed() {
-    let shape = |seed: &str| {
-        Shape::from_config(&load(&["design.shape=random", seed]).config)
-            .unwrap()
-            .offsets
-    };
+    let shape = |seed: &str| Shape::from_config(&load(&["design.shape=random", seed]).config).unwrap().offsets;
     let (a, b) = (shape("run.seed=1"), shape("run.seed=2"));
     assert_eq!(a, shape("run.seed=1"));
     // Pinned: figures that name a seed must stay reproducible.
@@ -233,10 +188,7 @@ fn random_shape_follows_the_seed() {
     for offsets in [a, b] {
         assert!(offsets.iter().all(|offset| offset.abs() <= 0.01));
         // Uniform in +-0.01: of 25 numbers some are beyond half way on either side.
-        assert!(
-            offsets.iter().any(|offset| *offset > 0.005)
-                && offsets.iter().any(|offset| *offset < -0.005)
-        );
+        assert!(offsets.iter().any(|offset| *offset > 0.005) && offsets.iter().any(|offset| *offset < -0.005));
     }
 }
 
@@ -245,17 +197,10 @@ fn random_shapes() -> Vec<Shape> {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let mut uniform = move || (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
     let mut shapes = vec![];
-    for (from, to) in [
-        (0.25, 0.75),
-        (0.26, 0.74),
-        (0.2137, 0.7003),
-        (0.251, 0.2699),
-    ] {
+    for (from, to) in [(0.25, 0.75), (0.26, 0.74), (0.2137, 0.7003), (0.251, 0.2699)] {
         for count in [1, 2, 7, 25, 93] {
             let width = (to - from) / count as f64;
-            let nodes: Vec<f64> = (0..count)
-                .map(|k| from + (k as f64 + 0.05 + 0.9 * uniform()) * width)
-                .collect();
+            let nodes: Vec<f64> = (0..count).map(|k| from + (k as f64 + 0.05 + 0.9 * uniform()) * width).collect();
             let mut offsets = vec![0.02 * (uniform() - 0.5)];
             for pair in nodes.windows(2) {
                 let step = 2.0 * (pair[1] - pair[0]) * (2.0 * uniform() - 1.0);
@@ -272,11 +217,7 @@ fn random_shapes() -> Vec<Shape> {
 const SPACINGS: [f64; 5] = [0.02, 0.01, 0.005, 0.03333, 1.0 / 30.0];
 
 fn averages(shape: &Shape, dx: f64) -> Vec<f64> {
-    let average = |row: &Vec<(usize, f64)>| {
-        row.iter()
-            .map(|(node, weight)| weight * shape.offsets[*node])
-            .sum()
-    };
+    let average = |row: &Vec<(usize, f64)>| row.iter().map(|(node, weight)| weight * shape.offsets[*node]).sum();
     shape.column_weights(dx, 1.0).iter().map(average).collect()
 }
 
@@ -290,13 +231,8 @@ fn weights_sum_to_the_hot_share() {
             for (row, share) in weights.iter().zip(&share) {
                 let sum: f64 = row.iter().map(|(_, weight)| weight).sum();
                 assert!((sum - share).abs() < 1e-15);
-                assert!(row
-                    .iter()
-                    .all(|(node, weight)| *weight > 0.0 && *node < shape.nodes.len()));
-                assert!(
-                    row.windows(2).all(|pair| pair[0].0 + 1 == pair[1].0),
-                    "{row:?}"
-                );
+                assert!(row.iter().all(|(node, weight)| *weight > 0.0 && *node < shape.nodes.len()));
+                assert!(row.windows(2).all(|pair| pair[0].0 + 1 == pair[1].0), "{row:?}");
             }
             let hot: f64 = share.iter().map(|share| share * dx).sum();
             assert!((hot - (shape.hot_to - shape.hot_from)).abs() < 1e-14);
@@ -310,10 +246,7 @@ fn hot_share_counts_cut_columns() {
     // The columns 0.24 ... 0.26 and 0.74 ... 0.76 are half hot.
     let share = shape.hot_share(0.02, 1.0);
     assert!((share[12] - 0.5).abs() < 1e-12 && (share[37] - 0.5).abs() < 1e-12);
-    assert_eq!(
-        (share[11], share[13], share[36], share[38]),
-        (0.0, 1.0, 1.0, 0.0)
-    );
+    assert_eq!((share[11], share[13], share[36], share[38]), (0.0, 1.0, 1.0, 0.0));
     // At 0.01 and 0.005 its ends are on column edges: no slivers.
     for dx in [0.01, 0.005] {
         let share = shape.hot_share(dx, 1.0);
@@ -322,10 +255,7 @@ fn hot_share_counts_cut_columns() {
     }
     // 3 * 0.1 is a little more than 0.3.
     let shape = Shape::new(vec![0.5], vec![0.01], 0.3, 0.7).unwrap();
-    assert_eq!(
-        shape.hot_share(0.1, 1.0),
-        [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
-    );
+    assert_eq!(shape.hot_share(0.1, 1.0), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
 }
 
 #[test]
@@ -349,14 +279,8 @@ fn area_is_exact_at_every_spacing() {
             exact += 0.5 * (o[i] + o[i + 1]) * (x[i + 1] - x[i]);
         }
         for dx in SPACINGS {
-            let area: f64 = averages(&shape, dx)
-                .iter()
-                .map(|average| average * dx)
-                .sum();
-            assert!(
-                (area - exact).abs() < 1e-15,
-                "dx {dx}: {area} instead of {exact}"
-            );
+            let area: f64 = averages(&shape, dx).iter().map(|average| average * dx).sum();
+            assert!((area - exact).abs() < 1e-15, "dx {dx}: {area} instead of {exact}");
         }
     }
 }
@@ -368,15 +292,10 @@ fn column_averages_follow_the_height() {
     for shape in random_shapes() {
         for dx in SPACINGS {
             for (column, average) in averages(&shape, dx).iter().enumerate() {
-                let at = |k: usize| {
-                    shape.height((column as f64 + (k as f64 + 0.5) / points as f64) * dx)
-                };
+                let at = |k: usize| shape.height((column as f64 + (k as f64 + 0.5) / points as f64) * dx);
                 let sampled = (0..points).map(at).sum::<f64>() / points as f64;
                 // Each jump at an end of the section costs at most half a point.
-                let largest = shape
-                    .offsets
-                    .iter()
-                    .fold(0.0_f64, |most, o| most.max(o.abs()));
+                let largest = shape.offsets.iter().fold(0.0_f64, |most, o| most.max(o.abs()));
                 assert!((average - sampled).abs() < 1.1 * largest / points as f64 + 1e-9);
             }
         }
@@ -400,10 +319,6 @@ fn height_at_nodes_between_and_outside() {
         (0.9, 0.0),
     ];
     for (x, y) in expected {
-        assert!(
-            (shape.height(x) - y).abs() < 1e-15,
-            "y({x}) = {}",
-            shape.height(x)
-        );
+        assert!((shape.height(x) - y).abs() < 1e-15, "y({x}) = {}", shape.height(x));
     }
 }

@@ -167,9 +167,10 @@ fn segment<D: Dynamics, O: Objective<D>>(
         loss = (loss + term).map_err(failed)?;
     }
     let mut gradients = loss.backward().map_err(failed)?;
-    gradients
-        .remove(variable.as_tensor())
-        .ok_or_else(|| SolverError::Tensor { step: from, source: candle_core::Error::Msg("no gradient reached the start of the segment".into()) })
+    gradients.remove(variable.as_tensor()).ok_or_else(|| SolverError::Tensor {
+        step: from,
+        source: candle_core::Error::Msg("no gradient reached the start of the segment".into()),
+    })
 }
 
 /// The SPH solver as dynamics.
@@ -193,10 +194,13 @@ impl<R: Real> Dynamics for Sph<R> {
             let snapshot = run.snapshot();
             let mut graph = self.start_graph(&snapshot)?;
             let state = graph.advance(&self.tensor(&snapshot)?)?;
-            crate::sph::step::read(&state.contiguous().map_err(|source| SolverError::Tensor { step: run.step, source })?, |s: &[R]| {
-                run.state.copy_from_slice(s);
-                Ok(())
-            })
+            crate::sph::step::read(
+                &state.contiguous().map_err(|source| SolverError::Tensor { step: run.step, source })?,
+                |s: &[R]| {
+                    run.state.copy_from_slice(s);
+                    Ok(())
+                },
+            )
             .map_err(|source| SolverError::Tensor { step: run.step, source })?;
             run.neighbourhood = graph.neighbourhood;
             run.step += 1;

@@ -196,23 +196,14 @@ impl StartName {
 
 impl CommonArguments {
     /// Loads the scene with `defaults` below and `options` above what the user set.
-    fn load(
-        &self,
-        resume: Option<&Path>,
-        defaults: Vec<Setting>,
-        options: Vec<Setting>,
-    ) -> Result<Loaded, Error> {
+    fn load(&self, resume: Option<&Path>, defaults: Vec<Setting>, options: Vec<Setting>) -> Result<Loaded, Error> {
         let mut settings = defaults;
         settings.extend(self.sets.iter().map(|text| Setting::set(text)));
         let own = [
-            self.precision
-                .map(|value| Setting::option("--precision", "run.precision", name_of(value))),
-            self.threads
-                .map(|value| Setting::option("--threads", "run.threads", value)),
-            self.seed
-                .map(|value| Setting::option("--seed", "run.seed", value)),
-            self.kernels
-                .map(|value| Setting::option("--kernels", "run.kernels", name_of(value))),
+            self.precision.map(|value| Setting::option("--precision", "run.precision", name_of(value))),
+            self.threads.map(|value| Setting::option("--threads", "run.threads", value)),
+            self.seed.map(|value| Setting::option("--seed", "run.seed", value)),
+            self.kernels.map(|value| Setting::option("--kernels", "run.kernels", name_of(value))),
         ];
         settings.extend(own.into_iter().flatten());
         settings.extend(options);
@@ -221,28 +212,18 @@ impl CommonArguments {
         };
         let file = folder.join("config.toml");
         if !file.is_file() {
-            return Err(BadInput::new(format!(
-                "there is no run to resume: no file {}",
-                file.display()
-            ))
-            .place(format!("--resume {}", folder.display()))
-            .allowed("the folder of an earlier run (its --out)")
-            .into());
+            return Err(BadInput::new(format!("there is no run to resume: no file {}", file.display()))
+                .place(format!("--resume {}", folder.display()))
+                .allowed("the folder of an earlier run (its --out)")
+                .into());
         }
         Config::load_settings(Some(&file.to_string_lossy()), None, &settings)
     }
 
     /// Where results go; an error if nothing can be written there.
-    fn folder(
-        &self,
-        resume: Option<&Path>,
-        subcommand: &str,
-        loaded: &Loaded,
-    ) -> Result<PathBuf, Error> {
+    fn folder(&self, resume: Option<&Path>, subcommand: &str, loaded: &Loaded) -> Result<PathBuf, Error> {
         let given = self.out.as_deref().or(resume).map(Path::to_path_buf);
-        let folder = given.unwrap_or_else(|| {
-            Path::new("runs").join(format!("{subcommand}-{}", loaded.source.name()))
-        });
+        let folder = given.unwrap_or_else(|| Path::new("runs").join(format!("{subcommand}-{}", loaded.source.name())));
         check_writable(&folder)?;
         Ok(folder)
     }
@@ -255,10 +236,7 @@ fn check_writable(folder: &Path) -> Result<(), BadInput> {
             .place(format!("--out {}", folder.display()))
             .allowed("a folder that can be written to, or a new one")
     };
-    let existing = folder
-        .ancestors()
-        .find(|path| path.exists())
-        .unwrap_or(Path::new(""));
+    let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new(""));
     let existing = match existing.as_os_str().is_empty() {
         true => Path::new("."),
         false => existing,
@@ -268,22 +246,16 @@ fn check_writable(folder: &Path) -> Result<(), BadInput> {
     }
     match tempfile::tempfile_in(existing) {
         Ok(_) => Ok(()),
-        Err(error) => Err(bad(format!(
-            "can not write to {}: {error}",
-            existing.display()
-        ))),
+        Err(error) => Err(bad(format!("can not write to {}: {error}", existing.display()))),
     }
 }
 
 impl GradientArguments {
     fn settings(&self) -> Vec<Setting> {
         let settings = [
-            self.method
-                .map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
-            self.segment
-                .map(|value| Setting::option("--segment", "optimise.segment", value)),
-            self.horizon
-                .map(|value| Setting::option("--horizon", "optimise.horizon", value)),
+            self.method.map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
+            self.segment.map(|value| Setting::option("--segment", "optimise.segment", value)),
+            self.horizon.map(|value| Setting::option("--horizon", "optimise.horizon", value)),
         ];
         settings.into_iter().flatten().collect()
     }
@@ -291,33 +263,26 @@ impl GradientArguments {
 
 impl SimulateArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        self.common
-            .load(self.resume.resume.as_deref(), vec![], vec![])
+        self.common.load(self.resume.resume.as_deref(), vec![], vec![])
     }
 
     /// Where results go; an error if nothing can be written there.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common
-            .folder(self.resume.resume.as_deref(), "simulate", loaded)
+        self.common.folder(self.resume.resume.as_deref(), "simulate", loaded)
     }
 }
 
 impl OptimizeArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         let mut options = self.gradient.settings();
-        options.extend(
-            self.epochs
-                .map(|value| Setting::option("--epochs", "optimise.epochs", value)),
-        );
+        options.extend(self.epochs.map(|value| Setting::option("--epochs", "optimise.epochs", value)));
         options.extend(self.start.and_then(StartName::setting));
-        self.common
-            .load(self.resume.resume.as_deref(), vec![], options)
+        self.common.load(self.resume.resume.as_deref(), vec![], options)
     }
 
     /// Where results go; an error if nothing can be written there.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common
-            .folder(self.resume.resume.as_deref(), "optimize", loaded)
+        self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
     }
 }
 
@@ -325,10 +290,7 @@ impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
         // longer than the steps checked.
-        let defaults = vec![
-            Setting::option("--steps", "time.steps", self.steps),
-            Setting::set("objective.window=0"),
-        ];
+        let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];
         self.common.load(None, defaults, self.gradient.settings())
     }
 
@@ -369,9 +331,7 @@ mod tests {
     fn options_override_keys() {
         let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
                     --segment 7 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
-        let Command::Optimize(arguments) = parse(line) else {
-            panic!("not optimize")
-        };
+        let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
         let loaded = arguments.load().unwrap();
         let mut expected = Config::default();
         expected.run.precision = Precision::F32;
@@ -395,40 +355,22 @@ mod tests {
             panic!("not check-gradient")
         };
         let config = arguments.load().unwrap().config;
-        assert_eq!(
-            (config.time.steps, config.objective.window),
-            (Some(20), 0.0)
-        );
+        assert_eq!((config.time.steps, config.objective.window), (Some(20), 0.0));
         let line = "hydrograd check-gradient --steps 200 --set objective.window=0.1";
-        let Command::CheckGradient(arguments) = parse(line) else {
-            panic!("not check-gradient")
-        };
+        let Command::CheckGradient(arguments) = parse(line) else { panic!("not check-gradient") };
         let config = arguments.load().unwrap().config;
-        assert_eq!(
-            (config.time.steps, config.objective.window),
-            (Some(200), 0.1)
-        );
+        assert_eq!((config.time.steps, config.objective.window), (Some(200), 0.1));
     }
 
     #[test]
     fn resume_reads_the_run_and_stays_in_its_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let text = Config::load(None, None, &["run.seed=4".into()])
-            .unwrap()
-            .text;
+        let text = Config::load(None, None, &["run.seed=4".into()]).unwrap().text;
         std::fs::write(folder.path().join("config.toml"), text).unwrap();
-        let line = format!(
-            "hydrograd optimize --epochs 40 --resume {}",
-            folder.path().display()
-        );
-        let Command::Optimize(arguments) = parse(&line) else {
-            panic!("not optimize")
-        };
+        let line = format!("hydrograd optimize --epochs 40 --resume {}", folder.path().display());
+        let Command::Optimize(arguments) = parse(&line) else { panic!("not optimize") };
         let loaded = arguments.load().unwrap();
-        assert_eq!(
-            (loaded.config.run.seed, loaded.config.optimise.epochs),
-            (4, 40)
-        );
+        assert_eq!((loaded.config.run.seed, loaded.config.optimise.epochs), (4, 40));
         assert_eq!(arguments.folder(&loaded).unwrap(), folder.path());
     }
 }

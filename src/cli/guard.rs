@@ -19,9 +19,7 @@ pub fn install_panic_hook() {
         if message.starts_with(BROKEN_PIPE) {
             return;
         }
-        let place = info
-            .location()
-            .map(|location| format!(" at {}:{}", location.file(), location.line()));
+        let place = info.location().map(|location| format!(" at {}:{}", location.file(), location.line()));
         // One line, whatever the panic says.
         let message = message.replace('\n', " ");
         complain(&format!(
@@ -71,20 +69,11 @@ mod tests {
     #[test]
     fn exit_codes() {
         assert_eq!(guarded(|| Ok(())), 0);
-        assert_eq!(
-            guarded(|| Err(Error::run("diverged", "a smaller time.cfl").into())),
-            1
-        );
+        assert_eq!(guarded(|| Err(Error::run("diverged", "a smaller time.cfl").into())), 1);
         assert_eq!(guarded(|| Err(anyhow::anyhow!("disk full"))), 1);
         assert_eq!(guarded(|| Err(Error::from(BadInput::new("bad")).into())), 2);
-        assert_eq!(
-            guarded(|| Err(BadInput::new("bad")).context("while reading")),
-            2
-        );
+        assert_eq!(guarded(|| Err(BadInput::new("bad")).context("while reading")), 2);
         assert_eq!(guarded(|| panic!("a bug")), EXIT_INTERNAL);
-        assert_eq!(
-            guarded(|| panic!("failed printing to stdout: Broken pipe")),
-            EXIT_BROKEN_PIPE
-        );
+        assert_eq!(guarded(|| panic!("failed printing to stdout: Broken pipe")), EXIT_BROKEN_PIPE);
     }
 }

@@ -22,9 +22,7 @@ where
     let target = resolve_target(path)?;
     let (file, temporary) = temporary_beside(&target)?.into_parts();
     let mut writer = BufWriter::with_capacity(1 << 16, file);
-    write(&mut writer)
-        .and_then(|()| writer.flush())
-        .map_err(|source| FileError::write(path, source))?;
+    write(&mut writer).and_then(|()| writer.flush()).map_err(|source| FileError::write(path, source))?;
     drop(writer);
     persist(temporary, &target)
 }
@@ -91,9 +89,7 @@ fn resolve_target(path: &Path) -> Result<PathBuf, FileError> {
         // Renaming onto /dev/null would replace the device.
         Ok(metadata) if !metadata.is_file() => Err(wrong_kind("a device or a pipe")),
         // A link stays a link: its target is what gets replaced.
-        Ok(_) if path.is_symlink() => {
-            fs::canonicalize(path).map_err(|source| FileError::write(path, source))
-        }
+        Ok(_) if path.is_symlink() => fs::canonicalize(path).map_err(|source| FileError::write(path, source)),
         Ok(_) => Ok(path.to_owned()),
     }
 }
@@ -115,9 +111,7 @@ fn temporary_beside(target: &Path) -> Result<tempfile::NamedTempFile, FileError>
     // Temporary files are private by default; results are to be shared as far as the umask allows.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder
-        .tempfile_in(folder)
-        .map_err(|error| FileError::write(target, without_temporary_path(error)))
+    builder.tempfile_in(folder).map_err(|error| FileError::write(target, without_temporary_path(error)))
 }
 
 /// The kind of error alone where it says enough: tempfile adds the random name, which tells a reader nothing.
@@ -135,7 +129,5 @@ fn without_temporary_path(error: std::io::Error) -> std::io::Error {
 
 /// Renames the finished temporary file onto its target.
 fn persist(temporary: TempPath, target: &Path) -> Result<(), FileError> {
-    temporary
-        .persist(target)
-        .map_err(|error| FileError::write(target, error.error))
+    temporary.persist(target).map_err(|error| FileError::write(target, error.error))
 }

@@ -5,8 +5,7 @@ use super::FileError;
 use std::io::Write;
 use std::path::Path;
 
-const HINT_COLUMNS: &str =
-    "the first line must name the columns, separated by commas (not semicolons or tabs)";
+const HINT_COLUMNS: &str = "the first line must name the columns, separated by commas (not semicolons or tabs)";
 
 /// One entry of a row.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,11 +51,7 @@ impl std::fmt::Display for Cell {
 /// # Errors
 /// [`FileError::Input`] if a row has not as many cells as the header, else system errors.
 pub fn write_table(path: &Path, header: &[&str], rows: &[Vec<Cell>]) -> Result<(), FileError> {
-    if let Some((index, row)) = rows
-        .iter()
-        .enumerate()
-        .find(|(_, row)| row.len() != header.len())
-    {
+    if let Some((index, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != header.len()) {
         return Err(FileError::input(
             path,
             format!("row {} has {} cells", index + 1, row.len()),
@@ -93,14 +88,8 @@ pub fn write_columns(path: &Path, columns: &[(&str, &[f64])]) -> Result<(), File
         ));
     }
     let header: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-    let rows: Vec<Vec<Cell>> = (0..length)
-        .map(|row| {
-            columns
-                .iter()
-                .map(|(_, values)| Cell::Number(values[row]))
-                .collect()
-        })
-        .collect();
+    let rows: Vec<Vec<Cell>> =
+        (0..length).map(|row| columns.iter().map(|(_, values)| Cell::Number(values[row])).collect()).collect();
     write_table(path, &header, &rows)
 }
 
@@ -118,8 +107,7 @@ pub fn read_columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<f64>>, FileEr
         what,
         hint: "give a text file with a header line and rows of numbers",
     };
-    let text =
-        String::from_utf8(bytes).map_err(|error| damaged(format!("not UTF-8 text ({error})")))?;
+    let text = String::from_utf8(bytes).map_err(|error| damaged(format!("not UTF-8 text ({error})")))?;
     // Spreadsheets put a byte-order mark in front.
     let mut lines = text
         .trim_start_matches('\u{feff}')
@@ -127,14 +115,10 @@ pub fn read_columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<f64>>, FileEr
         .enumerate()
         .map(|(index, line)| (index + 1, line.trim()))
         .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let (_, header_line) = lines
-        .next()
-        .ok_or_else(|| damaged("it is empty".to_owned()))?;
+    let (_, header_line) = lines.next().ok_or_else(|| damaged("it is empty".to_owned()))?;
     let header = split_line(header_line);
-    let positions = names
-        .iter()
-        .map(|name| column_position(path, &header, name))
-        .collect::<Result<Vec<usize>, FileError>>()?;
+    let positions =
+        names.iter().map(|name| column_position(path, &header, name)).collect::<Result<Vec<usize>, FileError>>()?;
 
     let mut columns = vec![Vec::new(); names.len()];
     for (line, content) in lines {

@@ -7,114 +7,58 @@ use std::path::{Path, PathBuf};
 pub enum FileError {
     /// The operating system refused to write.
     #[error("cannot write {}: {source}; {}", path.display(), hint_for(source))]
-    Write {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
     /// The operating system refused to read.
     #[error("cannot read {}: {source}; {}", path.display(), hint_for(source))]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// The path is of the wrong kind: a folder where a file is wanted, or the reverse.
     #[error("{} is {found}, but {wanted} is needed there; {hint}", path.display())]
-    WrongKind {
-        path: PathBuf,
-        found: &'static str,
-        wanted: &'static str,
-        hint: &'static str,
-    },
+    WrongKind { path: PathBuf, found: &'static str, wanted: &'static str, hint: &'static str },
     /// The file is damaged, cut short, or of another format.
     #[error(
         "{} is not a readable {format}: {what}; \
          it may be cut short (a run killed while copying?) or of another format: {hint}",
         path.display()
     )]
-    Damaged {
-        path: PathBuf,
-        format: &'static str,
-        what: String,
-        hint: &'static str,
-    },
+    Damaged { path: PathBuf, format: &'static str, what: String, hint: &'static str },
     /// A named part (dataset, attribute, tensor, column) is not in the file.
     #[error("{} has no {kind} `{name}`; it has: {}; {hint}", path.display(), list(present))]
-    Missing {
-        path: PathBuf,
-        kind: &'static str,
-        name: String,
-        present: Vec<String>,
-        hint: &'static str,
-    },
+    Missing { path: PathBuf, kind: &'static str, name: String, present: Vec<String>, hint: &'static str },
     /// A named part is there but has another shape, type or length.
     #[error("{}: `{name}` is {found}, but must be {allowed}; {hint}", path.display())]
-    Mismatch {
-        path: PathBuf,
-        name: String,
-        found: String,
-        allowed: String,
-        hint: &'static str,
-    },
+    Mismatch { path: PathBuf, name: String, found: String, allowed: String, hint: &'static str },
     /// One cell of a table is not a number that can be used.
     #[error(
         "{}, line {line}, column `{column}`: `{value}` is {what}; \
          allowed: finite numbers such as -0.02 or 1.5e-3; correct the cell or remove the row",
         path.display()
     )]
-    Cell {
-        path: PathBuf,
-        line: usize,
-        column: String,
-        value: String,
-        what: &'static str,
-    },
+    Cell { path: PathBuf, line: usize, column: String, value: String, what: &'static str },
     /// The caller's data do not fit together; nothing was written.
     #[error("cannot write {}: {what}; allowed: {allowed}; nothing was written", path.display())]
-    Input {
-        path: PathBuf,
-        what: String,
-        allowed: String,
-    },
+    Input { path: PathBuf, what: String, allowed: String },
     /// The HDF5 library failed.
     #[error("{}: HDF5 failed to {action}: {source}; check free space and that no other program holds the file open", path.display())]
-    Hdf5 {
-        path: PathBuf,
-        action: String,
-        source: hdf5::Error,
-    },
+    Hdf5 { path: PathBuf, action: String, source: hdf5::Error },
     /// The plotting library failed.
     #[error("cannot draw {}: {what}; {hint}", path.display())]
-    Plot {
-        path: PathBuf,
-        what: String,
-        hint: &'static str,
-    },
+    Plot { path: PathBuf, what: String, hint: &'static str },
 }
 
 impl FileError {
     /// The system error `source` while writing `path`.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Write {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Write { path: path.to_owned(), source }
     }
 
     /// The system error `source` while reading `path`.
     pub fn read(path: &Path, source: std::io::Error) -> Self {
-        Self::Read {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Read { path: path.to_owned(), source }
     }
 
     /// Data given for `path` that do not fit together.
     pub fn input(path: &Path, what: impl Into<String>, allowed: impl Into<String>) -> Self {
-        Self::Input {
-            path: path.to_owned(),
-            what: what.into(),
-            allowed: allowed.into(),
-        }
+        Self::Input { path: path.to_owned(), what: what.into(), allowed: allowed.into() }
     }
 }
 
@@ -123,12 +67,8 @@ fn hint_for(error: &std::io::Error) -> &'static str {
     use std::io::ErrorKind;
     match error.kind() {
         ErrorKind::NotFound => "check the spelling of the path and that its folder exists",
-        ErrorKind::PermissionDenied => {
-            "choose a place where you may write and read, or change the permissions"
-        }
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
-            "free some space or choose another disk"
-        }
+        ErrorKind::PermissionDenied => "choose a place where you may write and read, or change the permissions",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space or choose another disk",
         ErrorKind::ReadOnlyFilesystem => "the disk is read-only: choose another place",
         ErrorKind::IsADirectory => "this is a folder: give the name of a file",
         ErrorKind::NotADirectory => "a part of the path is a file: give a path through folders",

@@ -10,8 +10,7 @@ use hdf5::types::VarLenUnicode;
 use hdf5::H5Type;
 use std::path::Path;
 
-const HINT: &str =
-    "the file may come from another program or version; write it again with this one";
+const HINT: &str = "the file may come from another program or version; write it again with this one";
 /// Particles per compressed chunk: large enough to compress, small enough to read a part.
 const CHUNK: usize = 16_384;
 
@@ -61,11 +60,7 @@ impl State {
 
     fn check(&self, path: &Path) -> Result<(), FileError> {
         if !(1..=3).contains(&self.dimension) {
-            return Err(FileError::input(
-                path,
-                format!("dimension is {}", self.dimension),
-                "1, 2 or 3",
-            ));
+            return Err(FileError::input(path, format!("dimension is {}", self.dimension), "1, 2 or 3"));
         }
         let count = self.count();
         let vector = self.dimension * count;
@@ -73,10 +68,7 @@ impl State {
             Some(found) if found != wanted => Err(FileError::input(
                 path,
                 format!("{name} has {found} values"),
-                format!(
-                    "{wanted} for {count} particles in {} dimensions",
-                    self.dimension
-                ),
+                format!("{wanted} for {count} particles in {} dimensions", self.dimension),
             )),
             _ => Ok(()),
         };
@@ -101,21 +93,9 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
         let fail = failed(path, "write");
         let file = hdf5::File::create(temporary).map_err(fail("the file"))?;
         let shape = [count, state.dimension];
-        write_dataset(
-            path,
-            &file,
-            "position",
-            &shape,
-            &particle_major(&state.position, state.dimension),
-        )?;
+        write_dataset(path, &file, "position", &shape, &particle_major(&state.position, state.dimension))?;
         if let Some(velocity) = &state.velocity {
-            write_dataset(
-                path,
-                &file,
-                "velocity",
-                &shape,
-                &particle_major(velocity, state.dimension),
-            )?;
+            write_dataset(path, &file, "velocity", &shape, &particle_major(velocity, state.dimension))?;
         }
         for (name, values) in state.scalars() {
             if let Some(values) = values {
@@ -130,17 +110,10 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
         write_attribute(path, &file, "box_size", &[state.dimension], &state.box_size)?;
         write_attribute(path, &file, "dx", &[], &[state.dx])?;
         write_attribute(path, &file, "seed", &[], &[state.seed])?;
-        for (name, text) in [
-            ("configuration", &state.configuration),
-            ("version", &state.version),
-        ] {
-            let text: VarLenUnicode = text.parse().map_err(|_| {
-                FileError::input(
-                    path,
-                    format!("{name} holds a NUL character"),
-                    "text without NUL",
-                )
-            })?;
+        for (name, text) in [("configuration", &state.configuration), ("version", &state.version)] {
+            let text: VarLenUnicode = text
+                .parse()
+                .map_err(|_| FileError::input(path, format!("{name} holds a NUL character"), "text without NUL"))?;
             write_attribute(path, &file, name, &[], &[text])?;
         }
         file.close().map_err(fail("the end of the file"))
@@ -161,26 +134,16 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
         what: error.to_string(),
         hint: "take another state, or write it again",
     })?;
-    let present = file
-        .member_names()
-        .map_err(failed(path, "read")("the list of datasets"))?;
+    let present = file.member_names().map_err(failed(path, "read")("the list of datasets"))?;
     for name in required.iter().chain(&["position"]) {
         if !present.iter().any(|other| other == name) {
             return Err(missing(path, "dataset", name, present));
         }
     }
 
-    let shape = file
-        .dataset("position")
-        .map_err(failed(path, "open")("position"))?
-        .shape();
+    let shape = file.dataset("position").map_err(failed(path, "open")("position"))?.shape();
     let &[count, dimension @ 1..=3] = shape.as_slice() else {
-        return Err(mismatch(
-            path,
-            "position",
-            format!("of shape {shape:?}"),
-            "of shape [N, 1], [N, 2] or [N, 3]",
-        ));
+        return Err(mismatch(path, "position", format!("of shape {shape:?}"), "of shape [N, 1], [N, 2] or [N, 3]"));
     };
     let vector = |name: &str| -> Result<Option<Vec<f64>>, FileError> {
         let values = read_dataset::<f64>(path, &file, &present, name, &[count, dimension])?;
@@ -207,37 +170,18 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
 }
 
 /// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
-fn failed<'a>(
-    path: &'a Path,
-    action: &'a str,
-) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
+fn failed<'a>(path: &'a Path, action: &'a str) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
     move |what| {
-        Box::new(move |source| FileError::Hdf5 {
-            path: path.to_owned(),
-            action: format!("{action} {what}"),
-            source,
-        })
+        Box::new(move |source| FileError::Hdf5 { path: path.to_owned(), action: format!("{action} {what}"), source })
     }
 }
 
 fn missing(path: &Path, kind: &'static str, name: &str, present: Vec<String>) -> FileError {
-    FileError::Missing {
-        path: path.to_owned(),
-        kind,
-        name: name.to_owned(),
-        present,
-        hint: HINT,
-    }
+    FileError::Missing { path: path.to_owned(), kind, name: name.to_owned(), present, hint: HINT }
 }
 
 fn mismatch(path: &Path, name: &str, found: String, allowed: &str) -> FileError {
-    FileError::Mismatch {
-        path: path.to_owned(),
-        name: name.to_owned(),
-        found,
-        allowed: allowed.to_owned(),
-        hint: HINT,
-    }
+    FileError::Mismatch { path: path.to_owned(), name: name.to_owned(), found, allowed: allowed.to_owned(), hint: HINT }
 }
 
 fn write_dataset<T: H5Type>(
@@ -257,10 +201,7 @@ fn write_dataset<T: H5Type>(
         // Shuffle before deflate: HDF5 refuses the other order.
         builder.chunk(chunk).shuffle().deflate(4)
     };
-    builder
-        .create(name)
-        .and_then(|dataset| dataset.write_raw(values))
-        .map_err(failed(path, "write")(name))
+    builder.create(name).and_then(|dataset| dataset.write_raw(values)).map_err(failed(path, "write")(name))
 }
 
 fn read_dataset<T: H5Type>(
@@ -276,17 +217,9 @@ fn read_dataset<T: H5Type>(
     let dataset = file.dataset(name).map_err(failed(path, "open")(name))?;
     let found = dataset.shape();
     if found != shape {
-        return Err(mismatch(
-            path,
-            name,
-            format!("of shape {found:?}"),
-            &format!("of shape {shape:?}"),
-        ));
+        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
     }
-    dataset
-        .read_raw()
-        .map(Some)
-        .map_err(failed(path, "read")(name))
+    dataset.read_raw().map(Some).map_err(failed(path, "read")(name))
 }
 
 fn write_attribute<T: H5Type>(
@@ -303,36 +236,20 @@ fn write_attribute<T: H5Type>(
         .map_err(failed(path, "write")(name))
 }
 
-fn read_attribute<T: H5Type>(
-    path: &Path,
-    file: &hdf5::File,
-    name: &str,
-    shape: &[usize],
-) -> Result<Vec<T>, FileError> {
-    let present = file
-        .attr_names()
-        .map_err(failed(path, "read")("the list of attributes"))?;
+fn read_attribute<T: H5Type>(path: &Path, file: &hdf5::File, name: &str, shape: &[usize]) -> Result<Vec<T>, FileError> {
+    let present = file.attr_names().map_err(failed(path, "read")("the list of attributes"))?;
     if !present.iter().any(|other| other == name) {
         return Err(missing(path, "attribute", name, present));
     }
     let attribute = file.attr(name).map_err(failed(path, "open")(name))?;
     let found = attribute.shape();
     if found != shape {
-        return Err(mismatch(
-            path,
-            name,
-            format!("of shape {found:?}"),
-            &format!("of shape {shape:?}"),
-        ));
+        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
     }
     attribute.read_raw().map_err(failed(path, "read")(name))
 }
 
-fn read_number<T: H5Type + Copy>(
-    path: &Path,
-    file: &hdf5::File,
-    name: &str,
-) -> Result<T, FileError> {
+fn read_number<T: H5Type + Copy>(path: &Path, file: &hdf5::File, name: &str) -> Result<T, FileError> {
     Ok(read_attribute::<T>(path, file, name, &[])?[0])
 }
 
@@ -343,15 +260,11 @@ fn read_text(path: &Path, file: &hdf5::File, name: &str) -> Result<String, FileE
 /// [D, N] to [N, D].
 fn particle_major(values: &[f64], dimension: usize) -> Vec<f64> {
     let count = values.len() / dimension;
-    (0..values.len())
-        .map(|index| values[(index % dimension) * count + index / dimension])
-        .collect()
+    (0..values.len()).map(|index| values[(index % dimension) * count + index / dimension]).collect()
 }
 
 /// [N, D] to [D, N].
 fn component_major(values: &[f64], dimension: usize) -> Vec<f64> {
     let count = values.len() / dimension;
-    (0..values.len())
-        .map(|index| values[(index % count) * dimension + index / count])
-        .collect()
+    (0..values.len()).map(|index| values[(index % count) * dimension + index / count]).collect()
 }

@@ -48,15 +48,9 @@ impl Data {
 
     fn write_to(&self, writer: &mut impl Write) -> std::io::Result<()> {
         match self {
-            Self::F64(values) => values
-                .iter()
-                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::F32(values) => values
-                .iter()
-                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::U64(values) => values
-                .iter()
-                .try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::F64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::F32(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::U64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
         }
     }
 }
@@ -68,20 +62,13 @@ pub type Tensors = BTreeMap<String, (Vec<usize>, Data)>;
 ///
 /// # Errors
 /// [`FileError::Input`] if a shape does not hold the number of elements or a name is reserved; system errors.
-pub fn write_tensors(
-    path: &Path,
-    tensors: &Tensors,
-    metadata: &BTreeMap<String, String>,
-) -> Result<(), FileError> {
+pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String, String>) -> Result<(), FileError> {
     for (name, (shape, data)) in tensors {
         let elements: usize = shape.iter().product();
         if elements != data.len() {
             return Err(FileError::input(
                 path,
-                format!(
-                    "tensor `{name}` has shape {shape:?} but {} elements",
-                    data.len()
-                ),
+                format!("tensor `{name}` has shape {shape:?} but {} elements", data.len()),
                 format!("{elements} elements for this shape"),
             ));
         }
@@ -117,9 +104,7 @@ pub fn write_tensors(
     write_atomically(path, |writer| {
         writer.write_all(&(header.len() as u64).to_le_bytes())?;
         writer.write_all(&header)?;
-        ordered
-            .iter()
-            .try_for_each(|(_, (_, data))| data.write_to(writer))
+        ordered.iter().try_for_each(|(_, (_, data))| data.write_to(writer))
     })
 }
 
@@ -165,11 +150,7 @@ impl TensorFile {
             };
             tensors.insert(name.to_owned(), (view.shape().to_vec(), data));
         }
-        Ok(Self {
-            path: path.to_owned(),
-            tensors,
-            metadata: metadata.into_iter().collect(),
-        })
+        Ok(Self { path: path.to_owned(), tensors, metadata: metadata.into_iter().collect() })
     }
 
     /// Elements of the f64 tensor `name`, which must have the given shape.
@@ -251,12 +232,7 @@ impl TensorFile {
         }
     }
 
-    fn missing<'a>(
-        &self,
-        kind: &'static str,
-        name: &str,
-        present: impl Iterator<Item = &'a String>,
-    ) -> FileError {
+    fn missing<'a>(&self, kind: &'static str, name: &str, present: impl Iterator<Item = &'a String>) -> FileError {
         FileError::Missing {
             path: self.path.clone(),
             kind,

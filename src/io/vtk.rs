@@ -45,11 +45,7 @@ impl ParticleFrame<'_> {
     /// Lengths must fit together, names must be usable.
     fn check(&self, path: &Path) -> Result<(), FileError> {
         if !(1..=3).contains(&self.dimension) {
-            return Err(FileError::input(
-                path,
-                format!("dimension is {}", self.dimension),
-                "1, 2 or 3",
-            ));
+            return Err(FileError::input(path, format!("dimension is {}", self.dimension), "1, 2 or 3"));
         }
         let count = self.count();
         let vector = self.dimension * count;
@@ -57,10 +53,7 @@ impl ParticleFrame<'_> {
             FileError::input(
                 path,
                 format!("{name} has {found} values"),
-                format!(
-                    "{wanted} for {count} particles in {} dimensions",
-                    self.dimension
-                ),
+                format!("{wanted} for {count} particles in {} dimensions", self.dimension),
             )
         };
         if self.position.len() != vector {
@@ -98,40 +91,23 @@ struct Block {
 
 impl Block {
     fn new(kind: &str, name: &str, components: usize, bytes: Vec<u8>) -> Self {
-        let attributes = format!(
-            "type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\"",
-            escaped(name)
-        );
+        let attributes = format!("type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\"", escaped(name));
         Self { attributes, bytes }
     }
 
     /// Reals in the wanted precision.
-    fn reals(
-        name: &str,
-        components: usize,
-        values: impl Iterator<Item = f64>,
-        precision: Precision,
-    ) -> Self {
+    fn reals(name: &str, components: usize, values: impl Iterator<Item = f64>, precision: Precision) -> Self {
         match precision {
-            Precision::F64 => Self::new(
-                "Float64",
-                name,
-                components,
-                values.flat_map(f64::to_le_bytes).collect(),
-            ),
+            Precision::F64 => Self::new("Float64", name, components, values.flat_map(f64::to_le_bytes).collect()),
             Precision::F32 => {
-                let bytes = values
-                    .flat_map(|value| (value as f32).to_le_bytes())
-                    .collect();
+                let bytes = values.flat_map(|value| (value as f32).to_le_bytes()).collect();
                 Self::new("Float32", name, components, bytes)
             }
         }
     }
 
     fn integers(name: &str, values: impl Iterator<Item = usize>) -> Self {
-        let bytes = values
-            .flat_map(|value| (value as i64).to_le_bytes())
-            .collect();
+        let bytes = values.flat_map(|value| (value as i64).to_le_bytes()).collect();
         Self::new("Int64", name, 1, bytes)
     }
 }
@@ -140,35 +116,20 @@ impl Block {
 ///
 /// # Errors
 /// [`FileError::Input`] if lengths or names do not fit, else system errors.
-pub fn write_vtp(
-    path: &Path,
-    frame: &ParticleFrame,
-    precision: Precision,
-) -> Result<(), FileError> {
+pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Result<(), FileError> {
     frame.check(path)?;
     let count = frame.count();
     // VTK wants three components, particle after particle.
     let triples = |values: &'_ [f64]| -> Vec<f64> {
         (0..count)
             .flat_map(|particle| (0..3).map(move |axis| (particle, axis)))
-            .map(|(particle, axis)| {
-                if axis < frame.dimension {
-                    values[axis * count + particle]
-                } else {
-                    0.0
-                }
-            })
+            .map(|(particle, axis)| if axis < frame.dimension { values[axis * count + particle] } else { 0.0 })
             .collect()
     };
 
     let mut point_data = Vec::new();
     if !frame.velocity.is_empty() {
-        point_data.push(Block::reals(
-            "velocity",
-            3,
-            triples(frame.velocity).into_iter(),
-            precision,
-        ));
+        point_data.push(Block::reals("velocity", 3, triples(frame.velocity).into_iter(), precision));
     }
     for (name, values) in frame.scalars {
         point_data.push(Block::reals(name, 1, values.iter().copied(), precision));
@@ -176,16 +137,8 @@ pub fn write_vtp(
     if !frame.tag.is_empty() {
         point_data.push(Block::new("UInt8", "tag", 1, frame.tag.to_vec()));
     }
-    let points = [Block::reals(
-        "Points",
-        3,
-        triples(frame.position).into_iter(),
-        Precision::F64,
-    )];
-    let vertices = [
-        Block::integers("connectivity", 0..count),
-        Block::integers("offsets", 1..count + 1),
-    ];
+    let points = [Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64)];
+    let vertices = [Block::integers("connectivity", 0..count), Block::integers("offsets", 1..count + 1)];
 
     let mut offset = 0;
     let mut header = String::from(
@@ -208,11 +161,7 @@ pub fn write_vtp(
     let mut section = |name: &str, blocks: &[Block]| {
         let _ = writeln!(header, "<{name}>");
         for block in blocks {
-            let _ = writeln!(
-                header,
-                "<DataArray {} format=\"appended\" offset=\"{offset}\"/>",
-                block.attributes
-            );
+            let _ = writeln!(header, "<DataArray {} format=\"appended\" offset=\"{offset}\"/>", block.attributes);
             offset += size_of::<u64>() + block.bytes.len();
         }
         let _ = writeln!(header, "</{name}>");
@@ -316,11 +265,7 @@ impl VtkSeries {
              <VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>\n",
         );
         for (time, file) in &self.frames {
-            let _ = writeln!(
-                text,
-                "<DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{}\"/>",
-                escaped(file)
-            );
+            let _ = writeln!(text, "<DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{}\"/>", escaped(file));
         }
         text.push_str("</Collection>\n</VTKFile>\n");
         write_bytes_atomically(&self.list_path(), text.as_bytes())
@@ -329,8 +274,5 @@ impl VtkSeries {
 
 /// Text inside an XML attribute.
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -42,7 +42,9 @@ pub enum NeighbourError {
     LostParticle { particle: usize, component: usize, value: f64 },
     #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged; try a smaller time.cfl or a larger fluid.background_pressure_factor")]
     Clumped { particle: usize, count: usize },
-    #[error("a particle moved {distance:.3e} (spacing {spacing}) in one step: the run has diverged; try a smaller time.cfl")]
+    #[error(
+        "a particle moved {distance:.3e} (spacing {spacing}) in one step: the run has diverged; try a smaller time.cfl"
+    )]
     TooFast { distance: f64, spacing: f64 },
     #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]
     BoxTooSmall { direction: usize, size: f64, reach: f64 },
@@ -183,9 +185,8 @@ impl NeighbourList {
             // Grown with some room, so that the next builds fit at once.
             list.capacity = (most + 4).next_multiple_of(ROW_MULTIPLE);
         }
-        list.wall_rows = (0..n as u32)
-            .filter(|&i| tags[i as usize] != tag::FLUID && list.count[i as usize] > 0)
-            .collect();
+        list.wall_rows =
+            (0..n as u32).filter(|&i| tags[i as usize] != tag::FLUID && list.count[i as usize] > 0).collect();
         Ok(list)
     }
 

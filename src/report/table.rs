@@ -10,10 +10,7 @@ pub struct Table {
 impl Table {
     /// A table without rows.
     pub fn new<S: Into<String>>(headers: impl IntoIterator<Item = S>) -> Self {
-        Self {
-            headers: headers.into_iter().map(Into::into).collect(),
-            rows: Vec::new(),
-        }
+        Self { headers: headers.into_iter().map(Into::into).collect(), rows: Vec::new() }
     }
 
     /// Adds a row; missing cells stay empty, cells beyond the headers are dropped.
@@ -28,9 +25,7 @@ impl Table {
     pub fn to_text(&self) -> String {
         let widths = self.widths(1, |cell| cell.to_owned());
         let rule = widths.iter().map(|&width| "-".repeat(width)).collect();
-        let lines = [self.headers.clone(), rule]
-            .into_iter()
-            .chain(self.rows.iter().cloned());
+        let lines = [self.headers.clone(), rule].into_iter().chain(self.rows.iter().cloned());
         lines
             .map(|cells| {
                 let padded = self.padded(&cells, &widths);

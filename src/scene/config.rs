@@ -299,11 +299,7 @@ impl Default for Fluid {
 
 impl Default for Wall {
     fn default() -> Self {
-        Self {
-            hot_temperature: 1.23,
-            hot_isotherm: HotIsotherm::Surface,
-            mass: MassConvention::ColumnArea,
-        }
+        Self { hot_temperature: 1.23, hot_isotherm: HotIsotherm::Surface, mass: MassConvention::ColumnArea }
     }
 }
 
@@ -323,12 +319,7 @@ impl Default for Time {
 
 impl Default for Objective {
     fn default() -> Self {
-        Self {
-            target_x: 0.9,
-            window: 0.5,
-            samples: 10,
-            interpolation: Interpolation::FluidAndWalls,
-        }
+        Self { target_x: 0.9, window: 0.5, samples: 10, interpolation: Interpolation::FluidAndWalls }
     }
 }
 
@@ -362,12 +353,7 @@ impl Default for Optimise {
 
 impl Default for Run {
     fn default() -> Self {
-        Self {
-            precision: Precision::F64,
-            threads: 0,
-            seed: 0,
-            kernels: Kernels::Fused,
-        }
+        Self { precision: Precision::F64, threads: 0, seed: 0, kernels: Kernels::Fused }
     }
 }
 

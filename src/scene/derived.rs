@@ -18,17 +18,14 @@ impl Config {
     pub fn time_step_limit(&self) -> f64 {
         let dx = self.resolution.dx;
         let acoustic = self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity);
-        let diffusivity =
-            (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity());
+        let diffusivity = (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity());
         acoustic.min(self.time.diffusion_number * dx * dx / diffusivity)
     }
 
     /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.
     pub fn steps(&self) -> usize {
         // The tolerance keeps an exact multiple from costing one more, tiny step.
-        let needed = (self.time.end / self.time_step_limit() - 1e-9)
-            .ceil()
-            .max(1.0);
+        let needed = (self.time.end / self.time_step_limit() - 1e-9).ceil().max(1.0);
         self.time.steps.unwrap_or(needed as usize)
     }
 

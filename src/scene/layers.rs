@@ -24,18 +24,12 @@ pub struct Setting {
 impl Setting {
     /// From the text after `--set`.
     pub fn set(assignment: &str) -> Self {
-        Self {
-            label: format!("--set {assignment}"),
-            assignment: assignment.to_string(),
-        }
+        Self { label: format!("--set {assignment}"), assignment: assignment.to_string() }
     }
 
     /// From another option, e.g. `--threads 2` for `run.threads=2`.
     pub fn option(option: &str, key: &str, value: impl std::fmt::Display) -> Self {
-        Self {
-            label: format!("{option} {value}"),
-            assignment: format!("{key}={value}"),
-        }
+        Self { label: format!("{option} {value}"), assignment: format!("{key}={value}") }
     }
 }
 
@@ -65,9 +59,7 @@ impl Layer {
         if let Err(error) = toml::from_str::<Config>(text) {
             let at = error.span().unwrap_or_default();
             let inside = |span: Range<usize>| span.contains(&at.start);
-            let key = found
-                .iter()
-                .find(|(_, item)| item.span().is_some_and(inside));
+            let key = found.iter().find(|(_, item)| item.span().is_some_and(inside));
             let key = key.map(|(path, _)| path.clone());
             return Err(explain(&error, &error.to_string(), key.as_deref()).place(name));
         }
@@ -99,8 +91,7 @@ impl Layer {
         if keys.iter().any(|key| key.is_empty()) {
             return Err(bad(format!("`{path}` is not a key")).allowed(form));
         }
-        let value =
-            parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
+        let value = parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
 
         let mut document = DocumentMut::new();
         let mut item: &mut Item = document.as_item_mut();
@@ -131,10 +122,7 @@ impl Layer {
 
     /// The string value of a key of this layer.
     pub fn string(&self, path: &str) -> Option<&str> {
-        self.entries
-            .iter()
-            .find(|entry| entry.path == path)
-            .and_then(|entry| entry.value.as_str())
+        self.entries.iter().find(|entry| entry.path == path).and_then(|entry| entry.value.as_str())
     }
 
     fn has(&self, path: &str) -> bool {
@@ -221,11 +209,7 @@ fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
     let mut found = Vec::new();
     for (key, item) in table.iter() {
         match item.as_table_like() {
-            Some(inner) => found.extend(
-                flatten(inner)
-                    .into_iter()
-                    .map(|(rest, item)| (format!("{key}.{rest}"), item)),
-            ),
+            Some(inner) => found.extend(flatten(inner).into_iter().map(|(rest, item)| (format!("{key}.{rest}"), item))),
             None => found.push((key.to_string(), item)),
         }
     }
@@ -235,11 +219,7 @@ fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
 /// An entry, if it is a value at the path of a key (serde would also read a section from an array, by position).
 fn entry(path: String, item: &Item, place: String) -> Result<Entry, BadInput> {
     match item.as_value() {
-        Some(value) if known_keys().contains(&path) => Ok(Entry {
-            path,
-            value: value.clone(),
-            place,
-        }),
+        Some(value) if known_keys().contains(&path) => Ok(Entry { path, value: value.clone(), place }),
         _ => Err(BadInput::new(format!("`{path}` is a section, not a value"))
             .place(place)
             .allowed(format!("[{path}] with one line per key"))),
@@ -257,9 +237,7 @@ fn parse_value(text: &str) -> Result<Value, String> {
     if text.starts_with(['[', '{', '"', '\'']) {
         return Err(format!("`{text}` is not a complete TOML value"));
     }
-    Ok(text
-        .parse::<f64>()
-        .map_or_else(|_| Value::from(text), Value::from))
+    Ok(text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from))
 }
 
 /// Every key of a configuration, as `section.key`.
@@ -271,10 +249,7 @@ pub fn known_keys() -> Vec<String> {
     config.design.file = Some(String::new());
     let text = toml::to_string(&config).expect("a configuration is representable in TOML");
     let document: DocumentMut = text.parse().expect("toml writes valid TOML");
-    flatten(document.as_table())
-        .into_iter()
-        .map(|(path, _)| path)
-        .collect()
+    flatten(document.as_table()).into_iter().map(|(path, _)| path).collect()
 }
 
 /// The comment above a key in the first built-in scene: its meaning, units and range, on one line.
@@ -324,14 +299,10 @@ fn explain(error: &toml::de::Error, text: &str, key: Option<&str>) -> BadInput {
     let given = words.next().unwrap_or_default();
     let expected: Vec<&str> = words.collect();
     // The expected names go into the line of allowed values.
-    let problem = text
-        .rsplit_once(", expected")
-        .map_or(text.as_str(), |(problem, _)| problem);
+    let problem = text.rsplit_once(", expected").map_or(text.as_str(), |(problem, _)| problem);
     let bad = BadInput::new(problem).allowed(expected.join(", "));
     let ends_with = format!(".{given}");
-    let elsewhere = known_keys()
-        .into_iter()
-        .find(|path| path.ends_with(&ends_with));
+    let elsewhere = known_keys().into_iter().find(|path| path.ends_with(&ends_with));
     match (elsewhere, suggest::nearest(given, &expected)) {
         (Some(path), _) if message.starts_with("unknown field") => bad.advice(format!("`{path}`")),
         (_, Some(near)) => bad.advice(format!("`{near}`")),

@@ -23,11 +23,7 @@ impl Source {
     pub fn name(&self) -> String {
         match self {
             Self::BuiltIn(name) => name.to_string(),
-            Self::File(path) => path
-                .file_stem()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into(),
+            Self::File(path) => path.file_stem().unwrap_or_default().to_string_lossy().into(),
         }
     }
 }
@@ -63,11 +59,7 @@ impl Config {
     /// * `preset`: name of a built-in preset.
     ///
     /// Errors: anything a user can get wrong, as [`Error::Input`].
-    pub fn load(
-        scene_or_file: Option<&str>,
-        preset: Option<&str>,
-        sets: &[String],
-    ) -> Result<Loaded, Error> {
+    pub fn load(scene_or_file: Option<&str>, preset: Option<&str>, sets: &[String]) -> Result<Loaded, Error> {
         let settings: Vec<Setting> = sets.iter().map(|text| Setting::set(text)).collect();
         Ok(load(scene_or_file, preset, &settings)?)
     }
@@ -93,11 +85,7 @@ impl Loaded {
     }
 }
 
-fn load(
-    scene_or_file: Option<&str>,
-    preset: Option<&str>,
-    settings: &[Setting],
-) -> Result<Loaded, BadInput> {
+fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting]) -> Result<Loaded, BadInput> {
     let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
     let mut merged = Merged::new(base.text, BTreeMap::new());
     if let Some(name) = preset {
@@ -130,18 +118,12 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
 
 fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
     let scenes: Vec<&str> = SCENES.iter().map(|scene| scene.name).collect();
-    let allowed = format!(
-        "a built-in scene ({}) or the path of a TOML file",
-        scenes.join(", ")
-    );
+    let allowed = format!("a built-in scene ({}) or the path of a TOML file", scenes.join(", "));
     if path.is_dir() {
         let config = path.join("config.toml");
         let bad = BadInput::new(format!("`{name}` is a folder, not a scene")).allowed(allowed);
         return match config.is_file() {
-            true => bad.advice(format!(
-                "the configuration of that run: {}",
-                config.display()
-            )),
+            true => bad.advice(format!("the configuration of that run: {}", config.display())),
             false => bad,
         };
     }
@@ -154,15 +136,12 @@ fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
         std::io::ErrorKind::InvalidData => format!("{name} is not a text file (UTF-8)"),
         _ => format!("can not read {name}: {error}"),
     };
-    BadInput::new(problem)
-        .allowed(allowed)
-        .advice(format!("hydrograd scenes {} > my.toml", SCENES[0].name))
+    BadInput::new(problem).allowed(allowed).advice(format!("hydrograd scenes {} > my.toml", SCENES[0].name))
 }
 
 fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     let read = |merged: &Merged| -> Config {
-        toml::from_str(&merged.text())
-            .expect("every layer was read as a Config, so their union is one")
+        toml::from_str(&merged.text()).expect("every layer was read as a Config, so their union is one")
     };
     let mut config = read(&merged);
     let place_of = |merged: &Merged, key: &str| {
@@ -172,12 +151,11 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     };
     if let Some(file) = config.design.file.clone() {
         if config.design.offsets.is_none() && config.design.nodes.is_none() {
-            let columns = shape::read_columns(Path::new(&file)).map_err(|bad| {
-                match merged.places().get("design.file") {
+            let columns =
+                shape::read_columns(Path::new(&file)).map_err(|bad| match merged.places().get("design.file") {
                     Some(place) => bad.advice(format!("design.file was given by {place}")),
                     None => bad,
-                }
-            })?;
+                })?;
             merged.remove("design.file");
             let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
             merged.set("design.nodes", array(columns.nodes), &file);
@@ -185,13 +163,6 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = read(&merged);
         }
     }
-    config
-        .check()
-        .map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
-    Ok(Loaded {
-        config,
-        text: merged.text(),
-        source,
-        places: merged.places().clone(),
-    })
+    config.check().map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
+    Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })
 }

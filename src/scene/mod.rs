@@ -2,10 +2,10 @@
 pub mod builtin;
 pub mod config;
 pub mod derived;
+pub mod heated_channel;
 pub mod layers;
 pub mod load;
 pub mod shape;
 pub mod start_shape;
 pub mod suggest;
 pub mod validate;
-pub mod heated_channel;

@@ -34,12 +34,7 @@ impl Shape {
     ///
     /// Errors: numbers that are not finite, lengths that differ, no node, nodes out of order or outside the hot
     /// section, neighbours steeper than [`MAX_SLOPE`].
-    pub fn new(
-        nodes: Vec<f64>,
-        offsets: Vec<f64>,
-        hot_from: f64,
-        hot_to: f64,
-    ) -> Result<Self, BadInput> {
+    pub fn new(nodes: Vec<f64>, offsets: Vec<f64>, hot_from: f64, hot_to: f64) -> Result<Self, BadInput> {
         finite("design.nodes", &nodes)?;
         finite("design.offsets", &offsets)?;
         if nodes.is_empty() {
@@ -47,36 +42,23 @@ impl Shape {
             return Err(bad.allowed("at least one node"));
         }
         if nodes.len() != offsets.len() {
-            let problem = format!(
-                "design.offsets has {} numbers for {} nodes",
-                offsets.len(),
-                nodes.len()
-            );
+            let problem = format!("design.offsets has {} numbers for {} nodes", offsets.len(), nodes.len());
             return Err(BadInput::new(problem)
                 .key("design.offsets")
-                .allowed(format!(
-                    "{} offsets, one per node (default: a node per spacing)",
-                    nodes.len()
-                ))
+                .allowed(format!("{} offsets, one per node (default: a node per spacing)", nodes.len()))
                 .advice("give design.nodes with the positions that these offsets belong to"));
         }
         for (i, x) in nodes.iter().enumerate() {
             if !(hot_from..=hot_to).contains(x) {
-                return Err(BadInput::new(format!(
-                    "design.nodes[{i}] = {x} is outside the hot section"
-                ))
-                .key("design.nodes")
-                .allowed(format!(
-                    "{hot_from} ... {hot_to} (channel.hot_from ... channel.hot_to)"
-                )));
+                return Err(BadInput::new(format!("design.nodes[{i}] = {x} is outside the hot section"))
+                    .key("design.nodes")
+                    .allowed(format!("{hot_from} ... {hot_to} (channel.hot_from ... channel.hot_to)")));
             }
         }
         for (i, pair) in nodes.windows(2).enumerate() {
             if pair[1] <= pair[0] {
                 let problem = format!("design.nodes[{}] = {} follows {}", i + 1, pair[1], pair[0]);
-                return Err(BadInput::new(problem)
-                    .key("design.nodes")
-                    .allowed("increasing positions"));
+                return Err(BadInput::new(problem).key("design.nodes").allowed("increasing positions"));
             }
             let limit = MAX_SLOPE * (pair[1] - pair[0]);
             let step = offsets[i + 1] - offsets[i];
@@ -89,27 +71,16 @@ impl Shape {
                     pair[1] - pair[0]
                 ))
                 .key("design.offsets")
-                .allowed(format!(
-                    "a step of at most {limit:.6}, twice the distance of the nodes"
-                ))
+                .allowed(format!("a step of at most {limit:.6}, twice the distance of the nodes"))
                 .advice("a smoother shape, or a smaller design.amplitude or design.periods"));
             }
         }
-        Ok(Self {
-            nodes,
-            offsets,
-            hot_from,
-            hot_to,
-        })
+        Ok(Self { nodes, offsets, hot_from, hot_to })
     }
 
     /// Checks |offset| <= bound.
     pub fn check_bound(&self, bound: f64) -> Result<(), BadInput> {
-        match self
-            .offsets
-            .iter()
-            .position(|o| o.abs() > bound * (1.0 + 1e-12))
-        {
+        match self.offsets.iter().position(|o| o.abs() > bound * (1.0 + 1e-12)) {
             None => Ok(()),
             Some(i) => {
                 let problem = format!("design.offsets[{i}] = {} is out of bounds", self.offsets[i]);
@@ -152,9 +123,7 @@ impl Shape {
                 // Column edges c dx are rounded, which costs 1e-14 of a narrow column: a uniform shape would
                 // come out slightly rough.
                 let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
-                weights
-                    .iter_mut()
-                    .for_each(|(_, weight)| *weight *= share[column] / sum);
+                weights.iter_mut().for_each(|(_, weight)| *weight *= share[column] / sum);
                 weights
             })
             .collect()
@@ -165,11 +134,7 @@ impl Shape {
         (0..columns(dx, length))
             .map(|column| match self.hot_part(column, dx) {
                 // Exactly 1, where (to - from) / dx would be off by rounding.
-                Some((from, to))
-                    if from == column as f64 * dx && to == (column + 1) as f64 * dx =>
-                {
-                    1.0
-                }
+                Some((from, to)) if from == column as f64 * dx && to == (column + 1) as f64 * dx => 1.0,
                 Some((from, to)) => (to - from) / dx,
                 None => 0.0,
             })
@@ -228,20 +193,15 @@ fn columns(dx: f64, length: f64) -> usize {
 pub fn default_nodes(hot_from: f64, hot_to: f64, dx: f64) -> Vec<f64> {
     // The small term keeps a node from landing on hot_to by rounding.
     let count = ((hot_to - hot_from) / dx + 0.5 - 1e-9).floor() as usize;
-    (0..count)
-        .map(|k| hot_from + (k as f64 + 0.5) * dx)
-        .collect()
+    (0..count).map(|k| hot_from + (k as f64 + 0.5) * dx).collect()
 }
 
 fn finite(key: &str, numbers: &[f64]) -> Result<(), BadInput> {
     match numbers.iter().position(|number| !number.is_finite()) {
         None => Ok(()),
-        Some(i) => Err(BadInput::new(format!(
-            "{key}[{i}] = {} is not a number to compute with",
-            numbers[i]
-        ))
-        .key(key)
-        .allowed("finite numbers")),
+        Some(i) => Err(BadInput::new(format!("{key}[{i}] = {} is not a number to compute with", numbers[i]))
+            .key(key)
+            .allowed("finite numbers")),
     }
 }
 
@@ -258,63 +218,37 @@ pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
     let form = "a CSV file with the header x,offset and one line of two finite numbers per node";
     let file = path.display();
     let bad = |line: Option<usize>, problem: String| {
-        let place = line.map_or(format!("{file}"), |line| {
-            format!("{file}, line {}", line + 1)
-        });
+        let place = line.map_or(format!("{file}"), |line| format!("{file}, line {}", line + 1));
         BadInput::new(problem).place(place).allowed(form)
     };
     let text = std::fs::read_to_string(path).map_err(|error| match error.kind() {
         std::io::ErrorKind::NotFound => bad(None, "design.file: no such file".into()),
         _ => bad(None, format!("design.file: can not read: {error}")),
     })?;
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
-    let cells = |line: &str| -> Vec<String> {
-        line.split(',')
-            .map(|cell| cell.trim().to_string())
-            .collect()
-    };
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+    let cells = |line: &str| -> Vec<String> { line.split(',').map(|cell| cell.trim().to_string()).collect() };
     let (header_line, header) = match lines.next() {
         Some((number, line)) => (number, cells(line)),
         None => return Err(bad(None, "the file is empty".into())),
     };
     let column = |name: &str| {
-        header.iter().position(|cell| cell == name).ok_or_else(|| {
-            bad(
-                Some(header_line),
-                format!("no column `{name}` in `{}`", header.join(",")),
-            )
-        })
+        header
+            .iter()
+            .position(|cell| cell == name)
+            .ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
     };
     let (x, offset) = (column("x")?, column("offset")?);
-    let mut columns = Columns {
-        nodes: vec![],
-        offsets: vec![],
-    };
+    let mut columns = Columns { nodes: vec![], offsets: vec![] };
     for (number, line) in lines {
         let row = cells(line);
         if row.len() != header.len() {
-            let problem = format!(
-                "`{line}` has {} cells, the header {}",
-                row.len(),
-                header.len()
-            );
+            let problem = format!("`{line}` has {} cells, the header {}", row.len(), header.len());
             return Err(bad(Some(number), problem));
         }
-        for (index, name, numbers) in [
-            (x, "x", &mut columns.nodes),
-            (offset, "offset", &mut columns.offsets),
-        ] {
+        for (index, name, numbers) in [(x, "x", &mut columns.nodes), (offset, "offset", &mut columns.offsets)] {
             match row[index].parse::<f64>() {
                 Ok(value) if value.is_finite() => numbers.push(value),
-                _ => {
-                    return Err(bad(
-                        Some(number),
-                        format!("{name} is `{}`, not a finite number", row[index]),
-                    ))
-                }
+                _ => return Err(bad(Some(number), format!("{name} is `{}`, not a finite number", row[index]))),
             }
         }
     }

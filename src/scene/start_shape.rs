@@ -24,18 +24,14 @@ impl Shape {
         let (mut nodes, mut offsets) = (design.nodes.clone(), design.offsets.clone());
         if let Some(file) = &design.file {
             if nodes.is_some() || offsets.is_some() {
-                return Err(BadInput::new(
-                    "design.file is given together with design.nodes or design.offsets",
-                )
-                .key("design.file")
-                .allowed("one of them: the file has both columns"));
+                return Err(BadInput::new("design.file is given together with design.nodes or design.offsets")
+                    .key("design.file")
+                    .allowed("one of them: the file has both columns"));
             }
             let columns = read_columns(Path::new(file))?;
             (nodes, offsets) = (Some(columns.nodes), Some(columns.offsets));
         }
-        let nodes = nodes.unwrap_or_else(|| {
-            default_nodes(channel.hot_from, channel.hot_to, config.resolution.dx)
-        });
+        let nodes = nodes.unwrap_or_else(|| default_nodes(channel.hot_from, channel.hot_to, config.resolution.dx));
         let is_named = offsets.is_none();
         let offsets = offsets.unwrap_or_else(|| named(config, &nodes));
         let shape = Self::new(nodes, offsets, channel.hot_from, channel.hot_to).and_then(|shape| {

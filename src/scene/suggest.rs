@@ -32,8 +32,7 @@ pub fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
         .copied()
         .map(|candidate| (edit_distance(word, candidate), candidate))
         .filter(|(distance, candidate)| {
-            let prefix =
-                word.len() >= 3 && (candidate.starts_with(word) || word.starts_with(candidate));
+            let prefix = word.len() >= 3 && (candidate.starts_with(word) || word.starts_with(candidate));
             prefix || (*distance <= limit && *distance < candidate.chars().count())
         })
         .min_by_key(|(distance, _)| *distance)

@@ -57,28 +57,12 @@ impl Range {
 /// Every number with its own range (arrays are checked by [`Shape`]).
 fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
-    let Config {
-        scene: _,
-        resolution,
-        channel,
-        fluid,
-        wall,
-        time,
-        objective,
-        design,
-        optimise,
-        run,
-        output,
-    } = config;
+    let Config { scene: _, resolution, channel, fluid, wall, time, objective, design, optimise, run, output } = config;
     vec![
         ("resolution.dx", resolution.dx, Positive),
         ("channel.length", channel.length, Positive),
         ("channel.height", channel.height, Positive),
-        (
-            "channel.wall_rows",
-            channel.wall_rows as f64,
-            Within(SUPPORT, 100.0),
-        ),
+        ("channel.wall_rows", channel.wall_rows as f64, Within(SUPPORT, 100.0)),
         ("channel.hot_from", channel.hot_from, NotNegative),
         ("channel.hot_to", channel.hot_to, NotNegative),
         ("channel.inlet_length", channel.inlet_length, NotNegative),
@@ -89,65 +73,29 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("fluid.conductivity", fluid.conductivity, Positive),
         ("fluid.heat_capacity", fluid.heat_capacity, Positive),
         ("fluid.inlet_temperature", fluid.inlet_temperature, Finite),
-        (
-            "fluid.reference_velocity",
-            fluid.reference_velocity,
-            Positive,
-        ),
-        (
-            "fluid.sound_speed_factor",
-            fluid.sound_speed_factor,
-            Within(1.0, 1000.0),
-        ),
-        (
-            "fluid.background_pressure_factor",
-            fluid.background_pressure_factor,
-            Within(0.0, 1.0),
-        ),
-        (
-            "fluid.transport_velocity",
-            fluid.transport_velocity,
-            Within(0.0, 1.0),
-        ),
+        ("fluid.reference_velocity", fluid.reference_velocity, Positive),
+        ("fluid.sound_speed_factor", fluid.sound_speed_factor, Within(1.0, 1000.0)),
+        ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
+        ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
         ("wall.hot_temperature", wall.hot_temperature, Finite),
         ("time.end", time.end, Positive),
-        (
-            "time.steps",
-            time.steps.unwrap_or(1) as f64,
-            Within(1.0, MAX_STEPS),
-        ),
+        ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
         ("time.cfl", time.cfl, Above(0.0, 4.0)),
-        (
-            "time.diffusion_number",
-            time.diffusion_number,
-            Above(0.0, 1.0),
-        ),
+        ("time.diffusion_number", time.diffusion_number, Above(0.0, 1.0)),
         ("time.jitter", time.jitter, Within(0.0, 0.3)),
         ("time.skin", time.skin, Above(0.0, 2.0)),
         ("objective.target_x", objective.target_x, NotNegative),
         ("objective.window", objective.window, NotNegative),
-        (
-            "objective.samples",
-            objective.samples as f64,
-            Within(1.0, MAX_STEPS),
-        ),
+        ("objective.samples", objective.samples as f64, Within(1.0, MAX_STEPS)),
         ("design.amplitude", design.amplitude, Finite),
         ("design.periods", design.periods, Positive),
         ("design.bound", design.bound, NotNegative),
         ("optimise.epochs", optimise.epochs as f64, Within(1.0, 1e6)),
         ("optimise.learning_rate", optimise.learning_rate, Positive),
         ("optimise.smoothing", optimise.smoothing, NotNegative),
-        (
-            "optimise.segment",
-            optimise.segment as f64,
-            Within(0.0, MAX_STEPS),
-        ),
+        ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
         ("optimise.memory_mb", optimise.memory_mb, Positive),
-        (
-            "optimise.horizon",
-            optimise.horizon as f64,
-            Within(1.0, MAX_STEPS),
-        ),
+        ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
         ("run.threads", run.threads as f64, Within(0.0, 1024.0)),
         ("output.frames", output.frames as f64, Within(0.0, 1e5)),
     ]
@@ -160,9 +108,7 @@ impl Config {
     }
 
     pub(super) fn check(&self) -> Result<(), BadInput> {
-        for ((key, value, range), (_, default, _)) in
-            numbers(self).into_iter().zip(numbers(&Self::default()))
-        {
+        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&Self::default())) {
             if !range.contains(value) {
                 return Err(BadInput::new(format!("{key} = {value} is out of range"))
                     .key(key)
@@ -180,33 +126,22 @@ impl Config {
     /// dx divides length and height, and the particles can be counted.
     fn check_spacing(&self) -> Result<(), BadInput> {
         let (dx, channel) = (self.resolution.dx, &self.channel);
-        let particles =
-            channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64);
+        let particles = channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64);
         if particles > MAX_PARTICLES {
-            return Err(BadInput::new(format!(
-                "resolution.dx = {dx} makes {particles:.1e} particles"
-            ))
-            .key("resolution.dx")
-            .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
+            return Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .key("resolution.dx")
+                .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
         }
-        for (key, extent) in [
-            ("channel.length", channel.length),
-            ("channel.height", channel.height),
-        ] {
+        for (key, extent) in [("channel.length", channel.length), ("channel.height", channel.height)] {
             if !is_whole(extent / dx) {
                 let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
                 let bad = BadInput::new(problem)
                     .key("resolution.dx")
                     .allowed("whole numbers of spacings in channel.length and channel.height");
                 let near = nearest_spacings(dx, channel.length, channel.height);
-                let near: Vec<String> = near
-                    .iter()
-                    .map(|dx| format!("--set resolution.dx={dx}"))
-                    .collect();
+                let near: Vec<String> = near.iter().map(|dx| format!("--set resolution.dx={dx}")).collect();
                 return Err(match near.is_empty() {
-                    true => {
-                        bad.advice("another channel.height: a simple fraction of channel.length")
-                    }
+                    true => bad.advice("another channel.height: a simple fraction of channel.length"),
                     false => bad.advice(near.join(" or ")),
                 });
             }
@@ -214,12 +149,10 @@ impl Config {
         // Periodic images: a particle may see each neighbour once only.
         let shortest = 2.0 * (SUPPORT + self.time.skin) * dx;
         if channel.length < shortest {
-            return Err(
-                BadInput::new(format!("channel.length = {} is too short", channel.length))
-                    .key("channel.length")
-                    .allowed(format!("at least 2 (3 + time.skin) dx = {shortest}"))
-                    .advice("a smaller resolution.dx"),
-            );
+            return Err(BadInput::new(format!("channel.length = {} is too short", channel.length))
+                .key("channel.length")
+                .allowed(format!("at least 2 (3 + time.skin) dx = {shortest}"))
+                .advice("a smaller resolution.dx"));
         }
         Ok(())
     }
@@ -274,23 +207,16 @@ impl Config {
         }
         let needed = self.time.end / limit;
         if self.time.steps.is_none() && needed > MAX_STEPS {
-            return Err(BadInput::new(format!(
-                "time.end = {} needs {needed:.1e} steps",
-                self.time.end
-            ))
-            .key("time.end")
-            .allowed(format!("at most {MAX_STEPS:.0e} steps")));
+            return Err(BadInput::new(format!("time.end = {} needs {needed:.1e} steps", self.time.end))
+                .key("time.end")
+                .allowed(format!("at most {MAX_STEPS:.0e} steps")));
         }
         let (window, duration) = (self.objective.window, self.duration());
         if window > duration * (1.0 + 1e-9) {
-            return Err(BadInput::new(format!(
-                "objective.window = {window} is longer than the run"
-            ))
-            .key("objective.window")
-            .allowed(format!(
-                "0 (last step) ... {duration:.6}, the simulated time"
-            ))
-            .advice("--set objective.window=0, or a larger time.end or time.steps"));
+            return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
+                .key("objective.window")
+                .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
+                .advice("--set objective.window=0, or a larger time.end or time.steps"));
         }
         let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
         if window > 0.0 && self.objective.samples > steps {
@@ -308,12 +234,10 @@ impl Config {
     fn check_bound(&self) -> Result<(), BadInput> {
         let (bound, dx, channel) = (self.design.bound, self.resolution.dx, &self.channel);
         let fail = |limit: f64, why: &str, advice: String| {
-            Err(
-                BadInput::new(format!("design.bound = {bound} is too large: {why}"))
-                    .key("design.bound")
-                    .allowed(format!("0 ... {limit:.6}"))
-                    .advice(advice),
-            )
+            Err(BadInput::new(format!("design.bound = {bound} is too large: {why}"))
+                .key("design.bound")
+                .allowed(format!("0 ... {limit:.6}"))
+                .advice(advice))
         };
         let whole = 1.0 + 1e-9;
         // The number of rows is constant, so the fluid between a raised wall and the top is squeezed; what
@@ -321,20 +245,14 @@ impl Config {
         let limit = channel.height - FLUID_ROWS * dx;
         if limit < -1e-9 * dx {
             let lowest = FLUID_ROWS * dx;
-            return Err(
-                BadInput::new(format!("channel.height = {} is too low", channel.height))
-                    .key("channel.height")
-                    .allowed(format!("at least six spacings, {lowest:.6}"))
-                    .advice("a smaller resolution.dx"),
-            );
+            return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
+                .key("channel.height")
+                .allowed(format!("at least six spacings, {lowest:.6}"))
+                .advice("a smaller resolution.dx"));
         }
         if bound > limit.max(0.0) * whole {
             let advice = "a smaller resolution.dx, or a smaller design.bound";
-            return fail(
-                limit.max(0.0),
-                "the channel keeps six spacings of fluid",
-                advice.into(),
-            );
+            return fail(limit.max(0.0), "the channel keeps six spacings of fluid", advice.into());
         }
         // Dummy particles move with the surface of their column. At the ends of the hot section the surface
         // steps to y = 0, and the face of that step consists of the rows of the higher column: rows that end
@@ -349,11 +267,7 @@ impl Config {
         // than two rows lie within the kernel's support of 3 dx.
         let limit = 0.5 * channel.height;
         if bound > limit * whole {
-            return fail(
-                limit,
-                "half the channel's height at most",
-                "a smaller design.bound".into(),
-            );
+            return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
         }
         Ok(())
     }
@@ -385,17 +299,11 @@ mod tests {
     /// A configuration key without a range would be a number that is never checked.
     #[test]
     fn every_number_has_a_range() {
-        let with_range: Vec<&str> = numbers(&Config::default())
-            .iter()
-            .map(|(key, _, _)| *key)
-            .collect();
+        let with_range: Vec<&str> = numbers(&Config::default()).iter().map(|(key, _, _)| *key).collect();
         let mut config = Config::default();
         config.time.steps = Some(1);
         let table = toml::Table::try_from(&config).unwrap();
-        for (section, keys) in table
-            .iter()
-            .filter_map(|(name, value)| Some((name, value.as_table()?)))
-        {
+        for (section, keys) in table.iter().filter_map(|(name, value)| Some((name, value.as_table()?))) {
             for (key, value) in keys {
                 let path = format!("{section}.{key}");
                 let number = value.is_integer() || value.is_float();

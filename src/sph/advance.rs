@@ -33,13 +33,7 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], rates: &[R], state: &mut [R
 }
 
 /// The adjoint, on plain numbers; the outputs must be zero.
-pub fn backward<R: Real>(
-    step: &Step<R>,
-    moved: &[R],
-    state_bar: &[R],
-    moved_bar: &mut [R],
-    rates_bar: &mut [R],
-) {
+pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
     let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
     let d = l.dimension;
     moved_bar[..2 * d * n].copy_from_slice(&state_bar[..2 * d * n]);
@@ -63,13 +57,7 @@ impl<R: Real> CustomOp2 for Advance<R> {
     fn name(&self) -> &'static str {
         "advance"
     }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
+    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rows, n) = (self.0.model.layout.state_rows(), self.0.model.particles());
         let mut state = vec![R::default(); rows * n];
         forward(&self.0, input(s1, l1)?, input(s2, l2)?, &mut state);
@@ -91,10 +79,7 @@ impl<R: Real> CustomOp2 for Advance<R> {
                 Ok(())
             })
         })?;
-        Ok((
-            Some(tensor(moved_bar, l.moved_rows(), n)?),
-            Some(tensor(rates_bar, l.rate_rows(), n)?),
-        ))
+        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(rates_bar, l.rate_rows(), n)?)))
     }
 }
 

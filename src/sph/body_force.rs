@@ -7,9 +7,16 @@ pub enum BodyForce {
     /// The same everywhere in the fluid.
     Uniform(f64),
     /// Only where from < y < to.
-    Band { strength: f64, from: f64, to: f64 },
+    Band {
+        strength: f64,
+        from: f64,
+        to: f64,
+    },
     /// `strength` below y = turn, its opposite from there on (reverse Poiseuille flow).
-    Reversing { strength: f64, turn: f64 },
+    Reversing {
+        strength: f64,
+        turn: f64,
+    },
 }
 
 impl BodyForce {

@@ -116,9 +116,7 @@ pub fn composed<R: Real>(model: &Model<R>, dt: f64, state: &Tensor) -> Result<Te
     let mut drift = velocity.clone();
     let mut rows = vec![velocity];
     if l.transport {
-        let shift = state
-            .narrow(0, l.transport_acceleration(), d)?
-            .affine(model.transport * 0.5 * model.dt, 0.0)?;
+        let shift = state.narrow(0, l.transport_acceleration(), d)?.affine(model.transport * 0.5 * model.dt, 0.0)?;
         drift = (drift + &shift)?;
         rows.push(shift);
     }

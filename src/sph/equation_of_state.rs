@@ -19,11 +19,7 @@ impl EquationOfState {
     pub fn pressure<R: Real>(&self, density: R) -> R {
         let ratio = density * R::of(1.0 / self.reference_density);
         // (x - 1) first: for gamma = 1 in f32, p_ref x - p_ref would lose the digits that matter.
-        let power = if self.gamma == 1 {
-            ratio - R::of(1.0)
-        } else {
-            R::of(ratio.f64().powi(self.gamma) - 1.0)
-        };
+        let power = if self.gamma == 1 { ratio - R::of(1.0) } else { R::of(ratio.f64().powi(self.gamma) - 1.0) };
         R::of(self.reference_pressure) * power + R::of(self.background_pressure)
     }
 
@@ -42,11 +38,7 @@ impl EquationOfState {
     #[inline(always)]
     pub fn density<R: Real>(&self, pressure: R) -> R {
         let x = (pressure - R::of(self.background_pressure)) * R::of(1.0 / self.reference_pressure);
-        let power = if self.gamma == 1 {
-            x + R::of(1.0)
-        } else {
-            R::of((x.f64() + 1.0).powf(1.0 / self.gamma as f64))
-        };
+        let power = if self.gamma == 1 { x + R::of(1.0) } else { R::of((x.f64() + 1.0).powf(1.0 / self.gamma as f64)) };
         power * R::of(self.reference_density)
     }
 

@@ -5,8 +5,8 @@
 //! extrapolated walls: then a target near a wall sees the no-slip profile from both sides and is not biased
 //! towards the channel's middle.
 
-use super::step::{input, output, read, tensor, Step};
 use super::composed;
+use super::step::{input, output, read, tensor, Step};
 use crate::lanes::Real;
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use std::sync::Arc;
@@ -190,9 +190,6 @@ impl<R: Real> CustomOp2 for Interpolation<R> {
                 })
             })
         })?;
-        Ok((
-            Some(tensor(moved_bar, l.moved_rows(), n)?),
-            Some(tensor(primitives_bar, l.primitive_rows(), n)?),
-        ))
+        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(primitives_bar, l.primitive_rows(), n)?)))
     }
 }

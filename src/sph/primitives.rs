@@ -458,12 +458,7 @@ impl<R: Real> CustomOp2 for Primitives<R> {
 }
 
 /// The same from ordinary candle ops: the oracle.
-pub fn composed<R: Real>(
-    step: &Step<R>,
-    pairs: &composed::Pairs,
-    moved: &Tensor,
-    density: &Tensor,
-) -> Result<Tensor> {
+pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor, density: &Tensor) -> Result<Tensor> {
     let model = &*step.model;
     let (l, d) = (model.layout, model.layout.dimension);
     let velocity = moved.narrow(0, l.velocity(), d)?;

@@ -458,10 +458,7 @@ impl<R: Real> CustomOp2 for Rates<R> {
                 })
             })
         })?;
-        Ok((
-            Some(tensor(moved_bar, l.moved_rows(), n)?),
-            Some(tensor(primitives_bar, l.primitive_rows(), n)?),
-        ))
+        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(primitives_bar, l.primitive_rows(), n)?)))
     }
 }
 
@@ -492,7 +489,10 @@ pub fn composed<R: Real>(
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
     let mut acceleration = per_mass(force.broadcast_mul(&c)?.sum(2)?)?;
     let given: Vec<R> = read(&moved.narrow(0, 1, 1)?.contiguous()?, |y: &[R]| {
-        Ok(y.iter().enumerate().map(|(i, y)| if model.is_fluid(i) { R::of(model.body_force.at(y.f64())) } else { R::default() }).collect())
+        Ok(y.iter()
+            .enumerate()
+            .map(|(i, y)| if model.is_fluid(i) { R::of(model.body_force.at(y.f64())) } else { R::default() })
+            .collect())
     })?;
     let mut rows = vec![R::default(); d * model.particles()];
     rows[..model.particles()].copy_from_slice(&given);

@@ -92,7 +92,11 @@ impl<R: Real> Neighbourhood<R> {
 }
 
 /// Distance that the fastest particle has moved since the list was built; an error if a position is not a number.
-pub fn largest_move<R: Real>(model: &Model<R>, position: &[R], reference: &[R]) -> std::result::Result<f64, NeighbourError> {
+pub fn largest_move<R: Real>(
+    model: &Model<R>,
+    position: &[R],
+    reference: &[R],
+) -> std::result::Result<f64, NeighbourError> {
     let n = model.particles();
     let dimension = model.domain.dimension;
     let size = model.domain.size.map(R::of);

@@ -27,7 +27,10 @@ pub fn number(location: &Location, name: &str) -> f64 {
 
 pub fn text(location: &Location, name: &str) -> String {
     let attribute = location.attr(name).unwrap_or_else(|e| panic!("attribute {name}: {e}"));
-    attribute.read_scalar::<hdf5::types::VarLenUnicode>().unwrap_or_else(|e| panic!("attribute {name}: {e}")).to_string()
+    attribute
+        .read_scalar::<hdf5::types::VarLenUnicode>()
+        .unwrap_or_else(|e| panic!("attribute {name}: {e}"))
+        .to_string()
 }
 
 /// A field as rows `[columns][n]`; constants are stored as attributes.
@@ -191,10 +194,7 @@ impl Case {
         }
         if layout.heat {
             let t = field(group, "T", n, 1).expect("T");
-            put(
-                layout.temperature(),
-                vec![t[0].iter().map(|t| t - self.reference_temperature).collect()],
-            );
+            put(layout.temperature(), vec![t[0].iter().map(|t| t - self.reference_temperature).collect()]);
             put(layout.temperature_rate(), field(group, "dTdt", n, 1).unwrap_or_else(|| vec![vec![0.0; n]]));
         }
         if layout.mass {

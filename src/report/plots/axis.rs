@@ -32,22 +32,12 @@ impl Axis {
 
     /// A logarithmic axis around all positive values, with a little room at both ends.
     pub fn around_log(values: impl IntoIterator<Item = f64>) -> Self {
-        let logs = values
-            .into_iter()
-            .filter(|v| *v > 0.0 && v.is_finite())
-            .map(f64::log10);
+        let logs = values.into_iter().filter(|v| *v > 0.0 && v.is_finite()).map(f64::log10);
         let (low, high) = limits(logs, 0.0, 1.0);
         // Less than a third of a decade would leave no tick.
-        let room = (0.05 * (high - low))
-            .max(0.5 * (0.4 - (high - low)))
-            .max(0.03);
+        let room = (0.05 * (high - low)).max(0.5 * (0.4 - (high - low))).max(0.03);
         let (low, high) = (low - room, high + room);
-        Self {
-            low,
-            high,
-            log: true,
-            ticks: log_ticks(low, high),
-        }
+        Self { low, high, log: true, ticks: log_ticks(low, high) }
     }
 
     /// A linear axis over exactly this range.
@@ -57,19 +47,13 @@ impl Axis {
 
     /// A linear axis over exactly this range with about `count` ticks.
     pub fn linear_with(low: f64, high: f64, count: usize) -> Self {
-        Self {
-            low,
-            high,
-            log: false,
-            ticks: linear_ticks(low, high, count),
-        }
+        Self { low, high, log: false, ticks: linear_ticks(low, high, count) }
     }
 
     /// A linear axis with whole numbers only (epochs).
     pub fn whole_numbers(values: impl IntoIterator<Item = f64>) -> Self {
         let mut axis = Self::around(values);
-        axis.ticks
-            .retain(|(value, _)| (value - value.round()).abs() < 1e-9);
+        axis.ticks.retain(|(value, _)| (value - value.round()).abs() < 1e-9);
         if axis.ticks.is_empty() {
             let middle = (0.5 * (axis.low + axis.high)).round();
             axis.ticks.push((middle, format!("{middle}")));
@@ -94,10 +78,7 @@ impl Axis {
 
     /// Width of the widest tick label in pixels.
     fn label_width(&self) -> f64 {
-        let widths = self
-            .ticks
-            .iter()
-            .map(|(_, label)| text_width(label, TICK_SIZE));
+        let widths = self.ticks.iter().map(|(_, label)| text_width(label, TICK_SIZE));
         widths.fold(0.0, f64::max)
     }
 
@@ -110,10 +91,7 @@ impl Axis {
 
 /// Smallest and largest value, or the given limits if there is none.
 fn limits(values: impl Iterator<Item = f64>, low: f64, high: f64) -> (f64, f64) {
-    values
-        .map(|value| (value, value))
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-        .unwrap_or((low, high))
+    values.map(|value| (value, value)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((low, high))
 }
 
 /// Multiples of 1, 2 or 5 times a power of ten, at most `count` + 1 or so of them.
@@ -158,18 +136,10 @@ fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     // All labels of an axis in the same way.
     let small = low > -3.1 && high < 4.1;
     let stride = (((high - low) / 8.0).ceil() as i32).max(1);
-    let factors: &[f64] = if high - low < 2.0 {
-        &[1.0, 2.0, 5.0]
-    } else {
-        &[1.0]
-    };
+    let factors: &[f64] = if high - low < 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
     (low.floor() as i32..=high.ceil() as i32)
         .filter(|power| power.rem_euclid(stride) == 0)
-        .flat_map(|power| {
-            factors
-                .iter()
-                .map(move |factor| (factor * 10_f64.powi(power), *factor, power))
-        })
+        .flat_map(|power| factors.iter().map(move |factor| (factor * 10_f64.powi(power), *factor, power)))
         .filter(|(value, ..)| (low - 1e-9..=high + 1e-9).contains(&value.log10()))
         .map(|(value, factor, power)| {
             let label = match factor {
@@ -191,10 +161,7 @@ fn plain(value: f64, decimals: usize) -> String {
 fn power_of_ten(value: f64) -> String {
     let text = format!("{value:.3e}");
     let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
-    let digits = digits
-        .trim_end_matches('0')
-        .trim_end_matches('.')
-        .replace('-', "−");
+    let digits = digits.trim_end_matches('0').trim_end_matches('.').replace('-', "−");
     let power = superscript(power.parse().unwrap_or(0));
     match digits.as_str() {
         "1" => format!("10{power}"),
@@ -230,10 +197,7 @@ pub struct Frame {
 impl Frame {
     /// Pixels of a data point.
     pub fn map(&self, (x, y): Point) -> Point {
-        (
-            self.left + self.width * self.x.part(x),
-            self.top + self.height * (1.0 - self.y.part(y)),
-        )
+        (self.left + self.width * self.x.part(x), self.top + self.height * (1.0 - self.y.part(y)))
     }
 
     /// Data points as lines of pixels, broken where a point cannot be shown (NaN, or 0 on a logarithmic axis).
@@ -260,24 +224,12 @@ impl Frame {
             let y = bottom - self.height * self.y.part(*value);
             drawing.line(vec![(self.left, y), (right, y)], GRID, 1.0);
             drawing.line(vec![(self.left - 5.0, y), (self.left, y)], INK, 1.0);
-            drawing.text(
-                label,
-                (self.left - 9.0, y),
-                TICK_SIZE,
-                Anchor::Right,
-                y_color,
-            );
+            drawing.text(label, (self.left - 9.0, y), TICK_SIZE, Anchor::Right, y_color);
         }
         self.outline(drawing);
         let middle = (self.left + 0.5 * self.width, self.top + 0.5 * self.height);
         if !x_label.is_empty() {
-            drawing.text(
-                x_label,
-                (middle.0, bottom + 31.0),
-                LABEL_SIZE,
-                Anchor::Top,
-                INK,
-            );
+            drawing.text(x_label, (middle.0, bottom + 31.0), LABEL_SIZE, Anchor::Top, INK);
         }
         drawing.text(
             y_label,
@@ -297,24 +249,13 @@ impl Frame {
             drawing.text(label, (right + 9.0, y), TICK_SIZE, Anchor::Left, color);
         }
         let middle = self.top + 0.5 * self.height;
-        drawing.text(
-            label,
-            (right + 28.0 + axis.label_width(), middle),
-            LABEL_SIZE,
-            Anchor::Upwards,
-            color,
-        );
+        drawing.text(label, (right + 28.0 + axis.label_width(), middle), LABEL_SIZE, Anchor::Upwards, color);
     }
 
     /// The rectangle alone.
     pub fn outline(&self, drawing: &mut Drawing) {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
-        let corners = [
-            (self.left, self.top),
-            (right, self.top),
-            (right, bottom),
-            (self.left, bottom),
-        ];
+        let corners = [(self.left, self.top), (right, self.top), (right, bottom), (self.left, bottom)];
         drawing.line([&corners[..], &corners[..1]].concat(), INK, 1.2);
     }
 }
@@ -329,31 +270,16 @@ mod tests {
 
     #[test]
     fn tick_labels_are_round() {
-        assert_eq!(
-            labels(&linear_ticks(-0.021, 0.021, 6)),
-            ["−0.02", "−0.01", "0", "0.01", "0.02"]
-        );
-        assert_eq!(
-            labels(&linear_ticks(0.0, 1.0, 6)),
-            ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]
-        );
-        assert_eq!(
-            labels(&linear_ticks(0.0, 47.0, 6)),
-            ["0", "10", "20", "30", "40"]
-        );
-        assert_eq!(
-            labels(&linear_ticks(0.0, 4e-7, 4)),
-            ["0", "10⁻⁷", "2·10⁻⁷", "3·10⁻⁷", "4·10⁻⁷"]
-        );
+        assert_eq!(labels(&linear_ticks(-0.021, 0.021, 6)), ["−0.02", "−0.01", "0", "0.01", "0.02"]);
+        assert_eq!(labels(&linear_ticks(0.0, 1.0, 6)), ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
+        assert_eq!(labels(&linear_ticks(0.0, 47.0, 6)), ["0", "10", "20", "30", "40"]);
+        assert_eq!(labels(&linear_ticks(0.0, 4e-7, 4)), ["0", "10⁻⁷", "2·10⁻⁷", "3·10⁻⁷", "4·10⁻⁷"]);
         assert_eq!(labels(&linear_ticks(1.0, 1.0, 6)), ["1.000"]);
     }
 
     #[test]
     fn logarithmic_ticks_are_decades() {
-        assert_eq!(
-            labels(&log_ticks(-4.1, 0.1)),
-            ["10⁻⁴", "10⁻³", "10⁻²", "10⁻¹", "10⁰"]
-        );
+        assert_eq!(labels(&log_ticks(-4.1, 0.1)), ["10⁻⁴", "10⁻³", "10⁻²", "10⁻¹", "10⁰"]);
         assert_eq!(labels(&log_ticks(0.2, 1.1)), ["2", "5", "10"]);
         assert!(labels(&log_ticks(-16.0, 0.0)).len() <= 9);
         assert!(!Axis::around_log([3.0, 3.1]).ticks().is_empty());
@@ -362,20 +288,12 @@ mod tests {
 
     #[test]
     fn ranges_survive_poor_data() {
-        for values in [
-            vec![],
-            vec![f64::NAN],
-            vec![0.0],
-            vec![5.0, 5.0],
-            vec![f64::INFINITY, 2.0],
-            vec![0.3, 0.1 + 0.2],
-        ] {
+        for values in
+            [vec![], vec![f64::NAN], vec![0.0], vec![5.0, 5.0], vec![f64::INFINITY, 2.0], vec![0.3, 0.1 + 0.2]]
+        {
             let axis = Axis::around(values.clone());
             assert!(axis.high > axis.low && axis.low.is_finite(), "{values:?}");
-            assert!(
-                !axis.ticks().is_empty() && axis.ticks().len() < 20,
-                "{values:?} {axis:?}"
-            );
+            assert!(!axis.ticks().is_empty() && axis.ticks().len() < 20, "{values:?} {axis:?}");
         }
         assert!(!Axis::around_log([]).ticks().is_empty());
         assert!(!Axis::around_log([0.0, -1.0]).ticks().is_empty());

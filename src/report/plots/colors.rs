@@ -25,15 +25,8 @@ const PLASMA: [Color; 17] = [
 ];
 
 /// Distinct also for colour-blind readers (after Okabe and Ito, without the yellow).
-const SERIES: [Color; 7] = [
-    [0, 114, 178],
-    [213, 94, 0],
-    [0, 158, 115],
-    [204, 121, 167],
-    [90, 90, 90],
-    [230, 159, 0],
-    [86, 180, 233],
-];
+const SERIES: [Color; 7] =
+    [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [90, 90, 90], [230, 159, 0], [86, 180, 233]];
 
 /// Colour of a value between 0 (cold) and 1 (hot); values outside are cut, NaN is green to be seen.
 pub fn heat(part: f64) -> Color {
@@ -47,12 +40,7 @@ pub fn heat(part: f64) -> Color {
 
 /// From light (0) to dark (1) blue, for lines in an order.
 pub fn shade(part: f64) -> Color {
-    const STOPS: [Color; 4] = [
-        [196, 218, 238],
-        [120, 174, 214],
-        [42, 110, 180],
-        [8, 38, 96],
-    ];
+    const STOPS: [Color; 4] = [[196, 218, 238], [120, 174, 214], [42, 110, 180], [8, 38, 96]];
     let place = part.clamp(0.0, 1.0) * 3.0;
     let index = (place as usize).min(2);
     mix(STOPS[index], STOPS[index + 1], place - index as f64)
@@ -76,16 +64,10 @@ mod tests {
 
     #[test]
     fn heat_gets_lighter_and_stays_in_range() {
-        let lightness = |[red, green, blue]: Color| {
-            0.2126 * f64::from(red) + 0.7152 * f64::from(green) + 0.0722 * f64::from(blue)
-        };
-        let shades: Vec<f64> = (0..=20)
-            .map(|i| lightness(heat(f64::from(i) / 20.0)))
-            .collect();
-        assert!(
-            shades.windows(2).all(|pair| pair[1] > pair[0]),
-            "{shades:?}"
-        );
+        let lightness =
+            |[red, green, blue]: Color| 0.2126 * f64::from(red) + 0.7152 * f64::from(green) + 0.0722 * f64::from(blue);
+        let shades: Vec<f64> = (0..=20).map(|i| lightness(heat(f64::from(i) / 20.0))).collect();
+        assert!(shades.windows(2).all(|pair| pair[1] > pair[0]), "{shades:?}");
         assert_eq!(heat(-3.0), heat(0.0));
         assert_eq!(heat(9.0), PLASMA[15]);
         assert_ne!(heat(f64::NAN), heat(0.0));

@@ -25,12 +25,8 @@ pub fn compare(
     log_y: bool,
 ) -> Result<[PathBuf; 2], FileError> {
     let usable = |value: f64, log: bool| value.is_finite() && (!log || value > 0.0);
-    let points = || {
-        series
-            .iter()
-            .flat_map(|(_, points)| points)
-            .filter(move |(x, y)| usable(*x, log_x) && usable(*y, log_y))
-    };
+    let points =
+        || series.iter().flat_map(|(_, points)| points).filter(move |(x, y)| usable(*x, log_x) && usable(*y, log_y));
     if points().next().is_none() {
         return Err(FileError::input(
             path_stem,
@@ -56,17 +52,9 @@ pub fn compare(
     let (left, top, width) = (y_axis.margin(), 60.0, 740.0);
     let height = f64::max(460.0, legend::height(&entries));
     let legend_left = left + width + 28.0;
-    let total =
-        (legend_left + legend::width(&entries) + 24.0).max(left + text_width(title, 20.0) + 24.0);
+    let total = (legend_left + legend::width(&entries) + 24.0).max(left + text_width(title, 20.0) + 24.0);
     let mut drawing = Drawing::new(total.max(1000.0), top + height + 75.0);
-    let frame = Frame {
-        left,
-        top,
-        width,
-        height,
-        x: axis(points().map(|point| point.0).collect(), log_x),
-        y: y_axis,
-    };
+    let frame = Frame { left, top, width, height, x: axis(points().map(|point| point.0).collect(), log_x), y: y_axis };
     drawing.text(title, (left, 32.0), 20.0, Anchor::Left, INK);
     frame.draw(&mut drawing, x_label, y_label, INK);
     for (index, (_, points)) in series.iter().enumerate() {

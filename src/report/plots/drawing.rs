@@ -41,28 +41,10 @@ pub enum Anchor {
 
 #[derive(Clone, Debug)]
 enum Shape {
-    Line {
-        points: Vec<Point>,
-        color: Color,
-        width: f64,
-    },
-    Area {
-        points: Vec<Point>,
-        color: Color,
-        opacity: f64,
-    },
-    Disc {
-        centre: Point,
-        radius: f64,
-        color: Color,
-    },
-    Label {
-        text: String,
-        at: Point,
-        size: f64,
-        anchor: Anchor,
-        color: Color,
-    },
+    Line { points: Vec<Point>, color: Color, width: f64 },
+    Area { points: Vec<Point>, color: Color, opacity: f64 },
+    Disc { centre: Point, radius: f64, color: Color },
+    Label { text: String, at: Point, size: f64, anchor: Anchor, color: Color },
 }
 
 /// Shapes in the order in which they are drawn, on a white ground.
@@ -76,19 +58,11 @@ pub struct Drawing {
 impl Drawing {
     /// An empty picture of this many nominal pixels.
     pub fn new(width: f64, height: f64) -> Self {
-        Self {
-            width,
-            height,
-            shapes: Vec::new(),
-        }
+        Self { width, height, shapes: Vec::new() }
     }
 
     pub fn line(&mut self, points: Vec<Point>, color: Color, width: f64) {
-        self.shapes.push(Shape::Line {
-            points,
-            color,
-            width,
-        });
+        self.shapes.push(Shape::Line { points, color, width });
     }
 
     /// A line of dashes with gaps, given as lengths in pixels.
@@ -101,10 +75,7 @@ impl Drawing {
             let length = (end.0 - start.0).hypot(end.1 - start.1);
             let at = |s: f64| {
                 let part = if length > 0.0 { s / length } else { 0.0 };
-                (
-                    start.0 + part * (end.0 - start.0),
-                    start.1 + part * (end.1 - start.1),
-                )
+                (start.0 + part * (end.0 - start.0), start.1 + part * (end.1 - start.1))
             };
             let mut position = 0.0;
             while position < length {
@@ -131,46 +102,18 @@ impl Drawing {
         }
     }
 
-    pub fn rectangle(
-        &mut self,
-        (left, top): Point,
-        width: f64,
-        height: f64,
-        color: Color,
-        opacity: f64,
-    ) {
+    pub fn rectangle(&mut self, (left, top): Point, width: f64, height: f64, color: Color, opacity: f64) {
         let (right, bottom) = (left + width, top + height);
         let points = vec![(left, top), (right, top), (right, bottom), (left, bottom)];
-        self.shapes.push(Shape::Area {
-            points,
-            color,
-            opacity,
-        });
+        self.shapes.push(Shape::Area { points, color, opacity });
     }
 
     pub fn disc(&mut self, centre: Point, radius: f64, color: Color) {
-        self.shapes.push(Shape::Disc {
-            centre,
-            radius,
-            color,
-        });
+        self.shapes.push(Shape::Disc { centre, radius, color });
     }
 
-    pub fn text(
-        &mut self,
-        text: impl Into<String>,
-        at: Point,
-        size: f64,
-        anchor: Anchor,
-        color: Color,
-    ) {
-        self.shapes.push(Shape::Label {
-            text: text.into(),
-            at,
-            size,
-            anchor,
-            color,
-        });
+    pub fn text(&mut self, text: impl Into<String>, at: Point, size: f64, anchor: Anchor, color: Color) {
+        self.shapes.push(Shape::Label { text: text.into(), at, size, anchor, color });
     }
 
     /// Writes `<stem>.png` and `<stem>.svg` (both atomically) and returns their paths.
@@ -197,8 +140,7 @@ impl Drawing {
         let mut pixels = vec![255_u8; 3 * width as usize * height as usize];
         {
             let area = BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area();
-            self.draw(&area, PNG_TEXT_DROP)
-                .map_err(|what| plot_error(path, what))?;
+            self.draw(&area, PNG_TEXT_DROP).map_err(|what| plot_error(path, what))?;
         }
         let smooth = averaged(&pixels, width as usize);
         let size = (width / SMOOTHING as u32, height / SMOOTHING as u32);
@@ -214,27 +156,17 @@ impl Drawing {
         let mut text = String::new();
         {
             let area = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
-            self.draw(&area, 0.0)
-                .map_err(|what| plot_error(path, what))?;
+            self.draw(&area, 0.0).map_err(|what| plot_error(path, what))?;
         }
         // Keep the fine grid inside, show it at nominal size.
         let fine = format!("width=\"{width}\" height=\"{height}\" viewBox");
         let fine_count = FINE as u32;
-        let nominal = format!(
-            "width=\"{}\" height=\"{}\" viewBox",
-            width / fine_count,
-            height / fine_count
-        );
+        let nominal = format!("width=\"{}\" height=\"{}\" viewBox", width / fine_count, height / fine_count);
         Ok(text.replacen(&fine, &nominal, 1))
     }
 
-    fn draw<B: DrawingBackend>(
-        &self,
-        area: &DrawingArea<B, Shift>,
-        text_drop: f64,
-    ) -> Result<(), String> {
-        area.fill(&plotters::style::WHITE)
-            .map_err(|error| error.to_string())?;
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, text_drop: f64) -> Result<(), String> {
+        area.fill(&plotters::style::WHITE).map_err(|error| error.to_string())?;
         for shape in &self.shapes {
             draw_shape(area, shape, text_drop).map_err(|error| error.to_string())?;
         }
@@ -311,11 +243,7 @@ fn draw_shape<B: DrawingBackend>(
     let scale = FINE as f64;
     let paint = |[red, green, blue]: Color, opacity: f64| RGBAColor(red, green, blue, opacity);
     match shape {
-        Shape::Line {
-            points,
-            color,
-            width,
-        } => {
+        Shape::Line { points, color, width } => {
             let style = ShapeStyle {
                 color: paint(*color, 1.0),
                 filled: false,
@@ -329,33 +257,16 @@ fn draw_shape<B: DrawingBackend>(
             }
             area.draw(&PathElement::new(points, style))
         }
-        Shape::Area {
-            points,
-            color,
-            opacity,
-        } => {
+        Shape::Area { points, color, opacity } => {
             let points: Vec<(i32, i32)> = points.iter().copied().map(fine_point).collect();
-            area.draw(&Polygon::new(
-                points,
-                ShapeStyle::from(paint(*color, *opacity)).filled(),
-            ))
+            area.draw(&Polygon::new(points, ShapeStyle::from(paint(*color, *opacity)).filled()))
         }
-        Shape::Disc {
-            centre,
-            radius,
-            color,
-        } => {
+        Shape::Disc { centre, radius, color } => {
             let radius = (radius * scale).round().max(1.0) as i32;
             let style = ShapeStyle::from(paint(*color, 1.0)).filled();
             area.draw(&Circle::new(fine_point(*centre), radius, style))
         }
-        Shape::Label {
-            text,
-            at,
-            size,
-            anchor,
-            color,
-        } => {
+        Shape::Label { text, at, size, anchor, color } => {
             let (horizontal, vertical) = match anchor {
                 Anchor::Left => (HPos::Left, VPos::Center),
                 Anchor::Right => (HPos::Right, VPos::Center),
@@ -373,9 +284,7 @@ fn draw_shape<B: DrawingBackend>(
                 font = font.transform(FontTransform::Rotate270);
             }
             let color = paint(*color, 1.0);
-            let style = TextStyle::from(font)
-                .color(&color)
-                .pos(Pos::new(horizontal, vertical));
+            let style = TextStyle::from(font).color(&color).pos(Pos::new(horizontal, vertical));
             area.draw(&Text::new(text.as_str(), fine_point(at), style))
         }
     }
@@ -388,20 +297,14 @@ mod tests {
     #[test]
     fn dashes_cover_their_share_of_the_line() {
         let mut drawing = Drawing::new(100.0, 100.0);
-        drawing.dashed(
-            &[(0.0, 0.0), (30.0, 0.0), (30.0, 70.0)],
-            [0; 3],
-            1.0,
-            (6.0, 4.0),
-        );
+        drawing.dashed(&[(0.0, 0.0), (30.0, 0.0), (30.0, 70.0)], [0; 3], 1.0, (6.0, 4.0));
         let length: f64 = drawing
             .shapes
             .iter()
             .map(|shape| match shape {
-                Shape::Line { points, .. } => points
-                    .windows(2)
-                    .map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1))
-                    .sum(),
+                Shape::Line { points, .. } => {
+                    points.windows(2).map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1)).sum()
+                }
                 _ => 0.0,
             })
             .sum();
@@ -418,18 +321,12 @@ mod tests {
 
     #[test]
     fn a_dot_in_the_stem_stays() {
-        assert_eq!(
-            with_ending(Path::new("a/dx_0.02"), ".png"),
-            Path::new("a/dx_0.02.png")
-        );
+        assert_eq!(with_ending(Path::new("a/dx_0.02"), ".png"), Path::new("a/dx_0.02.png"));
     }
 
     #[test]
     fn the_embedded_font_measures() {
         let width = text_width("mmmm", 20.0);
-        assert!(
-            text_width("ii", 20.0) < width && width > 40.0 && width < 120.0,
-            "{width}"
-        );
+        assert!(text_width("ii", 20.0) < width && width > 40.0 && width < 120.0, "{width}");
     }
 }

@@ -29,24 +29,13 @@ pub fn history(
     q_reference: Option<(&str, f64)>,
 ) -> Result<[PathBuf; 2], FileError> {
     if epochs.is_empty() {
-        return Err(FileError::input(
-            path_stem,
-            "there is no epoch to show",
-            "at least one epoch",
-        ));
+        return Err(FileError::input(path_stem, "there is no epoch to show", "at least one epoch"));
     }
     let number = |point: &HistoryPoint| point.epoch as f64;
     let series = |value: fn(&HistoryPoint) -> f64| -> Vec<Point> {
-        epochs
-            .iter()
-            .map(|point| (number(point), value(point)))
-            .collect()
+        epochs.iter().map(|point| (number(point), value(point))).collect()
     };
-    let (q, loss, gradient) = (
-        series(|p| p.q),
-        series(|p| p.loss),
-        series(|p| p.gradient_norm),
-    );
+    let (q, loss, gradient) = (series(|p| p.q), series(|p| p.loss), series(|p| p.gradient_norm));
     let values = |points: &[Point]| points.iter().map(|point| point.1).collect::<Vec<f64>>();
     let epoch_axis = || Axis::whole_numbers(epochs.iter().map(number));
 
@@ -55,69 +44,30 @@ pub fn history(
     let loss_axis = Axis::around(values(&loss));
     let gradient_axis = Axis::around_log(values(&gradient));
     let (left, width) = (q_axis.margin().max(loss_axis.margin()), 840.0);
-    let upper = Frame {
-        left,
-        top: 62.0,
-        width,
-        height: 300.0,
-        x: epoch_axis(),
-        y: q_axis,
-    };
-    let lower = Frame {
-        left,
-        top: 424.0,
-        width,
-        height: 230.0,
-        x: epoch_axis(),
-        y: loss_axis,
-    };
-    let on_gradient = Frame {
-        y: gradient_axis.clone(),
-        ..lower.clone()
-    };
+    let upper = Frame { left, top: 62.0, width, height: 300.0, x: epoch_axis(), y: q_axis };
+    let lower = Frame { left, top: 424.0, width, height: 230.0, x: epoch_axis(), y: loss_axis };
+    let on_gradient = Frame { y: gradient_axis.clone(), ..lower.clone() };
     let mut drawing = Drawing::new(left + width + gradient_axis.margin(), 735.0);
 
     upper.draw(&mut drawing, "", "heat outflow Q (scene units)", INK);
-    let mut entries = vec![Entry {
-        text: "Q".to_owned(),
-        color: colors::series(0),
-        sample: Sample::Marked(0),
-    }];
+    let mut entries = vec![Entry { text: "Q".to_owned(), color: colors::series(0), sample: Sample::Marked(0) }];
     if let Some((name, value)) = q_reference.filter(|(_, value)| value.is_finite()) {
         let y = upper.map((0.0, value)).1;
-        drawing.dashed(
-            &[(left, y), (left + width, y)],
-            colors::series(1),
-            1.8,
-            (7.0, 4.5),
-        );
-        entries.push(Entry {
-            text: name.to_owned(),
-            color: colors::series(1),
-            sample: Sample::Dashed,
-        });
+        drawing.dashed(&[(left, y), (left + width, y)], colors::series(1), 1.8, (7.0, 4.5));
+        entries.push(Entry { text: name.to_owned(), color: colors::series(1), sample: Sample::Dashed });
     }
     curve(&mut drawing, &upper, &q, 0);
     legend_row(&mut drawing, (left, 34.0), &entries);
 
     lower.draw(&mut drawing, "epoch", "loss", colors::series(0));
-    lower.draw_right(
-        &mut drawing,
-        &gradient_axis,
-        "|gradient|",
-        colors::series(1),
-    );
+    lower.draw_right(&mut drawing, &gradient_axis, "|gradient|", colors::series(1));
     curve(&mut drawing, &lower, &loss, 0);
     curve(&mut drawing, &on_gradient, &gradient, 1);
     let entries = ["loss (left axis)", "|gradient| (right axis)"].map(|text| text.to_owned());
     let entries: Vec<Entry> = entries
         .into_iter()
         .enumerate()
-        .map(|(index, text)| Entry {
-            text,
-            color: colors::series(index),
-            sample: Sample::Marked(index),
-        })
+        .map(|(index, text)| Entry { text, color: colors::series(index), sample: Sample::Marked(index) })
         .collect();
     legend_row(&mut drawing, (left, 396.0), &entries);
     drawing.save(path_stem)

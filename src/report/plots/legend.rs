@@ -32,10 +32,7 @@ pub struct Entry {
 
 /// Width that the entries need, in pixels.
 pub fn width(entries: &[Entry]) -> f64 {
-    let widest = entries
-        .iter()
-        .map(|entry| text_width(&entry.text, TEXT_SIZE))
-        .fold(0.0, f64::max);
+    let widest = entries.iter().map(|entry| text_width(&entry.text, TEXT_SIZE)).fold(0.0, f64::max);
     SAMPLE + GAP + widest
 }
 
@@ -64,22 +61,14 @@ pub fn draw(drawing: &mut Drawing, (left, top): Point, entries: &[Entry]) {
                 drawing.disc(middle, 7.0, entry.color);
             }
         }
-        drawing.text(
-            &entry.text,
-            (left + SAMPLE + GAP, y),
-            TEXT_SIZE,
-            Anchor::Left,
-            INK,
-        );
+        drawing.text(&entry.text, (left + SAMPLE + GAP, y), TEXT_SIZE, Anchor::Left, INK);
     }
 }
 
 /// The marker of a series: filled or hollow disc or square, so that more than seven series stay distinct.
 pub fn marker(drawing: &mut Drawing, (x, y): Point, series: usize, color: Color) {
     const WHITE: Color = [255; 3];
-    let mut square = |half: f64, color| {
-        drawing.rectangle((x - half, y - half), 2.0 * half, 2.0 * half, color, 1.0)
-    };
+    let mut square = |half: f64, color| drawing.rectangle((x - half, y - half), 2.0 * half, 2.0 * half, color, 1.0);
     match series % 4 {
         0 => drawing.disc((x, y), 4.0, color),
         1 => square(3.8, color),

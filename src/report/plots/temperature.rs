@@ -48,23 +48,14 @@ pub fn temperature_particles(
     check(path_stem, panels, (t_min, t_max), x_range, y_range)?;
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     // Wide scenes fill the width; tall ones are limited by height.
-    let pixels = f64::min(
-        900.0 / x_span,
-        if panels.len() > 1 { 460.0 } else { 700.0 } / y_span,
-    );
+    let pixels = f64::min(900.0 / x_span, if panels.len() > 1 { 460.0 } else { 700.0 } / y_span);
     let (width, height) = (pixels * x_span, pixels * y_span);
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
     let bottom = first_top + panels.len() as f64 * (height + gap) - gap;
     let entries = entries(panels);
     let bar_left = left + width + 30.0;
-    let legend_width: f64 = entries
-        .iter()
-        .map(|entry| legend::width(std::slice::from_ref(entry)) + 30.0)
-        .sum();
-    let title_width = panels
-        .iter()
-        .map(|panel| text_width(panel.title, 18.0))
-        .fold(0.0, f64::max);
+    let legend_width: f64 = entries.iter().map(|entry| legend::width(std::slice::from_ref(entry)) + 30.0).sum();
+    let title_width = panels.iter().map(|panel| text_width(panel.title, 18.0)).fold(0.0, f64::max);
     let total = (bar_left + 125.0).max(left + legend_width.max(title_width) + 20.0);
     let mut drawing = Drawing::new(total, bottom + 110.0);
 
@@ -79,23 +70,12 @@ pub fn temperature_particles(
         };
         let last = index + 1 == panels.len();
         let x_label = if last { "x (scene units)" } else { "" };
-        drawing.text(
-            panel.title,
-            (left, frame.top - 20.0),
-            18.0,
-            Anchor::Left,
-            INK,
-        );
+        drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
         frame.draw(&mut drawing, x_label, "y (scene units)", INK);
         draw_particles(&mut drawing, &frame, panel, (t_min, t_max), pixels);
         frame.outline(&mut drawing);
     }
-    color_bar(
-        &mut drawing,
-        (bar_left, first_top),
-        bottom - first_top,
-        (t_min, t_max),
-    );
+    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max));
     let mut x = left;
     for entry in &entries {
         let single = std::slice::from_ref(entry);
@@ -145,21 +125,12 @@ fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
     let kinds = [
         (1, "wall", WALL_GREY, None),
         (MOVING_WALL, "moving wall", MOVING_GREY, None),
-        (
-            HOT_WALL,
-            "wall of set temperature",
-            HOT_GREY,
-            Some(HOT_OUTLINE),
-        ),
+        (HOT_WALL, "wall of set temperature", HOT_GREY, Some(HOT_OUTLINE)),
     ];
     kinds
         .into_iter()
         .filter(|(tag, ..)| panels.iter().any(|panel| panel.tag.contains(tag)))
-        .map(|(_, text, color, outline)| Entry {
-            text: text.to_owned(),
-            color,
-            sample: Sample::Disc { outline },
-        })
+        .map(|(_, text, color, outline)| Entry { text: text.to_owned(), color, sample: Sample::Disc { outline } })
         .collect()
 }
 
@@ -169,22 +140,9 @@ fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_m
     let stripe = height / STRIPES as f64;
     for index in 0..STRIPES {
         let part = 1.0 - (index as f64 + 0.5) / STRIPES as f64;
-        drawing.rectangle(
-            (left, top + stripe * index as f64),
-            WIDTH,
-            stripe,
-            colors::heat(part),
-            1.0,
-        );
+        drawing.rectangle((left, top + stripe * index as f64), WIDTH, stripe, colors::heat(part), 1.0);
     }
-    let frame = Frame {
-        left,
-        top,
-        width: WIDTH,
-        height,
-        x: Axis::linear(0.0, 1.0),
-        y: Axis::linear(t_min, t_max),
-    };
+    let frame = Frame { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
     frame.outline(drawing);
     frame.draw_right(drawing, &frame.y, "temperature T (scene units)", INK);
 }

@@ -25,16 +25,9 @@ pub fn wall_shapes(
     bound: f64,
 ) -> Result<[PathBuf; 2], FileError> {
     if shapes.is_empty() || nodes.is_empty() {
-        return Err(FileError::input(
-            path_stem,
-            "there is no wall shape to show",
-            "at least one shape with nodes",
-        ));
+        return Err(FileError::input(path_stem, "there is no wall shape to show", "at least one shape with nodes"));
     }
-    if let Some((name, offsets)) = shapes
-        .iter()
-        .find(|(_, offsets)| offsets.len() != nodes.len())
-    {
+    if let Some((name, offsets)) = shapes.iter().find(|(_, offsets)| offsets.len() != nodes.len()) {
         return Err(FileError::input(
             path_stem,
             format!("shape `{name}` has {} offsets", offsets.len()),
@@ -51,43 +44,21 @@ pub fn wall_shapes(
     let color = |index: usize| colors::shade(index as f64 / (shapes.len() - 1).max(1) as f64);
     let entries = entries(shapes, best, bound, color);
     let bounds = bound.is_finite().then_some([-bound, bound]);
-    let values = shapes
-        .iter()
-        .flat_map(|(_, offsets)| offsets.iter().copied());
+    let values = shapes.iter().flat_map(|(_, offsets)| offsets.iter().copied());
     let y_axis = Axis::around(values.chain(bounds.into_iter().flatten()));
-    let (left, top, width, height) = (
-        y_axis.margin(),
-        40.0,
-        740.0,
-        440.0_f64.max(legend::height(&entries)),
-    );
+    let (left, top, width, height) = (y_axis.margin(), 40.0, 740.0, 440.0_f64.max(legend::height(&entries)));
     let legend_left = left + width + 28.0;
-    let bar_label =
-        text_width(&shapes[0].0, 14.0).max(text_width(&shapes[shapes.len() - 1].0, 14.0));
+    let bar_label = text_width(&shapes[0].0, 14.0).max(text_width(&shapes[shapes.len() - 1].0, 14.0));
     let total = legend_left + legend::width(&entries).max(40.0 + bar_label) + 24.0;
     let mut drawing = Drawing::new(total.max(1000.0), top + height + 75.0);
 
-    let frame = Frame {
-        left,
-        top,
-        width,
-        height,
-        x: Axis::around(nodes.iter().copied()),
-        y: y_axis,
-    };
-    frame.draw(
-        &mut drawing,
-        "x (scene units)",
-        "wall offset (scene units)",
-        INK,
-    );
+    let frame = Frame { left, top, width, height, x: Axis::around(nodes.iter().copied()), y: y_axis };
+    frame.draw(&mut drawing, "x (scene units)", "wall offset (scene units)", INK);
     for value in bounds.into_iter().flatten() {
         let y = frame.map((0.0, value)).1;
         drawing.dashed(&[(left, y), (left + width, y)], BOUND, 1.6, (7.0, 4.5));
     }
-    let profile = |offsets: &[f64]| -> Vec<Point> {
-        nodes.iter().copied().zip(offsets.iter().copied()).collect()
-    };
+    let profile = |offsets: &[f64]| -> Vec<Point> { nodes.iter().copied().zip(offsets.iter().copied()).collect() };
     for (index, (_, offsets)) in shapes.iter().enumerate() {
         for line in frame.map_lines(&profile(offsets)) {
             drawing.line(line, color(index), 1.8);
@@ -105,13 +76,7 @@ pub fn wall_shapes(
     legend::draw(&mut drawing, (legend_left, top), &entries);
     if shapes.len() > MOST_ENTRIES {
         let bar_top = top + legend::height(&entries) + 20.0;
-        shade_bar(
-            &mut drawing,
-            (legend_left, bar_top),
-            200.0,
-            &shapes[0].0,
-            &shapes[shapes.len() - 1].0,
-        );
+        shade_bar(&mut drawing, (legend_left, bar_top), 200.0, &shapes[0].0, &shapes[shapes.len() - 1].0);
     }
     drawing.save(path_stem)
 }
@@ -124,11 +89,7 @@ fn entries(
 ) -> Vec<Entry> {
     let mut entries = Vec::new();
     if bound.is_finite() {
-        entries.push(Entry {
-            text: format!("bounds ±{bound}"),
-            color: BOUND,
-            sample: Sample::Dashed,
-        });
+        entries.push(Entry { text: format!("bounds ±{bound}"), color: BOUND, sample: Sample::Dashed });
     }
     if let Some(index) = best {
         entries.push(Entry {
@@ -153,20 +114,8 @@ fn shade_bar(drawing: &mut Drawing, (left, top): Point, height: f64, first: &str
     let stripe = height / STRIPES as f64;
     for index in 0..STRIPES {
         let color = colors::shade(index as f64 / (STRIPES - 1) as f64);
-        drawing.rectangle(
-            (left, top + stripe * index as f64),
-            18.0,
-            stripe,
-            color,
-            1.0,
-        );
+        drawing.rectangle((left, top + stripe * index as f64), 18.0, stripe, color, 1.0);
     }
     drawing.text(first, (left + 28.0, top + 7.0), 14.0, Anchor::Left, INK);
-    drawing.text(
-        last,
-        (left + 28.0, top + height - 7.0),
-        14.0,
-        Anchor::Left,
-        INK,
-    );
+    drawing.text(last, (left + 28.0, top + height - 7.0), 14.0, Anchor::Left, INK);
 }
