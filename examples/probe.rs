@@ -17,6 +17,12 @@ fn main() {
     let n = ch.model.particles();
     let mut q = 0.0;
     let mut um = 0.0;
+    let mut us = 0.0;
+    let mut q2 = 0.0;
+    let mut o2 = ch.objective.clone();
+    o2.targets = std::sync::Arc::new(
+        ch.objective.targets.iter().flat_map(|t| [0.2, 0.4, 0.5, 0.6, 0.8].map(|x| [x, t[1], 0.0])).collect(),
+    );
     let mut cnt = 0.0;
     let mut flow = 0.0;
     let mut rho = 0.0;
@@ -40,6 +46,11 @@ fn main() {
             }
             um += u;
             cnt += 1.0;
+            let qq = ch.objective.outflow(&f);
+            q2 += qq * qq;
+            let f2 = o2.fields(&mut s);
+            let m2 = o2.targets.len();
+            us += f2[m2..2 * m2].iter().cloned().fold(0.0, f64::max);
         }
         if std::env::var("HIST").is_ok() && k % every == 0 {
             let f = ch.objective.fields(&mut s);
@@ -48,12 +59,14 @@ fn main() {
     }
     let fl = ch.model.tags.iter().filter(|&&t| t == 0).count() as f64 / n as f64;
     println!(
-        "{:?} N {n} dt {:.3e} steps {} Q {:.6} u_max {:.5} flow {:.5} rho {:.5} {:.4} ms/step",
+        "{:?} N {n} dt {:.3e} steps {} Q {:.6} +-{:.6} u_max {:.5} smooth {:.5} flow {:.5} rho {:.5} {:.4} ms/step",
         sets,
         ch.model.dt,
         ch.steps,
         q / cnt,
+        (q2 / cnt - q * q / cnt / cnt).abs().sqrt(),
         um / cnt,
+        us / cnt,
         flow / cnt,
         rho / cnt / fl,
         t0.elapsed().as_secs_f64() * 1e3 / ch.steps as f64

@@ -1,3 +1,6 @@
-//! design
+//! From a wall shape to a number, its gradient, and a better shape.
+pub mod adam;
+pub mod diagnostics;
 pub mod objective;
+pub mod optimise;
 pub mod parametrisation;

@@ -24,9 +24,16 @@ pub struct HeatedChannel<R> {
     pub steps: usize,
     /// Steps of the objective's window.
     pub window: usize,
+    /// Spacing of the targets.
+    pub spacing: f64,
 }
 
 impl<R: Real> HeatedChannel<R> {
+    /// Bytes of a neighbour list: about 36 neighbours within the skin, padded to 48.
+    pub fn list_bytes(&self) -> usize {
+        (48 + 4) * 4 * self.model.particles()
+    }
+
     /// Builds the scene of a checked configuration for the nodes of `shape` (its offsets do not matter here).
     pub fn new(config: &Config, shape: &Shape) -> Self {
         let dx = config.resolution.dx;
@@ -79,7 +86,9 @@ impl<R: Real> HeatedChannel<R> {
                 gamma: 1,
             },
             viscosity: config.fluid.viscosity,
-            transport: config.fluid.transport_velocity,
+            transport: config.fluid.transport_velocity * 0.25 * dx
+                / (sound_speed + config.fluid.reference_velocity)
+                / config.time_step(),
             body_force: match config.fluid.body_force_region {
                 BodyForceRegion::Fluid => BodyForce::Uniform(force),
                 BodyForceRegion::OriginalChannel => BodyForce::Band { strength: force, from: 0.0, to: height },
@@ -145,6 +154,6 @@ impl<R: Real> HeatedChannel<R> {
             include_walls: config.objective.interpolation == Interpolation::FluidAndWalls,
             samples: Outflow::window(steps, window, config.objective.samples),
         };
-        Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window }
+        Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window, spacing: dx }
     }
 }

@@ -6,8 +6,10 @@
 
 use super::composed;
 use super::model::Model;
+use super::pairs::Masses;
 use super::rates::{Side, SideBar};
-use crate::lanes::{Lanes, Real};
+use super::step::Step;
+use crate::lanes::{Lanes, PortableF64, Real};
 use candle_core::{Result, Tensor};
 
 /// 2 k/c_p.
@@ -25,6 +27,37 @@ pub fn conducts<R: Real>(model: &Model<R>, x: R) -> bool {
 #[inline(always)]
 pub fn is_inlet<R: Real>(model: &Model<R>, x: R) -> bool {
     model.heat.as_ref().is_some_and(|h| x < R::of(h.inlet_below))
+}
+
+/// Heat that walls give to conducting fluid with x < `until`, in units of density * temperature * volume per time (times
+/// the heat capacity: power): sum over fluid i and walls j of the pair flow (2 k/c_p) V_i V_j F_ij (T_i - T_j).
+pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: f64) -> f64 {
+    let (model, list) = (&*step.model, &*step.list);
+    let (n, l) = (model.particles(), model.layout);
+    let mass = Masses::new(model, moved);
+    let volume = |i: usize| (mass.of(i) / primitives[i]).f64();
+    let temperature = |i: usize| primitives[l.primitive_temperature() * n + i].f64();
+    let inverse = model.domain.inverse_period();
+    let kernel = model.kernel.lanes::<PortableF64>();
+    let mut sum = 0.0;
+    for &i in &list.fluid_rows {
+        let i = i as usize;
+        if !conducts(model, moved[i]) || moved[i].f64() >= until {
+            continue;
+        }
+        for &j in &list.row(i)[list.fluid_count[i] as usize..list.count[i] as usize] {
+            let j = j as usize;
+            let mut r2 = 0.0;
+            for d in 0..l.dimension {
+                let mut dr = moved[d * n + i].f64() - moved[d * n + j].f64();
+                dr -= model.domain.size[d] * (dr * inverse[d]).round();
+                r2 += dr * dr;
+            }
+            let slope = kernel.slope(PortableF64::splat(r2)).sum() / PortableF64::COUNT as f64;
+            sum += volume(i) * volume(j) * slope * (temperature(i) - temperature(j));
+        }
+    }
+    factor(model) * sum
 }
 
 #[inline(always)]

@@ -1,0 +1,168 @@
+//! What a run of the heated channel did, in numbers that one can check against each other.
+
+use super::objective::Outflow;
+use crate::lanes::Real;
+use crate::scene::heated_channel::HeatedChannel;
+use crate::solver::{Snapshot, Solver, SolverError};
+use crate::sph::heat;
+use crate::sph::step::Step;
+use std::sync::Arc;
+
+/// Most samples of the window that the averages take.
+const SAMPLES: usize = 100;
+
+/// Averages over the objective's window. Heat is in units of density * velocity * temperature * length, as Q in flux
+/// form; times the heat capacity it is power per depth.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Diagnostics {
+    /// Outflowing heat at the targets, sum of rho u (T - T_in) times their spacing.
+    pub q: f64,
+    /// The objective itself: the same at its samples only.
+    pub q_objective: f64,
+    /// Sum of u times the spacing.
+    pub flow_rate: f64,
+    /// Mixed temperature of the outflow, T_in + Q / (sum of rho u times the spacing).
+    pub mean_outlet_temperature: f64,
+    /// Heat from the walls into the fluid upstream of the targets.
+    pub wall_heat_flux: f64,
+    /// Change of the heat in that fluid per time.
+    pub stored_heat_rate: f64,
+    /// (wall_heat_flux - q - stored_heat_rate) / wall_heat_flux.
+    pub energy_imbalance: f64,
+    pub mean_density: f64,
+    /// Fastest fluid particle along x.
+    pub u_max: f64,
+}
+
+/// A run's end.
+pub struct Finished<R> {
+    pub diagnostics: Diagnostics,
+    pub solver: Solver<R>,
+    pub seconds: f64,
+}
+
+/// Runs a design forward and measures it. `visit` sees the run after each step (and before the first).
+pub fn simulate<R: Real>(
+    channel: &HeatedChannel<R>,
+    start: Snapshot<R>,
+    mut visit: impl FnMut(&mut Solver<R>) -> anyhow::Result<()>,
+) -> anyhow::Result<Finished<R>> {
+    let clock = std::time::Instant::now();
+    let mut solver = Solver::restore(channel.model.clone(), &start)?;
+    let mut measured = Measured::default();
+    let first = channel.steps - channel.window;
+    let stride = channel.window.div_ceil(SAMPLES).max(1);
+    visit(&mut solver)?;
+    while solver.step < channel.steps {
+        solver.advance()?;
+        if let Some(weight) = channel.objective.samples.get(&solver.step) {
+            let fields = channel.objective.fields(&mut solver);
+            measured.objective += weight * channel.objective.outflow(&fields);
+        }
+        if solver.step >= first && (channel.steps - solver.step) % stride == 0 {
+            measured.sample(channel, &mut solver);
+        }
+        if solver.step % 64 == 0 || solver.step == channel.steps {
+            solver.check_finite()?;
+        }
+        visit(&mut solver)?;
+    }
+    let diagnostics = measured.finish(channel);
+    Ok(Finished { diagnostics, solver, seconds: clock.elapsed().as_secs_f64() })
+}
+
+/// The start of a design.
+pub fn start<R: Real>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Snapshot<R> {
+    let state = channel.deformation.state::<R>(offsets);
+    let positions = state[..channel.model.layout.dimension * channel.model.particles()].to_vec();
+    Snapshot { step: 0, state, reference: Arc::new(positions) }
+}
+
+/// Q of a design by the objective alone.
+pub fn evaluate<R: Real>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<f64, SolverError> {
+    let mut solver = Solver::restore(channel.model.clone(), &start(channel, offsets))?;
+    let mut q = 0.0;
+    while solver.step < channel.steps {
+        solver.advance()?;
+        if let Some(weight) = channel.objective.samples.get(&solver.step) {
+            let fields = channel.objective.fields(&mut solver);
+            q += weight * channel.objective.outflow(&fields);
+        }
+    }
+    Ok(q)
+}
+
+/// Sums over the window's samples.
+#[derive(Default)]
+struct Measured {
+    objective: f64,
+    count: f64,
+    q: f64,
+    flow: f64,
+    mass_flow: f64,
+    wall: f64,
+    density: f64,
+    u_max: f64,
+    /// (time, heat upstream of the targets).
+    heat: Vec<(f64, f64)>,
+}
+
+impl Measured {
+    fn sample<R: Real>(&mut self, channel: &HeatedChannel<R>, solver: &mut Solver<R>) {
+        let (model, objective): (_, &Outflow) = (channel.model.clone(), &channel.objective);
+        let (n, l) = (model.particles(), model.layout);
+        let fields = objective.fields(solver);
+        let (m, scale) = (objective.targets.len(), channel.spacing);
+        self.count += 1.0;
+        self.q += objective.outflow(&fields) / objective.scale * scale;
+        self.flow += scale * fields[m..2 * m].iter().map(|u| u.f64()).sum::<f64>();
+        self.mass_flow += scale * (0..m).map(|k| (fields[k] * fields[m + k]).f64()).sum::<f64>();
+        let step = Step { model: model.clone(), list: solver.neighbourhood.list.clone(), dt: 0.0 };
+        let target_x = objective.targets[0][0];
+        self.wall += heat::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
+        let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
+        let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
+        for i in (0..n).filter(|&i| model.is_fluid(i)) {
+            density += solver.primitives[i].f64();
+            fluids += 1.0;
+            fastest = fastest.max(solver.state[l.velocity() * n + i].f64());
+            let x = solver.state[i].f64();
+            if x > inlet && x < target_x {
+                let mass = if l.mass { solver.state[l.state_mass() * n + i].f64() } else { model.mass };
+                heat += mass * solver.state[l.temperature() * n + i].f64();
+            }
+        }
+        self.density += density / fluids;
+        self.u_max += fastest;
+        self.heat.push((solver.step as f64 * model.dt, heat));
+    }
+
+    fn finish<R: Real>(self, channel: &HeatedChannel<R>) -> Diagnostics {
+        let mean = |sum: f64| sum / self.count.max(1.0);
+        let inlet = channel.model.heat.as_ref().map_or(0.0, |h| h.reference);
+        let stored = slope(&self.heat);
+        let (q, wall) = (mean(self.q), mean(self.wall));
+        Diagnostics {
+            q,
+            q_objective: self.objective,
+            flow_rate: mean(self.flow),
+            mean_outlet_temperature: inlet + self.q / self.mass_flow,
+            wall_heat_flux: wall,
+            stored_heat_rate: stored,
+            energy_imbalance: (wall - q - stored) / wall,
+            mean_density: mean(self.density),
+            u_max: mean(self.u_max),
+        }
+    }
+}
+
+/// Slope of the least-squares line, 0 for fewer than two points.
+fn slope(points: &[(f64, f64)]) -> f64 {
+    let n = points.len() as f64;
+    if points.len() < 2 {
+        return 0.0;
+    }
+    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+    let covariance: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
+    covariance / points.iter().map(|p| (p.0 - mx).powi(2)).sum::<f64>()
+}
