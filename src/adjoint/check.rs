@@ -1,1 +1,107 @@
-//! check
+//! The gradient check: an exact gradient against central differences, along random directions, over a range of steps.
+//!
+//! For a direction d and a step h, (f(x + h d) - f(x - h d)) / 2h differs from g.d by O(h^2) truncation plus rounding
+//! over h; the error has a minimum between. The Taylor remainder |f(x + h d) - f(x) - h g.d| falls as h^2 if and only if
+//! g.d is the derivative.
+
+/// One direction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Direction {
+    /// g.d.
+    pub gradient: f64,
+    pub points: Vec<Point>,
+}
+
+/// One step of the sweep.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    pub step: f64,
+    pub difference: f64,
+    /// |difference - gradient| / |gradient|.
+    pub error: f64,
+    /// |f(x + h d) - f(x) - h g.d|.
+    pub remainder: f64,
+}
+
+impl Direction {
+    /// The point with the smallest error.
+    pub fn best(&self) -> Option<&Point> {
+        self.points.iter().min_by(|a, b| a.error.total_cmp(&b.error))
+    }
+
+    /// Order of the remainder: the steepest slope of log remainder over log step between neighbouring steps, where
+    /// the remainder is above rounding. 2 for a right gradient, 1 for a wrong one.
+    pub fn order(&self, value: f64) -> f64 {
+        let floor = 1e3 * f64::EPSILON * value.abs();
+        self.points
+            .windows(2)
+            .filter(|w| w.iter().all(|p| p.remainder > floor))
+            .map(|w| (w[0].remainder / w[1].remainder).ln() / (w[0].step / w[1].step).ln())
+            .fold(f64::NAN, f64::max)
+    }
+}
+
+/// Compares `gradient` at `x` with differences of `f` along `directions`, for each of `steps` (largest first).
+pub fn check<E>(
+    value: f64,
+    gradient: &[f64],
+    x: &[f64],
+    directions: &[Vec<f64>],
+    steps: &[f64],
+    mut f: impl FnMut(&[f64]) -> Result<f64, E>,
+) -> Result<Vec<Direction>, E> {
+    let mut results = Vec::new();
+    for d in directions {
+        let slope: f64 = gradient.iter().zip(d).map(|(g, d)| g * d).sum();
+        let mut points = Vec::new();
+        for &step in steps {
+            let moved = |h: f64| -> Vec<f64> { x.iter().zip(d).map(|(x, d)| x + h * d).collect() };
+            let (up, down) = (f(&moved(step))?, f(&moved(-step))?);
+            let difference = (up - down) / (2.0 * step);
+            points.push(Point {
+                step,
+                difference,
+                error: (difference - slope).abs() / slope.abs(),
+                remainder: (up - value - step * slope).abs(),
+            });
+        }
+        results.push(Direction { gradient: slope, points });
+    }
+    Ok(results)
+}
+
+/// Cosine between the gradient's and the differences' directional derivatives, each at its best step.
+pub fn cosine(directions: &[Direction]) -> f64 {
+    let pairs: Vec<(f64, f64)> =
+        directions.iter().filter_map(|d| d.best().map(|p| (d.gradient, p.difference))).collect();
+    let dot = |f: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();
+    dot(&|p| p.0 * p.1) / (dot(&|p| p.0 * p.0) * dot(&|p| p.1 * p.1)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn f(x: &[f64]) -> Result<f64, ()> {
+        Ok(x[0].sin() * x[1].exp())
+    }
+
+    #[test]
+    fn right_gradient_passes_and_wrong_one_does_not() {
+        let x = [0.3, -0.2];
+        let value = f(&x).unwrap();
+        let right = [x[0].cos() * x[1].exp(), value];
+        let steps: Vec<f64> = (1..8).map(|k| 10f64.powi(-k)).collect();
+        let directions = [vec![1.0, 0.5], vec![-0.2, 0.9]];
+        let good = check(value, &right, &x, &directions, &steps, f).unwrap();
+        assert!(good.iter().all(|d| d.best().unwrap().error < 1e-8 && (d.order(value) - 2.0).abs() < 0.2));
+        assert!((cosine(&good) - 1.0).abs() < 1e-12);
+        let wrong = [right[0] * 1.01, right[1]];
+        let bad = check(value, &wrong, &x, &directions, &steps, f).unwrap();
+        assert!(bad.iter().all(|d| d.best().unwrap().error > 1e-3));
+        // Small steps show a remainder of first order.
+        let last = &bad[0].points[4..6];
+        let order = (last[0].remainder / last[1].remainder).log10();
+        assert!((order - 1.0).abs() < 0.1, "{order}");
+    }
+}

@@ -2,8 +2,10 @@
 
 mod arguments;
 mod check_gradient;
+mod files;
 mod guard;
 mod optimize;
+mod prepare;
 mod scenes;
 mod simulate;
 

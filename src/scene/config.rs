@@ -151,6 +151,16 @@ pub struct Objective {
     pub samples: usize,
     /// Particles that the interpolation at the targets sums over.
     pub interpolation: Interpolation,
+    /// What the loss counts: the flux integral, or the plain sum over the targets as in the report.
+    pub form: ObjectiveForm,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectiveForm {
+    #[default]
+    Flux,
+    Sum,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -319,7 +329,13 @@ impl Default for Time {
 
 impl Default for Objective {
     fn default() -> Self {
-        Self { target_x: 0.9, window: 0.5, samples: 10, interpolation: Interpolation::FluidAndWalls }
+        Self {
+            target_x: 0.9,
+            window: 0.5,
+            samples: 10,
+            interpolation: Interpolation::FluidAndWalls,
+            form: ObjectiveForm::Flux,
+        }
     }
 }
 

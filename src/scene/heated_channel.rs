@@ -3,7 +3,7 @@
 //! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
-use super::config::{BodyForceRegion, Config, HotIsotherm, Interpolation, MassConvention, Start};
+use super::config::{BodyForceRegion, Config, HotIsotherm, Interpolation, MassConvention, ObjectiveForm, Start};
 use super::shape::Shape;
 use crate::design::objective::Outflow;
 use crate::design::parametrisation::Deformation;
@@ -150,7 +150,10 @@ impl<R: Real> HeatedChannel<R> {
         let targets = (0..rows).map(|k| [config.objective.target_x, (k as f64 + 0.5) * dx, 0.0]).collect();
         let objective = Outflow {
             targets: Arc::new(targets),
-            scale: dx,
+            scale: match config.objective.form {
+                ObjectiveForm::Flux => dx,
+                ObjectiveForm::Sum => 1.0,
+            },
             include_walls: config.objective.interpolation == Interpolation::FluidAndWalls,
             samples: Outflow::window(steps, window, config.objective.samples),
         };

@@ -1,0 +1,53 @@
+//! What every run does first.
+
+use crate::error::Error;
+use crate::lanes::Real;
+use crate::scene::config::Config;
+use crate::scene::heated_channel::HeatedChannel;
+use crate::scene::shape::Shape;
+
+/// Sets the number of worker threads. Must come before the first operator: candle's pools read it once.
+pub fn set_threads(config: &Config) {
+    if config.run.threads > 0 {
+        let threads = config.run.threads.to_string();
+        std::env::set_var("CANDLE_NUM_THREADS", &threads);
+        std::env::set_var("RAYON_NUM_THREADS", &threads);
+    }
+}
+
+/// Builds the scene and its start shape.
+pub fn build<R: Real>(config: &Config) -> Result<(HeatedChannel<R>, Shape), Error> {
+    let shape = Shape::from_config(config)?;
+    Ok((HeatedChannel::new(config, &shape), shape))
+}
+
+/// Where sections of two configurations differ that decide what a run computes: a run can be resumed only if none does.
+/// `ignored` names keys that may differ.
+pub fn difference(a: &Config, b: &Config, ignored: &[&str]) -> Option<String> {
+    let text = |config: &Config| toml::Table::try_from(config).unwrap_or_default();
+    let (a, b) = (text(a), text(b));
+    for (section, value) in &a {
+        let other = b.get(section);
+        let (Some(one), Some(two)) = (value.as_table(), other.and_then(|o| o.as_table())) else {
+            if Some(value) != other {
+                return Some(section.clone());
+            }
+            continue;
+        };
+        let keys: std::collections::BTreeSet<&String> = one.keys().chain(two.keys()).collect();
+        for key in keys {
+            let path = format!("{section}.{key}");
+            if one.get(key) != two.get(key) && !ignored.contains(&path.as_str()) && !ignored.contains(&section.as_str())
+            {
+                let show = |t: &toml::Table| t.get(key).map_or("nothing".into(), |v| v.to_string());
+                return Some(format!("{path} = {}, not {}", show(one), show(two)));
+            }
+        }
+    }
+    None
+}
+
+/// `a -> b (+1.2 %)`.
+pub fn change(before: f64, after: f64) -> String {
+    format!("{before:.6} -> {after:.6} ({:+.2} %)", 100.0 * (after / before - 1.0))
+}
