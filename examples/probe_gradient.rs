@@ -17,7 +17,7 @@ fn main() {
     let n = ch.model.particles();
     let start = Snapshot { step: 0, reference: Arc::new(state[..2 * n].to_vec()), state };
     let d = Sph { model: ch.model.clone(), kernels: Kernels::Fused };
-    let g = gradient(&d, &start, &Schedule::segments(ch.steps, 30), &ch.objective, &mut |_| ()).unwrap();
+    let g = gradient(&d, &start, &Schedule::segments(ch.steps, std::env::var("SEG").map_or(30, |v| v.parse().unwrap())), &ch.objective, &mut |_| ()).unwrap();
     let bar = g.state.flatten_all().unwrap().to_vec1::<f64>().unwrap();
     let gr = ch.deformation.adjoint(&bar);
     print!(

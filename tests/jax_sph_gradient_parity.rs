@@ -7,7 +7,7 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Objective, Sph};
 use hydrograd::design::objective::Outflow;
 use hydrograd::particles::tag;
-use hydrograd::scene::config::Kernels;
+use hydrograd::scene::config::{Interpolation, Kernels};
 use hydrograd::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -110,7 +110,7 @@ fn heated_channel(group: &hdf5::Group, case: &Case) -> Result<String, String> {
     let outflow = Outflow {
         targets: Arc::new(targets),
         scale: 1.0,
-        include_walls: false,
+        mode: Interpolation::Fluid,
         samples: BTreeMap::from([(steps, 1.0)]),
     };
     let warmth = FinalSum { steps, row: layout.temperature(), rows: 1, squared: false, fluid_only: true };

@@ -73,9 +73,8 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
         }
         if step % history_every == 0 || step == channel.steps {
             let fields = channel.objective.fields(solver);
-            let m = channel.objective.targets.len();
             let q = channel.objective.outflow(&fields) / channel.objective.scale * channel.spacing;
-            let flow = channel.spacing * fields[m..2 * m].iter().map(|u| u.f64()).sum::<f64>();
+            let flow = channel.spacing * channel.objective.volume_flow(&fields);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);
             bar.message(&format!("Q {q:.5}"));

@@ -112,11 +112,11 @@ impl Measured {
         let (model, objective): (_, &Outflow) = (channel.model.clone(), &channel.objective);
         let (n, l) = (model.particles(), model.layout);
         let fields = objective.fields(solver);
-        let (m, scale) = (objective.targets.len(), channel.spacing);
+        let scale = channel.spacing;
         self.count += 1.0;
         self.q += objective.outflow(&fields) / objective.scale * scale;
-        self.flow += scale * fields[m..2 * m].iter().map(|u| u.f64()).sum::<f64>();
-        self.mass_flow += scale * (0..m).map(|k| (fields[k] * fields[m + k]).f64()).sum::<f64>();
+        self.flow += scale * objective.volume_flow(&fields);
+        self.mass_flow += scale * objective.mass_flow(&fields);
         let step = Step { model: model.clone(), list: solver.neighbourhood.list.clone(), dt: 0.0 };
         let target_x = objective.targets[0][0];
         self.wall += heat::wall_flux(&step, solver.moved(), &solver.primitives, target_x);

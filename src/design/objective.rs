@@ -8,7 +8,7 @@ use crate::adjoint::segments::{Objective, Sph};
 use crate::lanes::Real;
 use crate::scene::config::Kernels;
 use crate::solver::{Solver, SolverError, TensorSolver};
-use crate::sph::interpolation::Interpolation;
+use crate::sph::interpolation::{Interpolation, Mode};
 use crate::sph::step::Step;
 use crate::sph::{density, primitives};
 use candle_core::Tensor;
@@ -20,7 +20,7 @@ pub struct Outflow {
     pub targets: Arc<Vec<[f64; 3]>>,
     /// Factor on the sum over targets: their spacing for the flux form, 1 for the report's sum.
     pub scale: f64,
-    pub include_walls: bool,
+    pub mode: Mode,
     /// Weight of the state after each step that is looked at.
     pub samples: BTreeMap<usize, f64>,
 }
@@ -36,7 +36,7 @@ impl Outflow {
     }
 
     fn interpolation<R: Real>(&self, step: Arc<Step<R>>) -> Interpolation<R> {
-        Interpolation { step, targets: self.targets.clone(), include_walls: self.include_walls }
+        Interpolation { step, targets: self.targets.clone(), mode: self.mode }
     }
 
     /// Interpolated fields of a plain run, `[3, targets]`: density, velocity, temperature above the inlet's.
@@ -48,8 +48,25 @@ impl Outflow {
 
     /// Q from interpolated fields.
     pub fn outflow<R: Real>(&self, fields: &[R]) -> f64 {
+        self.scale * self.sum(fields, |rho, u, t| rho * u * t, 2)
+    }
+
+    /// The flow rate over `scale`: the sum of u over the targets.
+    pub fn volume_flow<R: Real>(&self, fields: &[R]) -> f64 {
+        self.sum(fields, |_, u, _| u, 1)
+    }
+
+    /// The sum of rho u over the targets.
+    pub fn mass_flow<R: Real>(&self, fields: &[R]) -> f64 {
+        self.sum(fields, |rho, u, _| rho * u, 0)
+    }
+
+    /// Sum over the targets: of a function of density, velocity and temperature, or of a row where fluxes are given.
+    fn sum<R: Real>(&self, fields: &[R], f: impl Fn(f64, f64, f64) -> f64, row: usize) -> f64 {
         let m = self.targets.len();
-        self.scale * (0..m).map(|k| (fields[k] * fields[m + k] * fields[2 * m + k]).f64()).sum::<f64>()
+        let at = |row: usize, k: usize| fields[row * m + k].f64();
+        let term = |k: usize| if self.mode == Mode::Flux { at(row, k) } else { f(at(0, k), at(1, k), at(2, k)) };
+        (0..m).map(term).sum()
     }
 }
 
@@ -78,7 +95,10 @@ impl<R: Real> Objective<Sph<R>> for Outflow {
                 let primitives = primitives::composed(&step, &pairs, &moved, &density)?;
                 self.interpolation(step.clone()).composed(&moved, &primitives)?
             };
-            let flux = fields.get(0)?.mul(&fields.get(1)?)?.mul(&fields.get(2)?)?;
+            let flux = match self.mode {
+                Mode::Flux => fields.get(2)?,
+                _ => fields.get(0)?.mul(&fields.get(1)?)?.mul(&fields.get(2)?)?,
+            };
             flux.sum_all()?.affine(self.scale, 0.0)
         };
         go().map_err(|source| SolverError::Tensor { step: run.step, source })

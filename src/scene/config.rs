@@ -149,7 +149,7 @@ pub struct Objective {
     pub window: f64,
     /// Samples of Q in the window (evenly spaced steps).
     pub samples: usize,
-    /// Particles that the interpolation at the targets sums over.
+    /// What is interpolated at the targets, and from which particles: see [`crate::sph::interpolation`].
     pub interpolation: Interpolation,
     /// What the loss counts: the flux integral, or the plain sum over the targets as in the report.
     pub form: ObjectiveForm,
@@ -167,8 +167,9 @@ pub enum ObjectiveForm {
 #[serde(rename_all = "kebab-case")]
 pub enum Interpolation {
     Fluid,
-    #[default]
     FluidAndWalls,
+    #[default]
+    Flux,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -318,7 +319,7 @@ impl Default for Time {
         Self {
             end: 2.0,
             steps: None,
-            cfl: 1.0,
+            cfl: 2.0,
             diffusion_number: 0.25,
             start: Start::Developed,
             jitter: 0.05,
@@ -333,7 +334,7 @@ impl Default for Objective {
             target_x: 0.9,
             window: 0.5,
             samples: 10,
-            interpolation: Interpolation::FluidAndWalls,
+            interpolation: Interpolation::Flux,
             form: ObjectiveForm::Flux,
         }
     }
@@ -356,8 +357,8 @@ impl Default for Design {
 impl Default for Optimise {
     fn default() -> Self {
         Self {
-            epochs: 20,
-            learning_rate: 4e-3,
+            epochs: 60,
+            learning_rate: 3e-4,
             smoothing: 5e-2,
             gradient: GradientMode::Segments,
             segment: 0,

@@ -147,14 +147,18 @@ impl<R: Real> HeatedChannel<R> {
 
         let steps = config.steps();
         let window = ((config.objective.window / model.dt).round() as usize).clamp(1, steps);
-        let targets = (0..rows).map(|k| [config.objective.target_x, (k as f64 + 0.5) * dx, 0.0]).collect();
+        // Fluxes: three more targets beyond each wall, so that every particle counts with its whole kernel.
+        let beyond = if config.objective.interpolation == Interpolation::Flux { 3 } else { 0 };
+        let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
+        let targets =
+            (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
         let objective = Outflow {
             targets: Arc::new(targets),
             scale: match config.objective.form {
                 ObjectiveForm::Flux => dx,
                 ObjectiveForm::Sum => 1.0,
             },
-            include_walls: config.objective.interpolation == Interpolation::FluidAndWalls,
+            mode: config.objective.interpolation,
             samples: Outflow::window(steps, window, config.objective.samples),
         };
         Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window, spacing: dx }

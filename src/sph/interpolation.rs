@@ -1,17 +1,25 @@
 //! Interpolation at target points.
 //!
-//! f(t) = sum_j W(|t - r_j|) f_j / sum_j W(|t - r_j|), Shepard-normalised (eq. 12 of the original report), for f =
-//! density, velocity along x, temperature. Over fluid particles only, as JAX-SPH users do, or over fluid and
-//! extrapolated walls: then a target near a wall sees the no-slip profile from both sides and is not biased
-//! towards the channel's middle.
+//! Three ways to look at the flow through a column of targets:
+//!
+//! * `fluid`: f(t) = sum_j W(|t - r_j|) f_j / sum_j W(|t - r_j|), Shepard-normalised (eq. 12 of the original report), for
+//!   f = density, velocity along x, temperature, over fluid particles: what users of JAX-SPH do. Next to a wall the sum is
+//!   one-sided and takes the flow there for that further in.
+//! * `fluid-and-walls`: the same over fluid and extrapolated walls, which removes that bias. The product of three smoothed
+//!   fields is still not the smoothed product: the flux of a parabolic profile comes out about 2 % low at ten rows.
+//! * `flux`: the fluxes themselves, not normalised: sum_j W m_j u_j, sum_j W V_j u_j, sum_j W m_j u_j T_j over fluid particles.
+//!   With targets up to three spacings beyond the walls every particle counts with its whole kernel, so the sum over the
+//!   targets is conservative: heat through the targets balances heat through the walls.
 
 use super::composed;
+use super::pairs::Masses;
 use super::step::{input, output, read, tensor, Step};
 use crate::lanes::Real;
+pub use crate::scene::config::Interpolation as Mode;
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use std::sync::Arc;
 
-/// Fields interpolated: density, velocity along x, temperature (0 without heat).
+/// Fields interpolated: density, velocity along x, temperature (0 without heat); or fluxes of mass, volume and heat.
 pub const FIELDS: usize = 3;
 
 /// moved `[M, N]`, primitives `[C, N]` -> `[3, targets]`.
@@ -19,7 +27,7 @@ pub const FIELDS: usize = 3;
 pub struct Interpolation<R> {
     pub step: Arc<Step<R>>,
     pub targets: Arc<Vec<[f64; 3]>>,
-    pub include_walls: bool,
+    pub mode: Mode,
 }
 
 /// A particle in reach of a target: its number, t - r, W and F.
@@ -38,7 +46,7 @@ impl<R: Real> Interpolation<R> {
     }
 
     fn takes(&self, j: usize) -> bool {
-        self.step.model.is_fluid(j) || (self.include_walls && self.step.list.count[j] > 0)
+        self.step.model.is_fluid(j) || (self.mode == Mode::FluidAndWalls && self.step.list.count[j] > 0)
     }
 
     fn near(&self, target: &[f64; 3], moved: &[R]) -> Vec<Near<R>> {
@@ -79,8 +87,59 @@ impl<R: Real> Interpolation<R> {
         (if weight > R::default() { sum / weight } else { R::default() }, weight)
     }
 
+    /// What a particle carries: mass, density, velocity along x, temperature.
+    fn carried(&self, moved: &[R], primitives: &[R], j: usize) -> (R, R, R, R) {
+        let (n, l) = (self.step.model.particles(), self.step.model.layout);
+        let mass = Masses::new(&self.step.model, moved).of(j);
+        let t = if l.heat { primitives[l.primitive_temperature() * n + j] } else { R::default() };
+        (mass, primitives[j], primitives[l.primitive_velocity() * n + j], t)
+    }
+
+    fn forward_flux(&self, moved: &[R], primitives: &[R]) -> Vec<R> {
+        let m = self.targets.len();
+        let mut values = vec![R::default(); FIELDS * m];
+        for (k, target) in self.targets.iter().enumerate() {
+            for p in self.near(target, moved) {
+                let (mass, density, u, t) = self.carried(moved, primitives, p.particle);
+                let flux = p.weight * mass * u;
+                values[k] += flux;
+                values[m + k] += flux / density;
+                values[2 * m + k] += flux * t;
+            }
+        }
+        values
+    }
+
+    fn backward_flux(&self, moved: &[R], primitives: &[R], bar: &[R], moved_bar: &mut [R], primitives_bar: &mut [R]) {
+        let (n, m, l) = (self.step.model.particles(), self.targets.len(), self.step.model.layout);
+        for (k, target) in self.targets.iter().enumerate() {
+            for p in self.near(target, moved) {
+                let j = p.particle;
+                let (mass, density, u, t) = self.carried(moved, primitives, j);
+                // Value: W m u c with c = bar of mass flux + bar of volume flux / rho + bar of heat flux T.
+                let c = bar[k] + bar[m + k] / density + bar[2 * m + k] * t;
+                let flux = p.weight * mass * u;
+                primitives_bar[l.primitive_velocity() * n + j] += p.weight * mass * c;
+                primitives_bar[j] -= bar[m + k] * flux / (density * density);
+                if l.heat {
+                    primitives_bar[l.primitive_temperature() * n + j] += bar[2 * m + k] * flux;
+                }
+                if l.mass {
+                    moved_bar[l.moved_mass() * n + j] += p.weight * u * c;
+                }
+                let factor = mass * u * c * p.slope;
+                for d in 0..l.dimension {
+                    moved_bar[d * n + j] -= factor * p.difference[d];
+                }
+            }
+        }
+    }
+
     /// The forward pass, on plain numbers: `[3, targets]`.
     pub fn forward(&self, moved: &[R], primitives: &[R]) -> Vec<R> {
+        if self.mode == Mode::Flux {
+            return self.forward_flux(moved, primitives);
+        }
         let (n, m) = (self.step.model.particles(), self.targets.len());
         let mut values = vec![R::default(); FIELDS * m];
         for (k, target) in self.targets.iter().enumerate() {
@@ -103,6 +162,9 @@ impl<R: Real> Interpolation<R> {
         moved_bar: &mut [R],
         primitives_bar: &mut [R],
     ) {
+        if self.mode == Mode::Flux {
+            return self.backward_flux(moved, primitives, values_bar, moved_bar, primitives_bar);
+        }
         let (n, m) = (self.step.model.particles(), self.targets.len());
         for (k, target) in self.targets.iter().enumerate() {
             let near = self.near(target, moved);
@@ -153,6 +215,19 @@ impl<R: Real> Interpolation<R> {
         // A target on top of a particle: the root has no derivative at 0, and W needs none there.
         let distance = r2.expect("2 or 3 dimensions").affine(1.0, 1e-30)?.sqrt()?;
         let w = composed::quintic(&model.kernel, &distance)?.broadcast_mul(&takes)?;
+        if self.mode == Mode::Flux {
+            let l = model.layout;
+            let mass = composed::mass(&self.step, moved)?;
+            let velocity = primitives.narrow(0, l.primitive_velocity(), 1)?;
+            let flux = w.broadcast_mul(&mass.mul(&velocity)?)?;
+            let volume = flux.broadcast_div(&primitives.narrow(0, 0, 1)?)?;
+            let heat = if l.heat {
+                flux.broadcast_mul(&primitives.narrow(0, l.primitive_temperature(), 1)?)?
+            } else {
+                flux.zeros_like()?
+            };
+            return Tensor::stack(&[flux.sum(1)?, volume.sum(1)?, heat.sum(1)?], 0);
+        }
         let total = w.sum(1)?;
         let mut rows = Vec::new();
         for row in self.rows() {
