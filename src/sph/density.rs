@@ -34,12 +34,12 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
             let i = list.fluid_rows[row] as usize;
             let here = geometry.splat(self.position, i);
             let mut sum = L::zero();
-            pairs::for_row(list, i, |index, mask| {
-                // SAFETY: `for_row` gives COUNT valid particle numbers; positions are records of 4.
+            for (index, mask) in pairs::row::<L>(list, i) {
+                // SAFETY: `row` gives COUNT valid particle numbers; positions are records of 4.
                 let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
                 let (_, r2) = geometry.difference(&here, &there);
                 sum += mask.apply(kernel.value(r2));
-            });
+            }
             // SAFETY: each fluid row writes its own particle.
             unsafe { self.density.set(i, self.mass.of(i) * (own + sum.sum())) };
         }
@@ -87,7 +87,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
             let i = pairs::particle_of_row(list, row);
             let here = geometry.splat(self.position, i);
             let mut sum = [L::zero(); D];
-            pairs::for_row(list, i, |index, mask| {
+            for (index, mask) in pairs::row::<L>(list, i) {
                 // SAFETY: as in the forward pass.
                 let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
                 let (dr, r2) = geometry.difference(&here, &there);
@@ -95,7 +95,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
                 for d in 0..D {
                     sum[d] = factor.mul_add(dr[d], sum[d]);
                 }
-            });
+            }
             for d in 0..D {
                 // SAFETY: each row writes its own particle.
                 unsafe { self.moved_bar.set(d * n + i, sum[d].sum()) };

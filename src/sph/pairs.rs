@@ -62,34 +62,47 @@ impl<L: Lanes> Mask<L> {
     }
 }
 
-/// Calls `body(index, mask)` for the vectors of row i.
+/// The vectors of row i: where their particle numbers stand, and their mask.
 #[inline(always)]
-pub fn for_row<L: Lanes>(list: &NeighbourList, i: usize, body: impl FnMut(*const u32, Mask<L>)) {
-    for_part(list, i, 0, list.count[i] as usize, body);
+pub fn row<L: Lanes>(list: &NeighbourList, i: usize) -> Vectors<'_, L> {
+    part(list, i, 0, list.count[i] as usize)
 }
 
-/// [`for_row`] for the entries `from..to` of the row only.
+/// [`row`] for the entries `from..to` only.
 #[inline(always)]
-pub fn for_part<L: Lanes>(
-    list: &NeighbourList,
-    i: usize,
+pub fn part<L: Lanes>(list: &NeighbourList, i: usize, from: usize, to: usize) -> Vectors<'_, L> {
+    Vectors { row: list.row(i), at: from / L::COUNT * L::COUNT, from, to, lanes: std::marker::PhantomData }
+}
+
+/// Iterator of [`row`]. Not a function that takes a closure: big closures are not inlined, and an AVX-512 body outside
+/// of its `target_feature` function runs five times slower.
+pub struct Vectors<'a, L> {
+    row: &'a [u32],
+    at: usize,
     from: usize,
     to: usize,
-    mut body: impl FnMut(*const u32, Mask<L>),
-) {
-    let number = |x: usize| L::splat(L::Real::of(x as f64));
-    let row = list.row(i);
-    let mut k = from / L::COUNT * L::COUNT;
-    while k < to {
+    lanes: std::marker::PhantomData<L>,
+}
+
+impl<L: Lanes> Iterator for Vectors<'_, L> {
+    type Item = (*const u32, Mask<L>);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.at >= self.to {
+            return None;
+        }
+        let number = |x: usize| L::splat(L::Real::of(x as f64));
+        let at = self.at;
         let mask = Mask {
-            lane: L::ramp() + number(k),
-            begin: number(from),
-            end: number(to),
-            whole: k >= from && k + L::COUNT <= to,
+            lane: L::ramp() + number(at),
+            begin: number(self.from),
+            end: number(self.to),
+            whole: at >= self.from && at + L::COUNT <= self.to,
         };
+        self.at += L::COUNT;
         // Rows are padded to a multiple of every lane count, with valid particle numbers.
-        body(row[k..k + L::COUNT].as_ptr(), mask);
-        k += L::COUNT;
+        Some((self.row[at..at + L::COUNT].as_ptr(), mask))
     }
 }
 

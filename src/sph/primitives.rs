@@ -16,7 +16,7 @@
 //! that they reach.
 
 use super::composed;
-use super::pairs::{self, for_part, pack_positions, RowGeometry};
+use super::pairs::{self, pack_positions, RowGeometry};
 use super::step::{input, output, read, tensor, Step};
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
@@ -104,8 +104,8 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
             let here = geometry.splat(self.position, i);
             let mut weight = L::zero();
             let mut sums = [L::zero(); MOST];
-            for_part(list, i, 0, list.count[i] as usize, |index, mask| {
-                // SAFETY: `for_part` gives COUNT valid particle numbers.
+            for (index, mask) in pairs::part::<L>(list, i, 0, list.count[i] as usize) {
+                // SAFETY: `part` gives COUNT valid particle numbers.
                 unsafe {
                     let there = L::gather4(self.position.as_ptr(), 4, index);
                     let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
@@ -114,7 +114,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
                         *sum = w.mul_add(L::gather(self.fields[q * n..].as_ptr(), index), *sum);
                     }
                 }
-            });
+            }
             let average = averages(self.step, weight.sum(), &std::array::from_fn(|q| sums[q].sum()));
             // SAFETY: each wall row writes its own particle.
             wall_values(self.step, self.moved, &average, i, |field, value| unsafe {
@@ -229,8 +229,8 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
             // The averages again: weight first, since everything is divided by it.
             let mut weight = L::zero();
             let mut sums = [L::zero(); MOST];
-            pairs::for_row(list, i, |index, mask| {
-                // SAFETY: `for_row` gives COUNT valid particle numbers.
+            for (index, mask) in pairs::row::<L>(list, i) {
+                // SAFETY: `row` gives COUNT valid particle numbers.
                 unsafe {
                     let there = L::gather4(self.position.as_ptr(), 4, index);
                     let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
@@ -239,7 +239,7 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
                         *sum = w.mul_add(L::gather(self.fields[q * n..].as_ptr(), index), *sum);
                     }
                 }
-            });
+            }
             let weight = weight.sum();
             let average = averages(self.step, weight, &std::array::from_fn(|q| sums[q].sum()));
             let inverse = R::of(1.0) / (weight + R::of(EPSILON));
@@ -253,7 +253,7 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
             unsafe { self.sums_bar.set(i, weight_bar) };
             // The wall particle's position: e_ij = weight_bar + sum_q sums_bar_q x_q(j), r_bar = sum_j e_ij F r_ij.
             let mut sum = [L::zero(); D];
-            pairs::for_row(list, i, |index, mask| {
+            for (index, mask) in pairs::row::<L>(list, i) {
                 // SAFETY: as above.
                 unsafe {
                     let there = L::gather4(self.position.as_ptr(), 4, index);
@@ -267,7 +267,7 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
                         sum[d] = factor.mul_add(dr[d], sum[d]);
                     }
                 }
-            });
+            }
             for d in 0..D {
                 // SAFETY: as above.
                 unsafe { self.moved_bar.set(d * n + i, sum[d].sum()) };
@@ -304,8 +304,8 @@ impl<R: Real, const D: usize> RowKernel<R> for FluidRows<'_, R, D> {
             let here = geometry.splat(self.position, j);
             let mut sums = [L::zero(); MOST];
             let mut position = [L::zero(); D];
-            for_part(list, j, from, to, |index, mask| {
-                // SAFETY: `for_part` gives COUNT valid particle numbers.
+            for (index, mask) in pairs::part::<L>(list, j, from, to) {
+                // SAFETY: `part` gives COUNT valid particle numbers.
                 unsafe {
                     let there = L::gather4(self.position.as_ptr(), 4, index);
                     let (dr, r2) = geometry.difference(&here, &there);
@@ -321,7 +321,7 @@ impl<R: Real, const D: usize> RowKernel<R> for FluidRows<'_, R, D> {
                         position[d] = factor.mul_add(dr[d], position[d]);
                     }
                 }
-            });
+            }
             // SAFETY: each fluid row writes its own particle, on top of what the copies gave.
             unsafe {
                 let add = |field: usize, value: R| {

@@ -93,7 +93,7 @@ type Fields<L> = [[L; 4]; 3];
 #[inline(always)]
 fn gather_fields<L: Lanes>(records: &[L::Real], fields: usize, index: *const u32) -> Fields<L> {
     let width = stride(fields);
-    // SAFETY: `index` comes from `for_row`; records are `width` long, a multiple of 4.
+    // SAFETY: `index` comes from `row`; records are `width` long, a multiple of 4.
     unsafe {
         let base = records.as_ptr();
         [
@@ -160,7 +160,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             let mut force = [L::zero(); D];
             let mut spread = [L::zero(); D];
             let mut warmth = L::zero();
-            pairs::for_row(list, i, |index, mask| {
+            for (index, mask) in pairs::row::<L>(list, i) {
                 let other = gather_fields::<L>(self.records, fields, index);
                 let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
                 let (dr, r2) = geometry.difference(&here, &there);
@@ -181,7 +181,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 if HEAT {
                     warmth = heat::add(&a, &b, slope, warmth);
                 }
-            });
+            }
             let inverse_mass = R::of(1.0) / self.mass.of(i);
             // SAFETY (all writes): each fluid row writes its own particle.
             unsafe {
@@ -287,10 +287,10 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 temperature: L::zero(),
                 position: [L::zero(); D],
             };
-            pairs::for_row(list, i, |index, mask| {
+            for (index, mask) in pairs::row::<L>(list, i) {
                 let other = gather_fields::<L>(self.records, fields, index);
                 let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
-                // SAFETY: `index` comes from `for_row`; records of the cotangents are `width` long.
+                // SAFETY: `index` comes from `row`; records of the cotangents are `width` long.
                 let other_bar: [[L; 4]; 2] = unsafe {
                     let base = self.bars.as_ptr();
                     [
@@ -326,7 +326,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 for d in 0..D {
                     bar.position[d] += radial.mul_add(dr[d], c * by_position[d]);
                 }
-            });
+            }
             // From the record's fields back to the operator's inputs, all of them particle i's own.
             let density = self.records[i * stride(fields) + D + 1];
             let volume = self.records[i * stride(fields) + D];
