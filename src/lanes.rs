@@ -250,11 +250,6 @@ mod x86 {
             pub struct $name(pub(super) $raw);
             impl $name {
                 #[inline(always)]
-                fn array(self) -> [$real; $count] {
-                    // SAFETY: plain data of the same size.
-                    unsafe { std::mem::transmute(self.0) }
-                }
-                #[inline(always)]
                 fn from_array(a: [$real; $count]) -> Self {
                     // SAFETY: plain data of the same size.
                     Self(unsafe { std::mem::transmute::<[$real; $count], $raw>(a) })
@@ -425,12 +420,14 @@ mod x86 {
         use super::*;
         #[inline(always)]
         pub unsafe fn Avx2F64(a: super::Avx2F64) -> f64 {
-            let a = a.array();
+            // SAFETY: plain data of the same size.
+            let a: [f64; 4] = unsafe { std::mem::transmute(a.0) };
             (a[0] + a[2]) + (a[1] + a[3])
         }
         #[inline(always)]
         pub unsafe fn Avx2F32(a: super::Avx2F32) -> f32 {
-            let a = a.array();
+            // SAFETY: plain data of the same size.
+            let a: [f32; 8] = unsafe { std::mem::transmute(a.0) };
             ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]))
         }
         #[inline(always)]

@@ -97,7 +97,7 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
             if relative > worst.0 {
                 worst = (relative, name);
             }
-            if !(difference <= tolerance * scale + rounding) {
+            if difference.is_nan() || difference > tolerance * scale + rounding {
                 return Err(format!(
                     "{name} differs by {relative:.2e} of its largest value after {steps} steps, allowed {tolerance:.0e} (+ rounding {:.1e})",
                     rounding / scale

@@ -109,7 +109,7 @@ fn run<D: Dynamics, O: Objective<D>>(
     // A step of the backward run costs about four forward steps.
     let total = (schedule.steps + 4 * (schedule.steps - schedule.first)).max(1) as f64;
     for step in 0..schedule.steps {
-        if step >= schedule.first && (step - schedule.first) % schedule.segment == 0 {
+        if step >= schedule.first && (step - schedule.first).is_multiple_of(schedule.segment) {
             kept.push(dynamics.snapshot(&plain));
         }
         dynamics.advance(&mut plain)?;

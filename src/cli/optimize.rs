@@ -137,7 +137,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &st
         write_history(folder, &state)?;
         if let Some(last) = state.history.last() {
             let epoch = state.history.len() - 1;
-            bar.message(&format!("Q {:.6} |gradient| {:.2e}", last.q, last.gradient_norm));
+            bar.message(format!("Q {:.6} |gradient| {:.2e}", last.q, last.gradient_norm));
             bar.line(&format!(
                 "epoch {epoch:3}  Q {:.6}  loss {:+.6}  |gradient| {:.3e}  {:.1} s",
                 last.q, last.loss, last.gradient_norm, last.seconds
@@ -272,7 +272,8 @@ fn write_checkpoint(path: &Path, state: &State, loaded: &Loaded) -> anyhow::Resu
     put("adam.first_moment", vec![k], state.adam.first.clone());
     put("adam.second_moment", vec![k], state.adam.second.clone());
     put("history.offsets", vec![epochs, k], state.history.iter().flat_map(|e| e.offsets.clone()).collect());
-    let columns: [(&str, fn(&Epoch) -> f64); 4] = [
+    type Column = fn(&Epoch) -> f64;
+    let columns: [(&str, Column); 4] = [
         ("history.q", |e| e.q),
         ("history.loss", |e| e.loss),
         ("history.gradient_norm", |e| e.gradient_norm),

@@ -77,7 +77,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
             let flow = channel.spacing * channel.objective.volume_flow(&fields);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);
-            bar.message(&format!("Q {q:.5}"));
+            bar.message(format!("Q {q:.5}"));
         }
         // Not inside the window: its averages are not part of a checkpoint.
         let in_window = step > channel.steps - channel.window && step < channel.steps;

@@ -59,7 +59,7 @@ pub fn simulate<R: Real>(
             let fields = channel.objective.fields(&mut solver);
             measured.objective += weight * channel.objective.outflow(&fields);
         }
-        if solver.step >= first && (channel.steps - solver.step) % stride == 0 {
+        if solver.step >= first && (channel.steps - solver.step).is_multiple_of(stride) {
             measured.sample(channel, &mut solver);
         }
         if solver.step % 64 == 0 || solver.step == channel.steps {

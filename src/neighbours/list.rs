@@ -74,7 +74,7 @@ impl<R: Real> Grid<R> {
             for (i, x) in row.iter().enumerate() {
                 let x = x.f64();
                 // Ten box lengths: a particle there is lost, and a grid around it would not fit into memory.
-                if !(x.abs() <= 10.0 * domain.size[d]) {
+                if x.is_nan() || x.abs() > 10.0 * domain.size[d] {
                     return Err(NeighbourError::LostParticle { particle: i, component: d, value: x });
                 }
                 low = low.min(x);

@@ -150,8 +150,7 @@ impl<R: Real> HeatedChannel<R> {
         // Fluxes: three more targets beyond each wall, so that every particle counts with its whole kernel.
         let beyond = if config.objective.interpolation == Interpolation::Flux { 3 } else { 0 };
         let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
-        let targets =
-            (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
+        let targets = (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
         let objective = Outflow {
             targets: Arc::new(targets),
             scale: match config.objective.form {
