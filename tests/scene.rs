@@ -322,3 +322,17 @@ fn height_at_nodes_between_and_outside() {
         assert!((shape.height(x) - y).abs() < 1e-15, "y({x}) = {}", shape.height(x));
     }
 }
+
+#[test]
+fn defaults_give_way_to_what_is_given() {
+    let load = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+        Config::load(None, None, &sets).unwrap()
+    };
+    let short = load(&["time.end=0.04"]);
+    assert_eq!(short.config.objective.window, 0.01);
+    assert_eq!(short.config.objective.samples, 3, "dt = 0.04 / 12");
+    assert_eq!(toml::from_str::<Config>(&short.text).unwrap(), short.config);
+    assert_eq!(load(&["resolution.dx=0.005"]).config.channel.wall_rows, 4);
+    assert_eq!(load(&["design.bound=0.04"]).config.channel.wall_rows, 3);
+}

@@ -163,6 +163,30 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = read(&merged);
         }
     }
+    fit_defaults(&mut merged, &config);
+    let config = read(&merged);
     config.check().map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })
+}
+
+/// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall more dummy rows.
+fn fit_defaults(merged: &mut Merged, config: &Config) {
+    let given = |merged: &Merged, key: &str| merged.places().contains_key(key);
+    let (dx, dt, end) = (config.resolution.dx, config.time_step(), config.duration());
+    if !(dx > 0.0 && dx.is_finite() && dt > 0.0 && end.is_finite()) {
+        return; // `check` has something to say about these.
+    }
+    let mut window = config.objective.window;
+    if window > end && !given(merged, "objective.window") {
+        window = 0.25 * end;
+        merged.set("objective.window", Value::from(window), "a quarter of the run");
+    }
+    let steps = ((window / dt).round() as i64).max(1);
+    if config.objective.samples as i64 > steps && window <= end && !given(merged, "objective.samples") {
+        merged.set("objective.samples", Value::from(steps), "the steps in objective.window");
+    }
+    let rows = (config.design.bound / dx - 1e-9).ceil();
+    if rows > config.channel.wall_rows as f64 && rows < 1000.0 && !given(merged, "channel.wall_rows") {
+        merged.set("channel.wall_rows", Value::from(rows as i64), "design.bound / resolution.dx");
+    }
 }

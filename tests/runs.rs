@@ -1,0 +1,245 @@
+//! Whole runs of the command line: files, figures that fit together, resuming, broken checkpoints.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// A short, small run: 0.3 time units.
+const SHORT: [&str; 8] = [
+    "--set",
+    "time.end=0.3",
+    "--set",
+    "objective.window=0.1",
+    "--set",
+    "output.frames=2",
+    "--set",
+    "optimise.learning_rate=1e-3",
+];
+
+fn hydrograd(folder: &Path, arguments: &[&str]) -> std::process::Output {
+    // One thread unless a test says otherwise: the tests run side by side, and spinning workers of several processes on
+    // the same cores make each other slow.
+    let mut command = Command::cargo_bin("hydrograd").unwrap();
+    command.current_dir(folder).env("CANDLE_NUM_THREADS", "1").args(arguments).output().unwrap()
+}
+
+fn succeeds(folder: &Path, arguments: &[&str]) -> String {
+    let output = hydrograd(folder, arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert!(output.status.success(), "{arguments:?}: {error}");
+    assert!(error.is_empty(), "a run that succeeds says nothing on stderr when it is not a terminal: {error}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Expects exit code 2, one error with these parts, and no new folder `unwritten`.
+fn refuses(folder: &Path, arguments: &[&str], expected: &[&str]) {
+    let output = hydrograd(folder, arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+    assert_eq!(error.matches("error:").count(), 1, "{error}");
+    for part in expected {
+        assert!(error.contains(part), "no `{part}` in {error}");
+    }
+    assert!(!folder.join("unwritten").exists(), "something was written");
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+fn with<'a>(first: &[&'a str], then: &[&'a str]) -> Vec<&'a str> {
+    [first, &SHORT, then].concat()
+}
+
+#[test]
+fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let text = succeeds(at, &with(&["optimize"], &["--epochs", "4", "--out", "whole", "--threads", "2"]));
+    assert!(text.contains("Q ") && text.contains("next: hydrograd simulate"), "{text}");
+    for file in [
+        "config.toml",
+        "summary.json",
+        "history.csv",
+        "shape.csv",
+        "history.png",
+        "history.svg",
+        "shapes.png",
+        "shapes.svg",
+        "temperature.png",
+        "temperature.svg",
+        "state.h5",
+        "checkpoint.safetensors",
+        "particles/particles.pvd",
+    ] {
+        assert!(at.join("whole").join(file).metadata().unwrap().len() > 0, "{file}");
+    }
+    let summary = json(&at.join("whole/summary.json"));
+    for key in [
+        "q",
+        "flow_rate",
+        "mean_outlet_temperature",
+        "wall_heat_flux",
+        "energy_imbalance",
+        "mean_density",
+        "u_max",
+        "steps",
+        "wall_seconds",
+        "peak_memory_bytes",
+        "seed",
+    ] {
+        assert!(summary[key].as_f64().unwrap().is_finite(), "{key}");
+    }
+    assert_eq!(summary["version"], env!("CARGO_PKG_VERSION"));
+    let q = numbers(&summary["q_per_epoch"]);
+    assert_eq!(q.len(), 4);
+    assert_eq!(numbers(&summary["gradient_norm_per_epoch"]).len(), 4);
+    let best = summary["best_epoch"].as_u64().unwrap() as usize;
+    assert_eq!(summary["q"].as_f64().unwrap(), q[best]);
+    let nodes = numbers(&summary["nodes"]);
+    for key in ["offsets_first", "offsets_best", "offsets_last"] {
+        assert_eq!(numbers(&summary[key]).len(), nodes.len(), "{key}");
+    }
+    assert!(numbers(&summary["offsets_first"]).iter().all(|o| *o == 0.0));
+    assert!(numbers(&summary["offsets_last"]).iter().all(|o| *o != 0.0 && o.abs() <= 0.02));
+
+    // The same in two parts, and with another number of threads: every bit of design and moments.
+    succeeds(at, &with(&["optimize"], &["--epochs", "2", "--out", "parts"]));
+    succeeds(at, &["optimize", "--resume", "parts", "--epochs", "4", "--threads", "1"]);
+    let again = json(&at.join("parts/summary.json"));
+    for key in ["q_per_epoch", "gradient_norm_per_epoch", "offsets_best", "offsets_last", "q"] {
+        assert_eq!(summary[key], again[key], "{key}");
+    }
+    let tensors = |name: &str| {
+        let bytes = std::fs::read(at.join(name).join("checkpoint.safetensors")).unwrap();
+        let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+        let mut names: Vec<String> = file.names().iter().map(|n| n.to_string()).collect();
+        names.retain(|n| n != "history.seconds");
+        names.sort();
+        names.into_iter().map(|n| (n.clone(), file.tensor(&n).unwrap().data().to_vec())).collect::<Vec<_>>()
+    };
+    assert_eq!(tensors("whole"), tensors("parts"));
+
+    // Broken or foreign checkpoints.
+    refuses(at, &["optimize", "--resume", "parts"], &["has its 4 epochs", "--epochs 8"]);
+    refuses(at, &["optimize", "--resume", "nowhere", "--out", "unwritten"], &["nowhere", "config.toml"]);
+    refuses(
+        at,
+        &["optimize", "--resume", "parts", "--epochs", "6", "--set", "fluid.viscosity=0.02", "--out", "unwritten"],
+        &["another scene", "fluid.viscosity = 0.01, not 0.02"],
+    );
+    refuses(
+        at,
+        &["simulate", "--resume", "parts", "--out", "unwritten"],
+        &["optimisation", "not a hydrograd simulation"],
+    );
+    let checkpoint = at.join("parts/checkpoint.safetensors");
+    let bytes = std::fs::read(&checkpoint).unwrap();
+    std::fs::write(&checkpoint, &bytes[..bytes.len() / 2]).unwrap();
+    refuses(at, &["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"], &["checkpoint.safetensors"]);
+    std::fs::remove_file(&checkpoint).unwrap();
+    refuses(at, &["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"], &["checkpoint.safetensors"]);
+}
+
+#[test]
+fn simulation_resumes_bit_for_bit_from_any_checkpoint() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &with(&["simulate"], &["--out", "whole", "--set", "design.shape=sine", "--threads", "2"]));
+    // What an interrupted run leaves: a run of the same scene whose last checkpoint is an early one. Killing a process at
+    // the right moment is not reproducible, so the early checkpoint is made by copying it while the run goes on.
+    let arguments = with(&["simulate"], &["--out", "parts", "--set", "design.shape=sine", "--threads", "1"]);
+    let program = assert_cmd::cargo::cargo_bin("hydrograd");
+    let mut child = std::process::Command::new(program)
+        .current_dir(at)
+        .args(&arguments)
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let checkpoint = at.join("parts/checkpoint.safetensors");
+    let mut early = None;
+    while child.try_wait().unwrap().is_none() {
+        if early.is_none() {
+            early = std::fs::read(&checkpoint).ok();
+        }
+    }
+    let early = early.unwrap_or_else(|| std::fs::read(&checkpoint).unwrap());
+    std::fs::write(&checkpoint, &early).unwrap();
+    let step: usize = {
+        let (_, header) = safetensors::SafeTensors::read_metadata(&early).unwrap();
+        header.metadata().as_ref().unwrap()["step"].parse().unwrap()
+    };
+    let end = json(&at.join("whole/summary.json"));
+    if step < end["steps"].as_u64().unwrap() as usize {
+        succeeds(at, &["simulate", "--resume", "parts"]);
+    }
+    let state = |name: &str| {
+        let file = hdf5::File::open(at.join(name).join("state.h5")).unwrap();
+        ["position", "velocity", "temperature", "density", "pressure"]
+            .map(|field| file.dataset(field).unwrap().read_raw::<f64>().unwrap())
+    };
+    assert!(state("whole") == state("parts"), "resumed at step {step}");
+    assert_eq!(end["q"], json(&at.join("parts/summary.json"))["q"]);
+}
+
+#[test]
+fn check_gradient_passes_and_fails_as_it_should() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let text = succeeds(at, &["check-gradient", "--steps", "150", "--directions", "2", "--out", "good"]);
+    assert!(text.contains("PASSED"), "{text}");
+    let report = json(&at.join("good/gradient_check.json"));
+    assert_eq!(report["passed"], true);
+    assert!(report["worst_relative_error"].as_f64().unwrap() <= 1e-5);
+    assert!((report["cosine"].as_f64().unwrap() - 1.0).abs() < 1e-9);
+    // A truncated gradient is not the derivative, and the check must say so.
+    let arguments = ["check-gradient", "--steps", "150", "--gradient", "truncated", "--horizon", "20", "--out", "bad"];
+    let output = hydrograd(at, &arguments);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("FAILED"));
+    assert_eq!(json(&at.join("bad/gradient_check.json"))["passed"], false);
+}
+
+#[test]
+fn composed_kernels_and_single_precision_run() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let tiny =
+        ["--set", "time.end=0.05", "--set", "objective.window=0.02", "--set", "output.frames=0", "--epochs", "1"];
+    let q = |name: &str, more: &[&str]| {
+        let arguments = [&["optimize", "--out", name], &tiny[..], more].concat();
+        succeeds(at, &arguments);
+        json(&at.join(name).join("summary.json"))["gradient_norm_per_epoch"][0].as_f64().unwrap()
+    };
+    let fused = q("fused", &[]);
+    assert!((q("composed", &["--kernels", "composed"]) / fused - 1.0).abs() < 1e-9);
+    assert!((q("taped", &["--gradient", "taped"]) / fused - 1.0).abs() < 1e-15);
+    assert!((q("single", &["--precision", "f32"]) / fused - 1.0).abs() < 1e-2);
+}
+
+#[test]
+fn a_taped_gradient_that_does_not_fit_is_refused_with_an_estimate() {
+    let folder = TempDir::new().unwrap();
+    let arguments = ["optimize", "--gradient", "taped", "--set", "optimise.memory_mb=20", "--out", "out"];
+    let output = hydrograd(folder.path(), &arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("MB") && error.contains("--gradient segments --segment"), "{error}");
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn a_run_that_diverges_says_so() {
+    let folder = TempDir::new().unwrap();
+    let arguments = ["simulate", "--set", "time.cfl=4", "--set", "time.diffusion_number=1", "--out", "out"];
+    let output = hydrograd(folder.path(), &arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("diverged") && error.contains("time.cfl"), "{error}");
+    assert!(!folder.path().join("out/summary.json").exists());
+}
