@@ -27,6 +27,7 @@ pub enum Command {
     #[command(visible_alias = "optimise")]
     Optimize(OptimizeArguments),
     CheckGradient(CheckGradientArguments),
+    Bench(BenchArguments),
     Scenes(ScenesArguments),
 }
 
@@ -100,6 +101,25 @@ pub struct CheckGradientArguments {
     /// Random directions to compare along.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
     pub directions: usize,
+}
+
+/// Time a step and its gradient in every mode, with peak memory (best and median of several repeats).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd bench --preset report
+      the original report's 950 particles and 2000 steps
+  hydrograd bench --preset report --set time.steps=400 --threads 1 --precision f32
+      one thread, single precision")]
+pub struct BenchArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    /// Repeats of each row.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
+    pub repeats: usize,
+    /// Leave out gradients predicted to take more than this.
+    #[arg(long, value_name = "GB", default_value_t = 4.0)]
+    pub memory_gb: f64,
 }
 
 /// List the built-in scenes and presets, or print a scene as TOML.
@@ -283,6 +303,12 @@ impl OptimizeArguments {
     /// Where results go; an error if nothing can be written there.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+    }
+}
+
+impl BenchArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.load(None, vec![], vec![])
     }
 }
 

@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
 mod arguments;
+mod bench;
 mod check_gradient;
 mod files;
 mod guard;
@@ -10,8 +11,8 @@ mod scenes;
 mod simulate;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments, ResumeArgument,
-    ScenesArguments, SimulateArguments, StartName,
+    BenchArguments, CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments,
+    ResumeArgument, ScenesArguments, SimulateArguments, StartName,
 };
 pub use guard::{guarded, install_panic_hook};
 
@@ -21,6 +22,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
+        Command::Bench(arguments) => bench::run(arguments.load()?, arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }
