@@ -56,13 +56,13 @@ fn check<R: Real>(list: &NeighbourList, position: &[R], tags: &[u8], domain: &Do
             let back = &list.row(j as usize)[..list.count[j as usize] as usize];
             assert!(back.contains(&(i as u32)), "{what}: {j} is in row {i}, but {i} not in row {j}");
         }
-        for j in 0..n {
+        for (j, &found) in found.iter().enumerate() {
             let distance = squared_distance(position, n, domain, i, j).sqrt();
             if (distance / REACH - 1.0).abs() < edge {
                 continue; // either answer is right
             }
             let expected = j != i && distance < REACH && (is_fluid(i) || is_fluid(j));
-            assert_eq!(found[j], expected, "{what}: pair {i}, {j} at distance {distance}");
+            assert_eq!(found, expected, "{what}: pair {i}, {j} at distance {distance}");
         }
     }
     let fluids: Vec<u32> = (0..n as u32).filter(|&i| is_fluid(i as usize)).collect();
@@ -80,9 +80,9 @@ fn finds_what_brute_force_finds() {
             // Box lengths in reaches: 1, 2, 3 and more cells. A periodic box of exactly two reaches has one cell.
             for lengths in [[2.0, 2.0, 2.0], [2.5, 3.3, 2.0], [3.0, 2.1, 4.2], [5.7, 2.0, 3.01], [0.5, 1.0, 6.3]] {
                 let mut domain = Domain { dimension, size: [1.0; 3], periodic: [false; 3] };
-                for d in 0..dimension {
+                for (d, length) in lengths.into_iter().enumerate().take(dimension) {
+                    let length: f64 = length;
                     domain.periodic[d] = periodic >> d & 1 == 1;
-                    let length: f64 = lengths[d];
                     domain.size[d] = REACH * if domain.periodic[d] { length.max(2.0) } else { length };
                 }
                 let n = 150;

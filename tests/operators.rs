@@ -2,16 +2,24 @@
 
 mod support;
 
-use candle_core::{Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor, Var};
+use hydrograd::adjoint::schedule::Schedule;
+use hydrograd::adjoint::segments::{gradient, Sph};
+use hydrograd::design::diagnostics::start;
 use hydrograd::lanes::Real;
 use hydrograd::particles::tag;
 use hydrograd::random::{stream, Normal};
+use hydrograd::scene::config::Config;
+use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::shape::Shape;
+use hydrograd::solver::Solver;
 use hydrograd::sph::body_force::BodyForce;
 use hydrograd::sph::interpolation::Interpolation;
 use hydrograd::sph::model::Model;
 use hydrograd::sph::step::Step;
 use hydrograd::sph::{advance, composed::quintic, composed::Pairs, density, drift, primitives, rates};
 use std::sync::Arc;
+use support::final_sum::FinalSum;
 use support::random_scene::{permute, Options, RandomScene, DX};
 
 /// Fused against composed, relative to the largest value of the row.
@@ -48,7 +56,7 @@ fn tensor<R: Real>(values: &[R], n: usize) -> Tensor {
 }
 
 fn numbers(tensor: &Tensor) -> Vec<f64> {
-    let tensor = tensor.flatten_all().unwrap().to_dtype(candle_core::DType::F64).unwrap();
+    let tensor = tensor.flatten_all().unwrap().to_dtype(DType::F64).unwrap();
     tensor.to_vec1::<f64>().unwrap()
 }
 
@@ -204,7 +212,9 @@ fn scenes() -> Vec<Options> {
             seed: k,
         });
     }
-    all
+    // A process that tries another instruction set takes a few of them.
+    let stride = std::env::var(STRIDE).map_or(1, |s| s.parse().unwrap());
+    all.into_iter().step_by(stride).collect()
 }
 
 #[test]
@@ -284,4 +294,214 @@ fn direction(input: &Tensor, n: usize, dimension: usize, normal: &mut Normal) ->
             (0..n).map(|_| scale * normal.next()).collect::<Vec<f64>>()
         })
         .collect()
+}
+
+/// Rates of a scene, and the mass of every particle.
+fn rates_of<R: Real>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
+    let (model, n) = (scene.model::<R>(), scene.particles());
+    let moved = Step::drift(&model, model.dt, &tensor(&scene.state::<R>(), n), true).unwrap();
+    let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
+    let density = moved.apply_op1(density::Density(step.clone())).unwrap();
+    let primitives = moved.apply_op2(&density, primitives::Primitives(step.clone())).unwrap();
+    let rates = moved.apply_op2(&primitives, rates::Rates(step)).unwrap();
+    let mass = match scene.options.mass {
+        true => scene.state[model.layout.state_mass() * n..].to_vec(),
+        false => vec![model.mass; n],
+    };
+    (numbers(&rates), mass)
+}
+
+#[test]
+fn pairs_conserve_momentum_and_heat() {
+    for dimension in [2, 3] {
+        for periodic in [true, false] {
+            for gamma in [1, 7] {
+                let options = Options { walls: false, periodic: [periodic; 3], gamma, ..Options::rich(dimension) };
+                let mut scene = RandomScene::new(options);
+                scene.body_force = BodyForce::None;
+                scene.open_everywhere = true;
+                let (rates, mass) = rates_of::<f64>(&scene);
+                // Acceleration, transport acceleration, temperature rate: each row is a conserved sum.
+                for (row, rates) in rates.chunks(mass.len()).enumerate() {
+                    let flows: Vec<f64> = rates.iter().zip(&mass).map(|(a, m)| a * m).collect();
+                    let (sum, size): (f64, f64) = (flows.iter().sum(), flows.iter().map(|f| f.abs()).sum());
+                    assert!(
+                        size > 0.0 && sum.abs() <= 1e-13 * size,
+                        "{options:?}: row {row} loses {sum:e} of {size:e}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_body_force_is_its_own_acceleration() {
+    let mut scene = RandomScene::new(Options::rich(2));
+    scene.body_force = BodyForce::None;
+    let without = rates_of::<f64>(&scene).0;
+    scene.body_force = BodyForce::Reversing { strength: 2.0, turn: 0.5 * scene.size[1] };
+    let with = rates_of::<f64>(&scene).0;
+    let n = scene.particles();
+    for i in 0..n {
+        let upper = scene.state[n + i] > 0.5 * scene.size[1];
+        let expected = if scene.tags[i] != tag::FLUID { 0.0 } else { 2.0 * if upper { -1.0 } else { 1.0 } };
+        // Drifting particles near the turn may have crossed it.
+        if (scene.state[n + i] - 0.5 * scene.size[1]).abs() > 0.1 * DX {
+            assert!((with[i] - without[i] - expected).abs() < 1e-10, "particle {i}");
+        }
+    }
+    assert_eq!(with[n..], without[n..], "only the first component");
+}
+
+/// A random order of 0..n.
+fn shuffled(n: usize, seed: u64) -> Vec<usize> {
+    let mut rng = stream(seed, "order");
+    let mut keys: Vec<(f64, usize)> = (0..n).map(|i| (hydrograd::random::uniform(&mut rng), i)).collect();
+    keys.sort_by(|a, b| a.0.total_cmp(&b.0));
+    keys.into_iter().map(|k| k.1).collect()
+}
+
+#[test]
+fn order_of_particles_does_not_matter() {
+    for options in [Options::rich(2), Options::rich(3), Options { seed: 1, ..Options::plain(2) }] {
+        let scene = RandomScene::new(options);
+        let n = scene.particles();
+        let order = shuffled(n, 5);
+        let permuted = scene.permuted(&order);
+        let mut normal = Normal::new(stream(6, "bars"));
+        for (a, b) in operators::<f64>(&scene).into_iter().zip(operators::<f64>(&permuted)) {
+            let what = format!("{}, {options:?}", a.name);
+            // Interpolated values belong to targets (the last of which follows the first fluid particle), not to particles.
+            if a.name.starts_with("interpolation") {
+                continue;
+            }
+            let move_along = |t: &Tensor| tensor(&permute(&numbers(t), n, &order), n);
+            let (value, permuted_value) = ((a.fused)(&a.inputs).unwrap(), (b.fused)(&b.inputs).unwrap());
+            let gap = difference(&permuted_value, &move_along(&value));
+            assert!(gap <= SAME, "{what}: values differ by {gap:e}");
+            let bar = a.cotangent(&value, &mut normal);
+            let gradient = gradients(&a.fused, &a.inputs, &bar);
+            let permuted_gradient = gradients(&b.fused, &b.inputs, &move_along(&bar));
+            for (k, (ours, theirs)) in permuted_gradient.iter().zip(&gradient).enumerate() {
+                let gap = difference(ours, &move_along(theirs));
+                assert!(gap <= SAME, "{what}: gradients by input {k} differ by {gap:e}");
+            }
+        }
+    }
+}
+
+/// Single precision: values and adjoints within rounding, amplified by what each operator subtracts. A self pair or an
+/// unstable form of the kernel's slope makes the gradients differ by order 1.
+#[test]
+fn single_precision_agrees_with_double() {
+    let mut worst = std::collections::BTreeMap::<&str, (f64, f64)>::new();
+    for options in scenes() {
+        let scene = RandomScene::new(options);
+        let mut normal = Normal::new(stream(options.seed, "bars"));
+        for (double, single) in operators::<f64>(&scene).into_iter().zip(operators::<f32>(&scene)) {
+            let value = (double.fused)(&double.inputs).unwrap();
+            let single_value = (single.fused)(&single.inputs).unwrap();
+            let value_gap = difference(&single_value.to_dtype(DType::F64).unwrap(), &value);
+            let bar = double.cotangent(&value, &mut normal);
+            let gradient = gradients(&double.fused, &double.inputs, &bar);
+            let single_gradient = gradients(&single.fused, &single.inputs, &bar.to_dtype(DType::F32).unwrap());
+            let gradient_gap = single_gradient
+                .iter()
+                .zip(&gradient)
+                .map(|(single, double)| difference(&single.to_dtype(DType::F64).unwrap(), double))
+                .fold(0.0, f64::max);
+            // Averages of walls with little support divide by small sums of weights.
+            let allowed = if double.name == "primitives" { 2e-3 } else { 2e-5 };
+            let what = format!("{}, {options:?}", double.name);
+            assert!(value_gap <= allowed, "{what}: values differ by {value_gap:e}");
+            assert!(gradient_gap <= allowed, "{what}: gradients differ by {gradient_gap:e}");
+            let worst = worst.entry(double.name).or_default();
+            *worst = (worst.0.max(value_gap), worst.1.max(gradient_gap));
+        }
+    }
+    for (name, (value, gradient)) in worst {
+        println!("{name}: f32 differs by {value:.1e}, its gradient by {gradient:.1e}");
+    }
+}
+
+/// Threads and instruction set are chosen once per process, so other settings need other processes: this runs a test of
+/// this program again, and returns what the run left in the file named by [`RESULT`].
+fn run_again(test: &str, settings: &[(&str, &str)]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let result = folder.path().join("result");
+    let mut command = std::process::Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", test, "--include-ignored", "--nocapture"]);
+    command.envs(settings.iter().copied()).env(RESULT, &result);
+    let output = command.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && text.contains("1 passed"), "{test} with {settings:?}:\n{text}{errors}");
+    std::fs::read(&result).unwrap_or_default()
+}
+
+/// Names the file for the child's result.
+const RESULT: &str = "HYDROGRAD_TEST_RESULT";
+/// Tries every n-th scene only.
+const STRIDE: &str = "HYDROGRAD_TEST_STRIDE";
+
+#[test]
+#[ignore = "run by the tests below, as a program of its own"]
+fn state_and_gradient_of_a_run() {
+    let Some(path) = std::env::var_os(RESULT) else { return };
+    let sets = ["time.steps=50", "time.cfl=1.0", "design.shape=\"sine\"", "objective.window=0"];
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    let config = Config::load(None, None, &sets).unwrap().config;
+    let shape = Shape::from_config(&config).unwrap();
+    let channel = HeatedChannel::<f64>::new(&config, &shape);
+    let start = start::<f64>(&channel, &shape.offsets);
+    let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
+    (0..50).for_each(|_| solver.advance().unwrap());
+    let dynamics = Sph { model: channel.model.clone(), kernels: config.run.kernels };
+    let warmth =
+        FinalSum { steps: 50, row: channel.model.layout.temperature(), rows: 1, squared: true, fluid_only: true };
+    let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
+    let mut numbers = solver.state.clone();
+    numbers.extend(self::numbers(&found.state));
+    numbers.extend(channel.deformation.adjoint(&self::numbers(&found.state)));
+    std::fs::write(path, numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
+}
+
+#[test]
+fn number_of_threads_does_not_change_a_bit() {
+    let run = |threads: &str| run_again("state_and_gradient_of_a_run", &[("CANDLE_NUM_THREADS", threads)]);
+    let one = run("1");
+    assert!(one.len() > 8 * 800 * 10, "only {} bytes", one.len());
+    for threads in ["2", "3"] {
+        assert!(one == run(threads), "{threads} threads give other bits than one");
+    }
+}
+
+/// Lane counts change the order of sums, so instruction sets agree to rounding only.
+#[test]
+fn instruction_sets_agree() {
+    let run = |set: &str| -> Vec<f64> {
+        let bytes = run_again("state_and_gradient_of_a_run", &[("HYDROGRAD_SIMD", set)]);
+        bytes.chunks(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
+    };
+    let portable = run("portable");
+    assert!(portable.iter().all(|x| x.is_finite()));
+    for set in ["avx2", "avx512"] {
+        let other = run(set);
+        assert_eq!(portable.len(), other.len());
+        // Rows of one field of the state or of its gradient; the design gradient's few numbers are the last, short one.
+        let worst = portable
+            .chunks(800)
+            .zip(other.chunks(800))
+            .map(|(a, b)| {
+                let scale = a.iter().fold(1e-300f64, |m, x| m.max(x.abs()));
+                a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs() / scale))
+            })
+            .fold(0.0, f64::max);
+        println!("{set} differs from portable by {worst:.1e}");
+        assert!(worst < 1e-9, "{set} differs from portable by {worst:e}");
+        let settings = [("HYDROGRAD_SIMD", set), (STRIDE, "5")];
+        run_again("fused_is_composed_forward_and_backward", &settings);
+    }
+    run_again("fused_is_composed_forward_and_backward", &[("HYDROGRAD_SIMD", "portable"), (STRIDE, "5")]);
 }
