@@ -2,53 +2,19 @@
 
 mod support;
 
-use candle_core::Tensor;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Objective, Sph};
 use hydrograd::design::objective::Outflow;
 use hydrograd::particles::tag;
 use hydrograd::scene::config::{Interpolation, Kernels};
-use hydrograd::solver::{Snapshot, Solver, SolverError, TensorSolver};
+use hydrograd::solver::Snapshot;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use support::final_sum::FinalSum;
 use support::jax_sph::{field, number, reference_file, Case};
 
 /// Relative to the gradient's largest component.
 const TOLERANCE: f64 = 1e-6;
-
-/// A sum over rows of the final state.
-struct FinalSum {
-    steps: usize,
-    row: usize,
-    rows: usize,
-    /// Half the sum of squares, or the plain sum.
-    squared: bool,
-    fluid_only: bool,
-}
-
-impl Objective<Sph<f64>> for FinalSum {
-    fn weight(&self, step: usize) -> Option<f64> {
-        (step == self.steps).then_some(1.0)
-    }
-    fn value(&self, run: &mut Solver<f64>) -> Result<f64, SolverError> {
-        let n = run.model.particles();
-        Ok((0..self.rows * n)
-            .filter(|k| !self.fluid_only || run.model.is_fluid(k % n))
-            .map(|k| run.state[self.row * n + k])
-            .map(|x| if self.squared { 0.5 * x * x } else { x })
-            .sum())
-    }
-    fn tensor(&self, run: &TensorSolver<f64>, state: &Tensor) -> Result<Tensor, SolverError> {
-        let go = || {
-            let n = run.model.particles();
-            let rows = state.narrow(0, self.row, self.rows)?;
-            let rows = if self.squared { rows.sqr()?.affine(0.5, 0.0)? } else { rows };
-            let keep: Vec<f64> = (0..n).map(|i| (!self.fluid_only || run.model.is_fluid(i)) as u8 as f64).collect();
-            rows.broadcast_mul(&Tensor::from_vec(keep, (1, n), state.device())?)?.sum_all()
-        };
-        go().map_err(|source| SolverError::Tensor { step: run.step, source })
-    }
-}
 
 fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());

@@ -37,10 +37,9 @@ impl Schedule {
         Self { steps, segment: segment.clamp(1, (steps - first).max(1)), first }
     }
 
-    /// The segment length that needs the least memory: (steps/k) states and k taped steps, k = sqrt(steps state/tape).
+    /// The segment length that needs the least memory, near sqrt(steps state/tape): (steps/k) states and k taped steps.
     pub fn least_memory(steps: usize, costs: Costs) -> usize {
-        let k = (steps as f64 * costs.state as f64 / costs.tape_step.max(1) as f64).sqrt();
-        (k.round() as usize).clamp(1, steps.max(1))
+        (1..=steps).min_by_key(|&k| Self::segments(steps, k).memory(costs)).unwrap_or(1)
     }
 
     /// Starts and ends of the segments, first to last.
@@ -53,7 +52,7 @@ impl Schedule {
 
     /// States kept at the same time.
     pub fn stored_states(&self) -> usize {
-        self.bounds().len()
+        (self.steps - self.first).div_ceil(self.segment)
     }
 
     /// Steps that are run twice.

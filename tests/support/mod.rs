@@ -1,3 +1,5 @@
 //! What several tests share.
 #![allow(dead_code)]
+pub mod final_sum;
 pub mod jax_sph;
+pub mod random_scene;

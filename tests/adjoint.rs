@@ -1,0 +1,279 @@
+//! Gradients of runs: which states a schedule keeps, what that costs, and that it does not change the gradient.
+
+mod support;
+
+use hydrograd::adjoint::schedule::{Costs, Schedule};
+use hydrograd::adjoint::segments::{gradient, Dynamics, Gradient, Objective, Sph};
+use hydrograd::design::diagnostics::start;
+use hydrograd::design::objective::Outflow;
+use hydrograd::lanes::Real;
+use hydrograd::scene::config::{Config, Kernels};
+use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::shape::Shape;
+use hydrograd::solver::{Snapshot, Solver, SolverError, TensorSolver};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::Mutex;
+use support::final_sum::FinalSum;
+
+/// Counts the bytes that are allocated now, and the most there have been.
+struct Counting;
+
+static NOW: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: passes every call on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        PEAK.fetch_max(NOW.fetch_add(layout.size(), SeqCst) + layout.size(), SeqCst);
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        NOW.fetch_sub(layout.size(), SeqCst);
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Tests that run physics take turns, so that one sees its own memory only.
+static TURN: Mutex<()> = Mutex::new(());
+
+#[test]
+fn bounds_cover_every_step_once() {
+    for steps in [1, 2, 3, 7, 10, 59, 60, 61, 100] {
+        for segment in [0, 1, 2, 7, 30, 59, 60, 200] {
+            for horizon in [0, 1, 2, 9, 50, 100, 1000] {
+                for (schedule, first) in [
+                    (Schedule::segments(steps, segment), 0),
+                    (Schedule::truncated(steps, horizon, segment), steps.saturating_sub(horizon)),
+                ] {
+                    let bounds = schedule.bounds();
+                    let mut next = first;
+                    for &(from, to) in &bounds {
+                        assert_eq!(from, next, "{schedule:?} leaves a gap or overlaps: {bounds:?}");
+                        assert!(to > from && to - from <= segment.max(1), "{schedule:?}: {bounds:?}");
+                        next = to;
+                    }
+                    assert_eq!(next, steps, "{schedule:?} does not reach the end: {bounds:?}");
+                    // Only the last segment is shorter.
+                    assert!(bounds.iter().rev().skip(1).all(|(a, b)| b - a == schedule.segment), "{bounds:?}");
+                    assert_eq!(schedule.stored_states(), bounds.len());
+                    assert_eq!(schedule.recomputed_steps(), bounds.iter().map(|(a, b)| b - a).sum::<usize>());
+                    assert_eq!(schedule.taped_steps(), bounds.iter().map(|(a, b)| b - a).max().unwrap_or(0));
+                }
+            }
+        }
+    }
+    assert_eq!(Schedule::segments(10, 4).bounds(), [(0, 4), (4, 8), (8, 10)]);
+    assert_eq!(Schedule::truncated(10, 5, 3).bounds(), [(5, 8), (8, 10)]);
+    assert_eq!(Schedule::taped(10).bounds(), [(0, 10)]);
+    assert_eq!(Schedule::segments(10, 1).stored_states(), 10);
+    assert_eq!(Schedule::truncated(10, 10, 3), Schedule::segments(10, 3));
+}
+
+#[test]
+fn memory_is_states_and_taped_steps() {
+    let costs = Costs { state: 100, tape_step: 700 };
+    assert_eq!(Schedule::segments(10, 4).memory(costs), 3 * 100 + 4 * 700);
+    assert_eq!(Schedule::taped(10).memory(costs), 100 + 10 * 700);
+    assert_eq!(Schedule::segments(10, 1).memory(costs), 10 * 100 + 700);
+    assert_eq!(Schedule::truncated(10, 5, 3).memory(costs), 2 * 100 + 3 * 700);
+}
+
+#[test]
+fn least_memory_is_the_least() {
+    for steps in [1, 2, 5, 50, 500, 2000, 4001] {
+        for costs in [(100, 100), (100, 700), (67_000, 330_000), (1000, 3), (5, 100_000), (100, 0)] {
+            let costs = Costs { state: costs.0, tape_step: costs.1 };
+            let memory = |segment| Schedule::segments(steps, segment).memory(costs);
+            let chosen = memory(Schedule::least_memory(steps, costs));
+            let best = (1..=steps).map(memory).min().unwrap();
+            assert_eq!(chosen, best, "{steps} steps, {costs:?}");
+        }
+    }
+}
+
+/// A short run of the heated channel with an uneven wall.
+fn channel<R: Real>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapshot<R>) {
+    let mut all = vec![format!("time.steps={steps}"), "objective.window=0".into(), "design.shape=\"sine\"".into()];
+    all.extend(sets.iter().map(|s| s.to_string()));
+    let config = Config::load(None, None, &all).unwrap().config;
+    let shape = Shape::from_config(&config).unwrap();
+    let channel = HeatedChannel::<R>::new(&config, &shape);
+    let start = start(&channel, &shape.offsets);
+    (channel, start)
+}
+
+/// Q at several steps and the fluid's heat at the last.
+struct Both(Outflow, FinalSum);
+
+impl<R: Real> Objective<Sph<R>> for Both {
+    fn weight(&self, step: usize) -> Option<f64> {
+        let (a, b) = (Objective::<Sph<R>>::weight(&self.0, step), Objective::<Sph<R>>::weight(&self.1, step));
+        a.or(b)
+    }
+    fn value(&self, run: &mut Solver<R>) -> Result<f64, SolverError> {
+        let warmth = if run.step == self.1.steps { self.1.value(run)? } else { 0.0 };
+        Ok(1e3 * self.0.value(run)? + warmth)
+    }
+    fn tensor(&self, run: &TensorSolver<R>, state: &candle_core::Tensor) -> Result<candle_core::Tensor, SolverError> {
+        let failed = |source| SolverError::Tensor { step: run.step, source };
+        let q = self.0.tensor(run, state)?.affine(1e3, 0.0).map_err(failed)?;
+        match run.step == self.1.steps {
+            true => (q + self.1.tensor(run, state)?).map_err(failed),
+            false => Ok(q),
+        }
+    }
+}
+
+/// An objective that looks at steps within, at the start and at the end of segments. Targets over the hot section,
+/// where a short run has heat already.
+fn objective<R: Real>(channel: &HeatedChannel<R>) -> Both {
+    let steps = channel.steps;
+    let targets = channel.objective.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
+    let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
+    let outflow = Outflow {
+        targets: std::sync::Arc::new(targets),
+        samples: BTreeMap::from(samples),
+        ..channel.objective.clone()
+    };
+    let row = channel.model.layout.temperature();
+    Both(outflow, FinalSum { steps, row, rows: 1, squared: false, fluid_only: true })
+}
+
+fn run<R: Real>(channel: &HeatedChannel<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
+    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+    gradient(&dynamics, start, &schedule, &objective(channel), &mut |_| ()).unwrap()
+}
+
+fn numbers<R: Real>(gradient: &Gradient) -> Vec<R> {
+    gradient.state.flatten_all().unwrap().to_vec1::<R>().unwrap()
+}
+
+fn segments_equal_one_tape<R: Real>() {
+    let steps = 60;
+    // A large time step and a thin skin: several lists within the run.
+    let (channel, start) = channel::<R>(steps, &["time.cfl=1.5", "time.skin=0.1"]);
+    let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
+    let mut lists = 1;
+    for _ in 0..steps {
+        let before = solver.neighbourhood.list.clone();
+        solver.advance().unwrap();
+        lists += !std::sync::Arc::ptr_eq(&before, &solver.neighbourhood.list) as usize;
+    }
+    assert!(lists > 3, "only {lists} neighbour lists: the test does not see whether a replay rebuilds them");
+    let taped = run(&channel, &start, Schedule::taped(steps));
+    let expected = numbers::<R>(&taped);
+    let design = channel.deformation.adjoint(&expected);
+    assert!(design.iter().all(|g| g.is_finite() && *g != 0.0), "{design:?}");
+    for schedule in [1, 2, 7, 30, 59, 60]
+        .map(|segment| Schedule::segments(steps, segment))
+        .into_iter()
+        .chain([Schedule::truncated(steps, steps, 11), Schedule::truncated(steps, 1000, 60)])
+    {
+        let found = run(&channel, &start, schedule);
+        assert!(found.value == taped.value, "{schedule:?}: {} is not {}", found.value, taped.value);
+        let found = numbers::<R>(&found);
+        assert_eq!(found.len(), expected.len());
+        let differing = found.iter().zip(&expected).filter(|(a, b)| a.f64().to_bits() != b.f64().to_bits()).count();
+        assert_eq!(differing, 0, "{schedule:?}: {differing} of {} components differ from one tape", expected.len());
+        assert_eq!(channel.deformation.adjoint(&found), design);
+    }
+}
+
+#[test]
+fn segments_equal_one_tape_bit_for_bit_in_f64() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    segments_equal_one_tape::<f64>();
+}
+
+#[test]
+fn segments_equal_one_tape_bit_for_bit_in_f32() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    segments_equal_one_tape::<f32>();
+}
+
+#[test]
+fn a_truncated_gradient_is_that_of_the_last_steps() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let (channel, start) = channel::<f64>(40, &[]);
+    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+    let warmth =
+        |steps| FinalSum { steps, row: channel.model.layout.temperature(), rows: 1, squared: true, fluid_only: true };
+    let truncated = gradient(&dynamics, &start, &Schedule::truncated(40, 15, 4), &warmth(40), &mut |_| ()).unwrap();
+    // The same run by hand: 25 steps, then a gradient over what remains.
+    let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
+    (0..25).for_each(|_| solver.advance().unwrap());
+    let middle = Snapshot { step: 0, ..solver.snapshot() };
+    let rest = gradient(&dynamics, &middle, &Schedule::taped(15), &warmth(15), &mut |_| ()).unwrap();
+    assert!(truncated.value == rest.value);
+    assert!(numbers::<f64>(&truncated) == numbers::<f64>(&rest));
+    // No step at all: the value, and nothing else.
+    let nothing = gradient(&dynamics, &start, &Schedule::truncated(40, 0, 4), &warmth(40), &mut |_| ()).unwrap();
+    assert!(nothing.value == rest.value && numbers::<f64>(&nothing).iter().all(|g| *g == 0.0));
+}
+
+#[test]
+fn composed_operators_give_the_same_gradient() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let (channel, start) = channel::<f64>(12, &[]);
+    let of = |kernels| {
+        let dynamics = Sph { model: channel.model.clone(), kernels };
+        let row = channel.model.layout.temperature();
+        let warmth = FinalSum { steps: 12, row, rows: 1, squared: false, fluid_only: true };
+        numbers::<f64>(&gradient(&dynamics, &start, &Schedule::segments(12, 5), &warmth, &mut |_| ()).unwrap())
+    };
+    let (fused, composed) = (of(Kernels::Fused), of(Kernels::Composed));
+    let n = channel.model.particles();
+    for (row, (a, b)) in fused.chunks(n).zip(composed.chunks(n)).enumerate() {
+        let scale = b.iter().fold(1e-300f64, |m, x| m.max(x.abs()));
+        let gap = a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / scale;
+        assert!(gap < 1e-9, "row {row} differs by {gap:e}");
+    }
+}
+
+/// Peak memory of a gradient, and the schedule's prediction.
+fn peak<R: Real>(steps: usize, segment: usize) -> (f64, f64) {
+    let (channel, start) = channel::<R>(steps, &[]);
+    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+    let plain = dynamics.start(&start).unwrap();
+    let costs = dynamics.costs(plain.neighbourhood.list.bytes());
+    drop(plain);
+    let schedule = Schedule::segments(steps, segment);
+    // Once for what stays: scratch buffers, thread pools.
+    run(&channel, &start, Schedule::segments(steps, segment));
+    let before = NOW.load(SeqCst);
+    PEAK.store(before, SeqCst);
+    run(&channel, &start, schedule);
+    ((PEAK.load(SeqCst) - before) as f64, schedule.memory(costs) as f64)
+}
+
+#[test]
+fn peak_memory_is_as_predicted() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let mut found = Vec::new();
+    for (precision, segment, (peak, predicted)) in [
+        ("f64", 60, peak::<f64>(60, 60)),
+        ("f64", 20, peak::<f64>(60, 20)),
+        ("f64", 5, peak::<f64>(60, 5)),
+        ("f64", 1, peak::<f64>(60, 1)),
+        ("f32", 60, peak::<f32>(60, 60)),
+        ("f32", 5, peak::<f32>(60, 5)),
+    ] {
+        println!("{precision}, segments of {segment}: peak {:.2} MB, predicted {:.2} MB", peak / 1e6, predicted / 1e6);
+        assert!(peak < 1.25 * predicted, "{precision}, segments of {segment}: {peak} bytes, predicted {predicted}");
+        // The prediction is an upper bound only where lists are rebuilt rarely; here they are small beside the tape.
+        assert!(peak > 0.6 * predicted, "{precision}, segments of {segment}: {peak} bytes, predicted {predicted}");
+        found.push((peak, predicted));
+    }
+    // From one tape to segments of 5 (and further to 1): as much less as predicted.
+    for (from, to) in [(0, 1), (0, 2), (0, 3), (4, 5)] {
+        let (measured, predicted) = (found[from].0 - found[to].0, found[from].1 - found[to].1);
+        assert!((measured / predicted - 1.0).abs() < 0.15, "{measured} bytes less, predicted {predicted}");
+    }
+}

@@ -1,0 +1,248 @@
+//! From wall offsets to a gradient: the deformation and its adjoint, and the gradient of whole runs.
+
+mod support;
+
+use candle_core::{Device, Tensor, Var};
+use hydrograd::adjoint::schedule::Schedule;
+use hydrograd::adjoint::segments::{gradient, Objective, Sph};
+use hydrograd::design::optimise;
+use hydrograd::design::parametrisation::Deform;
+use hydrograd::design::{diagnostics, diagnostics::start};
+use hydrograd::lanes::Real;
+use hydrograd::particles::tag;
+use hydrograd::random::{stream, uniform, Normal};
+use hydrograd::scene::config::{Config, Kernels};
+use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::shape::Shape;
+use support::final_sum::FinalSum;
+
+fn scene<R: Real>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {
+    let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
+    let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
+    let shape = Shape::from_config(&config).unwrap();
+    let channel = HeatedChannel::new(&config, &shape);
+    (config, shape, channel)
+}
+
+/// Scenes whose columns, nodes and ends of the hot section stand to each other in different ways.
+const SCENES: [&[&str]; 5] = [
+    &[],
+    &["wall.mass=\"constant\""],
+    &["channel.height=0.26", "channel.hot_from=0.257", "channel.hot_to=0.741"],
+    &["design.nodes=[0.3, 0.45, 0.5, 0.7]", "design.offsets=[0, 0, 0, 0]"],
+    &["resolution.dx=0.01", "design.nodes=[0.5]", "design.offsets=[0]"],
+];
+
+fn random_offsets(shape: &Shape, seed: u64) -> Vec<f64> {
+    let mut rng = stream(seed, "offsets");
+    shape.nodes.iter().map(|_| 0.01 * (2.0 * uniform(&mut rng) - 1.0)).collect()
+}
+
+#[test]
+fn the_deformation_keeps_particles_and_mass_exactly() {
+    for (seed, sets) in SCENES.iter().enumerate() {
+        let (config, shape, channel) = scene::<f64>(sets);
+        let (model, deformation) = (&channel.model, &channel.deformation);
+        let (n, l, dx) = (model.particles(), model.layout, config.resolution.dx);
+        let offsets = random_offsets(&shape, seed as u64);
+        let (flat, state) = (deformation.state::<f64>(&vec![0.0; offsets.len()]), deformation.state::<f64>(&offsets));
+        assert_eq!(flat, deformation.base);
+        assert_eq!(state.len(), flat.len());
+        assert_eq!(state[..n], flat[..n], "{sets:?}: particles move vertically only");
+        // The shape's integral, exact between nodes (the shape is linear there) up to the hot section's ends.
+        let mut ends = vec![config.channel.hot_from, config.channel.hot_to];
+        ends.extend(&shape.nodes);
+        ends.sort_by(f64::total_cmp);
+        let deformed = Shape { offsets: offsets.clone(), ..shape.clone() };
+        let raised: f64 = ends.windows(2).map(|w| deformed.height(0.5 * (w[0] + w[1])) * (w[1] - w[0])).sum();
+        assert!(raised != 0.0);
+        let area = config.channel.length * config.channel.height - raised;
+        let mass: f64 = (0..n)
+            .filter(|&i| model.is_fluid(i))
+            .map(|i| if l.mass { state[l.state_mass() * n + i] } else { model.mass })
+            .sum();
+        let expected = if l.mass { area } else { config.channel.length * config.channel.height };
+        assert!((mass / (config.fluid.density * expected) - 1.0).abs() < 1e-13, "{sets:?}: {mass} is not {expected}");
+        let heights = deformation.column_heights(&offsets);
+        for i in 0..n {
+            let (before, after) = (flat[n + i], state[n + i]);
+            let s = heights[deformation.column[i] as usize];
+            let expected = if model.is_fluid(i) {
+                // Linear: the surface goes to s, the upper wall stays.
+                s + before * (config.channel.height - s) / config.channel.height
+            } else if before < 0.0 {
+                before + s
+            } else {
+                before
+            };
+            assert!((after - expected).abs() < 1e-14, "{sets:?}: particle {i} at {after}, not {expected}");
+            if l.mass && !model.is_fluid(i) {
+                assert_eq!(state[l.state_mass() * n + i], model.mass, "{sets:?}: walls keep their mass");
+            }
+        }
+        assert!(heights.iter().any(|s| s.abs() > 1e-4));
+        assert!((heights.iter().sum::<f64>() * dx / raised - 1.0).abs() < 1e-9, "{sets:?}: columns average the shape");
+    }
+}
+
+#[test]
+fn the_adjoint_of_the_deformation_is_its_derivative() {
+    for (seed, sets) in SCENES.iter().enumerate() {
+        let (_, shape, channel) = scene::<f64>(sets);
+        let deformation = &channel.deformation;
+        let offsets = random_offsets(&shape, seed as u64);
+        let mut normal = Normal::new(stream(seed as u64, "bars"));
+        let bar: Vec<f64> = deformation.base.iter().map(|_| normal.next()).collect();
+        let adjoint = deformation.adjoint(&bar);
+        assert_eq!(adjoint.len(), shape.nodes.len());
+        let at =
+            |offsets: &[f64]| -> f64 { deformation.state::<f64>(offsets).iter().zip(&bar).map(|(x, b)| x * b).sum() };
+        for k in 0..offsets.len() {
+            // Linear: any step will do, a large one has the least rounding.
+            let moved = |by: f64| {
+                let mut offsets = offsets.clone();
+                offsets[k] += by;
+                at(&offsets)
+            };
+            let expected = (moved(1.0) - moved(-1.0)) / 2.0;
+            assert!((adjoint[k] - expected).abs() < 1e-10, "{sets:?}: variable {k}: {} is not {expected}", adjoint[k]);
+            assert!(adjoint[k] != 0.0);
+        }
+        // On the graph: the same values, the same gradient.
+        let variable = Var::from_vec(offsets.clone(), offsets.len(), &Device::Cpu).unwrap();
+        let op = Deform::<f64>(deformation.clone(), std::marker::PhantomData);
+        let state = variable.apply_op1(op).unwrap();
+        let (rows, n) = (channel.model.layout.state_rows(), channel.model.particles());
+        assert_eq!(state.dims(), [rows, n]);
+        assert_eq!(state.flatten_all().unwrap().to_vec1::<f64>().unwrap(), deformation.state::<f64>(&offsets));
+        let bar = Tensor::from_vec(bar, (rows, n), &Device::Cpu).unwrap();
+        let gradients = (state * bar).unwrap().sum_all().unwrap().backward().unwrap();
+        assert_eq!(gradients.get(&variable).unwrap().to_vec1::<f64>().unwrap(), adjoint);
+        // Single precision: offsets stay in f64.
+        let op = Deform::<f32>(deformation.clone(), std::marker::PhantomData);
+        let single = variable.apply_op1(op).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(single, deformation.state::<f32>(&offsets));
+    }
+}
+
+#[test]
+fn a_truncated_gradient_drops_what_the_fluid_was() {
+    let (_, _, channel) = scene::<f64>(&[]);
+    let (n, model) = (channel.model.particles(), &channel.model);
+    let mut bar = vec![1.0; channel.deformation.base.len()];
+    channel.deformation.keep_static(&mut bar, |i| model.is_fluid(i));
+    for (place, value) in bar.iter().enumerate() {
+        let dropped = place / n == 1 && model.tags[place % n] == tag::FLUID;
+        assert_eq!(*value, if dropped { 0.0 } else { 1.0 }, "row {}, particle {}", place / n, place % n);
+    }
+}
+
+/// Gradient of an objective by the offsets, without regularisation.
+fn design_gradient<R: Real, O: Objective<Sph<R>> + Sync>(
+    channel: &HeatedChannel<R>,
+    offsets: &[f64],
+    objective: &O,
+) -> (f64, Vec<f64>) {
+    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+    let schedule = Schedule::segments(channel.steps, 20);
+    let found = gradient(&dynamics, &start(channel, offsets), &schedule, objective, &mut |_| ()).unwrap();
+    let bar = found.state.flatten_all().unwrap().to_vec1::<R>().unwrap();
+    (found.value, channel.deformation.adjoint(&bar))
+}
+
+fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// The whole chain over 500 steps: offsets, deformation, solver, neighbour lists, interpolation, average over a window.
+#[test]
+fn design_gradient_over_500_steps_is_the_derivative() {
+    let (_, shape, channel) = scene::<f64>(&["time.steps=500", "time.cfl=1.0"]);
+    let offsets = shape.offsets.clone();
+    let (value, gradient) = design_gradient(&channel, &offsets, &channel.objective);
+    let q = diagnostics::evaluate(&channel, &offsets).unwrap();
+    assert_eq!(value, q, "the gradient's run is the plain run");
+    let mut normal = Normal::new(stream(11, "along"));
+    for _ in 0..3 {
+        let direction: Vec<f64> = offsets.iter().map(|_| normal.next()).collect();
+        let slope: f64 = gradient.iter().zip(&direction).map(|(g, v)| g * v).sum();
+        let at = |t: f64| {
+            let moved: Vec<f64> = offsets.iter().zip(&direction).map(|(o, v)| o + t * v).collect();
+            diagnostics::evaluate(&channel, &moved).unwrap()
+        };
+        // Q is smooth between jumps: a particle that crosses the inlet or the outlet strip one step earlier changes Q by
+        // 1e-9 to 1e-7. Steps of 1e-6 meet such jumps, smaller ones rarely do; below 1e-9 rounding takes over.
+        let mut best = f64::INFINITY;
+        for h in [1e-7, 3e-8, 1e-8] {
+            let gap = ((at(h) - at(-h)) / (2.0 * h) / slope - 1.0).abs();
+            println!("step {h:e}: relative error {gap:.1e} (slope {slope:.4e}, |gradient| {:.4e})", norm(&gradient));
+            best = best.min(gap);
+        }
+        assert!(best <= 1e-5, "the nearest difference quotient is off by {best:e}");
+    }
+}
+
+/// Relative to the f64 gradient's norm.
+fn single_precision_error<O>(steps: usize, cfl: &str, objective: impl Fn(usize, usize) -> Option<O>) -> (f64, f64)
+where
+    O: Objective<Sph<f64>> + Objective<Sph<f32>> + Sync,
+{
+    let (steps_set, cfl_set) = (format!("time.steps={steps}"), format!("time.cfl={cfl}"));
+    let sets = [steps_set.as_str(), cfl_set.as_str(), "objective.window=0"];
+    let (_, shape, double) = scene::<f64>(&sets);
+    let single = scene::<f32>(&sets).2;
+    let chosen = objective(steps, double.model.layout.temperature());
+    let ((_, exact), (_, found)) = match &chosen {
+        Some(o) => (design_gradient(&double, &shape.offsets, o), design_gradient(&single, &shape.offsets, o)),
+        None => (
+            design_gradient(&double, &shape.offsets, &double.objective),
+            design_gradient(&single, &shape.offsets, &single.objective),
+        ),
+    };
+    let gap: Vec<f64> = exact.iter().zip(&found).map(|(a, b)| a - b).collect();
+    (norm(&gap) / norm(&exact), norm(&exact))
+}
+
+/// JAX-SPH's f32 gradient of 2000 steps is 1e23 times too large: self pairs in sums of kernel slopes (DESIGN.md 3).
+#[test]
+fn single_precision_gradient_agrees_with_double() {
+    let warmth = |steps, row| Some(FinalSum { steps, row, rows: 1, squared: false, fluid_only: true });
+    let mut cases = Vec::new();
+    for steps in [20, 100, 500, 2000] {
+        cases.push(("Q", steps, single_precision_error(steps, "0.25", |_, _| None::<FinalSum>)));
+    }
+    // Q has barely seen the wall after 20 steps; the fluid's heat has.
+    for steps in [20, 100, 500] {
+        cases.push(("heat", steps, single_precision_error(steps, "0.25", warmth)));
+    }
+    // The largest time step of a usual run.
+    cases.push(("Q at cfl 2", 100, single_precision_error(100, "2.0", |_, _| None::<FinalSum>)));
+    for (name, steps, (error, norm)) in cases {
+        println!("{name}, {steps} steps: f32 differs by {error:.1e} (|gradient| {norm:.3e})");
+        assert!(error <= 1e-3, "{name}, {steps} steps: f32 differs by {error:e} of {norm:e}");
+        assert!(norm > 0.0);
+    }
+}
+
+#[test]
+fn a_variable_without_influence_is_an_error() {
+    // After two steps, only the wall near the targets has been felt there.
+    let sets = ["time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
+    let (config, shape, channel) = scene::<f64>(&sets);
+    let evaluate = |channel: &HeatedChannel<f64>, config: &Config, shape: &Shape| {
+        optimise::evaluate(config, channel, &Schedule::taped(channel.steps), &shape.offsets, &mut |_| ())
+    };
+    let error = evaluate(&channel, &config, &shape).unwrap_err().to_string();
+    assert!(error.contains("design variable 0 received no gradient"), "{error}");
+    // All of them are felt if they are near.
+    let near = [
+        "time.steps=2",
+        "objective.window=0",
+        "channel.hot_to=0.88",
+        "design.nodes=[0.85, 0.87]",
+        "design.offsets=[0,0]",
+    ];
+    let (config, shape, channel) = scene::<f64>(&near);
+    let found = evaluate(&channel, &config, &shape).unwrap();
+    assert!(found.gradient.iter().all(|g| *g != 0.0 && g.is_finite()), "{:?}", found.gradient);
+}
