@@ -351,9 +351,9 @@ impl Default for Design {
 impl Default for Optimise {
     fn default() -> Self {
         Self {
-            epochs: 60,
+            epochs: 40,
             learning_rate: 3e-4,
-            smoothing: 5e-2,
+            smoothing: 5.0,
             gradient: GradientMode::Segments,
             segment: 0,
             memory_mb: 300.0,
