@@ -330,7 +330,7 @@ impl Default for Time {
 
 impl Default for Objective {
     fn default() -> Self {
-        Self { target_x: 0.9, window: 0.5, samples: 10, interpolation: Interpolation::Flux, form: ObjectiveForm::Flux }
+        Self { target_x: 0.9, window: 0.5, samples: 40, interpolation: Interpolation::Flux, form: ObjectiveForm::Flux }
     }
 }
 
