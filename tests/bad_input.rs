@@ -203,9 +203,9 @@ fn window_longer_than_the_run() {
         sets.iter().for_each(|set| arguments.extend(["--set", set]));
         case.refuses(&arguments, parts);
     };
-    let window = "objective.window=0.5";
-    run(&["time.end=0.3", window], &["objective.window = 0.5", "0 (last step) ... 0.3"]);
-    run(&["time.steps=100", window], &["objective.window = 0.5", "0.363636"]);
+    let window = "objective.window=0.45";
+    run(&["time.end=0.3", window], &["objective.window = 0.45", "0 (last step) ... 0.3"]);
+    run(&["time.steps=100", window], &["objective.window = 0.45", "0.363636"]);
     run(&["objective.samples=300"], &["objective.samples = 300", "1 ... 138"]);
 }
 
@@ -217,8 +217,7 @@ fn no_time_step() {
 
 #[test]
 fn bound_too_large() {
-    let rows = "channel.wall_rows=3";
-    refuses_sets(&["design.bound=0.07", rows], &["design.bound = 0.07", "0.06", "channel.wall_rows=4"]);
+    refuses_sets(&["design.bound=0.09", "channel.wall_rows=4"], &["design.bound = 0.09", "0 ... 0.08"]);
     refuses_sets(&["design.bound=0.09"], &["design.bound = 0.09", "0 ... 0.08", "six spacings"]);
     let parts = ["design.bound = 0.11", "0 ... 0.1", "half the channel's height"];
     refuses_sets(&["design.bound=0.11", "channel.wall_rows=20", "resolution.dx=0.01"], &parts);

@@ -126,6 +126,18 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
     assert_eq!(tensors("whole"), tensors("parts"));
 
     // Broken or foreign checkpoints.
+    let checkpoint = at.join("parts/checkpoint.safetensors");
+    let bytes = std::fs::read(&checkpoint).unwrap();
+    for (value, expected) in [(f64::NAN, "design.offsets[0] = NaN"), (0.03, "design.offsets[0] = 0.03")] {
+        let mut broken = bytes.clone();
+        let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+        let at = file.tensor("offsets").unwrap().data().as_ptr() as usize - bytes.as_ptr() as usize;
+        broken[at..at + 8].copy_from_slice(&value.to_le_bytes());
+        std::fs::write(&checkpoint, &broken).unwrap();
+        let arguments = ["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"];
+        refuses(folder.path(), &arguments, &["checkpoint.safetensors", expected]);
+    }
+    std::fs::write(&checkpoint, &bytes).unwrap();
     refuses(at, &["optimize", "--resume", "parts"], &["has its 4 epochs", "--epochs 8"]);
     refuses(at, &["optimize", "--resume", "nowhere", "--out", "unwritten"], &["nowhere", "config.toml"]);
     refuses(
@@ -138,8 +150,6 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
         &["simulate", "--resume", "parts", "--out", "unwritten"],
         &["optimisation", "not a hydrograd simulation"],
     );
-    let checkpoint = at.join("parts/checkpoint.safetensors");
-    let bytes = std::fs::read(&checkpoint).unwrap();
     std::fs::write(&checkpoint, &bytes[..bytes.len() / 2]).unwrap();
     refuses(at, &["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"], &["checkpoint.safetensors"]);
     std::fs::remove_file(&checkpoint).unwrap();

@@ -55,13 +55,13 @@ pub struct SimulateArguments {
 #[command(after_long_help = "\
 Examples:
   hydrograd optimize
-      the heated channel from a flat wall, in about 3 minutes on two cores
+      the heated channel from a flat wall, in less than a minute on two cores
   hydrograd optimize --start all --out runs/starts
       from four start shapes, compared in one plot
   hydrograd optimize --preset report --start random --seed 7
       the original report's settings, from a random wall
-  hydrograd optimize --resume runs/optimize-heated-channel --epochs 40
-      go on with a run, up to 40 epochs in all")]
+  hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
+      go on with a run, up to 80 epochs in all")]
 pub struct OptimizeArguments {
     #[command(flatten)]
     pub common: CommonArguments,

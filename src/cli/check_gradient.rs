@@ -56,7 +56,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     let mut worst: f64 = 0.0;
     for (k, direction) in results.iter().enumerate() {
         let Some(best) = direction.best() else { continue };
-        worst = if best.error.is_nan() { f64::INFINITY } else { worst.max(best.error) };
+        worst = worst.max(if best.error.is_nan() { f64::INFINITY } else { best.error });
         table.row([
             k.to_string(),
             format!("{:+.9e}", direction.gradient),

@@ -47,7 +47,7 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
         "version": VERSION,
         "seed": loaded.config.run.seed,
         "precision": loaded.config.run.precision,
-        "scene": loaded.source.name(),
+        "scene": loaded.config.scene,
     }) else {
         unreachable!("a JSON object")
     };
@@ -160,6 +160,8 @@ pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &Fields
         })
         .collect();
     let (low, high) = (config.fluid.inlet_temperature, config.wall.hot_temperature);
+    // Equal temperatures are a fair question (does nothing happen?) but no range of colours.
+    let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
     let y_range = (below, config.channel.height + rows);
     temperature_particles(
         &folder.join("temperature"),

@@ -38,8 +38,9 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     one(&loaded, &folder, resume, "").map(|outcome| {
         println!("{}", outcome.text);
         println!(
-            "next: hydrograd simulate --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
-            folder.join("shape.csv").display(),
+            "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
+            folder.join("config.toml").display(),
+            std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
             loaded.config.resolution.dx / 2.0
         );
     })
@@ -112,7 +113,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &st
     let (channel, shape) = build::<R>(config)?;
     let schedule = optimise::schedule(config, &channel)?;
     let mut state = match resume {
-        Some(from) => read_checkpoint(&from.join(CHECKPOINT), config, shape.nodes.len())?,
+        Some(from) => read_checkpoint(&from.join(CHECKPOINT), config, &shape.nodes)?,
         None => State::new(config, shape.offsets.clone()),
     };
     if state.history.len() >= config.optimise.epochs && resume.is_some() {
@@ -124,7 +125,6 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &st
     }
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
-    let clock = std::time::Instant::now();
     let done = state.history.len();
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
     let bar = Progress::new((config.optimise.epochs - done) as u64 * UNITS, &label);
@@ -145,7 +145,9 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &st
         }
     }
     bar.finish();
-    let outcome = report(loaded, folder, &channel, &shape, &state, clock.elapsed().as_secs_f64())?;
+    // Of all sessions: a resumed run has taken what its parts took.
+    let seconds = state.history.iter().map(|e| e.seconds).sum();
+    let outcome = report(loaded, folder, &channel, &shape, &state, seconds)?;
     Ok(outcome)
 }
 
@@ -162,13 +164,19 @@ fn report<R: Real>(
     let offsets = |k: usize| state.history[k].offsets.as_slice();
     let last = state.history.len() - 1;
     let (first, best) = (offsets(0), offsets(state.best));
-    let plain = |offsets: &[f64]| simulate(channel, start(channel, offsets), |_| Ok(())).map_err(diverged);
+    let plain =
+        |offsets: &[f64]| simulate(channel, config.run.kernels, start(channel, offsets), |_| Ok(())).map_err(diverged);
     let before: Finished<R> = plain(first)?;
-    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
+    let mut series = match config.output.frames {
+        0 => None,
+        _ => Some(VtkSeries::new(&folder.join("particles"), "particles")?),
+    };
     let every = if config.output.frames == 0 { usize::MAX } else { channel.steps.div_ceil(config.output.frames) };
-    let after = simulate(channel, start(channel, best), |solver| {
-        if config.output.frames > 0 && (solver.step % every == 0 || solver.step == channel.steps) {
-            Fields::of(solver).with_frame(|frame| series.write(frame))?;
+    let after = simulate(channel, config.run.kernels, start(channel, best), |solver| {
+        if let Some(series) = &mut series {
+            if solver.step % every == 0 || solver.step == channel.steps {
+                Fields::of(solver).with_frame(|frame| series.write(frame))?;
+            }
         }
         Ok(())
     })
@@ -192,8 +200,10 @@ fn report<R: Real>(
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     let mut map = files::summary(loaded, a, channel.steps, seconds);
     let column = |f: &dyn Fn(&Epoch) -> f64| state.history.iter().map(f).collect::<Vec<f64>>();
-    // Of the best design by the objective itself, so that it is one of q_per_epoch.
-    map.insert("q".into(), json!(state.history[state.best].q));
+    // Of the best design by the objective's own samples, so that it is one of q_per_epoch.
+    let (q_first, q_best) = (state.history[0].q, state.history[state.best].q);
+    map.insert("q".into(), json!(q_best));
+    map.insert("q_sum".into(), json!(q_best / channel.spacing));
     map.insert("q_first".into(), json!(state.history[0].q));
     map.insert("best_epoch".into(), json!(state.best));
     map.insert("q_per_epoch".into(), json!(column(&|e| e.q)));
@@ -204,14 +214,17 @@ fn report<R: Real>(
     map.insert("offsets_first".into(), json!(first));
     map.insert("offsets_best".into(), json!(best));
     map.insert("offsets_last".into(), json!(offsets(last)));
-    map.insert("before".into(), Value::Object(files::summary(loaded, b, channel.steps, before.seconds)));
+    let mut first_design = files::summary(loaded, b, channel.steps, before.seconds);
+    first_design.insert("q".into(), json!(q_first));
+    first_design.insert("q_sum".into(), json!(q_first / channel.spacing));
+    map.insert("before".into(), Value::Object(first_design));
     files::write_summary(folder, map.clone())?;
 
     let mut table = Table::new(["", "before", "after"]);
     let mut row = |name: &str, x: f64, y: f64| {
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);
     };
-    row("Q, outflowing heat (window average)", b.q, a.q);
+    row("Q, outflowing heat (window average)", q_first, q_best);
     row("wall heat flux", b.wall_heat_flux, a.wall_heat_flux);
     row("heat stored per time", b.stored_heat_rate, a.stored_heat_rate);
     row("energy imbalance / wall heat flux", b.energy_imbalance, a.energy_imbalance);
@@ -299,7 +312,26 @@ fn write_checkpoint(path: &Path, state: &State, loaded: &Loaded) -> anyhow::Resu
     Ok(write_tensors(path, &tensors, &metadata)?)
 }
 
-fn read_checkpoint(path: &Path, config: &Config, variables: usize) -> anyhow::Result<State> {
+/// A checkpoint's numbers must be ones that a run could have written.
+fn check_state(path: &Path, config: &Config, nodes: &[f64], state: &State) -> Result<(), BadInput> {
+    let channel = &config.channel;
+    let shape = Shape::new(nodes.to_vec(), state.offsets.clone(), channel.hot_from, channel.hot_to);
+    shape
+        .and_then(|shape| shape.check_bound(config.design.bound))
+        .map_err(|bad| bad.place(path.display().to_string()))?;
+    let moments = [("adam.first_moment", &state.adam.first), ("adam.second_moment", &state.adam.second)];
+    for (name, values) in moments {
+        if let Some(k) = values.iter().position(|x| !x.is_finite()) {
+            return Err(
+                BadInput::new(format!("{}: {name}[{k}] = {}", path.display(), values[k])).allowed("finite numbers")
+            );
+        }
+    }
+    Ok(())
+}
+
+fn read_checkpoint(path: &Path, config: &Config, nodes: &[f64]) -> anyhow::Result<State> {
+    let variables = nodes.len();
     let file = read_tensors(path, KIND)?;
     let theirs = stored_config(path, &file)?;
     if let Some(what) = difference(&theirs, config, &FREE) {
@@ -334,5 +366,7 @@ fn read_checkpoint(path: &Path, config: &Config, variables: usize) -> anyhow::Re
         second: vector("adam.second_moment", &[variables])?,
         steps: number(path, &file, "adam.steps")? as u64,
     };
-    Ok(State { offsets: vector("offsets", &[variables])?, adam, history, best })
+    let state = State { offsets: vector("offsets", &[variables])?, adam, history, best };
+    check_state(path, config, nodes, &state)?;
+    Ok(state)
 }

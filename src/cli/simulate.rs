@@ -34,12 +34,6 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
 
 fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
     let config = &loaded.config;
-    if config.run.kernels == crate::scene::config::Kernels::Composed {
-        return Err(BadInput::new("run.kernels = composed: simulate runs the fused kernels only")
-            .allowed("fused; check-gradient and optimize take composed")
-            .advice("hydrograd check-gradient --kernels composed, which compares them with differences")
-            .into());
-    }
     let (channel, shape) = build::<R>(config)?;
     let first = match resume {
         Some(from) => read_checkpoint::<R>(&from.join("checkpoint.safetensors"), config, &channel.model)?,
@@ -56,22 +50,33 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
     files::write_config(folder, loaded)?;
     files::write_shape(folder, &shape.nodes, &[("offset", &shape.offsets)])?;
     let bar = Progress::new(channel.steps as u64, "simulate");
-    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
+    // A resumed run leaves the frames and the history of its first part alone and adds to them.
+    let part = if first.step > 0 { format!("particles-from-{}", first.step) } else { "particles".to_string() };
+    let mut series = match config.output.frames {
+        0 => None,
+        _ => Some(VtkSeries::new(&folder.join(&part), "particles")?),
+    };
     let frame_every = if config.output.frames == 0 { usize::MAX } else { channel.steps.div_ceil(config.output.frames) };
     let history_every = channel.steps.div_ceil(HISTORY);
     let checkpoint_every = channel.steps.div_ceil(CHECKPOINTS);
-    let mut history = Vec::new();
+    let mut history = match resume {
+        Some(from) => earlier_history(from, first.step as f64 * channel.model.dt),
+        None => Vec::new(),
+    };
     let mut before: Option<Fields> = None;
     let resumed = first.step;
-    let finished = simulate(&channel, first, |solver| {
+    let finished = simulate(&channel, config.run.kernels, first, |solver| {
         let step = solver.step;
         if step == resumed {
             before = Some(Fields::of(solver));
         }
-        if config.output.frames > 0 && (step % frame_every == 0 || step == channel.steps) {
-            Fields::of(solver).with_frame(|frame| series.write(frame))?;
+        if let Some(series) = &mut series {
+            if step % frame_every == 0 || step == channel.steps {
+                Fields::of(solver).with_frame(|frame| series.write(frame))?;
+            }
         }
         if step % history_every == 0 || step == channel.steps {
+            write_history(folder, &history)?;
             let fields = channel.objective.fields(solver);
             let q = channel.objective.outflow(&fields) / channel.objective.scale * channel.spacing;
             let flow = channel.spacing * channel.objective.volume_flow(&fields);
@@ -91,7 +96,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
     let mut solver = finished.solver;
     let fields = Fields::of(&mut solver);
     fields.write(folder, loaded)?;
-    files::write_numbers(&folder.join("history.csv"), &["time", "q", "flow_rate"], &history)?;
+    write_history(folder, &history)?;
     let curve = |column: usize| history.iter().map(|row| (row[0], row[column])).collect::<Vec<_>>();
     compare(
         &folder.join("history"),
@@ -132,11 +137,25 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
     println!("mean density        {:.6}", d.mean_density);
     println!(
-        "files in {}: summary.json, temperature.png, history.csv, state.h5, particles/particles.pvd (ParaView)",
-        folder.display()
+        "files in {}: summary.json, temperature.png, history.csv, state.h5{}",
+        folder.display(),
+        if config.output.frames > 0 { format!(", {part}/particles.pvd (ParaView)") } else { String::new() }
     );
     println!("next: hydrograd optimize    shapes the wall so that Q grows");
     Ok(())
+}
+
+const HISTORY_COLUMNS: [&str; 3] = ["time", "q", "flow_rate"];
+
+fn write_history(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
+    files::write_numbers(&folder.join("history.csv"), &HISTORY_COLUMNS, history)
+}
+
+/// The rows before `time` of an interrupted run's history; none if it left no readable one.
+fn earlier_history(folder: &Path, time: f64) -> Vec<Vec<f64>> {
+    let columns = crate::io::csv::read_columns(&folder.join("history.csv"), &HISTORY_COLUMNS).unwrap_or_default();
+    let rows = columns.first().map_or(0, Vec::len);
+    (0..rows).map(|k| columns.iter().map(|c| c[k]).collect::<Vec<f64>>()).filter(|row| row[0] < time).collect()
 }
 
 /// A run that failed, with advice.

@@ -1,7 +1,9 @@
 //! What a run of the heated channel did, in numbers that one can check against each other.
 
 use super::objective::Outflow;
+use crate::adjoint::segments::{Dynamics, Sph};
 use crate::lanes::Real;
+use crate::scene::config::Kernels;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::solver::{Snapshot, Solver, SolverError};
 use crate::sph::heat;
@@ -17,8 +19,6 @@ const SAMPLES: usize = 100;
 pub struct Diagnostics {
     /// Outflowing heat at the targets, sum of rho u (T - T_in) times their spacing.
     pub q: f64,
-    /// The objective itself: the same at its samples only.
-    pub q_objective: f64,
     /// Sum of u times the spacing.
     pub flow_rate: f64,
     /// Mixed temperature of the outflow, T_in + Q / (sum of rho u times the spacing).
@@ -44,21 +44,19 @@ pub struct Finished<R> {
 /// Runs a design forward and measures it. `visit` sees the run after each step (and before the first).
 pub fn simulate<R: Real>(
     channel: &HeatedChannel<R>,
+    kernels: Kernels,
     start: Snapshot<R>,
     mut visit: impl FnMut(&mut Solver<R>) -> anyhow::Result<()>,
 ) -> anyhow::Result<Finished<R>> {
     let clock = std::time::Instant::now();
-    let mut solver = Solver::restore(channel.model.clone(), &start)?;
+    let dynamics = Sph { model: channel.model.clone(), kernels };
+    let mut solver = dynamics.start(&start)?;
     let mut measured = Measured::default();
     let first = channel.steps - channel.window;
     let stride = channel.window.div_ceil(SAMPLES).max(1);
     visit(&mut solver)?;
     while solver.step < channel.steps {
-        solver.advance()?;
-        if let Some(weight) = channel.objective.samples.get(&solver.step) {
-            let fields = channel.objective.fields(&mut solver);
-            measured.objective += weight * channel.objective.outflow(&fields);
-        }
+        dynamics.advance(&mut solver)?;
         if solver.step >= first && (channel.steps - solver.step).is_multiple_of(stride) {
             measured.sample(channel, &mut solver);
         }
@@ -95,7 +93,6 @@ pub fn evaluate<R: Real>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<
 /// Sums over the window's samples.
 #[derive(Default)]
 struct Measured {
-    objective: f64,
     count: f64,
     q: f64,
     flow: f64,
@@ -144,7 +141,6 @@ impl Measured {
         let (q, wall) = (mean(self.q), mean(self.wall));
         Diagnostics {
             q,
-            q_objective: self.objective,
             flow_rate: mean(self.flow),
             mean_outlet_temperature: inlet + self.q / self.mass_flow,
             wall_heat_flux: wall,

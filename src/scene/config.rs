@@ -220,7 +220,7 @@ pub struct Optimise {
     pub gradient: GradientMode,
     /// Steps per segment; 0 chooses about the square root of the number of steps.
     pub segment: usize,
-    /// Memory the gradient may use, in MB (segments: chooses the segment length; taped: refuses beyond it).
+    /// Memory the gradient may use, in MB; a schedule that needs more is refused with an estimate.
     pub memory_mb: f64,
     /// Steps that `truncated` looks back.
     pub horizon: usize,

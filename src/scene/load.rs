@@ -171,7 +171,16 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
 
 /// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall more dummy rows.
 fn fit_defaults(merged: &mut Merged, config: &Config) {
-    let given = |merged: &Merged, key: &str| merged.places().contains_key(key);
+    // A value equal to the built-in one is no wish: `hydrograd scenes NAME > my.toml` writes all of them.
+    let usual = Config::default();
+    let given = |merged: &Merged, key: &str| {
+        let differs = match key {
+            "objective.window" => config.objective.window != usual.objective.window,
+            "objective.samples" => config.objective.samples != usual.objective.samples,
+            _ => config.channel.wall_rows != usual.channel.wall_rows,
+        };
+        differs && merged.places().contains_key(key)
+    };
     let (dx, dt, end) = (config.resolution.dx, config.time_step(), config.duration());
     if !(dx > 0.0 && dx.is_finite() && dt > 0.0 && end.is_finite()) {
         return; // `check` has something to say about these.
