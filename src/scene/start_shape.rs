@@ -3,12 +3,13 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::config::{Config, ShapeName};
 use super::shape::{default_nodes, read_columns, Shape};
 use crate::error::BadInput;
+use crate::random::uniform;
 
 /// The random shape's own stream of the run's generator: the jitter and others do not move it.
 pub const RANDOM_SHAPE_STREAM: u64 = 1;
@@ -52,11 +53,6 @@ fn named(config: &Config, nodes: &[f64]) -> Vec<f64> {
     let amplitude = design.amplitude;
     let mut random = ChaCha8Rng::seed_from_u64(config.run.seed);
     random.set_stream(RANDOM_SHAPE_STREAM);
-    let mut uniform = || {
-        // The 53 bits of an f64's mantissa.
-        let unit = (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
-        2.0 * unit - 1.0
-    };
     nodes
         .iter()
         .map(|x| {
@@ -68,7 +64,7 @@ fn named(config: &Config, nodes: &[f64]) -> Vec<f64> {
                 ShapeName::Sine => amplitude * phase.sin(),
                 ShapeName::Cosine => amplitude * phase.cos(),
                 ShapeName::Linear => amplitude * (2.0 * s - 1.0),
-                ShapeName::Random => amplitude * uniform(),
+                ShapeName::Random => amplitude * (2.0 * uniform(&mut random) - 1.0),
             }
         })
         .collect()

@@ -96,32 +96,46 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let n = model.particles();
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain);
-        let count = averaged(self.step).count;
         for row in rows {
             let i = list.wall_rows[row] as usize;
-            let here = geometry.splat(self.position, i);
-            let mut weight = L::zero();
-            let mut sums = [L::zero(); MOST];
-            for (index, mask) in pairs::part::<L>(list, i, 0, list.count[i] as usize) {
-                // SAFETY: `part` gives COUNT valid particle numbers.
-                unsafe {
-                    let there = L::gather4(self.position.as_ptr(), 4, index);
-                    let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
-                    weight += w;
-                    for (q, sum) in sums.iter_mut().enumerate().take(count) {
-                        *sum = w.mul_add(L::gather(self.fields[q * n..].as_ptr(), index), *sum);
-                    }
-                }
-            }
-            let average = averages(self.step, weight.sum(), &std::array::from_fn(|q| sums[q].sum()));
+            let (_, average) = wall_averages::<R, L, D>(self.step, self.position, self.fields, i);
             // SAFETY: each wall row writes its own particle.
             wall_values(self.step, self.moved, &average, i, |field, value| unsafe {
                 self.primitives.set(field * n + i, value)
             });
         }
     }
+}
+
+/// Weight and averages of a wall particle's row.
+#[inline(always)]
+fn wall_averages<R: Real, L: Lanes<Real = R>, const D: usize>(
+    step: &Step<R>,
+    position: &[R],
+    fields: &[R],
+    i: usize,
+) -> (R, [R; MOST]) {
+    let (model, list) = (&*step.model, &*step.list);
+    let n = model.particles();
+    let kernel = model.kernel.lanes::<L>();
+    let geometry = RowGeometry::<L, D>::new(&model.domain);
+    let count = averaged(step).count;
+    let here = geometry.splat(position, i);
+    let mut weight = L::zero();
+    let mut sums = [L::zero(); MOST];
+    for (index, mask) in pairs::row::<L>(list, i) {
+        // SAFETY: `row` gives COUNT valid particle numbers.
+        unsafe {
+            let there = L::gather4(position.as_ptr(), 4, index);
+            let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
+            weight += w;
+            for (q, sum) in sums.iter_mut().enumerate().take(count) {
+                *sum = w.mul_add(L::gather(fields[q * n..].as_ptr(), index), *sum);
+            }
+        }
+    }
+    let weight = weight.sum();
+    (weight, averages(step, weight, &std::array::from_fn(|q| sums[q].sum())))
 }
 
 /// Sums over their guarded weight. The guard acts on the absolute temperature in JAX-SPH, hence its
@@ -227,21 +241,7 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
                 average_bar[set.pressure + 1] = heat.wall_factor[i] * bar(l.primitive_temperature(), i);
             }
             // The averages again: weight first, since everything is divided by it.
-            let mut weight = L::zero();
-            let mut sums = [L::zero(); MOST];
-            for (index, mask) in pairs::row::<L>(list, i) {
-                // SAFETY: `row` gives COUNT valid particle numbers.
-                unsafe {
-                    let there = L::gather4(self.position.as_ptr(), 4, index);
-                    let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
-                    weight += w;
-                    for (q, sum) in sums.iter_mut().enumerate().take(set.count) {
-                        *sum = w.mul_add(L::gather(self.fields[q * n..].as_ptr(), index), *sum);
-                    }
-                }
-            }
-            let weight = weight.sum();
-            let average = averages(self.step, weight, &std::array::from_fn(|q| sums[q].sum()));
+            let (weight, average) = wall_averages::<R, L, D>(self.step, self.position, self.fields, i);
             let inverse = R::of(1.0) / (weight + R::of(EPSILON));
             let mut weight_bar = R::default();
             for q in 0..set.count {
