@@ -85,7 +85,7 @@ impl<R: Real> Solver<R> {
         self.neighbourhood
             .update(&self.model, &self.moved)
             .map_err(|source| SolverError::Neighbours { step: self.step, source })?;
-        let step = self.step_now(dt);
+        let step = self.step_now();
         density::forward(&step, &self.moved, &mut self.density);
         primitives::forward(&step, &self.moved, &self.density, &mut self.primitives);
         rates::forward(&step, &self.moved, &self.primitives, &mut self.rates);
@@ -94,14 +94,15 @@ impl<R: Real> Solver<R> {
         Ok(())
     }
 
-    fn step_now(&self, dt: f64) -> Step<R> {
-        Step { model: self.model.clone(), list: self.neighbourhood.list.clone(), dt }
+    /// The operators' context at the present list.
+    pub fn step_now(&self) -> Step<R> {
+        Step { model: self.model.clone(), list: self.neighbourhood.list.clone() }
     }
 
     /// Fills [`Self::primitives`] for the present state without advancing it.
     pub fn look(&mut self) {
         drift::forward(&self.model, 0.0, &self.state, &mut self.moved);
-        let step = self.step_now(0.0);
+        let step = self.step_now();
         density::forward(&step, &self.moved, &mut self.density);
         primitives::forward(&step, &self.moved, &self.density, &mut self.primitives);
     }
@@ -166,13 +167,13 @@ impl<R: Real> TensorSolver<R> {
         })
         .map_err(failed)?;
         updated.map_err(|source| SolverError::Neighbours { step: at, source })?;
-        let step = self.step_now(dt);
+        let step = self.step_now();
         self.step += 1;
         if fused { step.fused(&moved) } else { step.composed(&moved) }.map_err(failed)
     }
 
     /// The operators' context at the present list.
-    pub fn step_now(&self, dt: f64) -> Arc<Step<R>> {
-        Arc::new(Step { model: self.model.clone(), list: self.neighbourhood.list.clone(), dt })
+    pub fn step_now(&self) -> Arc<Step<R>> {
+        Arc::new(Step { model: self.model.clone(), list: self.neighbourhood.list.clone() })
     }
 }

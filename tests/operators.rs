@@ -132,8 +132,8 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "step",
         &[&state],
-        Box::new(move |t| s.fused(&Step::drift(&s.model, s.dt, &t[0], true)?)),
-        Box::new(move |t| s2.composed(&Step::drift(&s2.model, s2.dt, &t[0], false)?)),
+        Box::new(move |t| s.fused(&Step::drift(&s.model, s.model.dt, &t[0], true)?)),
+        Box::new(move |t| s2.composed(&Step::drift(&s2.model, s2.model.dt, &t[0], false)?)),
     );
     all
 }

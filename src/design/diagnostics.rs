@@ -7,7 +7,6 @@ use crate::scene::config::Kernels;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::solver::{Snapshot, Solver, SolverError};
 use crate::sph::heat;
-use crate::sph::step::Step;
 use std::sync::Arc;
 
 /// Most samples of the window that the averages take.
@@ -114,7 +113,7 @@ impl Measured {
         self.q += objective.outflow(&fields) / objective.scale * scale;
         self.flow += scale * objective.volume_flow(&fields);
         self.mass_flow += scale * objective.mass_flow(&fields);
-        let step = Step { model: model.clone(), list: solver.neighbourhood.list.clone(), dt: 0.0 };
+        let step = solver.step_now();
         let target_x = objective.targets[0][0];
         self.wall += heat::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);

@@ -42,7 +42,7 @@ impl Outflow {
     /// Interpolated fields of a plain run, `[3, targets]`: density, velocity, temperature above the inlet's.
     pub fn fields<R: Real>(&self, run: &mut Solver<R>) -> Vec<R> {
         run.look();
-        let step = Arc::new(Step { model: run.model.clone(), list: run.neighbourhood.list.clone(), dt: 0.0 });
+        let step = Arc::new(run.step_now());
         self.interpolation(step).forward(run.moved(), &run.primitives)
     }
 
@@ -82,7 +82,7 @@ impl<R: Real> Objective<Sph<R>> for Outflow {
 
     fn tensor(&self, run: &TensorSolver<R>, state: &Tensor) -> Result<Tensor, SolverError> {
         let go = || {
-            let step = run.step_now(0.0);
+            let step = run.step_now();
             let fused = run.kernels == Kernels::Fused;
             let moved = Step::drift(&run.model, 0.0, state, fused)?;
             let fields = if fused {

@@ -18,8 +18,6 @@ use std::sync::Arc;
 pub struct Step<R> {
     pub model: Arc<Model<R>>,
     pub list: Arc<NeighbourList>,
-    /// The time step of this step; 0 to look at a state without advancing it.
-    pub dt: f64,
 }
 
 /// An operator's input, as plain numbers.

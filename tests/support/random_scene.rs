@@ -170,7 +170,7 @@ impl RandomScene {
     /// The operators' context with the list of these positions.
     pub fn step<R: Real>(&self, model: &Arc<Model<R>>, position: &[R]) -> Arc<Step<R>> {
         let neighbourhood = Neighbourhood::build(model, position, 0).unwrap();
-        Arc::new(Step { model: model.clone(), list: neighbourhood.list, dt: model.dt })
+        Arc::new(Step { model: model.clone(), list: neighbourhood.list })
     }
 
     /// The same particles in another order: particle i of the result is particle `order[i]` of this scene.
