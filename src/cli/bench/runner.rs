@@ -1,0 +1,88 @@
+//! Runs the cases of a family in turns, each repeat in a process of its own.
+
+use std::process::{Command, Stdio};
+
+use super::cases::{Case, Family};
+use super::child::{Measured, Outcome};
+use super::floor::{Floor, FloorRun};
+use super::rows::{median, Row};
+use crate::error::Error;
+use crate::report::progress::Progress;
+
+/// What a family gave: rows, and the cases that were left out with what they would have taken.
+#[derive(Debug, Default)]
+pub struct Results {
+    pub rows: Vec<Row>,
+    pub left_out: Vec<(String, usize)>,
+}
+
+/// Runs every case `repeats` times, A B C A B C, the floor among them.
+pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progress) -> anyhow::Result<Results> {
+    let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
+    let mut left_out = vec![None; family.len()];
+    // Several cases (ways of keeping states) share a run of the floor.
+    let mut floors: Vec<(FloorRun, Vec<[f64; 2]>)> = vec![];
+    for case in family {
+        if let Some(run) = floor.and(FloorRun::of(case)?) {
+            if !floors.iter().any(|(other, _)| *other == run) {
+                floors.push((run, vec![]));
+            }
+        }
+    }
+    for _ in 0..repeats {
+        for (place, case) in family.iter().enumerate() {
+            bar.message(case.label());
+            if left_out[place].is_none() {
+                match measure(case)? {
+                    Outcome::Measured(one) => measured[place].push(one),
+                    Outcome::TooLarge { bytes } => left_out[place] = Some(bytes),
+                }
+            }
+            bar.advance(1);
+        }
+        if let Some(floor) = floor {
+            for (run, times) in &mut floors {
+                times.push(floor.measure(run)?);
+            }
+        }
+    }
+    let mut results = Results::default();
+    for (place, case) in family.iter().enumerate() {
+        if let Some(bytes) = left_out[place] {
+            results.left_out.push((case.label(), bytes));
+            continue;
+        }
+        let mut row = Row::new(case, &measured[place]);
+        let run = FloorRun::of(case)?;
+        if let Some((_, times)) = floors.iter().find(|(other, _)| Some(other) == run.as_ref()) {
+            let mut medians: Vec<f64> = times.iter().map(|time| time[1]).collect();
+            medians.sort_by(f64::total_cmp);
+            row.floor_ms_per_step = times.iter().map(|time| time[0]).min_by(f64::total_cmp);
+            row.floor_ms_per_step_median = Some(median(&medians));
+        }
+        results.rows.push(row);
+    }
+    Ok(results)
+}
+
+/// Runs one case in a process of its own.
+fn measure(case: &Case) -> anyhow::Result<Outcome> {
+    let failed = |problem: String| Error::run(format!("{}: {problem}", case.label()), "leave it out with --filter");
+    let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
+    let threads = case.threads.to_string();
+    let output = Command::new(program)
+        .args(["bench", "--case", &serde_json::to_string(case)?])
+        .env("CANDLE_NUM_THREADS", &threads)
+        .env("RAYON_NUM_THREADS", &threads)
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| failed(format!("can not start the program again: {error}")))?;
+    if !output.status.success() {
+        let message = String::from_utf8_lossy(&output.stderr);
+        let message = message.trim().trim_start_matches("error: ").to_string();
+        let message = if message.is_empty() { "without a message".into() } else { message };
+        return Err(failed(format!("the process failed ({}): {message}", output.status)).into());
+    }
+    let text = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(text.trim()).map_err(|error| failed(format!("can not read `{}`: {error}", text.trim())).into())
+}
