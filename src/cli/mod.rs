@@ -11,8 +11,8 @@ mod scenes;
 mod simulate;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments,
-    ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+    CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments, ResumeArgument,
+    ScenesArguments, SimulateArguments, StartName,
 };
 pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};

@@ -121,8 +121,7 @@ impl Case {
     pub fn label(&self) -> String {
         let precision = precision_name(self.precision);
         let Self { scene, particles, threads, .. } = self;
-        let label =
-            format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
+        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
         match &self.mode {
             Some(mode) => format!("{label}/{mode}"),
             None => label,

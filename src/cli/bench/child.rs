@@ -49,13 +49,15 @@ pub struct Measured {
 pub enum Outcome {
     Measured(Measured),
     /// A gradient that would not fit into the allowed memory.
-    TooLarge { bytes: usize },
+    TooLarge {
+        bytes: usize,
+    },
 }
 
 /// Measures the case and prints the outcome as one line of JSON.
 pub fn run(case: &str) -> anyhow::Result<()> {
-    let case: Case = serde_json::from_str(case)
-        .map_err(|error| crate::error::BadInput::new(error.to_string()).place("--case"))?;
+    let case: Case =
+        serde_json::from_str(case).map_err(|error| crate::error::BadInput::new(error.to_string()).place("--case"))?;
     let threads = candle_core::utils::barrier_pool().n_workers() + 1;
     if threads != case.threads {
         let problem = format!("{}: candle has {threads} threads instead of {}", case.label(), case.threads);
@@ -215,7 +217,7 @@ fn forward<R: Real>(
 ) -> Result<(), SolverError> {
     let dynamics = &ready.dynamics;
     let mut solver = dynamics.start(begin)?;
-    let mut timed = |solver: &mut _, steps: usize| -> Result<f64, SolverError> {
+    let timed = |solver: &mut _, steps: usize| -> Result<f64, SolverError> {
         let clock = Instant::now();
         for _ in 0..steps {
             dynamics.advance(solver)?;
@@ -286,7 +288,7 @@ fn backward<R: Real>(
 fn difference<R: Real>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, SolverError> {
     let (a, b) = (own.dynamics.model.layout, forced.dynamics.model.layout);
     let n = own.dynamics.model.particles();
-    let mut result = |ready: &mut Ready<R>| -> Result<Vec<R>, SolverError> {
+    let result = |ready: &mut Ready<R>| -> Result<Vec<R>, SolverError> {
         if kind == Kind::Forward {
             return Ok(ready.after(COMPARED_STEPS)?.state);
         }

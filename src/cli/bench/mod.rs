@@ -13,7 +13,7 @@ mod rows;
 mod runner;
 mod tables;
 
-pub use arguments::{BenchArguments, Group, Size};
+pub use arguments::BenchArguments;
 
 use cases::Cases;
 use compare::Earlier;

@@ -8,9 +8,8 @@ pub fn count<R: Real>(model: &Model<R>, position: &[R]) -> usize {
     let (n, dimension) = (model.particles(), model.domain.dimension);
     let cutoff = model.kernel.cutoff();
     let (size, inverse) = (model.domain.size, model.domain.inverse_period());
-    let at = |i: usize| -> [f64; 3] {
-        std::array::from_fn(|d| if d < dimension { position[d * n + i].f64() } else { 0.0 })
-    };
+    let at =
+        |i: usize| -> [f64; 3] { std::array::from_fn(|d| if d < dimension { position[d * n + i].f64() } else { 0.0 }) };
     let mut low = [0.0; 3];
     let mut cells = [1_usize; 3];
     for d in 0..dimension {

@@ -111,8 +111,7 @@ impl Row {
     /// As [`Case::label`].
     pub fn label(&self) -> String {
         let Self { scene, particles, precision, threads, .. } = self;
-        let label =
-            format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
+        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
         match &self.mode {
             Some(mode) => format!("{label}/{mode}"),
             None => label,

@@ -67,7 +67,9 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
 
 /// Runs one case in a process of its own.
 fn measure(case: &Case) -> anyhow::Result<Outcome> {
-    let failed = |problem: String| Error::run(format!("{}: {problem}", case.label()), "leave it out with --filter");
+    let failed = |problem: String| {
+        Error::run(format!("{}: {problem}", case.label()), "leave it out with --filter, or change the scene with --set")
+    };
     let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
     let threads = case.threads.to_string();
     let output = Command::new(program)
@@ -79,9 +81,10 @@ fn measure(case: &Case) -> anyhow::Result<Outcome> {
         .map_err(|error| failed(format!("can not start the program again: {error}")))?;
     if !output.status.success() {
         let message = String::from_utf8_lossy(&output.stderr);
-        let message = message.trim().trim_start_matches("error: ").to_string();
-        let message = if message.is_empty() { "without a message".into() } else { message };
-        return Err(failed(format!("the process failed ({}): {message}", output.status)).into());
+        // The process names the case itself, and its advice would be in the way of ours.
+        let message = message.lines().next().unwrap_or("it said nothing");
+        let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{}: ", case.label()));
+        return Err(failed(format!("{message} ({})", output.status)).into());
     }
     let text = String::from_utf8_lossy(&output.stdout);
     serde_json::from_str(text.trim()).map_err(|error| failed(format!("can not read `{}`: {error}", text.trim())).into())

@@ -26,6 +26,9 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
     });
     let mut heading = vec![group.name()];
     heading.extend(common);
+    if rows.len() > 1 && rows.iter().all(|row| row.steps == rows[0].steps) {
+        heading.push(format!("{} steps", rows[0].steps));
+    }
     if group == Group::Scaling && rows.iter().any(|row| row.kind == Kind::Gradient) {
         heading.push("gradients keep every state".into());
     }
@@ -50,7 +53,7 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         column("seconds", &|row| Some(format!("{:.3}", 1e-3 * row.ms_per_step * row.steps as f64)));
     }
     if group == Group::Plan {
-        column("plan's", &|row| against_plan(row, rows).map(|ratio| format!("{ratio:.2}x")));
+        column("vs plan", &|row| against_plan(row, rows).map(|ratio| format!("{ratio:.2}x")));
         column("differs", &|row| row.difference.map(|difference| format!("{difference:.1e}")));
     }
     column("floor", &|row| row.floor_ms_per_step.map(|floor| format!("{:.2}x", row.ms_per_step / floor)));
