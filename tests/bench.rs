@@ -188,7 +188,7 @@ fn bad_input_is_refused() {
     refuses(at, &["--sizes", "7^2", "--out", "unwritten"], &["7^2", "N >= 8"]);
     refuses(at, &["--repeats", "0", "--out", "unwritten"], &["--repeats"]);
     refuses(at, &["--threads", "1,x", "--out", "unwritten"], &["--threads"]);
-    refuses(at, &["--memory-gb", "-1", "--out", "unwritten"], &["--memory-gb"]);
+    refuses(at, &["--memory-gb", "0", "--out", "unwritten"], &["--memory-gb"]);
     std::fs::write(at.join("file"), "").unwrap();
     refuses(at, &["--out", "file"], &["--out file", "is a file"]);
 }
