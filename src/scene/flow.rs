@@ -88,6 +88,12 @@ pub struct FlowFigures {
 }
 
 impl<R: Real> Flow<R> {
+    /// c = sqrt(dp/drho).
+    pub fn sound_speed(&self) -> f64 {
+        let state = &self.model.equation_of_state;
+        state.slope(state.reference_density).sqrt()
+    }
+
     /// Figures of a state of this flow at a time.
     pub fn figures(&self, state: &[R], time: f64) -> FlowFigures {
         let (model, n) = (&self.model, self.model.particles());
@@ -162,7 +168,7 @@ pub(super) struct Numerics {
 
 impl Numerics {
     /// The largest time step, or the given one.
-    fn step(&self, spacing: f64, velocity: f64, kinematic_viscosity: f64) -> f64 {
+    pub fn step(&self, spacing: f64, velocity: f64, kinematic_viscosity: f64) -> f64 {
         let acoustic = self.cfl * spacing / ((self.sound_speed_factor + 1.0) * velocity);
         let diffusive = self.diffusion_number * spacing * spacing / kinematic_viscosity;
         self.time_step.unwrap_or(acoustic.min(diffusive))

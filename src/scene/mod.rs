@@ -1,4 +1,5 @@
 //! Scenes: configuration, geometry, wall shapes.
+pub mod accuracy;
 pub mod builtin;
 pub mod config;
 pub mod derived;

@@ -58,6 +58,25 @@ impl Default for Poiseuille {
 }
 
 impl Poiseuille {
+    /// The largest time step, or the given one.
+    pub fn time_step(&self) -> f64 {
+        self.numerics().step(1.0 / self.rows as f64, 1.0, 1.0 / self.reynolds)
+    }
+
+    fn numerics(&self) -> Numerics {
+        Numerics {
+            cfl: self.cfl,
+            diffusion_number: self.diffusion_number,
+            time_step: self.time_step,
+            sound_speed_factor: self.sound_speed_factor,
+            background_pressure_factor: self.background_pressure_factor,
+            transport_velocity: self.transport_velocity,
+            jitter: self.jitter,
+            skin: self.skin,
+            seed: self.seed,
+        }
+    }
+
     pub fn build<R: Real>(&self) -> Flow<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
@@ -68,17 +87,7 @@ impl Poiseuille {
             spacing: 1.0 / self.rows as f64,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics: Numerics {
-                cfl: self.cfl,
-                diffusion_number: self.diffusion_number,
-                time_step: self.time_step,
-                sound_speed_factor: self.sound_speed_factor,
-                background_pressure_factor: self.background_pressure_factor,
-                transport_velocity: self.transport_velocity,
-                jitter: self.jitter,
-                skin: self.skin,
-                seed: self.seed,
-            },
+            numerics: self.numerics(),
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity, height: 1.0 },
         }

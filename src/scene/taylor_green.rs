@@ -69,6 +69,25 @@ impl TaylorGreen {
         }
     }
 
+    /// The largest time step, or the given one.
+    pub fn time_step(&self) -> f64 {
+        self.numerics().step(self.size() / self.per_side as f64, 1.0, 1.0 / self.reynolds)
+    }
+
+    fn numerics(&self) -> Numerics {
+        Numerics {
+            cfl: self.cfl,
+            diffusion_number: self.diffusion_number,
+            time_step: self.time_step,
+            sound_speed_factor: self.sound_speed_factor,
+            background_pressure_factor: self.background_pressure_factor,
+            transport_velocity: self.transport_velocity,
+            jitter: self.jitter,
+            skin: self.skin,
+            seed: self.seed,
+        }
+    }
+
     pub fn build<R: Real>(&self) -> Flow<R> {
         assert!((2..=3).contains(&self.dimension), "Taylor and Green's vortices have 2 or 3 dimensions");
         let (spacing, kinematic_viscosity) = (self.size() / self.per_side as f64, 1.0 / self.reynolds);
@@ -80,17 +99,7 @@ impl TaylorGreen {
             spacing,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics: Numerics {
-                cfl: self.cfl,
-                diffusion_number: self.diffusion_number,
-                time_step: self.time_step,
-                sound_speed_factor: self.sound_speed_factor,
-                background_pressure_factor: self.background_pressure_factor,
-                transport_velocity: self.transport_velocity,
-                jitter: self.jitter,
-                skin: self.skin,
-                seed: self.seed,
-            },
+            numerics: self.numerics(),
             body_force: BodyForce::None,
             exact: match self.dimension {
                 2 => Exact::TaylorGreen { velocity: 1.0, kinematic_viscosity },
