@@ -58,6 +58,20 @@ pub trait Lanes:
     fn round(self) -> Self;
     /// Lane by lane: `if self < limit { below } else { above }`.
     fn select_less(self, limit: Self, below: Self, above: Self) -> Self;
+    /// Bit `lane` is set where `self < limit`.
+    fn bits_less(self, limit: Self) -> u32;
+    /// Copies those of `COUNT` entries whose bit is set to the front of `to`, in order; the places behind them get anything.
+    ///
+    /// # Safety
+    /// `from` must be readable and `to` writable for `COUNT` entries.
+    unsafe fn compress(from: *const u32, bits: u32, to: *mut u32) {
+        let mut kept = 0;
+        for lane in 0..Self::COUNT {
+            // SAFETY: lane and kept are below COUNT.
+            unsafe { *to.add(kept) = *from.add(lane) };
+            kept += (bits >> lane & 1) as usize;
+        }
+    }
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
@@ -216,6 +230,10 @@ macro_rules! portable {
                 Self(std::array::from_fn(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
             }
             #[inline(always)]
+            fn bits_less(self, limit: Self) -> u32 {
+                (0..$count).fold(0, |bits, l| bits | ((self.0[l] < limit.0[l]) as u32) << l)
+            }
+            #[inline(always)]
             fn sum(self) -> $real {
                 self.0.iter().sum()
             }
@@ -295,6 +313,14 @@ mod x86 {
                 #[inline(always)]
                 fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
                     Self(unsafe { select_less::$name(self.0, limit.0, below.0, above.0) })
+                }
+                #[inline(always)]
+                fn bits_less(self, limit: Self) -> u32 {
+                    unsafe { bits_less::$name(self.0, limit.0) }
+                }
+                #[inline(always)]
+                unsafe fn compress(from: *const u32, bits: u32, to: *mut u32) {
+                    unsafe { compress::$name(from, bits, to) }
                 }
                 #[inline(always)]
                 fn sum(self) -> $real {
@@ -412,6 +438,81 @@ mod x86 {
         #[inline(always)]
         pub unsafe fn Avx512F32(a: __m512, b: __m512, x: __m512, y: __m512) -> __m512 {
             unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b), y, x) }
+        }
+    }
+
+    #[allow(non_snake_case)]
+    mod bits_less {
+        use super::*;
+        #[inline(always)]
+        pub unsafe fn Avx2F64(a: __m256d, b: __m256d) -> u32 {
+            unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(a, b)) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx2F32(a: __m256, b: __m256) -> u32 {
+            unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F64(a: __m512d, b: __m512d) -> u32 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F32(a: __m512, b: __m512) -> u32 {
+            unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) as u32 }
+        }
+    }
+
+    /// Compressed in a register and stored whole: compressing stores are slow on some machines.
+    #[allow(non_snake_case)]
+    mod compress {
+        use super::*;
+        /// Where the set bits of a byte stand, for a permutation of eight entries.
+        const PLACES: [[u32; 8]; 256] = {
+            let mut table = [[0; 8]; 256];
+            let mut bits = 0;
+            while bits < 256 {
+                let (mut kept, mut lane) = (0, 0);
+                while lane < 8 {
+                    if bits >> lane & 1 == 1 {
+                        table[bits][kept] = lane as u32;
+                        kept += 1;
+                    }
+                    lane += 1;
+                }
+                bits += 1;
+            }
+            table
+        };
+        #[inline(always)]
+        pub unsafe fn Avx2F64(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let four = _mm256_castsi128_si256(_mm_loadu_si128(from.cast()));
+                let places = _mm256_loadu_si256(PLACES[(bits & 15) as usize].as_ptr().cast());
+                let kept = _mm256_permutevar8x32_epi32(four, places);
+                _mm_storeu_si128(to.cast(), _mm256_castsi256_si128(kept));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx2F32(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let eight = _mm256_loadu_si256(from.cast());
+                let places = _mm256_loadu_si256(PLACES[(bits & 255) as usize].as_ptr().cast());
+                _mm256_storeu_si256(to.cast(), _mm256_permutevar8x32_epi32(eight, places));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F64(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let eight = _mm256_loadu_si256(from.cast());
+                _mm256_storeu_si256(to.cast(), _mm256_maskz_compress_epi32(bits as u8, eight));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F32(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let sixteen = _mm512_loadu_si512(from.cast());
+                _mm512_storeu_si512(to.cast(), _mm512_maskz_compress_epi32(bits as u16, sixteen));
+            }
         }
     }
 

@@ -8,7 +8,8 @@
 
 use super::{advance, density, primitives, rates};
 use crate::lanes::Real;
-use crate::neighbours::{list::NeighbourError, NeighbourList};
+use crate::neighbours::list::{NeighbourError, Workspace};
+use crate::neighbours::NeighbourList;
 use crate::sph::model::Model;
 use candle_core::{CpuStorage, Layout, Result, Shape, Storage, Tensor};
 use std::sync::Arc;
@@ -64,14 +65,34 @@ pub struct Neighbourhood<R> {
     pub list: Arc<NeighbourList>,
     /// `[D, N]`.
     pub reference: Arc<Vec<R>>,
+    workspace: Workspace<R>,
 }
 
 impl<R: Real> Neighbourhood<R> {
     /// Builds the list from positions `[D.., N]` (the leading rows of a state will do).
     pub fn build(model: &Model<R>, position: &[R], capacity_hint: usize) -> std::result::Result<Self, NeighbourError> {
-        let reference = position[..model.layout.dimension * model.particles()].to_vec();
-        let list = NeighbourList::build(&reference, &model.tags, &model.domain, model.reach(), capacity_hint)?;
-        Ok(Self { list: Arc::new(list), reference: Arc::new(reference) })
+        let list = NeighbourList { capacity: capacity_hint, ..NeighbourList::default() };
+        let mut new = Self { list: Arc::new(list), reference: Arc::new(Vec::new()), workspace: Workspace::default() };
+        new.rebuild(model, position)?;
+        Ok(new)
+    }
+
+    /// Builds the list anew, in the old one's memory unless somebody else still holds it.
+    fn rebuild(&mut self, model: &Model<R>, position: &[R]) -> std::result::Result<(), NeighbourError> {
+        let position = &position[..model.layout.dimension * model.particles()];
+        match Arc::get_mut(&mut self.reference) {
+            Some(reference) => {
+                reference.clear();
+                reference.extend_from_slice(position);
+            }
+            None => self.reference = Arc::new(position.to_vec()),
+        }
+        if Arc::get_mut(&mut self.list).is_none() {
+            let list = NeighbourList { capacity: self.list.capacity, ..NeighbourList::default() };
+            self.list = Arc::new(list);
+        }
+        let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
+        list.rebuild(&self.reference, &model.tags, &model.domain, model.reach(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
@@ -83,7 +104,7 @@ impl<R: Real> Neighbourhood<R> {
             return Err(NeighbourError::TooFast { distance: moved, spacing: model.kernel.smoothing_length });
         }
         if 2.0 * moved >= model.skin {
-            *self = Self::build(model, position, self.list.capacity)?;
+            self.rebuild(model, position)?;
         }
         Ok(())
     }
