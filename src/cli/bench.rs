@@ -5,6 +5,7 @@ use super::BenchArguments;
 use crate::adjoint::schedule::Schedule;
 use crate::adjoint::segments::{gradient, Sph};
 use crate::design::diagnostics::start;
+use crate::design::optimise;
 use crate::error::Error;
 use crate::lanes::{InstructionSet, Real};
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
@@ -28,13 +29,15 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
     let n = channel.model.particles();
     let steps = channel.steps;
     let dynamics = Sph { model: channel.model.clone(), kernels: config.run.kernels };
-    let costs = dynamics.costs(channel.list_bytes());
+    let costs = optimise::costs(config, &channel)?;
+    let chosen = optimise::schedule(config, &channel)?;
     let first = start(&channel, &shape.offsets);
     let least = Schedule::least_memory(steps, costs);
     let horizon = config.optimise.horizon.min(steps);
     let mut modes = vec![
+        (format!("--memory {}: {chosen}", config.optimise.memory), chosen),
         (format!("segments of {least} (least memory)"), Schedule::segments(steps, least)),
-        ("segments of 1".to_string(), Schedule::segments(steps, 1)),
+        ("every state".to_string(), Schedule::segments(steps, 1)),
         ("segments of 200".to_string(), Schedule::segments(steps, 200)),
         (format!("truncated, horizon {horizon}"), Schedule::truncated(steps, horizon, least)),
         ("taped".to_string(), Schedule::taped(steps)),
