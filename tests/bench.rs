@@ -134,7 +134,7 @@ fn filters_compares_and_varies_threads_and_types() {
 #[test]
 fn a_gradient_that_does_not_fit_is_left_out_and_said() {
     let folder = TempDir::new().unwrap();
-    let (text, rows) = rows(folder.path(), "out", &["scaling", "--memory-gb", "1e-6"]);
+    let (text, rows) = rows(folder.path(), "out", &["scaling", "--memory-limit", "1KB"]);
     assert!(rows.iter().all(|row| row["kind"] == "forward") && rows.len() == 2);
     assert_eq!(text.matches("left out: scaling/").count(), 2, "{text}");
 }
@@ -188,7 +188,7 @@ fn bad_input_is_refused() {
     refuses(at, &["--sizes", "7^2", "--out", "unwritten"], &["7^2", "N >= 8"]);
     refuses(at, &["--repeats", "0", "--out", "unwritten"], &["--repeats"]);
     refuses(at, &["--threads", "1,x", "--out", "unwritten"], &["--threads"]);
-    refuses(at, &["--memory-gb", "0", "--out", "unwritten"], &["--memory-gb"]);
+    refuses(at, &["--memory-limit", "0", "--out", "unwritten"], &["--memory-limit"]);
     std::fs::write(at.join("file"), "").unwrap();
     refuses(at, &["--out", "file"], &["--out file", "is a file"]);
 }

@@ -42,6 +42,8 @@ Examples:
       with a sine-shaped wall
   hydrograd simulate --set design.file=runs/optimize-heated-channel/shape.csv --set resolution.dx=0.01
       the optimum of a run again, at half the spacing
+  hydrograd simulate --explain
+      what a step would do, and nothing is run
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -49,6 +51,8 @@ pub struct SimulateArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
 }
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
@@ -61,6 +65,8 @@ Examples:
       from four start shapes, compared in one plot
   hydrograd optimize --preset report --start random --seed 7
       the original report's settings, from a random wall
+  hydrograd optimize --memory 20MB --explain
+      the schedule that fits into 20 MB, with its storage and the steps run again
   hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
       go on with a run, up to 80 epochs in all")]
 pub struct OptimizeArguments {
@@ -68,6 +74,8 @@ pub struct OptimizeArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
     #[command(flatten)]
     pub gradient: GradientArguments,
     /// Start shape (design.shape); `all` runs flat, random, linear and sine and compares them.
@@ -161,13 +169,40 @@ pub struct ResumeArgument {
     pub resume: Option<PathBuf>,
 }
 
+/// What gradients may use.
+#[derive(Debug, Clone, Args)]
+pub struct MemoryArgument {
+    /// Memory that the gradient may use, such as 200MB: picks every state, every k-th or binomial (optimise.memory).
+    #[arg(long, value_name = "SIZE")]
+    pub memory: Option<String>,
+}
+
+impl MemoryArgument {
+    fn setting(&self) -> Option<Setting> {
+        self.memory.as_ref().map(|size| Setting::option("--memory", "optimise.memory", size))
+    }
+}
+
+/// Showing what would be done.
+#[derive(Debug, Clone, Args)]
+pub struct ExplainArgument {
+    /// Print the plan (operators, fields, what was left out and why, pairs, bytes, time step, schedule) and stop.
+    #[arg(long)]
+    pub explain: bool,
+}
+
 /// How gradients are computed.
 #[derive(Debug, Clone, Args)]
 pub struct GradientArguments {
     /// Method (optimise.gradient): segments and taped are exact, truncated is not.
     #[arg(long = "gradient", value_name = "METHOD", value_enum)]
     pub method: Option<GradientMode>,
-    /// Steps per segment, 0 to choose (optimise.segment).
+    #[command(flatten)]
+    pub memory: MemoryArgument,
+    /// Precision of kept states: f32 halves their memory, but the gradient is not exact then (optimise.store).
+    #[arg(long, value_enum, value_name = "PRECISION")]
+    pub store: Option<Precision>,
+    /// Steps per segment instead of a schedule chosen by --memory, 0 to choose (optimise.segment).
     #[arg(long, value_name = "N")]
     pub segment: Option<usize>,
     /// Steps that `truncated` looks back (optimise.horizon).
@@ -256,6 +291,8 @@ impl GradientArguments {
     fn settings(&self) -> Vec<Setting> {
         let settings = [
             self.method.map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
+            self.memory.setting(),
+            self.store.map(|value| Setting::option("--store", "optimise.store", name_of(value))),
             self.segment.map(|value| Setting::option("--segment", "optimise.segment", value)),
             self.horizon.map(|value| Setting::option("--horizon", "optimise.horizon", value)),
         ];
@@ -332,7 +369,7 @@ mod tests {
     #[test]
     fn options_override_keys() {
         let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
-                    --segment 7 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
+                    --segment 7 --memory 1.5GiB --store f32 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
         let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
         let loaded = arguments.load().unwrap();
         let mut expected = Config::default();
@@ -342,6 +379,8 @@ mod tests {
         expected.run.kernels = Kernels::Composed;
         expected.optimise.gradient = GradientMode::Truncated;
         expected.optimise.segment = 7;
+        expected.optimise.memory = crate::scene::memory_size::MemorySize(3 << 29);
+        expected.optimise.store = Precision::F32;
         expected.optimise.horizon = 30;
         expected.optimise.epochs = 3;
         expected.design.shape = crate::scene::config::ShapeName::Random;

@@ -3,6 +3,7 @@
 mod arguments;
 mod bench;
 mod check_gradient;
+mod explain;
 mod files;
 mod guard;
 mod optimize;
@@ -11,8 +12,8 @@ mod scenes;
 mod simulate;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments, ResumeArgument,
-    ScenesArguments, SimulateArguments, StartName,
+    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments, MemoryArgument,
+    OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
 };
 pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};

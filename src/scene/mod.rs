@@ -7,6 +7,7 @@ pub mod flow;
 pub mod heated_channel;
 pub mod layers;
 pub mod load;
+pub mod memory_size;
 pub mod poiseuille;
 pub mod shape;
 pub mod start_shape;

@@ -11,6 +11,7 @@ use crate::scene::builtin;
 use crate::scene::config::{Config, Kernels, Precision};
 use crate::scene::layers::Setting;
 use crate::scene::load::Loaded;
+use crate::scene::memory_size::MemorySize;
 
 /// Most threads that can be asked for: beyond this it is a slip of the pen.
 const MOST_THREADS: usize = 1024;
@@ -100,9 +101,12 @@ pub struct BenchArguments {
     /// Taylor-Green sizes of `scaling`, particles per side ^ dimension, separated by commas, e.g. 100^2,20^3.
     #[arg(long, value_name = "SIZES", value_delimiter = ',', value_parser = Size::parse)]
     pub sizes: Vec<Size>,
+    /// A further row of `gradient`: the fastest schedule within this memory, such as 20MB.
+    #[arg(long, value_name = "SIZE")]
+    pub memory: Option<MemorySize>,
     /// Leave out gradients predicted to take more than this.
-    #[arg(long, value_name = "GB", default_value_t = 4.0, value_parser = positive)]
-    pub memory_gb: f64,
+    #[arg(long, value_name = "SIZE", default_value = "4GB")]
+    pub memory_limit: MemorySize,
     /// Runs one case, given as JSON, and prints what it measured as JSON: what the bench starts for each row.
     #[arg(long, hide = true, value_name = "JSON", conflicts_with = "words")]
     pub case: Option<String>,
@@ -226,13 +230,6 @@ fn threads(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if count <= MOST_THREADS => Ok(count),
         _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
-    }
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if value > 0.0 && f64::is_finite(value) => Ok(value),
-        _ => Err("allowed: a number above 0".into()),
     }
 }
 

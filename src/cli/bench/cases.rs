@@ -6,6 +6,7 @@ use super::arguments::{BenchArguments, Group, Scene, Size};
 use super::plan::Lacking;
 use crate::error::Error;
 use crate::scene::config::{Config, Kernels, Precision};
+use crate::scene::memory_size::MemorySize;
 
 /// Modes of the rows of `plan`.
 pub const PLAN: &str = "plan";
@@ -58,9 +59,16 @@ pub enum Source {
 pub enum Keeping {
     /// The state before each step.
     EveryState,
+    /// The same, rounded to f32.
+    Rounded,
+    /// Segments of the length that needs the least.
     LeastMemory,
-    /// At most this share of what every state takes.
+    /// The fastest schedule that keeps and tapes at most this share of what every state takes.
     Share(f64),
+    /// The fastest schedule within so many bytes.
+    Within(MemorySize),
+    /// Revolve with so many states.
+    Binomial(usize),
     /// Segments of 200, as the original report's accumulation.
     Segments(usize),
     /// Only the last `optimise.horizon` steps are differentiated.
@@ -72,7 +80,10 @@ impl Keeping {
     pub fn name(self) -> String {
         match self {
             Self::EveryState => "every state".into(),
-            Self::LeastMemory => "least memory".into(),
+            Self::Rounded => "every state in f32".into(),
+            Self::LeastMemory => "best segments".into(),
+            Self::Within(size) => format!("within {size}"),
+            Self::Binomial(states) => format!("binomial, {states} states"),
             Self::Share(share) => format!("{:.0} % of every state", 100.0 * share),
             Self::Segments(length) => format!("segments of {length}"),
             Self::Truncated(horizon) => format!("truncated to {horizon}"),
@@ -206,7 +217,7 @@ impl<'a> Cases<'a> {
             warm_up: 0,
             length: Length::Steps(1),
             blocks: 1,
-            memory_limit: (self.arguments.memory_gb * 1e9) as usize,
+            memory_limit: self.arguments.memory_limit.bytes(),
         }
     }
 
@@ -245,8 +256,9 @@ impl<'a> Cases<'a> {
                 Keeping::Taped,
             ];
             if !quick && steps > 200 {
-                keepings.insert(3, Keeping::Segments(200));
+                keepings.splice(3..3, [Keeping::Segments(200), Keeping::Binomial(20)]);
             }
+            keepings.extend(self.arguments.memory.map(Keeping::Within));
             let base = Case {
                 kind: Kind::Gradient,
                 length: Length::Steps(steps),
@@ -254,7 +266,10 @@ impl<'a> Cases<'a> {
             };
             let modes = |precision, threads| {
                 let base = Case { precision, threads, ..base.clone() };
-                keepings.iter().map(move |&k| Case { keeping: k, mode: Some(k.name()), ..base.clone() })
+                // In f32 a rounded state is the state.
+                let rounded = (precision == Precision::F64).then_some(Keeping::Rounded);
+                let keepings = keepings.iter().copied().chain(rounded);
+                keepings.map(move |k| Case { keeping: k, mode: Some(k.name()), ..base.clone() })
             };
             let variants = self.variants(|precision, threads| Case { precision, threads, ..base.clone() });
             families.push(variants.iter().flat_map(|v| modes(v.precision, v.threads)).collect());

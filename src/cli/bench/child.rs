@@ -9,7 +9,7 @@ use super::arguments::Size;
 use super::cases::{Case, Keeping, Kind, Length, Source};
 use super::goal::Goal;
 use super::{pairs, plan};
-use crate::adjoint::schedule::{Costs, Schedule};
+use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::segments::{gradient, Dynamics, Sph};
 use crate::cli::prepare::build;
 use crate::design::diagnostics::start;
@@ -48,10 +48,8 @@ pub struct Measured {
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
     Measured(Measured),
-    /// A gradient that would not fit into the allowed memory.
-    TooLarge {
-        bytes: usize,
-    },
+    /// A gradient that does not fit into the memory that it is allowed, and why.
+    LeftOut(String),
 }
 
 /// Measures the case and prints the outcome as one line of JSON.
@@ -116,7 +114,7 @@ impl<R: Real> Ready<R> {
             self.dynamics.advance(&mut solver)?;
         }
         solver.check_finite()?;
-        Ok(Snapshot { step: 0, ..self.dynamics.snapshot(&solver) })
+        Ok(Snapshot { step: 0, ..solver.snapshot() })
     }
 
     /// The goal at the end of so many steps; the channel's own is tied to the scene's steps.
@@ -127,13 +125,10 @@ impl<R: Real> Ready<R> {
         &self.goal
     }
 
-    /// What states and taped steps take; the list's rows are as long as the pairs within its reach say.
-    fn costs(&self, pairs: usize) -> Costs {
-        let model = &self.dynamics.model;
-        let fluid = (0..model.particles()).filter(|&i| model.is_fluid(i)).count().max(1);
-        let widening = (model.reach() / model.kernel.cutoff()).powi(model.layout.dimension as i32);
-        let row = pairs as f64 / fluid as f64 * widening;
-        self.dynamics.costs((4.0 * (row + 8.0) * model.particles() as f64) as usize)
+    /// What states and taped steps take, from the first neighbour list.
+    fn costs(&self) -> Result<Costs, SolverError> {
+        let list = self.dynamics.start(&self.start)?.neighbourhood.list;
+        Ok(self.dynamics.costs(list.bytes()))
     }
 }
 
@@ -150,21 +145,23 @@ fn at_rest<R>(state: Vec<R>) -> Snapshot<R> {
 }
 
 impl Keeping {
-    /// The schedule for a run.
-    fn schedule(self, steps: usize, costs: Costs) -> Schedule {
-        let least = Schedule::least_memory(steps, costs);
-        match self {
-            Self::EveryState => Schedule::segments(steps, 1),
-            Self::LeastMemory => Schedule::segments(steps, least),
+    /// The schedule for a run; an error if nothing is as small as asked for.
+    fn schedule(self, steps: usize, costs: Costs) -> Result<Schedule, TooSmall> {
+        let every = Schedule::every_state(steps, 0, false);
+        Ok(match self {
+            Self::EveryState => every,
+            Self::Rounded => Schedule::every_state(steps, 0, true),
+            Self::LeastMemory => Schedule::segments(steps, Schedule::least_memory(steps, costs)),
             Self::Segments(length) => Schedule::segments(steps, length),
-            Self::Truncated(horizon) => Schedule::truncated(steps, horizon, least),
+            Self::Binomial(states) => Schedule::binomial(steps, 0, states),
+            Self::Truncated(horizon) => Schedule::every_state(steps, steps - horizon.min(steps), false),
             Self::Taped => Schedule::taped(steps),
+            Self::Within(size) => Schedule::within(steps, 0, costs, size.bytes())?,
             Self::Share(share) => {
-                let budget = share * Schedule::segments(steps, 1).memory(costs) as f64;
-                let fits = |&k: &usize| Schedule::segments(steps, k).memory(costs) as f64 <= budget;
-                Schedule::segments(steps, (1..=steps).find(fits).unwrap_or(least))
+                let budget = costs.working + (share * every.storage(costs) as f64) as usize;
+                Schedule::within(steps, 0, costs, budget)?
             }
-        }
+        })
     }
 }
 
@@ -188,14 +185,21 @@ fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
     match case.kind {
         Kind::Forward => forward(case, &ready, &begin, &mut measured).map_err(failed)?,
         Kind::Gradient => {
-            let costs = ready.costs(pairs);
+            let costs = ready.costs().map_err(failed)?;
             let least = match case.length {
                 Length::Steps(steps) => steps,
                 Length::Seconds { least, .. } => least,
             };
-            let bytes = case.keeping.schedule(least, costs).memory(costs);
-            if bytes > case.memory_limit {
-                return Ok(Outcome::TooLarge { bytes });
+            let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
+            match case.keeping.schedule(least, costs).map(|schedule| schedule.memory(costs)) {
+                Ok(bytes) if bytes <= case.memory_limit => {}
+                Ok(bytes) => {
+                    let reason = format!("predicted to take {}, above --memory-limit", megabytes(bytes));
+                    return Ok(Outcome::LeftOut(reason));
+                }
+                Err(TooSmall { least }) => {
+                    return Ok(Outcome::LeftOut(format!("no schedule takes less than {}", megabytes(least))));
+                }
             }
             backward(case, &mut ready, &begin, costs, &mut measured).map_err(failed)?;
         }
@@ -258,24 +262,24 @@ fn backward<R: Real>(
         Ok((seconds, found.forward_seconds))
     };
     let steps = match case.length {
-        Length::Steps(steps) => {
-            // Pages, caches and threads warm up.
-            let few = steps.min(20);
-            timed(few, &case.keeping.schedule(few, costs))?;
-            steps
-        }
+        Length::Steps(steps) => steps,
         Length::Seconds { seconds, least } => {
-            let (first, _) = timed(least, &case.keeping.schedule(least, costs))?;
+            let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
             let mut steps = least.max((seconds * least as f64 / first) as usize);
-            while steps > least && case.keeping.schedule(steps, costs).memory(costs) > case.memory_limit {
+            let fits = |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
+            while steps > least && !fits(steps) {
                 steps = (steps / 2).max(least);
             }
             steps
         }
     };
-    let schedule = case.keeping.schedule(steps, costs);
+    // `measure` has made sure that there is one; more steps never need less.
+    let schedule = case.keeping.schedule(steps, costs).unwrap_or(Schedule::every_state(steps, 0, false));
     measured.steps = steps;
     measured.predicted_bytes = Some(schedule.memory(costs));
+    // Pages, caches and threads warm up.
+    let few = steps.min(20);
+    timed(few, &Schedule::every_state(few, 0, false))?;
     for _ in 0..case.blocks {
         let (seconds, forward) = timed(steps, &schedule)?;
         measured.seconds.push(seconds);

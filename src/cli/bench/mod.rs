@@ -71,8 +71,8 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         if !found.is_empty() {
             println!("{}", tables::text(*group, &found, earlier.as_ref()));
         }
-        for (label, bytes) in &left_out {
-            println!("left out: {label}, predicted to take {:.1} GB (--memory-gb)", *bytes as f64 / 1e9);
+        for (label, reason) in &left_out {
+            println!("left out: {label}: {reason}");
         }
         if let Some(picture) = plots.first() {
             println!("picture: {}\n", picture.display());

@@ -9,17 +9,17 @@ use super::rows::{median, Row};
 use crate::error::Error;
 use crate::report::progress::Progress;
 
-/// What a family gave: rows, and the cases that were left out with what they would have taken.
+/// What a family gave: rows, and the cases that were left out and why.
 #[derive(Debug, Default)]
 pub struct Results {
     pub rows: Vec<Row>,
-    pub left_out: Vec<(String, usize)>,
+    pub left_out: Vec<(String, String)>,
 }
 
 /// Runs every case `repeats` times, A B C A B C, the floor among them.
 pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progress) -> anyhow::Result<Results> {
     let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
-    let mut left_out = vec![None; family.len()];
+    let mut left_out: Vec<Option<String>> = vec![None; family.len()];
     // Several cases (ways of keeping states) share a run of the floor.
     let mut floors: Vec<(FloorRun, Vec<[f64; 2]>)> = vec![];
     for case in family {
@@ -35,7 +35,7 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
             if left_out[place].is_none() {
                 match measure(case)? {
                     Outcome::Measured(one) => measured[place].push(one),
-                    Outcome::TooLarge { bytes } => left_out[place] = Some(bytes),
+                    Outcome::LeftOut(reason) => left_out[place] = Some(reason),
                 }
             }
             bar.advance(1);
@@ -48,8 +48,8 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
     }
     let mut results = Results::default();
     for (place, case) in family.iter().enumerate() {
-        if let Some(bytes) = left_out[place] {
-            results.left_out.push((case.label(), bytes));
+        if let Some(reason) = left_out[place].take() {
+            results.left_out.push((case.label(), reason));
             continue;
         }
         let mut row = Row::new(case, &measured[place]);
