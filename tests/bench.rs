@@ -67,7 +67,7 @@ fn every_group_gives_rows_of_the_schema() {
     let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=20", "--set", "objective.window=0"]);
     rows.iter().for_each(check_row);
     let of = |group: &str| rows.iter().filter(|row| row["group"] == group).collect::<Vec<_>>();
-    assert_eq!((of("step").len(), of("gradient").len(), of("scaling").len(), of("plan").len()), (2, 5, 4, 20));
+    assert_eq!((of("step").len(), of("gradient").len(), of("scaling").len(), of("plan").len()), (2, 6, 4, 20));
     for group in ["step, ", "gradient, ", "scaling, ", "plan, "] {
         assert!(text.contains(group), "{text}");
     }
@@ -86,7 +86,7 @@ fn every_group_gives_rows_of_the_schema() {
             other => panic!("{other}"),
         }
     }
-    for picture in ["scaling.png", "scaling.svg", "gradient.png", "gradient.svg"] {
+    for picture in ["scaling-forward.png", "scaling-gradient.svg", "gradient.png", "gradient.svg"] {
         assert!(folder.path().join("all").join(picture).metadata().unwrap().len() > 1000, "{picture}");
     }
 }
@@ -177,6 +177,21 @@ fn bad_input_is_refused() {
         std::fs::write(at.join(name), text).unwrap();
         refuses(at, &["--compare", name, "--out", "unwritten"], &[name, problem, "allowed:"]);
     }
+    let point = json!({"code": "jax-sph", "scene": "taylor-green", "dx": 0.1, "cfl": 1.0, "precision": "f64",
+        "seconds": 1.0, "error": 0.1, "stable": true});
+    for (key, value, problem) in [
+        ("dx", json!(0.0), "point 0: dx = 0"),
+        ("seconds", json!("long"), "point 0: invalid type"),
+        ("precision", json!("f16"), "point 0: unknown variant `f16`"),
+        ("error", json!(-1.0), "point 0: error = -1"),
+        ("error", json!(null), "point 0: a stable run has an error"),
+    ] {
+        let mut point = point.clone();
+        point[key] = value;
+        std::fs::write(at.join("peers.json"), json!([point]).to_string()).unwrap();
+        refuses(at, &["accuracy", "--peers", "peers.json", "--out", "unwritten"], &["--peers peers.json", problem]);
+    }
+    refuses(at, &["step", "--peers", "peers.json", "--out", "unwritten"], &["--peers", "accuracy"]);
     refuses(at, &["--compare", "nowhere.json", "--out", "unwritten"], &["--compare nowhere.json", "No such file"]);
     refuses(at, &["stepp", "--out", "unwritten"], &["`stepp`", "gradient", "accuracy"]);
     refuses(at, &["step", "mine.toml", "--out", "unwritten"], &["mine.toml"]);

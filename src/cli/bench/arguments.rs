@@ -59,7 +59,9 @@ Examples:
   hydrograd bench step scaling --floor ../shared/reference/floor
       beside the plain-C yardstick, compiled with gcc
   hydrograd bench step --compare runs/before/bench.json --out runs/after
-      ratios against an earlier run")]
+      ratios against an earlier run
+  hydrograd bench accuracy --peers jax-sph.json
+      run time against error, with another code's points in the same pictures")]
 pub struct BenchArguments {
     /// Groups (step, gradient, scaling, plan, accuracy) and at most one scene (name or TOML file) for step and
     /// gradient [default: step gradient scaling plan].
@@ -71,7 +73,7 @@ pub struct BenchArguments {
     /// Preset of the scene for step and gradient: report.
     #[arg(long, value_name = "NAME")]
     pub preset: Option<String>,
-    /// Folder for bench.json and the plots.
+    /// Folder for bench.json, accuracy.json and the pictures.
     #[arg(long, value_name = "DIR", default_value = "runs/bench")]
     pub out: PathBuf,
     /// Floating-point types, separated by commas.
@@ -107,6 +109,10 @@ pub struct BenchArguments {
     /// Leave out gradients predicted to take more than this.
     #[arg(long, value_name = "SIZE", default_value = "4GB")]
     pub memory_limit: MemorySize,
+    /// Other codes' points for `accuracy`: a JSON array of {code, scene, dx, cfl, precision, seconds, error, stable};
+    /// an earlier accuracy.json will do.
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
     /// Runs one case, given as JSON, and prints what it measured as JSON: what the bench starts for each row.
     #[arg(long, hide = true, value_name = "JSON", conflicts_with = "words")]
     pub case: Option<String>,
@@ -168,7 +174,7 @@ impl Scene {
 }
 
 impl BenchArguments {
-    /// The groups to run and the scene, if one is named among the words.
+    /// The groups to run and the scene of step and gradient, if one is named among the words.
     pub fn groups_and_scene(&self) -> Result<(Vec<Group>, Option<String>), BadInput> {
         let (mut groups, mut scene) = (Vec::new(), None);
         for word in &self.words {

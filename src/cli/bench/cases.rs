@@ -147,6 +147,18 @@ pub fn precision_name(precision: Precision) -> &'static str {
     }
 }
 
+/// What the bench asks of a process of its own.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Request {
+    Row(Box<Case>),
+    /// All points of run time against error.
+    Accuracy {
+        quick: bool,
+        threads: usize,
+    },
+}
+
 /// Cases that are compared with each other: their repeats take turns.
 pub type Family = Vec<Case>;
 

@@ -6,16 +6,17 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use super::arguments::Size;
-use super::cases::{Case, Keeping, Kind, Length, Source};
+use super::cases::{Case, Keeping, Kind, Length, Request, Source};
 use super::goal::Goal;
 use super::{pairs, plan};
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::segments::{gradient, Dynamics, Sph};
 use crate::cli::prepare::build;
 use crate::design::diagnostics::start;
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::lanes::{InstructionSet, Real};
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
+use crate::scene::accuracy::points;
 use crate::scene::config::Precision;
 use crate::scene::taylor_green::TaylorGreen;
 use crate::solver::{Snapshot, SolverError};
@@ -52,20 +53,27 @@ pub enum Outcome {
     LeftOut(String),
 }
 
-/// Measures the case and prints the outcome as one line of JSON.
-pub fn run(case: &str) -> anyhow::Result<()> {
-    let case: Case =
-        serde_json::from_str(case).map_err(|error| crate::error::BadInput::new(error.to_string()).place("--case"))?;
+/// Does what is asked and prints the answer as one line of JSON.
+pub fn run(request: &str) -> anyhow::Result<()> {
+    let request: Request =
+        serde_json::from_str(request).map_err(|error| BadInput::new(error.to_string()).place("--case"))?;
+    let wanted = match &request {
+        Request::Row(case) => case.threads,
+        Request::Accuracy { threads, .. } => *threads,
+    };
     let threads = candle_core::utils::barrier_pool().n_workers() + 1;
-    if threads != case.threads {
-        let problem = format!("{}: candle has {threads} threads instead of {}", case.label(), case.threads);
+    if threads != wanted {
+        let problem = format!("candle has {threads} threads instead of {wanted}");
         return Err(Error::run(problem, "CANDLE_NUM_THREADS sets their number").into());
     }
-    let outcome = match case.precision {
-        Precision::F32 => measure::<f32>(&case),
-        Precision::F64 => measure::<f64>(&case),
-    }?;
-    println!("{}", serde_json::to_string(&outcome)?);
+    let answer = match &request {
+        Request::Row(case) => serde_json::to_string(&match case.precision {
+            Precision::F32 => measure::<f32>(case),
+            Precision::F64 => measure::<f64>(case),
+        }?)?,
+        Request::Accuracy { quick, .. } => serde_json::to_string(&points(*quick, &mut |_| ())?)?,
+    };
+    println!("{answer}");
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! `hydrograd bench`: how long steps and gradients take, and how much memory, in groups of comparable cases.
 
+mod accuracy;
 mod arguments;
 mod cases;
 mod child;
@@ -15,6 +16,8 @@ mod tables;
 
 pub use arguments::BenchArguments;
 
+use accuracy::Point;
+use arguments::Group;
 use cases::Cases;
 use compare::Earlier;
 use floor::Floor;
@@ -45,8 +48,18 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     for &group in &groups {
         work.push((group, cases.of(group)?));
     }
+    let peers = match &arguments.peers {
+        Some(path) if !groups.contains(&Group::Accuracy) => {
+            return Err(BadInput::new("only the group accuracy draws other codes' points")
+                .place(format!("--peers {}", path.display()))
+                .advice("hydrograd bench accuracy --peers FILE")
+                .into());
+        }
+        Some(path) => accuracy::read(path)?,
+        None => vec![],
+    };
     let runs: usize = work.iter().flat_map(|(_, families)| families).map(Vec::len).sum();
-    if runs == 0 {
+    if runs == 0 && !groups.contains(&Group::Accuracy) {
         return Err(BadInput::new("no row has a label that contains this")
             .place(format!("--filter {}", arguments.filter))
             .allowed("a part of group/scene/particles/precision/threads/kind/mode, e.g. step/heated-channel-report/950/f64/2/forward")
@@ -58,6 +71,10 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     let mut all: Vec<Row> = vec![];
     let bar = Progress::new((runs * arguments.repeats()) as u64, "bench");
     for (group, families) in &work {
+        if *group == Group::Accuracy {
+            run_accuracy(&arguments, &peers)?;
+            continue;
+        }
         let (mut found, mut left_out) = (vec![], vec![]);
         for family in families {
             let results = runner::run(family, arguments.repeats(), floor.as_ref(), &bar)?;
@@ -69,13 +86,14 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         rows::write(&file, &all)?;
         let plots = plots::draw(&arguments.out, *group, &found)?;
         if !found.is_empty() {
-            println!("{}", tables::text(*group, &found, earlier.as_ref()));
+            println!("\n{}", tables::text(*group, &found, earlier.as_ref()));
         }
         for (label, reason) in &left_out {
             println!("left out: {label}: {reason}");
         }
-        if let Some(picture) = plots.first() {
-            println!("picture: {}\n", picture.display());
+        // Each as PNG and SVG.
+        for picture in plots.iter().step_by(2) {
+            println!("picture: {}", picture.display());
         }
         check_plans(&found)?;
     }
@@ -83,7 +101,26 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     if let Some(earlier) = &earlier {
         println!("{}", earlier.summary(&all));
     }
-    println!("rows: {}", file.display());
+    if runs > 0 {
+        println!("rows: {}", file.display());
+    }
+    Ok(())
+}
+
+/// Measures run time against error, with as many threads as the last of `--threads`.
+fn run_accuracy(arguments: &BenchArguments, peers: &[Point]) -> anyhow::Result<()> {
+    let threads = arguments.threads().last().copied().unwrap_or(1);
+    let mut points = runner::accuracy(arguments.quick, threads)?;
+    points.retain(|point| point.label().contains(&arguments.filter));
+    points.retain(|point| arguments.precisions().contains(&point.precision));
+    let file = arguments.out.join("accuracy.json");
+    accuracy::write(&file, &points)?;
+    points.extend(peers.iter().cloned());
+    println!("{}", accuracy::text(&points));
+    for picture in accuracy::draw(&arguments.out, &points)?.iter().step_by(2) {
+        println!("picture: {}", picture.display());
+    }
+    println!("points: {}", file.display());
     Ok(())
 }
 

@@ -10,36 +10,28 @@ use crate::report::plots::compare;
 
 /// Draws what a group has to show, and says where.
 pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
-    let series = match group {
-        Group::Scaling => scaling(rows),
-        Group::Gradient => gradient(rows),
-        _ => return Ok(vec![]),
+    let mut files = vec![];
+    let mut picture = |name: &str, title: &str, x: &str, y: &str, series: Series| -> Result<(), FileError> {
+        if !series.is_empty() {
+            files.extend(compare(&folder.join(name), title, x, y, &series, true, true)?);
+        }
+        Ok(())
     };
-    if series.is_empty() {
-        return Ok(vec![]);
+    match group {
+        Group::Scaling => {
+            for kind in [Kind::Forward, Kind::Gradient] {
+                let title = format!("Taylor-Green vortices, {}: time over the number of particles", kind.name());
+                let name = format!("scaling-{}", kind.name());
+                picture(&name, &title, "particles", "ns per particle and step", scaling(rows, kind))?;
+            }
+        }
+        Group::Gradient => {
+            let y = "ms per step, forward run included";
+            picture("gradient", "Gradient: time against memory", "peak memory, MB", y, gradient(rows))?;
+        }
+        _ => {}
     }
-    let stem = folder.join(group.name());
-    let files = match group {
-        Group::Scaling => compare(
-            &stem,
-            "Time per particle and step over the number of particles",
-            "particles",
-            "ns per particle and step",
-            &series,
-            true,
-            true,
-        )?,
-        _ => compare(
-            &stem,
-            "Gradient: time against memory",
-            "peak memory, MB",
-            "ms per step, forward run included",
-            &series,
-            true,
-            true,
-        )?,
-    };
-    Ok(files.to_vec())
+    Ok(files)
 }
 
 type Series = Vec<(String, Vec<(f64, f64)>)>;
@@ -52,18 +44,16 @@ fn add(series: &mut Series, name: String, point: (f64, f64)) {
     }
 }
 
-fn scaling(rows: &[Row]) -> Series {
+fn scaling(rows: &[Row], kind: Kind) -> Series {
     let mut series = vec![];
-    for kind in [Kind::Forward, Kind::Gradient] {
-        for dimension in [2, 3] {
-            for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
-                let threads = if row.threads == 1 { "thread" } else { "threads" };
-                let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
-                let at = |ms: f64| (row.particles as f64, 1e6 * ms / row.particles as f64);
-                add(&mut series, format!("{} {variant}", kind.name()), at(row.ms_per_step));
-                if let Some(floor) = row.floor_ms_per_step {
-                    add(&mut series, format!("{} {variant}, plain C", kind.name()), at(floor));
-                }
+    for dimension in [2, 3] {
+        for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
+            let threads = if row.threads == 1 { "thread" } else { "threads" };
+            let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
+            let at = |ms: f64| (row.particles as f64, 1e6 * ms / row.particles as f64);
+            add(&mut series, variant.clone(), at(row.ms_per_step));
+            if let Some(floor) = row.floor_ms_per_step {
+                add(&mut series, format!("{variant}, plain C"), at(floor));
             }
         }
     }

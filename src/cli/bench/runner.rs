@@ -2,7 +2,10 @@
 
 use std::process::{Command, Stdio};
 
-use super::cases::{Case, Family};
+use serde::de::DeserializeOwned;
+
+use super::accuracy::Point;
+use super::cases::{Case, Family, Request};
 use super::child::{Measured, Outcome};
 use super::floor::{Floor, FloorRun};
 use super::rows::{median, Row};
@@ -67,15 +70,26 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
 
 /// Runs one case in a process of its own.
 fn measure(case: &Case) -> anyhow::Result<Outcome> {
+    ask(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)
+}
+
+/// All points of run time against error, from a process of its own.
+pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<Point>> {
+    let mut points: Vec<Point> = ask("accuracy", &Request::Accuracy { quick, threads }, threads)?;
+    points.iter_mut().for_each(|point| point.threads = Some(threads));
+    Ok(points)
+}
+
+/// Starts this program again with a number of threads and a request, and reads the answer.
+fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> anyhow::Result<T> {
     let failed = |problem: String| {
-        Error::run(format!("{}: {problem}", case.label()), "leave it out with --filter, or change the scene with --set")
+        Error::run(format!("{name}: {problem}"), "leave it out with --filter, or change the scene with --set")
     };
     let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
-    let threads = case.threads.to_string();
     let output = Command::new(program)
-        .args(["bench", "--case", &serde_json::to_string(case)?])
-        .env("CANDLE_NUM_THREADS", &threads)
-        .env("RAYON_NUM_THREADS", &threads)
+        .args(["bench", "--case", &serde_json::to_string(request)?])
+        .env("CANDLE_NUM_THREADS", threads.to_string())
+        .env("RAYON_NUM_THREADS", threads.to_string())
         .stdin(Stdio::null())
         .output()
         .map_err(|error| failed(format!("can not start the program again: {error}")))?;
@@ -83,7 +97,7 @@ fn measure(case: &Case) -> anyhow::Result<Outcome> {
         let message = String::from_utf8_lossy(&output.stderr);
         // The process names the case itself, and its advice would be in the way of ours.
         let message = message.lines().next().unwrap_or("it said nothing");
-        let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{}: ", case.label()));
+        let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{name}: "));
         return Err(failed(format!("{message} ({})", output.status)).into());
     }
     let text = String::from_utf8_lossy(&output.stdout);
