@@ -64,7 +64,7 @@ fn check_row(row: &Value) {
 #[test]
 fn every_group_gives_rows_of_the_schema() {
     let folder = TempDir::new().unwrap();
-    let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=20", "--set", "objective.window=0"]);
+    let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=200", "--set", "objective.window=0"]);
     rows.iter().for_each(check_row);
     let of = |group: &str| rows.iter().filter(|row| row["group"] == group).collect::<Vec<_>>();
     assert_eq!((of("step").len(), of("gradient").len(), of("scaling").len(), of("plan").len()), (2, 6, 4, 20));
@@ -76,7 +76,7 @@ fn every_group_gives_rows_of_the_schema() {
     assert_eq!(of("step").iter().map(|row| row["particles"].as_u64().unwrap()).collect::<Vec<_>>(), [950, 800]);
     let sizes: Vec<_> = of("scaling").iter().map(|row| row["particles"].as_u64().unwrap()).collect();
     assert_eq!(sizes, [144, 144, 512, 512]);
-    let steps = |row: &&Value| row["steps"] == 20;
+    let steps = |row: &&Value| row["steps"] == 200;
     assert!(of("step").iter().all(steps) && of("gradient").iter().all(steps));
     // A plan leaves out what has no effect, so everything on gives the same result.
     for row in of("plan") {
@@ -148,6 +148,39 @@ fn a_case_that_fails_is_named() {
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.starts_with("error: step/heated-channel-report/950/f64/1/forward: step "), "{error}");
     assert!(error.contains("diverged"), "{error}");
+}
+
+#[test]
+fn accuracy_gives_points_and_draws_those_of_others() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let peer = |error: Value, stable: bool| {
+        json!({"code": "another", "scene": "poiseuille", "dx": 0.1, "cfl": 0.2, "precision": "f64", "seconds": 2.0,
+            "error": error, "stable": stable})
+    };
+    std::fs::write(at.join("peers.json"), json!([peer(json!(0.02), true), peer(json!(null), false)]).to_string())
+        .unwrap();
+    let arguments =
+        ["accuracy", "--quick", "--threads", "1", "--filter", "/poiseuille/", "--peers", "peers.json", "--out", "out"];
+    let output = bench(at, &arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(text.matches("another").count(), 2, "{text}");
+    assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    let points = std::fs::read_to_string(at.join("out/accuracy.json")).unwrap();
+    let points: Vec<Value> = serde_json::from_str(&points).unwrap();
+    // Two spacings in two types; a quarter of the error at half the spacing, in both.
+    assert_eq!(points.len(), 4);
+    for precision in ["f64", "f32"] {
+        let of = |dx: f64| points.iter().find(|p| p["precision"] == precision && p["dx"] == dx).unwrap();
+        let error = |dx: f64| of(dx)["error"].as_f64().unwrap();
+        assert!((3.0..5.0).contains(&(error(0.1) / error(0.05))), "{points:?}");
+        assert!(of(0.1)["stable"] == true && of(0.1)["code"] == "hydrograd");
+    }
+    // The other code is in the picture's legend; the scenes that the filter dropped have no picture.
+    let picture = std::fs::read_to_string(at.join("out/accuracy-poiseuille.svg")).unwrap();
+    assert!(picture.contains("another f64") && picture.contains("hydrograd f32"));
+    assert!(!at.join("out/accuracy-taylor-green.svg").exists());
 }
 
 #[test]
