@@ -77,7 +77,9 @@ pub fn read(path: &Path) -> Result<Vec<Point>, BadInput> {
             }
         }
         match point.error {
-            Some(error) if !(error >= 0.0) => Err(bad(format!("point {number}: error = {error} is below 0"))),
+            Some(error) if error.is_nan() || error < 0.0 => {
+                Err(bad(format!("point {number}: error = {error} is below 0")))
+            }
             None if point.stable => Err(bad(format!("point {number}: a stable run has an error, not null"))),
             _ => Ok(point),
         }

@@ -216,7 +216,13 @@ fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
     if let Source::Plan { scene, lacking, forced: true } = &case.source {
         let own = Source::Plan { scene: scene.clone(), lacking: *lacking, forced: false };
         let own = Ready::<R>::new(case, &own)?;
-        measured.difference = Some(difference(case.kind, own, ready).map_err(failed)?);
+        let difference = difference(case.kind, own, ready).map_err(failed)?;
+        // JSON has no NaN: it would arrive as "not compared".
+        if !difference.is_finite() {
+            let problem = format!("{}: the difference from the plan is {difference}", case.label());
+            return Err(Error::run(problem, "a smaller time.cfl").into());
+        }
+        measured.difference = Some(difference);
     }
     Ok(Outcome::Measured(measured))
 }

@@ -130,7 +130,7 @@ fn check_plans(rows: &[Row]) -> Result<(), Error> {
         let precision = if row.precision == "f32" { Precision::F32 } else { Precision::F64 };
         let limit = tolerance(precision);
         match row.difference {
-            Some(difference) if !(difference <= limit) => {
+            Some(difference) if difference.is_nan() || difference > limit => {
                 let problem = format!("{}: differs from the plan by {difference:.1e}, above {limit:.0e}", row.label());
                 return Err(Error::run(problem, "this is a bug in the plan or in an operator: please report it"));
             }

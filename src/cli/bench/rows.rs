@@ -147,7 +147,7 @@ pub fn read(option: &str, path: &Path) -> Result<Vec<Row>, BadInput> {
     }
     let rows = values.into_iter().enumerate().map(|(number, value)| {
         let row: Row = serde_json::from_value(value).map_err(|error| bad(format!("row {number}: {error}")))?;
-        if !(row.ms_per_step > 0.0) {
+        if row.ms_per_step.is_nan() || row.ms_per_step <= 0.0 {
             return Err(bad(format!("row {number}: ms_per_step = {} is not above 0", row.ms_per_step)));
         }
         Ok(row)
