@@ -38,7 +38,11 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
         (format!("--memory {}: {chosen}", config.optimise.memory), chosen),
         (format!("segments of {least} (least memory)"), Schedule::segments(steps, least)),
         ("every state".to_string(), Schedule::segments(steps, 1)),
+        ("every state, rounded to f32".to_string(), Schedule::every_state(steps, 0, true)),
         ("segments of 200".to_string(), Schedule::segments(steps, 200)),
+        (Schedule::two_level(steps, 0, steps.isqrt()).to_string(), Schedule::two_level(steps, 0, steps.isqrt())),
+        (Schedule::binomial(steps, 0, 20).to_string(), Schedule::binomial(steps, 0, 20)),
+        (Schedule::binomial(steps, 0, 5).to_string(), Schedule::binomial(steps, 0, 5)),
         (format!("truncated, horizon {horizon}"), Schedule::truncated(steps, horizon, least)),
         ("taped".to_string(), Schedule::taped(steps)),
     ];
