@@ -9,6 +9,7 @@
 
 use super::schedule::{Action, Costs, Schedule};
 use crate::lanes::Real;
+use crate::neighbours::list::NeighbourError;
 use crate::scene::config::Kernels;
 use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::model::Model;
@@ -494,28 +495,41 @@ impl<R: Real> Sph<R> {
         self.field(l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows())
     }
 
-    /// Steps that a neighbour list serves if the fastest particle moves at a tenth of the sound speed, which is what
-    /// the sound speed is chosen for: until it has moved half the skin.
-    fn steps_per_list(&self) -> usize {
-        let speed = 0.1 * crate::sph::plan::sound_speed(&self.model.equation_of_state);
-        ((0.5 * self.model.skin / (speed * self.model.dt)).ceil() as usize).max(1)
+    /// What a kept state and a taped step take, in bytes, in a run that begins with `state`: its list, and its speed
+    /// if that is above a tenth of the sound speed (which is chosen as ten times the fastest flow).
+    pub fn costs_from(&self, state: &[R]) -> Result<Costs, NeighbourError> {
+        let (l, n) = (self.model.layout, self.model.particles());
+        let list = Neighbourhood::build(&self.model, state, 0)?.list;
+        let component = |i: usize, d: usize| state[(l.velocity() + d) * n + i].f64();
+        let speed = |i: usize| (0..l.dimension).map(|d| component(i, d).powi(2)).sum::<f64>().sqrt();
+        let fastest = (0..n).map(speed).fold(0.0, f64::max);
+        Ok(self.costs_at(list.bytes(), fastest))
     }
 
-    /// What a kept state and a taped step take, in bytes; `list_bytes` is the size of a neighbour list.
+    /// The same without a state, for neighbour lists of a given size.
     pub fn costs(&self, list_bytes: usize) -> Costs {
+        self.costs_at(list_bytes, 0.0)
+    }
+
+    fn costs_at(&self, list_bytes: usize, fastest: f64) -> Costs {
+        // A list serves until a particle has moved half the skin.
+        let speed = fastest.max(0.1 * crate::sph::plan::sound_speed(&self.model.equation_of_state));
+        let steps_per_list = ((0.5 * self.model.skin / (speed * self.model.dt)).ceil() as usize).max(1);
         let (l, n) = (self.model.layout, self.model.particles());
         let reference = self.field(l.dimension);
-        // The plain run's fields and list; the variable, the cotangents of a state, of its parts and of its product.
-        let run = self.field(l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows()) + list_bytes;
+        // The plain run's fields and list, and a list in the making.
+        let run = self.field(l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows()) + 2 * list_bytes;
+        // The variable, the cotangents of a state, of its parts and of its product; what the objective tapes of a step.
         let cotangents = self.field(4 * l.state_rows() + 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows());
+        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows());
         Costs {
             state: self.field(l.state_rows()),
             rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
             shared: reference,
-            shared_steps: self.steps_per_list(),
+            shared_steps: steps_per_list,
             tape_step: self.tape_bytes(),
             tape_shared: list_bytes,
-            working: run + reference + cotangents,
+            working: run + reference + cotangents + objective,
         }
     }
 }

@@ -173,7 +173,8 @@ pub struct ResumeArgument {
 #[derive(Debug, Clone, Args)]
 pub struct MemoryArgument {
     /// Memory that the gradient may use, such as 200MB: picks every state, every k-th or binomial (optimise.memory).
-    #[arg(long, value_name = "SIZE")]
+    // A negative amount is refused as one, not as an unknown option.
+    #[arg(long, value_name = "SIZE", allow_hyphen_values = true)]
     pub memory: Option<String>,
 }
 

@@ -4,12 +4,11 @@ use super::adam::{project, Adam};
 use super::diagnostics::start;
 use crate::adjoint::schedule::{Costs, Schedule};
 use crate::adjoint::segments::{gradient, Sph};
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::lanes::Real;
 use crate::scene::config::{Config, GradientMode, Precision};
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::shape::MAX_SLOPE;
-use crate::sph::step::Neighbourhood;
 
 /// Everything that the next epoch depends on, and the record of those before.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,10 +67,8 @@ pub fn smoothing(weight: f64, offsets: &[f64]) -> (f64, Vec<f64>) {
 pub fn costs<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<Costs, Error> {
     let flat = vec![0.0; channel.deformation.variables];
     let state = channel.deformation.state::<R>(&flat);
-    let first = Neighbourhood::build(&channel.model, &state, 0)
-        .map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))?;
     let dynamics = Sph { model: channel.model.clone(), kernels: config.run.kernels };
-    Ok(dynamics.costs(first.list.bytes()))
+    dynamics.costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
 }
 
 /// The schedule that a configuration asks for: the fastest that fits into `optimise.memory`, or segments of a given
@@ -92,37 +89,37 @@ pub fn schedule<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<
         (GradientMode::Taped, _) => Schedule::taped(steps),
         _ if rounded => Schedule::every_state(steps, first, true),
         (_, 0) => Schedule::within(steps, first, costs, budget.bytes()).map_err(|too_small| {
-            Error::run(
-                format!("optimise.memory = {budget} is too small for the gradient of {} steps", steps - first),
-                format!(
-                    "--memory {}: the least that works (a single state kept, and very slow); {} runs no step twice",
-                    rounded_up(too_small.least),
-                    rounded_up(
-                        Schedule::segments(steps - first, Schedule::least_memory(steps - first, costs)).memory(costs)
-                    ),
-                ),
-            )
+            let segments = Schedule::least_memory(steps - first, costs);
+            BadInput::new(format!(
+                "optimise.memory = {budget} is too small for the gradient of {} steps",
+                steps - first
+            ))
+            .allowed(format!("at least {} (one state kept, and very slow)", rounded_up(too_small.least)))
+            .advice(format!(
+                "--memory {} (no step is run twice)",
+                rounded_up(Schedule::segments(steps - first, segments).memory(costs))
+            ))
         })?,
         (_, segment) => Schedule::truncated(steps, steps - first, segment),
     };
     let needed = schedule.memory(costs);
     if needed > budget.bytes() {
         let counts = schedule.counts();
-        return Err(Error::run(
-            format!(
-                "the gradient of {} steps ({schedule}) would take about {:.1} MB, more than optimise.memory = {budget}: {} states of {} kB and {} taped steps of {} kB",
-                steps - first,
-                needed as f64 / 1e6,
-                counts.stored_states,
-                if rounded { costs.rounded_state } else { costs.state } / 1000,
-                counts.taped_steps,
-                costs.tape_step / 1000,
-            ),
-            format!(
-                "--memory {}, or --gradient segments --segment 0 --store f64 (what fits is chosen)",
-                rounded_up(needed)
-            ),
-        ));
+        return Err(BadInput::new(format!(
+            "the gradient of {} steps ({schedule}) would take about {:.1} MB: {} states of {} kB and {} taped steps of {} kB",
+            steps - first,
+            needed as f64 / 1e6,
+            counts.stored_states,
+            if rounded { costs.rounded_state } else { costs.state } / 1000,
+            counts.taped_steps,
+            costs.tape_step / 1000,
+        ))
+        .allowed(format!("optimise.memory = {budget}"))
+        .advice(format!(
+            "--memory {}, or --gradient segments --segment 0 --store f64 (what fits is chosen)",
+            rounded_up(needed)
+        ))
+        .into());
     }
     Ok(schedule)
 }

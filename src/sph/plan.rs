@@ -407,6 +407,11 @@ fn bytes(count: usize) -> String {
     }
 }
 
+/// `1 step`, `2 steps`.
+fn plural(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 fn lines(out: &mut fmt::Formatter<'_>, title: &str, all: &[Dropped]) -> fmt::Result {
     writeln!(out, "\n{title}")?;
     all.iter().try_for_each(|d| writeln!(out, "  {}: {}", d.what, d.why))
@@ -470,10 +475,10 @@ impl fmt::Display for Plan {
         writeln!(out, "\ngradient of {} steps: {}", g.steps - g.first, g.schedule)?;
         writeln!(
             out,
-            "  at most {} states of {} and {} taped steps of {}",
-            c.stored_states,
+            "  at the peak {} kept, of {} each; {} on the tape, of {} each and a list",
+            plural(c.stored_states, "state"),
             bytes(g.state_bytes),
-            c.taped_steps,
+            plural(c.taped_steps, "step"),
             bytes(g.taped_step_bytes)
         )?;
         writeln!(
