@@ -65,6 +65,37 @@ fn refuses_file(text: &str, expected: &[&str]) {
 }
 
 #[test]
+fn memory_needs_a_unit_and_must_suffice() {
+    let case = Case::new(&[("mine.toml", "[optimise]\nmemory = 300\n")]);
+    let form = ["optimise.memory", "MiB", "200MB"];
+    case.refuses(&["optimize", "--memory", "200"], &[&["--memory 200", "no unit"], &form[..]].concat());
+    case.refuses(&["optimize", "--memory", "200 apples"], &[&["apples"], &form[..]].concat());
+    case.refuses(&["check-gradient", "--memory", "-1MB"], &[&["out of range"], &form[..]].concat());
+    case.refuses(&["bench", "--memory", "lots"], &[&["not an amount"], &form[..]].concat());
+    case.refuses(&["optimize", "mine.toml"], &[&["mine.toml", "line 2", "no unit"], &form[..]].concat());
+    // What was memory_mb is found again.
+    case.refuses(&["optimize", "--set", "optimise.memory_mb=3"], &["unknown field `memory_mb`", "`memory`"]);
+    // Too small for any schedule: the least that works, which then does work.
+    for arguments in [&["optimize"][..], &["optimize", "--explain"]] {
+        let message =
+            case.refuses(&[arguments, &["--memory", "1KB"]].concat(), &["1KB", "too small", "at least", "MB"]);
+        let least = message.split("at least ").nth(1).unwrap().split(' ').next().unwrap();
+        let output =
+            Command::cargo_bin("hydrograd").unwrap().args(["optimize", "--explain", "--memory", least]).output();
+        let text = String::from_utf8(output.unwrap().stdout).unwrap();
+        assert!(text.contains("binomial"), "{least}: {text}");
+    }
+    // A given length that does not fit.
+    case.refuses(
+        &["optimize", "--segment", "500", "--memory", "5MB"],
+        &["500", "optimise.memory = 5MB", "--segment 0"],
+    );
+    // Rounded states.
+    case.refuses(&["optimize", "--store", "f32", "--segment", "20"], &["--store f32", "every state is kept"]);
+    case.refuses(&["optimize", "--store", "f32", "--memory", "10MB"], &["rounded to f32", "optimise.memory = 10MB"]);
+}
+
+#[test]
 fn unknown_key() {
     let parts = ["mine.toml", "line 2", "heigth", "length", "wall_rows", "try: `height`"];
     refuses_file("[channel]\nheigth = 0.2\n", &parts);

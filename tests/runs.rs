@@ -233,12 +233,46 @@ fn composed_kernels_and_single_precision_run() {
 }
 
 #[test]
+fn explain_shows_the_plan_and_runs_nothing() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let text = succeeds(at, &["simulate", "--explain"]);
+    for part in ["drift", "rates", "conduction", "directed pairs", "left out", "limited by sound", "f64"] {
+        assert!(text.contains(part), "no `{part}` in {text}");
+    }
+    assert!(!text.contains("gradient of"), "{text}");
+    let of = |more: &[&str]| succeeds(at, &[&["optimize", "--explain"], more].concat());
+    assert!(of(&[]).contains("every state kept"));
+    assert!(of(&["--memory", "12MB"]).contains("on the tape at once"));
+    assert!(of(&["--memory", "3.6MB"]).contains("restored in turn"));
+    assert!(of(&["--memory", "2MB"]).contains("binomial"));
+    assert!(of(&["--store", "f32"]).contains("rounded to f32"));
+    assert!(of(&["--segment", "7"]).contains("a state every 7 steps"));
+    assert!(of(&["--gradient", "truncated"]).contains("steps 0 ... 349"));
+    assert_eq!(std::fs::read_dir(at).unwrap().count(), 0, "--explain wrote something");
+}
+
+#[test]
+fn a_small_budget_gives_the_same_gradient() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let gradient = |name: &str, more: &[&str]| {
+        let arguments = [&["check-gradient", "--steps", "60", "--directions", "1", "--out", name], more].concat();
+        succeeds(at, &arguments);
+        json(&at.join(name).join("gradient_check.json"))["gradient"].clone()
+    };
+    let every_state = gradient("large", &[]);
+    assert_eq!(gradient("small", &["--memory", "2MB"]), every_state);
+    assert_eq!(gradient("segments", &["--memory", "5MB"]), every_state);
+}
+
+#[test]
 fn a_taped_gradient_that_does_not_fit_is_refused_with_an_estimate() {
     let folder = TempDir::new().unwrap();
-    let arguments = ["optimize", "--gradient", "taped", "--set", "optimise.memory_mb=20", "--out", "out"];
+    let arguments = ["optimize", "--gradient", "taped", "--set", "optimise.memory=20MB", "--out", "out"];
     let output = hydrograd(folder.path(), &arguments);
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(2), "{error}");
     assert!(error.contains("MB") && error.contains("--gradient segments --segment"), "{error}");
     assert!(!folder.path().join("out").exists());
 }

@@ -4,6 +4,7 @@ use hydrograd::scene::builtin::{PRESETS, SCENES};
 use hydrograd::scene::config::*;
 use hydrograd::scene::layers::{description, known_keys, Setting};
 use hydrograd::scene::load::Source;
+use hydrograd::scene::memory_size::MemorySize;
 use hydrograd::scene::shape::{default_nodes, Shape};
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -83,7 +84,7 @@ fn resolved_text_reads_back_to_the_bit() {
     let number = 0.1 + 0.2;
     let sets = [
         format!("optimise.smoothing={}", number * 1e-17),
-        format!("optimise.memory_mb={}", number * 1e200),
+        "optimise.memory=1.5GiB".to_string(),
         "optimise.learning_rate=.5".to_string(),
         format!("fluid.viscosity={}", std::f64::consts::PI / 100.0),
         "design.nodes=[0.3, 0.4000000000000001, 0.6]".into(),
@@ -93,7 +94,7 @@ fn resolved_text_reads_back_to_the_bit() {
     ];
     let loaded = Config::load(None, None, &sets).unwrap();
     assert_eq!(loaded.config.optimise.smoothing, number * 1e-17);
-    assert_eq!(loaded.config.optimise.memory_mb, number * 1e200);
+    assert_eq!(loaded.config.optimise.memory, MemorySize(3 << 29));
     assert_eq!(loaded.config.optimise.learning_rate, 0.5);
     assert_eq!(loaded.config.design.offsets, Some(vec![1e-3, -0.010000000000000002, 0.0]));
     assert_eq!(read(&loaded.text), loaded.config);

@@ -1,29 +1,125 @@
-//! Which states of a run are kept, and what that costs. Apart from the executor, so that it can be tested without
-//! running physics.
+//! Which states of a run are kept, when steps are run again, and what that costs. Apart from the executor, so that it
+//! can be tested without running physics: a schedule is a list of actions, and every count follows from playing it.
+//!
+//! The kinds, fastest first; every kind tapes (runs on the graph and differentiates) each step exactly once:
+//!
+//! | kind | states kept | on the tape | steps run again |
+//! |---|---|---|---|
+//! | every state | n | 1 step | 0 |
+//! | segments of k | n/k | k steps | 0 |
+//! | two-level, every k-th | n/k + k - 1 | 1 step | n - n/k - k + 1 |
+//! | binomial, c states | c | 1 step | least possible for c |
+//!
+//! Binomial: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c states and no
+//! step run more than r times, C(c + r, c) steps can be reversed, which is the most possible.
 
-/// Bytes that a schedule's two kinds of storage take.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+use std::collections::BTreeMap;
+
+/// Bytes that a schedule's kinds of storage take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Costs {
     /// A kept state.
     pub state: usize,
+    /// A kept state rounded to single precision.
+    pub rounded_state: usize,
+    /// What kept states share while `shared_steps` steps last: the positions that their neighbour list is built from.
+    pub shared: usize,
+    /// Steps that one such list serves, about; 0 stands for 1.
+    pub shared_steps: usize,
     /// One step on the tape: every tensor that the backward pass reads.
     pub tape_step: usize,
+    /// The list itself, once for the steps on the tape that share it.
+    pub tape_shared: usize,
+    /// What any gradient needs: the run's buffers, a list, the cotangents of one step.
+    pub working: usize,
 }
 
-/// A run of `steps` steps in segments of equal length (the last may be shorter). The forward run keeps the state at
-/// the start of each segment that is differentiated; the backward run replays segment by segment, last to first.
+impl Costs {
+    /// Lists that serve `count` states, evenly spread over `steps` steps.
+    fn lists(&self, count: usize, steps: usize) -> usize {
+        count.min(steps.div_ceil(self.shared_steps.max(1)) + 1)
+    }
+}
+
+/// What is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Every state; one step at a time on the tape. `rounded`: in single precision. A step linearised at a rounded
+    /// state is nearly the same step; a replay of many steps from one would be another run, so no other kind has it.
+    EveryState { rounded: bool },
+    /// The state at the start of each segment of `length` steps (the last may be shorter), which is taped at once.
+    Segments { length: usize },
+    /// The same, but the states within a segment are run again and kept when it is its turn; one step at a time on
+    /// the tape.
+    TwoLevel { interval: usize },
+    /// Revolve with at most `states` kept at a time; one step at a time on the tape.
+    Binomial { states: usize },
+}
+
+/// What the executor does next. "The present state" is the one that the last `Advance` or `Restore` led to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Action {
+    /// Run the steps from ... to - 1 from the present state, without a graph.
+    Advance { from: usize, to: usize },
+    /// Keep the present state.
+    Store { step: usize },
+    /// Go back to a kept state.
+    Restore { step: usize },
+    /// Run the steps from ... to - 1 on the graph from the present state, and take the cotangent of their end to
+    /// their start. The present state is lost.
+    Tape { from: usize, to: usize },
+    /// Forget a kept state.
+    Discard { step: usize },
+}
+
+/// What playing a schedule takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct Counts {
+    /// Most states kept at the same time.
+    pub stored_states: usize,
+    /// Most steps on the tape at the same time.
+    pub taped_steps: usize,
+    /// Steps run without a graph, the first run through included.
+    pub plain_steps: usize,
+    /// Of them, how many had been run before.
+    pub recomputed_steps: usize,
+    /// Steps run on the graph.
+    pub differentiated_steps: usize,
+}
+
+/// A gradient over the steps `first` ... `steps` - 1 of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Schedule {
     pub steps: usize,
-    pub segment: usize,
     /// First step that is differentiated: 0, or `steps - horizon` for a truncated gradient.
     pub first: usize,
+    pub kind: Kind,
+}
+
+/// A budget that is too small for any schedule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TooSmall {
+    /// Bytes of the schedule that needs the least.
+    pub least: usize,
 }
 
 impl Schedule {
-    /// Segments of a given length over the whole run.
-    pub fn segments(steps: usize, segment: usize) -> Self {
-        Self { steps, segment: segment.clamp(1, steps.max(1)), first: 0 }
+    fn new(steps: usize, first: usize, kind: Kind) -> Self {
+        let first = first.min(steps);
+        let most = (steps - first).max(1);
+        let kind = match kind {
+            Kind::EveryState { rounded } => Kind::EveryState { rounded },
+            Kind::Segments { length } if length.min(most) <= 1 => Kind::EveryState { rounded: false },
+            Kind::Segments { length } => Kind::Segments { length: length.min(most) },
+            Kind::TwoLevel { interval } => Kind::TwoLevel { interval: interval.clamp(1, most) },
+            Kind::Binomial { states } => Kind::Binomial { states: states.clamp(1, most) },
+        };
+        Self { steps, first, kind }
+    }
+
+    /// Segments of a given length over the whole run; of 1: every state.
+    pub fn segments(steps: usize, length: usize) -> Self {
+        Self::new(steps, 0, Kind::Segments { length })
     }
 
     /// One tape for the whole run.
@@ -32,41 +128,381 @@ impl Schedule {
     }
 
     /// Only the last `horizon` steps are differentiated.
-    pub fn truncated(steps: usize, horizon: usize, segment: usize) -> Self {
-        let first = steps.saturating_sub(horizon);
-        Self { steps, segment: segment.clamp(1, (steps - first).max(1)), first }
+    pub fn truncated(steps: usize, horizon: usize, length: usize) -> Self {
+        Self::new(steps, steps.saturating_sub(horizon), Kind::Segments { length })
+    }
+
+    /// Every state kept, exactly or rounded to single precision.
+    pub fn every_state(steps: usize, first: usize, rounded: bool) -> Self {
+        Self::new(steps, first, Kind::EveryState { rounded })
+    }
+
+    /// Every `interval`-th state kept, those between restored in their turn.
+    pub fn two_level(steps: usize, first: usize, interval: usize) -> Self {
+        Self::new(steps, first, Kind::TwoLevel { interval })
+    }
+
+    /// Revolve with `states` kept.
+    pub fn binomial(steps: usize, first: usize, states: usize) -> Self {
+        Self::new(steps, first, Kind::Binomial { states })
+    }
+
+    /// The fastest schedule of the steps from `first` on that stays within `budget` bytes: no step run again if
+    /// possible, and then as few steps on the tape as possible (a short tape stays in the cache); else the fewest run
+    /// again.
+    pub fn within(steps: usize, first: usize, costs: Costs, budget: usize) -> Result<Self, TooSmall> {
+        let most = steps.saturating_sub(first).max(1);
+        let fits = |schedule: &Self| schedule.bound(costs) <= budget;
+        // Memory falls with the length up to about sqrt(n state/tape) and rises behind it; no gain beyond sqrt(n).
+        let lengths = 1..=most.isqrt() + 1;
+        let segments = lengths.clone().map(|length| Self::new(steps, first, Kind::Segments { length }));
+        let two_level = lengths.map(|interval| Self::two_level(steps, first, interval));
+        if let Some(found) = segments.chain(two_level).find(fits) {
+            return Ok(found);
+        }
+        let least = Self::binomial(steps, first, 1).bound(costs);
+        if budget < least {
+            return Err(TooSmall { least });
+        }
+        let states = 1 + (budget - least) / (costs.state + costs.shared).max(1);
+        Ok(Self::binomial(steps, first, states))
     }
 
     /// The segment length that needs the least memory, near sqrt(steps state/tape): (steps/k) states and k taped steps.
     pub fn least_memory(steps: usize, costs: Costs) -> usize {
-        (1..=steps).min_by_key(|&k| Self::segments(steps, k).memory(costs)).unwrap_or(1)
+        (1..=steps).min_by_key(|&k| Self::segments(steps, k).bound(costs)).unwrap_or(1)
     }
 
-    /// Starts and ends of the segments, first to last.
-    pub fn bounds(&self) -> Vec<(usize, usize)> {
-        (self.first..self.steps)
-            .step_by(self.segment)
-            .map(|start| (start, (start + self.segment).min(self.steps)))
-            .collect()
+    /// Steps between states that are kept from the first run through, for the kinds that have such.
+    fn interval(&self) -> usize {
+        match self.kind {
+            Kind::EveryState { .. } => 1,
+            Kind::Segments { length } => length,
+            Kind::TwoLevel { interval } => interval,
+            Kind::Binomial { .. } => self.differentiated().max(1),
+        }
     }
 
-    /// States kept at the same time.
-    pub fn stored_states(&self) -> usize {
-        (self.steps - self.first).div_ceil(self.segment)
-    }
-
-    /// Steps that are run twice.
-    pub fn recomputed_steps(&self) -> usize {
+    /// Steps that are differentiated.
+    fn differentiated(&self) -> usize {
         self.steps - self.first
     }
 
-    /// Largest number of steps on the tape.
-    pub fn taped_steps(&self) -> usize {
-        self.segment.min(self.steps - self.first)
+    /// Whether kept states are rounded to single precision.
+    pub fn is_rounded(&self) -> bool {
+        self.kind == Kind::EveryState { rounded: true }
     }
 
-    /// Peak storage in bytes.
-    pub fn memory(&self, costs: Costs) -> usize {
-        self.stored_states() * costs.state + self.taped_steps() * costs.tape_step
+    /// What to do, in order. Made while it is read: the list itself may be longer than the states.
+    pub fn actions(&self) -> Actions {
+        let mut pending = vec![Task::Backward { before: self.steps }, Task::Forward { from: self.first }];
+        if let Kind::Binomial { states } = self.kind {
+            pending = match self.differentiated() {
+                0 => vec![],
+                _ => vec![
+                    Task::Do(Action::Discard { step: self.first }),
+                    Task::Reverse { from: self.first, to: self.steps, states },
+                    Task::Do(Action::Store { step: self.first }),
+                ],
+            };
+        }
+        if self.first > 0 {
+            pending.push(Task::Do(Action::Advance { from: 0, to: self.first }));
+        }
+        Actions { schedule: *self, pending }
     }
+
+    /// Plays the actions and counts.
+    pub fn counts(&self) -> Counts {
+        self.play(Costs::default()).0
+    }
+
+    /// Most states kept at the same time.
+    pub fn stored_states(&self) -> usize {
+        self.counts().stored_states
+    }
+
+    /// Most steps on the tape at the same time.
+    pub fn taped_steps(&self) -> usize {
+        self.counts().taped_steps
+    }
+
+    /// Steps run again without a graph.
+    pub fn recomputed_steps(&self) -> usize {
+        self.counts().recomputed_steps
+    }
+
+    /// Peak of what is kept and on the tape, in bytes.
+    pub fn storage(&self, costs: Costs) -> usize {
+        self.play(costs).1
+    }
+
+    /// Peak memory in bytes: the storage and what any gradient needs.
+    pub fn memory(&self, costs: Costs) -> usize {
+        self.storage(costs) + costs.working
+    }
+
+    /// Counts, and the most bytes kept and taped at the same time.
+    fn play(&self, costs: Costs) -> (Counts, usize) {
+        let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
+        let list_of = |step: usize| step / costs.shared_steps.max(1);
+        let mut counts = Counts::default();
+        let (mut seen, mut stored, mut bytes, mut peak) = (0, 0, 0, 0);
+        // How many kept states share a list.
+        let mut lists: BTreeMap<usize, usize> = BTreeMap::new();
+        for action in self.actions() {
+            match action {
+                Action::Advance { from, to } => {
+                    counts.plain_steps += to - from;
+                    counts.recomputed_steps += seen.clamp(from, to) - from;
+                    seen = seen.max(to);
+                }
+                Action::Store { step } => {
+                    stored += 1;
+                    let sharing = lists.entry(list_of(step)).or_insert(0);
+                    bytes += state + if *sharing == 0 { costs.shared } else { 0 };
+                    *sharing += 1;
+                    counts.stored_states = counts.stored_states.max(stored);
+                    peak = peak.max(bytes);
+                }
+                Action::Discard { step } => {
+                    stored -= 1;
+                    bytes -= state;
+                    if let Some(sharing) = lists.get_mut(&list_of(step)) {
+                        *sharing -= 1;
+                        if *sharing == 0 {
+                            lists.remove(&list_of(step));
+                            bytes -= costs.shared;
+                        }
+                    }
+                }
+                Action::Tape { from, to } => {
+                    // The objective's values come from a plain run; steps taped before it came by are run for that.
+                    counts.plain_steps += to - seen.clamp(from, to);
+                    seen = seen.max(to);
+                    counts.differentiated_steps += to - from;
+                    counts.taped_steps = counts.taped_steps.max(to - from);
+                    let taped_lists = list_of(to - 1) - list_of(from) + 1;
+                    let tape = (to - from) * costs.tape_step + taped_lists * costs.tape_shared;
+                    peak = peak.max(bytes + tape);
+                }
+                Action::Restore { .. } => {}
+            }
+        }
+        (counts, peak)
+    }
+
+    /// No less than [`Self::memory`], in closed form: to compare many schedules.
+    fn bound(&self, costs: Costs) -> usize {
+        let n = self.differentiated();
+        let kept = n.div_ceil(self.interval().max(1));
+        let (states, taped) = match self.kind {
+            Kind::EveryState { .. } => (n, 1),
+            Kind::Segments { length } => (kept, length),
+            Kind::TwoLevel { interval } => (kept + interval - 1, 1),
+            Kind::Binomial { states } => (states, 1),
+        };
+        let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
+        states * state
+            + costs.lists(states, n) * costs.shared
+            + taped * costs.tape_step
+            + costs.lists(taped, taped) * costs.tape_shared
+            + costs.working
+    }
+}
+
+impl std::fmt::Display for Schedule {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let n = self.differentiated();
+        match self.kind {
+            Kind::EveryState { rounded: false } => write!(out, "every state kept"),
+            Kind::EveryState { rounded: true } => write!(out, "every state kept, rounded to f32"),
+            Kind::Segments { length } if length >= n => write!(out, "one tape"),
+            Kind::Segments { length } => {
+                write!(out, "a state every {length} steps, {length} steps on the tape at once")
+            }
+            Kind::TwoLevel { interval } => {
+                write!(out, "a state every {interval} steps, those between restored in turn")
+            }
+            Kind::Binomial { states } => write!(out, "binomial (Revolve) with {states} states"),
+        }
+    }
+}
+
+/// What remains to be done.
+#[derive(Debug, Clone, Copy)]
+enum Task {
+    Do(Action),
+    /// The first run through, from here on.
+    Forward {
+        from: usize,
+    },
+    /// The segments that end at or before this step.
+    Backward {
+        before: usize,
+    },
+    /// Keeps the states from + 1 ... to - 1 while running again from the kept state `from`.
+    Refill {
+        from: usize,
+        to: usize,
+    },
+    /// Adjoints of the steps `from` ... `to` - 1, last to first, whose states are all kept.
+    Steps {
+        from: usize,
+        to: usize,
+    },
+    /// Revolve: adjoints of the steps `from` ... `to` - 1 from the present and kept state `from`, with `states`
+    /// places, that of `from` among them.
+    Reverse {
+        from: usize,
+        to: usize,
+        states: usize,
+    },
+}
+
+/// The actions of a schedule.
+#[derive(Debug, Clone)]
+pub struct Actions {
+    schedule: Schedule,
+    /// Last first.
+    pending: Vec<Task>,
+}
+
+impl Actions {
+    /// Start of the segment that ends at `end`.
+    fn start_of(&self, end: usize) -> usize {
+        let first = self.schedule.first;
+        first + (end - first - 1) / self.schedule.interval() * self.schedule.interval()
+    }
+
+    fn forward(&mut self, from: usize) {
+        let (end, interval) = (self.schedule.steps, self.schedule.interval());
+        if from >= end {
+            return;
+        }
+        // The last segment of a two-level schedule comes first on the way back: its states are kept at once.
+        let two_level = matches!(self.schedule.kind, Kind::TwoLevel { .. });
+        let last = self.start_of(end);
+        let to = if two_level && from >= last { from + 1 } else { (from + interval).min(end) };
+        self.pending.extend([
+            Task::Forward { from: to },
+            Task::Do(Action::Advance { from, to }),
+            Task::Do(Action::Store { step: from }),
+        ]);
+    }
+
+    fn backward(&mut self, before: usize) {
+        if before <= self.schedule.first {
+            return;
+        }
+        let from = self.start_of(before);
+        self.pending.push(Task::Backward { before: from });
+        match self.schedule.kind {
+            Kind::TwoLevel { .. } => {
+                self.pending.push(Task::Steps { from, to: before });
+                if before < self.schedule.steps && before > from + 1 {
+                    self.pending.push(Task::Refill { from, to: before });
+                    self.pending.push(Task::Do(Action::Restore { step: from }));
+                }
+            }
+            _ => self.pending.extend([
+                Task::Do(Action::Discard { step: from }),
+                Task::Do(Action::Tape { from, to: before }),
+                Task::Do(Action::Restore { step: from }),
+            ]),
+        }
+    }
+
+    fn reverse(&mut self, from: usize, to: usize, states: usize) {
+        let length = to - from;
+        if length == 1 {
+            self.pending.push(Task::Do(Action::Tape { from, to }));
+        } else if states == 1 {
+            self.pending.extend([
+                Task::Reverse { from, to: to - 1, states },
+                Task::Do(Action::Restore { step: from }),
+                Task::Do(Action::Tape { from: to - 1, to }),
+                Task::Do(Action::Advance { from, to: to - 1 }),
+            ]);
+        } else {
+            let middle = from + split(length, states);
+            self.pending.extend([
+                Task::Reverse { from, to: middle, states },
+                Task::Do(Action::Restore { step: from }),
+                Task::Do(Action::Discard { step: middle }),
+                Task::Reverse { from: middle, to, states: states - 1 },
+                Task::Do(Action::Store { step: middle }),
+                Task::Do(Action::Advance { from, to: middle }),
+            ]);
+        }
+    }
+}
+
+impl Iterator for Actions {
+    type Item = Action;
+
+    fn next(&mut self) -> Option<Action> {
+        loop {
+            match self.pending.pop()? {
+                Task::Do(action) => return Some(action),
+                Task::Forward { from } => self.forward(from),
+                Task::Backward { before } => self.backward(before),
+                Task::Refill { from, to } if to - from > 1 => self.pending.extend([
+                    Task::Refill { from: from + 1, to },
+                    Task::Do(Action::Store { step: from + 1 }),
+                    Task::Do(Action::Advance { from, to: from + 1 }),
+                ]),
+                Task::Refill { .. } => {}
+                Task::Steps { from, to } if to > from => self.pending.extend([
+                    Task::Steps { from, to: to - 1 },
+                    Task::Do(Action::Discard { step: to - 1 }),
+                    Task::Do(Action::Tape { from: to - 1, to }),
+                    Task::Do(Action::Restore { step: to - 1 }),
+                ]),
+                Task::Steps { .. } => {}
+                Task::Reverse { from, to, states } => self.reverse(from, to, states),
+            }
+        }
+    }
+}
+
+/// How often the busiest of `length` steps is run forward with `states` places: the least r with
+/// C(states + r, states) >= length.
+fn repetitions(length: usize, states: usize) -> usize {
+    let (mut reach, mut r) = (1u128, 0usize);
+    while reach < length as u128 {
+        r += 1;
+        reach = reach * (states + r) as u128 / r as u128;
+    }
+    r
+}
+
+/// Least number of steps to run forward for the adjoints of `length` steps, last to first, with `states` places for
+/// states, the first among them (the taped run of each step not counted): r l - C(states + r, r - 1), r =
+/// [`repetitions`] (Griewank and Walther 2000).
+pub fn least_steps(length: usize, states: usize) -> usize {
+    let r = repetitions(length, states);
+    // C(states + r, r - 1).
+    let mut binomial = 1u128;
+    for k in 1..r {
+        binomial = binomial * (states + 1 + k) as u128 / k as u128;
+    }
+    let binomial = if r == 0 { 0 } else { binomial };
+    r * length - binomial as usize
+}
+
+/// Where to keep the next state: the m that minimises m + t(l - m, s - 1) + t(m, s), t = [`least_steps`]. t is convex
+/// in the length with slope [`repetitions`], so the slope of the sum changes its sign once.
+fn split(length: usize, states: usize) -> usize {
+    let (mut low, mut high) = (1, length - 1);
+    while low < high {
+        let m = (low + high) / 2;
+        // From m to m + 1: one step more to go there, r(m + 1, s) more on the left, r(l - m, s - 1) fewer on the right.
+        if 1 + repetitions(m + 1, states) >= repetitions(length - m, states - 1) {
+            high = m;
+        } else {
+            low = m + 1;
+        }
+    }
+    low
 }

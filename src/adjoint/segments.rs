@@ -1,24 +1,29 @@
-//! The gradient of a run by its initial state, segment by segment.
+//! The gradient of a run by its initial state, by the actions of a [`Schedule`].
 //!
-//! Forward without a graph, keeping the state at the start of each segment. Then, last segment to first: make the
-//! kept state a variable, run the segment on the graph, multiply its end with the cotangent that the segment behind
-//! it left, call candle's `backward`, and read the cotangent of the segment's start. Everything that a segment adds to
-//! the derivative by a design travels in that cotangent: positions and masses of wall particles are rows of the state,
-//! and each step adds its share to their cotangent. So the sums are the same, in the same order, whatever the
-//! segments: bit for bit equal to one tape.
+//! Forward without a graph, keeping states. Then, last step to first: make a kept state a variable, run a segment (one
+//! step or more) on the graph, multiply its end with the cotangent that the segment behind it left, call candle's
+//! `backward`, and read the cotangent of the segment's start. Everything that a segment adds to the derivative by a
+//! design travels in that cotangent: positions and masses of wall particles are rows of the state, and each step adds
+//! its share to their cotangent. So the sums are the same, in the same order, whatever the schedule: bit for bit equal
+//! to one tape.
 
-use super::schedule::Schedule;
+use super::schedule::{Action, Costs, Schedule};
 use crate::lanes::Real;
+use crate::neighbours::list::NeighbourError;
 use crate::scene::config::Kernels;
 use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::model::Model;
+use crate::sph::step::Neighbourhood;
 use candle_core::{Device, Tensor, Var};
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 /// Something that advances a state, with and without a graph: the solver, a surrogate.
 pub trait Dynamics {
     /// A state to come back to.
     type Snapshot;
+    /// The same as a schedule keeps it, perhaps rounded.
+    type Kept;
     /// A run without a graph.
     type Plain;
     /// A run on the graph.
@@ -26,11 +31,38 @@ pub trait Dynamics {
 
     fn start(&self, snapshot: &Self::Snapshot) -> Result<Self::Plain, SolverError>;
     fn advance(&self, run: &mut Self::Plain) -> Result<(), SolverError>;
-    fn snapshot(&self, run: &Self::Plain) -> Self::Snapshot;
-    fn start_graph(&self, snapshot: &Self::Snapshot) -> Result<Self::Graph, SolverError>;
     /// The snapshot's state as a tensor of its own.
     fn tensor(&self, snapshot: &Self::Snapshot) -> Result<Tensor, SolverError>;
     fn advance_graph(&self, run: &mut Self::Graph, state: &Tensor) -> Result<Tensor, SolverError>;
+
+    /// Keeps the present state, `rounded` to single precision or exactly.
+    fn keep(&self, run: &Self::Plain, rounded: bool) -> Self::Kept;
+    /// `run` has made the step behind the kept state: what was found in it need not be found again.
+    fn settle(&self, kept: &mut Self::Kept, run: &Self::Plain);
+    /// Takes `run` back to a kept state.
+    fn resume(&self, run: &mut Self::Plain, kept: &Self::Kept) -> Result<(), SolverError>;
+    /// Starts on the graph at a kept state: the run, and the state as a tensor of its own. `last` is the run before
+    /// this one and `plain` the run without a graph, to take over what they share with the new one.
+    fn start_graph(
+        &self,
+        kept: &Self::Kept,
+        last: Option<Self::Graph>,
+        plain: &Self::Plain,
+    ) -> Result<(Self::Graph, Tensor), SolverError>;
+
+    /// Bytes of a kept state.
+    fn kept_bytes(&self, kept: &Self::Kept) -> Bytes;
+    /// Bytes that the last step of `run` put on the tape.
+    fn taped_bytes(&self, run: &Self::Graph) -> Bytes;
+}
+
+/// Memory of something that shares a part with others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bytes {
+    pub own: usize,
+    pub shared: usize,
+    /// Tells one shared part from another: its address.
+    pub identity: usize,
 }
 
 /// A scalar function of a run: a weighted sum over some of its states.
@@ -48,9 +80,14 @@ pub struct Gradient {
     pub value: f64,
     /// Its derivative by the state at the schedule's first step, `[F, N]`.
     pub state: Tensor,
-    /// Seconds without and with graph.
+    /// Seconds of the first run through, without a graph, and of everything behind it.
     pub forward_seconds: f64,
     pub backward_seconds: f64,
+    /// Most bytes that were kept and on the tape at the same time: what [`Schedule::storage`] predicts.
+    pub storage: usize,
+    /// Steps that were run without and with graph.
+    pub plain_steps: usize,
+    pub differentiated_steps: usize,
 }
 
 /// Called after each segment (or each forward step) with the share of the work that is done.
@@ -94,6 +131,48 @@ struct SendPointer<'a>(Progress<'a>);
 // SAFETY: the calling thread waits in `scope` while the worker uses the closure, so only one thread ever does.
 unsafe impl Send for SendPointer<'_> {}
 
+/// Bytes held now and at most. Shared parts count once.
+#[derive(Debug, Default)]
+struct Held {
+    now: usize,
+    peak: usize,
+    sharing: HashMap<usize, usize>,
+}
+
+impl Held {
+    fn add(&mut self, bytes: Bytes) {
+        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
+        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
+        *sharing += 1;
+        self.peak = self.peak.max(self.now);
+    }
+
+    fn remove(&mut self, bytes: Bytes) {
+        self.now -= bytes.own;
+        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
+            *sharing -= 1;
+            if *sharing == 0 {
+                self.sharing.remove(&bytes.identity);
+                self.now -= bytes.shared;
+            }
+        }
+    }
+}
+
+/// A schedule at work.
+struct Executor<'a, D: Dynamics, O> {
+    dynamics: &'a D,
+    objective: &'a O,
+    plain: D::Plain,
+    graph: Option<D::Graph>,
+    kept: BTreeMap<usize, D::Kept>,
+    held: Held,
+    /// Steps that the plain run has been through: the objective has their values.
+    seen: usize,
+    value: f64,
+    plain_steps: usize,
+}
+
 fn run<D: Dynamics, O: Objective<D>>(
     dynamics: &D,
     start: &D::Snapshot,
@@ -102,75 +181,172 @@ fn run<D: Dynamics, O: Objective<D>>(
     progress: Progress<'_>,
 ) -> Result<Gradient, SolverError> {
     let clock = std::time::Instant::now();
-    let bounds = schedule.bounds();
-    let mut kept = Vec::with_capacity(bounds.len());
-    let mut plain = dynamics.start(start)?;
-    let mut value = 0.0;
-    // A step of the backward run costs about four forward steps.
-    let total = (schedule.steps + 4 * (schedule.steps - schedule.first)).max(1) as f64;
-    for step in 0..schedule.steps {
-        if step >= schedule.first && (step - schedule.first).is_multiple_of(schedule.segment) {
-            kept.push(dynamics.snapshot(&plain));
-        }
-        dynamics.advance(&mut plain)?;
-        if let Some(weight) = objective.weight(step + 1) {
-            value += weight * objective.value(&mut plain)?;
-        }
-        if step % 16 == 0 {
-            progress(step as f64 / total);
-        }
-    }
-    drop(plain);
-    let forward_seconds = clock.elapsed().as_secs_f64();
+    let counts = schedule.counts();
+    // A taped step costs about as much as three without a graph.
+    let total = (counts.plain_steps + 3 * counts.differentiated_steps).max(1) as f64;
+    let mut executor = Executor {
+        dynamics,
+        objective,
+        plain: dynamics.start(start)?,
+        graph: None,
+        kept: BTreeMap::new(),
+        held: Held::default(),
+        seen: 0,
+        value: 0.0,
+        plain_steps: 0,
+    };
     let mut cotangent: Option<Tensor> = None;
-    while let Some(snapshot) = kept.pop() {
-        let (from, to) = bounds[kept.len()];
-        cotangent = Some(segment(dynamics, &snapshot, from, to, objective, cotangent)?);
-        progress((schedule.steps + 4 * (schedule.steps - from)) as f64 / total);
+    let mut forward_seconds = None;
+    let mut differentiated_steps = 0;
+    // The present state is this kept one; none: that of the plain run.
+    let mut present = None;
+    for action in schedule.actions() {
+        match action {
+            Action::Advance { from, to } => {
+                if let Some(step) = present.take() {
+                    executor.resume(step)?;
+                }
+                for step in from..to {
+                    executor.advance(step)?;
+                    if executor.plain_steps.is_multiple_of(16) {
+                        progress((executor.plain_steps + 3 * differentiated_steps) as f64 / total);
+                    }
+                }
+            }
+            Action::Store { step } => executor.store(step, schedule.is_rounded()),
+            Action::Restore { step } => present = Some(step),
+            Action::Discard { step } => executor.discard(step),
+            Action::Tape { from, to } => {
+                forward_seconds.get_or_insert_with(|| clock.elapsed().as_secs_f64());
+                let transient = match present.take() {
+                    Some(_) => None,
+                    None => Some(dynamics.keep(&executor.plain, false)),
+                };
+                cotangent = Some(executor.tape(from, to, transient, cotangent)?);
+                differentiated_steps += to - from;
+                progress((executor.plain_steps + 3 * differentiated_steps) as f64 / total);
+            }
+        }
     }
     let state = match cotangent {
         Some(c) => c,
         None => dynamics.tensor(start)?.zeros_like().map_err(|source| SolverError::Tensor { step: 0, source })?,
     };
-    let backward_seconds = clock.elapsed().as_secs_f64() - forward_seconds;
-    Ok(Gradient { value, state, forward_seconds, backward_seconds })
+    let seconds = clock.elapsed().as_secs_f64();
+    let forward_seconds = forward_seconds.unwrap_or(seconds);
+    Ok(Gradient {
+        value: executor.value,
+        state,
+        forward_seconds,
+        backward_seconds: seconds - forward_seconds,
+        storage: executor.held.peak,
+        plain_steps: executor.plain_steps,
+        differentiated_steps,
+    })
 }
 
-/// The cotangent of a segment's start from that of its end.
-fn segment<D: Dynamics, O: Objective<D>>(
-    dynamics: &D,
-    snapshot: &D::Snapshot,
-    from: usize,
-    to: usize,
-    objective: &O,
-    cotangent: Option<Tensor>,
-) -> Result<Tensor, SolverError> {
-    let failed = |source| SolverError::Tensor { step: from, source };
-    let variable = Var::from_tensor(&dynamics.tensor(snapshot)?).map_err(failed)?;
-    let mut graph = dynamics.start_graph(snapshot)?;
-    let mut state = variable.as_tensor().clone();
-    let mut terms: Vec<Tensor> = Vec::new();
-    for step in from..to {
-        state = dynamics.advance_graph(&mut graph, &state)?;
-        if let Some(weight) = objective.weight(step + 1) {
-            terms.push(objective.tensor(&graph, &state)?.affine(weight, 0.0).map_err(failed)?);
+impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
+    /// One step of the plain run.
+    fn advance(&mut self, step: usize) -> Result<(), SolverError> {
+        self.dynamics.advance(&mut self.plain)?;
+        self.plain_steps += 1;
+        if let Some(kept) = self.kept.get_mut(&step) {
+            self.held.remove(self.dynamics.kept_bytes(kept));
+            self.dynamics.settle(kept, &self.plain);
+            self.held.add(self.dynamics.kept_bytes(kept));
+        }
+        if step == self.seen {
+            self.seen += 1;
+            if let Some(weight) = self.objective.weight(self.seen) {
+                self.value += weight * self.objective.value(&mut self.plain)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn kept(&self, step: usize) -> Result<&D::Kept, SolverError> {
+        self.kept.get(&step).ok_or_else(|| SolverError::Tensor {
+            step,
+            source: candle_core::Error::Msg("the schedule goes back to a state that it has not kept".into()),
+        })
+    }
+
+    fn store(&mut self, step: usize, rounded: bool) {
+        let kept = self.dynamics.keep(&self.plain, rounded);
+        self.held.add(self.dynamics.kept_bytes(&kept));
+        self.kept.insert(step, kept);
+    }
+
+    fn discard(&mut self, step: usize) {
+        if let Some(kept) = self.kept.remove(&step) {
+            self.held.remove(self.dynamics.kept_bytes(&kept));
         }
     }
-    if let Some(cotangent) = cotangent {
-        terms.push((state * cotangent).and_then(|t| t.sum_all()).map_err(failed)?);
+
+    /// Takes the plain run back to a kept state.
+    fn resume(&mut self, step: usize) -> Result<(), SolverError> {
+        let kept = self.kept.get(&step);
+        match kept {
+            Some(kept) => self.dynamics.resume(&mut self.plain, kept),
+            None => self.kept(step).map(|_| ()),
+        }
     }
-    let mut terms = terms.into_iter();
-    let Some(mut loss) = terms.next() else {
-        return variable.zeros_like().map_err(failed);
-    };
-    for term in terms {
-        loss = (loss + term).map_err(failed)?;
+
+    /// The cotangent of the state before step `from` from that of the state before step `to`. Begins at `transient`,
+    /// or else at the kept state of `from`.
+    fn tape(
+        &mut self,
+        from: usize,
+        to: usize,
+        transient: Option<D::Kept>,
+        cotangent: Option<Tensor>,
+    ) -> Result<Tensor, SolverError> {
+        let failed = |source| SolverError::Tensor { step: from, source };
+        // Steps that are taped as soon as they are reached: the objective's values come from the plain run.
+        for step in self.seen.max(from)..to {
+            self.advance(step)?;
+        }
+        let last = self.graph.take();
+        let begin = match &transient {
+            Some(kept) => kept,
+            None => self.kept(from)?,
+        };
+        let (mut graph, tensor) = self.dynamics.start_graph(begin, last, &self.plain)?;
+        let variable = Var::from_tensor(&tensor).map_err(failed)?;
+        drop((tensor, transient));
+        let mut state = variable.as_tensor().clone();
+        let mut terms: Vec<Tensor> = Vec::new();
+        let mut taped = Vec::with_capacity(to - from);
+        for step in from..to {
+            state = self.dynamics.advance_graph(&mut graph, &state)?;
+            let bytes = self.dynamics.taped_bytes(&graph);
+            self.held.add(bytes);
+            taped.push(bytes);
+            if let Some(weight) = self.objective.weight(step + 1) {
+                terms.push(self.objective.tensor(&graph, &state)?.affine(weight, 0.0).map_err(failed)?);
+            }
+        }
+        self.graph = Some(graph);
+        if let Some(cotangent) = cotangent {
+            terms.push((state * cotangent).and_then(|t| t.sum_all()).map_err(failed)?);
+        }
+        let mut terms = terms.into_iter();
+        let found = match terms.next() {
+            None => variable.zeros_like().map_err(failed)?,
+            Some(mut loss) => {
+                for term in terms {
+                    loss = (loss + term).map_err(failed)?;
+                }
+                let mut gradients = loss.backward().map_err(failed)?;
+                gradients.remove(variable.as_tensor()).ok_or_else(|| SolverError::Tensor {
+                    step: from,
+                    source: candle_core::Error::Msg("no gradient reached the start of the segment".into()),
+                })?
+            }
+        };
+        taped.into_iter().for_each(|bytes| self.held.remove(bytes));
+        Ok(found)
     }
-    let mut gradients = loss.backward().map_err(failed)?;
-    gradients.remove(variable.as_tensor()).ok_or_else(|| SolverError::Tensor {
-        step: from,
-        source: candle_core::Error::Msg("no gradient reached the start of the segment".into()),
-    })
 }
 
 /// The SPH solver as dynamics.
@@ -180,8 +356,25 @@ pub struct Sph<R> {
     pub kernels: Kernels,
 }
 
+/// A state that a schedule keeps.
+#[derive(Debug, Clone)]
+pub struct Kept<R> {
+    step: usize,
+    numbers: Numbers<R>,
+    /// Positions that the neighbour list of the step behind this state is built from; shared between states of the
+    /// same list. Never rounded: the list must be the same one.
+    reference: Arc<Vec<R>>,
+}
+
+#[derive(Debug, Clone)]
+enum Numbers<R> {
+    Exact(Vec<R>),
+    Rounded(Vec<f32>),
+}
+
 impl<R: Real> Dynamics for Sph<R> {
     type Snapshot = Snapshot<R>;
+    type Kept = Kept<R>;
     type Plain = Solver<R>;
     type Graph = TensorSolver<R>;
 
@@ -192,7 +385,7 @@ impl<R: Real> Dynamics for Sph<R> {
         if self.kernels == Kernels::Composed {
             // The composed operators exist on the graph only: run them there and drop the graph.
             let snapshot = run.snapshot();
-            let mut graph = self.start_graph(&snapshot)?;
+            let mut graph = TensorSolver::restore(self.model.clone(), &snapshot, self.kernels)?;
             let state = graph.advance(&self.tensor(&snapshot)?)?;
             crate::sph::step::read(
                 &state.contiguous().map_err(|source| SolverError::Tensor { step: run.step, source })?,
@@ -208,32 +401,135 @@ impl<R: Real> Dynamics for Sph<R> {
         }
         run.advance()
     }
-    fn snapshot(&self, run: &Solver<R>) -> Snapshot<R> {
-        run.snapshot()
-    }
-    fn start_graph(&self, snapshot: &Snapshot<R>) -> Result<TensorSolver<R>, SolverError> {
-        TensorSolver::restore(self.model.clone(), snapshot, self.kernels)
-    }
     fn tensor(&self, snapshot: &Snapshot<R>) -> Result<Tensor, SolverError> {
-        let rows = self.model.layout.state_rows();
-        Tensor::from_slice(&snapshot.state, (rows, self.model.particles()), &Device::Cpu)
-            .map_err(|source| SolverError::Tensor { step: snapshot.step, source })
+        self.state_tensor(snapshot.step, &snapshot.state)
     }
     fn advance_graph(&self, run: &mut TensorSolver<R>, state: &Tensor) -> Result<Tensor, SolverError> {
         run.advance(state)
     }
+
+    fn keep(&self, run: &Solver<R>, rounded: bool) -> Kept<R> {
+        let numbers = match rounded {
+            true => Numbers::Rounded(run.state.iter().map(|x| x.f64() as f32).collect()),
+            false => Numbers::Exact(run.state.clone()),
+        };
+        Kept { step: run.step, numbers, reference: run.neighbourhood.reference.clone() }
+    }
+    fn settle(&self, kept: &mut Kept<R>, run: &Solver<R>) {
+        // If the step built a new list, a replay would build the old one first and then find that it is outdated.
+        kept.reference = run.neighbourhood.reference.clone();
+    }
+    fn resume(&self, run: &mut Solver<R>, kept: &Kept<R>) -> Result<(), SolverError> {
+        match &kept.numbers {
+            Numbers::Exact(state) => run.state.copy_from_slice(state),
+            Numbers::Rounded(state) => run.state.iter_mut().zip(state).for_each(|(x, y)| *x = R::of(*y as f64)),
+        }
+        run.step = kept.step;
+        run.neighbourhood = self.neighbourhood(kept, [Some(&run.neighbourhood), None])?;
+        Ok(())
+    }
+    fn start_graph(
+        &self,
+        kept: &Kept<R>,
+        last: Option<TensorSolver<R>>,
+        plain: &Solver<R>,
+    ) -> Result<(TensorSolver<R>, Tensor), SolverError> {
+        let known = [last.as_ref().map(|run| &run.neighbourhood), Some(&plain.neighbourhood)];
+        let neighbourhood = self.neighbourhood(kept, known)?;
+        let run = TensorSolver { model: self.model.clone(), neighbourhood, step: kept.step, kernels: self.kernels };
+        let tensor = match &kept.numbers {
+            Numbers::Exact(state) => self.state_tensor(kept.step, state)?,
+            Numbers::Rounded(state) => {
+                let state: Vec<R> = state.iter().map(|&x| R::of(x as f64)).collect();
+                self.state_tensor(kept.step, &state)?
+            }
+        };
+        Ok((run, tensor))
+    }
+
+    fn kept_bytes(&self, kept: &Kept<R>) -> Bytes {
+        let own = match &kept.numbers {
+            Numbers::Exact(state) => std::mem::size_of_val(state.as_slice()),
+            Numbers::Rounded(state) => std::mem::size_of_val(state.as_slice()),
+        };
+        let shared = std::mem::size_of_val(kept.reference.as_slice());
+        Bytes { own, shared, identity: Arc::as_ptr(&kept.reference) as usize }
+    }
+    fn taped_bytes(&self, run: &TensorSolver<R>) -> Bytes {
+        let list = &run.neighbourhood.list;
+        Bytes { own: self.tape_bytes(), shared: list.bytes(), identity: Arc::as_ptr(list) as usize }
+    }
 }
 
 impl<R: Real> Sph<R> {
-    /// What a kept state and a taped step take, in bytes: the state and the list's reference positions; the tensors of
-    /// a step and the list (counted as if rebuilt in every step: the upper bound).
-    pub fn costs(&self, list_bytes: usize) -> super::schedule::Costs {
+    fn state_tensor(&self, step: usize, state: &[R]) -> Result<Tensor, SolverError> {
+        let rows = self.model.layout.state_rows();
+        Tensor::from_slice(state, (rows, self.model.particles()), &Device::Cpu)
+            .map_err(|source| SolverError::Tensor { step, source })
+    }
+
+    /// The list of a kept state: one of the known ones if it is theirs, else built anew.
+    fn neighbourhood(
+        &self,
+        kept: &Kept<R>,
+        known: [Option<&Neighbourhood<R>>; 2],
+    ) -> Result<Neighbourhood<R>, SolverError> {
+        if let Some(same) = known.into_iter().flatten().find(|n| Arc::ptr_eq(&n.reference, &kept.reference)) {
+            return Ok(same.clone());
+        }
+        let mut new = Neighbourhood::build(&self.model, &kept.reference, 0)
+            .map_err(|source| SolverError::Neighbours { step: kept.step, source })?;
+        // The same positions, and the same place in memory: states of one list are known by it.
+        new.reference = kept.reference.clone();
+        Ok(new)
+    }
+
+    /// Bytes of a number in every row of a field with `rows` rows.
+    fn field(&self, rows: usize) -> usize {
+        rows * self.model.particles() * std::mem::size_of::<R>()
+    }
+
+    /// The tensors that a step leaves on the tape: moved state, density, primitives, rates, state.
+    fn tape_bytes(&self) -> usize {
+        let l = self.model.layout;
+        self.field(l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows())
+    }
+
+    /// What a kept state and a taped step take, in bytes, in a run that begins with `state`: its list, and its speed
+    /// if that is above a tenth of the sound speed (which is chosen as ten times the fastest flow).
+    pub fn costs_from(&self, state: &[R]) -> Result<Costs, NeighbourError> {
         let (l, n) = (self.model.layout, self.model.particles());
-        let number = std::mem::size_of::<R>();
-        let rows = l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
-        super::schedule::Costs {
-            state: (l.state_rows() + l.dimension) * n * number,
-            tape_step: rows * n * number + list_bytes + l.dimension * n * number,
+        let list = Neighbourhood::build(&self.model, state, 0)?.list;
+        let component = |i: usize, d: usize| state[(l.velocity() + d) * n + i].f64();
+        let speed = |i: usize| (0..l.dimension).map(|d| component(i, d).powi(2)).sum::<f64>().sqrt();
+        let fastest = (0..n).map(speed).fold(0.0, f64::max);
+        Ok(self.costs_at(list.bytes(), fastest))
+    }
+
+    /// The same without a state, for neighbour lists of a given size.
+    pub fn costs(&self, list_bytes: usize) -> Costs {
+        self.costs_at(list_bytes, 0.0)
+    }
+
+    fn costs_at(&self, list_bytes: usize, fastest: f64) -> Costs {
+        // A list serves until a particle has moved half the skin.
+        let speed = fastest.max(0.1 * crate::sph::plan::sound_speed(&self.model.equation_of_state));
+        let steps_per_list = ((0.5 * self.model.skin / (speed * self.model.dt)).ceil() as usize).max(1);
+        let (l, n) = (self.model.layout, self.model.particles());
+        let reference = self.field(l.dimension);
+        // The plain run's fields and list, and a list in the making.
+        let run = self.field(l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows()) + 2 * list_bytes;
+        // The variable, the cotangents of a state, of its parts and of its product; what the objective tapes of a step.
+        let cotangents = self.field(4 * l.state_rows() + 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows());
+        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows());
+        Costs {
+            state: self.field(l.state_rows()),
+            rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
+            shared: reference,
+            shared_steps: steps_per_list,
+            tape_step: self.tape_bytes(),
+            tape_shared: list_bytes,
+            working: run + reference + cotangents + objective,
         }
     }
 }

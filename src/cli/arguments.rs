@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::cli::bench::BenchArguments;
 use crate::error::{BadInput, Error};
 use crate::scene::config::{Config, GradientMode, Kernels, Precision};
 use crate::scene::layers::Setting;
@@ -41,6 +42,8 @@ Examples:
       with a sine-shaped wall
   hydrograd simulate --set design.file=runs/optimize-heated-channel/shape.csv --set resolution.dx=0.01
       the optimum of a run again, at half the spacing
+  hydrograd simulate --explain
+      what a step would do, and nothing is run
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -48,6 +51,8 @@ pub struct SimulateArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
 }
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
@@ -60,6 +65,8 @@ Examples:
       from four start shapes, compared in one plot
   hydrograd optimize --preset report --start random --seed 7
       the original report's settings, from a random wall
+  hydrograd optimize --memory 20MB --explain
+      the schedule that fits into 20 MB, with its storage and the steps run again
   hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
       go on with a run, up to 80 epochs in all")]
 pub struct OptimizeArguments {
@@ -67,6 +74,8 @@ pub struct OptimizeArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
     #[command(flatten)]
     pub gradient: GradientArguments,
     /// Start shape (design.shape); `all` runs flat, random, linear and sine and compares them.
@@ -99,27 +108,8 @@ pub struct CheckGradientArguments {
     #[arg(long, value_name = "N", default_value_t = CHECK_STEPS)]
     pub steps: usize,
     /// Random directions to compare along.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = at_least_one)]
     pub directions: usize,
-}
-
-/// Time a step and its gradient in every mode, with peak memory (best and median of several repeats).
-#[derive(Debug, Clone, Args)]
-#[command(after_long_help = "\
-Examples:
-  hydrograd bench --preset report
-      the original report's 950 particles and 2000 steps
-  hydrograd bench --preset report --set time.steps=400 --threads 1 --precision f32
-      one thread, single precision")]
-pub struct BenchArguments {
-    #[command(flatten)]
-    pub common: CommonArguments,
-    /// Repeats of each row.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
-    pub repeats: usize,
-    /// Leave out gradients predicted to take more than this.
-    #[arg(long, value_name = "GB", default_value_t = 4.0)]
-    pub memory_gb: f64,
 }
 
 /// List the built-in scenes and presets, or print a scene as TOML.
@@ -179,13 +169,41 @@ pub struct ResumeArgument {
     pub resume: Option<PathBuf>,
 }
 
+/// What gradients may use.
+#[derive(Debug, Clone, Args)]
+pub struct MemoryArgument {
+    /// Memory that the gradient may use, such as 200MB: picks every state, every k-th or binomial (optimise.memory).
+    // A negative amount is refused as one, not as an unknown option.
+    #[arg(long, value_name = "SIZE", allow_hyphen_values = true)]
+    pub memory: Option<String>,
+}
+
+impl MemoryArgument {
+    fn setting(&self) -> Option<Setting> {
+        self.memory.as_ref().map(|size| Setting::option("--memory", "optimise.memory", size))
+    }
+}
+
+/// Showing what would be done.
+#[derive(Debug, Clone, Args)]
+pub struct ExplainArgument {
+    /// Print the plan (operators, fields, what was left out and why, pairs, bytes, time step, schedule) and stop.
+    #[arg(long)]
+    pub explain: bool,
+}
+
 /// How gradients are computed.
 #[derive(Debug, Clone, Args)]
 pub struct GradientArguments {
     /// Method (optimise.gradient): segments and taped are exact, truncated is not.
     #[arg(long = "gradient", value_name = "METHOD", value_enum)]
     pub method: Option<GradientMode>,
-    /// Steps per segment, 0 to choose (optimise.segment).
+    #[command(flatten)]
+    pub memory: MemoryArgument,
+    /// Precision of kept states: f32 halves their memory, but the gradient is not exact then (optimise.store).
+    #[arg(long, value_enum, value_name = "PRECISION")]
+    pub store: Option<Precision>,
+    /// Steps per segment instead of a schedule chosen by --memory, 0 to choose (optimise.segment).
     #[arg(long, value_name = "N")]
     pub segment: Option<usize>,
     /// Steps that `truncated` looks back (optimise.horizon).
@@ -250,7 +268,7 @@ impl CommonArguments {
 }
 
 /// Checks that `folder` is one or can be created, without leaving anything behind.
-fn check_writable(folder: &Path) -> Result<(), BadInput> {
+pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
             .place(format!("--out {}", folder.display()))
@@ -274,6 +292,8 @@ impl GradientArguments {
     fn settings(&self) -> Vec<Setting> {
         let settings = [
             self.method.map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
+            self.memory.setting(),
+            self.store.map(|value| Setting::option("--store", "optimise.store", name_of(value))),
             self.segment.map(|value| Setting::option("--segment", "optimise.segment", value)),
             self.horizon.map(|value| Setting::option("--horizon", "optimise.horizon", value)),
         ];
@@ -306,12 +326,6 @@ impl OptimizeArguments {
     }
 }
 
-impl BenchArguments {
-    pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(None, vec![], vec![])
-    }
-}
-
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
@@ -327,12 +341,12 @@ impl CheckGradientArguments {
 }
 
 /// The name of a value as the command line and the configuration spell it.
-fn name_of(value: impl ValueEnum) -> String {
+pub(super) fn name_of(value: impl ValueEnum) -> String {
     let value = value.to_possible_value().expect("no value is hidden");
     value.get_name().to_string()
 }
 
-fn directions(text: &str) -> Result<usize, String> {
+pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if count >= 1 => Ok(count),
         _ => Err("allowed: a whole number, at least 1".into()),
@@ -356,7 +370,7 @@ mod tests {
     #[test]
     fn options_override_keys() {
         let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
-                    --segment 7 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
+                    --segment 7 --memory 1.5GiB --store f32 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
         let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
         let loaded = arguments.load().unwrap();
         let mut expected = Config::default();
@@ -366,6 +380,8 @@ mod tests {
         expected.run.kernels = Kernels::Composed;
         expected.optimise.gradient = GradientMode::Truncated;
         expected.optimise.segment = 7;
+        expected.optimise.memory = crate::scene::memory_size::MemorySize(3 << 29);
+        expected.optimise.store = Precision::F32;
         expected.optimise.horizon = 30;
         expected.optimise.epochs = 3;
         expected.design.shape = crate::scene::config::ShapeName::Random;

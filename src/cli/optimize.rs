@@ -1,5 +1,6 @@
 //! `hydrograd optimize`: the main job.
 
+use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, change, difference, set_threads};
 use super::simulate::{diverged, foreign, number, read_tensors, stored_config};
@@ -31,6 +32,9 @@ const UNITS: u64 = 1000;
 pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     set_threads(&loaded.config);
+    if arguments.explain.explain {
+        return explain(&loaded, true);
+    }
     if arguments.start == Some(StartName::All) {
         return every_start(&loaded, &folder, &arguments);
     }
@@ -263,14 +267,15 @@ fn write_history(folder: &Path, state: &State) -> anyhow::Result<()> {
 }
 
 /// Keys that may change when a run is resumed: how far and how it is computed, not what.
-const FREE: [&str; 8] = [
+const FREE: [&str; 9] = [
     "output",
     "run.threads",
     "run.kernels",
     "optimise.epochs",
     "optimise.gradient",
     "optimise.segment",
-    "optimise.memory_mb",
+    "optimise.memory",
+    "optimise.store",
     "optimise.horizon",
 ];
 

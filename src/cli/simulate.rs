@@ -1,5 +1,6 @@
 //! `hydrograd simulate`: one run forward, with figures, plots and frames.
 
+use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, difference, set_threads};
 use super::SimulateArguments;
@@ -26,6 +27,9 @@ const HISTORY: usize = 400;
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     set_threads(&loaded.config);
+    if arguments.explain.explain {
+        return explain(&loaded, false);
+    }
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &folder, arguments.resume.resume.as_deref()),
         Precision::F64 => go::<f64>(&loaded, &folder, arguments.resume.resume.as_deref()),

@@ -2,11 +2,11 @@
 
 use super::adam::{project, Adam};
 use super::diagnostics::start;
-use crate::adjoint::schedule::Schedule;
+use crate::adjoint::schedule::{Costs, Schedule};
 use crate::adjoint::segments::{gradient, Sph};
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::lanes::Real;
-use crate::scene::config::{Config, GradientMode};
+use crate::scene::config::{Config, GradientMode, Precision};
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::shape::MAX_SLOPE;
 
@@ -63,44 +63,70 @@ pub fn smoothing(weight: f64, offsets: &[f64]) -> (f64, Vec<f64>) {
     (value, gradient)
 }
 
-/// The schedule that a configuration asks for.
-///
-/// Errors: a taped gradient that would not fit into `optimise.memory_mb`.
-pub fn schedule<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<Schedule, Error> {
+/// What keeping a state and taping a step cost in this scene, from its first neighbour list.
+pub fn costs<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<Costs, Error> {
+    let flat = vec![0.0; channel.deformation.variables];
+    let state = channel.deformation.state::<R>(&flat);
     let dynamics = Sph { model: channel.model.clone(), kernels: config.run.kernels };
-    let costs = dynamics.costs(channel.list_bytes());
-    let budget = config.optimise.memory_mb * 1e6;
+    dynamics.costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
+}
+
+/// The schedule that a configuration asks for: the fastest that fits into `optimise.memory`, or segments of a given
+/// length.
+///
+/// Errors: a schedule that would not fit, and a budget that is too small for any.
+pub fn schedule<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<Schedule, Error> {
+    let (costs, steps) = (costs(config, channel)?, channel.steps);
     let wanted = &config.optimise;
-    let length = |steps: usize| match wanted.segment {
-        0 => Schedule::least_memory(steps, costs),
-        segment => segment,
+    let budget = wanted.memory;
+    let first = match wanted.gradient {
+        GradientMode::Truncated => steps - wanted.horizon.min(steps),
+        _ => 0,
     };
-    let schedule = match wanted.gradient {
-        GradientMode::Taped => Schedule::taped(channel.steps),
-        GradientMode::Segments => Schedule::segments(channel.steps, length(channel.steps)),
-        GradientMode::Truncated => {
-            let horizon = wanted.horizon.min(channel.steps);
-            Schedule::truncated(channel.steps, horizon, length(horizon))
-        }
+    // In f32 a rounded state is the state.
+    let rounded = wanted.store == Precision::F32 && config.run.precision == Precision::F64;
+    let schedule = match (wanted.gradient, wanted.segment) {
+        (GradientMode::Taped, _) => Schedule::taped(steps),
+        _ if rounded => Schedule::every_state(steps, first, true),
+        (_, 0) => Schedule::within(steps, first, costs, budget.bytes()).map_err(|too_small| {
+            let segments = Schedule::least_memory(steps - first, costs);
+            BadInput::new(format!(
+                "optimise.memory = {budget} is too small for the gradient of {} steps",
+                steps - first
+            ))
+            .allowed(format!("at least {} (one state kept, and very slow)", rounded_up(too_small.least)))
+            .advice(format!(
+                "--memory {} (no step is run twice)",
+                rounded_up(Schedule::segments(steps - first, segments).memory(costs))
+            ))
+        })?,
+        (_, segment) => Schedule::truncated(steps, steps - first, segment),
     };
-    let needed = schedule.memory(costs) as f64;
-    if needed > budget {
-        let best = Schedule::least_memory(channel.steps - schedule.first, costs);
-        return Err(Error::run(
-            format!(
-                "the gradient of {} steps would take about {:.0} MB, more than optimise.memory_mb = {:.0}: {} states of {} kB and {} taped steps of {} kB",
-                schedule.steps - schedule.first,
-                needed / 1e6,
-                wanted.memory_mb,
-                schedule.stored_states(),
-                costs.state / 1000,
-                schedule.taped_steps(),
-                costs.tape_step / 1000,
-            ),
-            format!("--gradient segments --segment {best} (the least memory), or a larger optimise.memory_mb"),
-        ));
+    let needed = schedule.memory(costs);
+    if needed > budget.bytes() {
+        let counts = schedule.counts();
+        return Err(BadInput::new(format!(
+            "the gradient of {} steps ({schedule}) would take about {:.1} MB: {} states of {} kB and {} taped steps of {} kB",
+            steps - first,
+            needed as f64 / 1e6,
+            counts.stored_states,
+            if rounded { costs.rounded_state } else { costs.state } / 1000,
+            counts.taped_steps,
+            costs.tape_step / 1000,
+        ))
+        .allowed(format!("optimise.memory = {budget}"))
+        .advice(format!(
+            "--memory {}, or --gradient segments --segment 0 --store f64 (what fits is chosen)",
+            rounded_up(needed)
+        ))
+        .into());
     }
     Ok(schedule)
+}
+
+/// A number of bytes as an option, up to the next tenth of a megabyte.
+fn rounded_up(bytes: usize) -> String {
+    format!("{:.1}MB", (bytes as f64 / 1e5).ceil() / 10.0)
 }
 
 /// Evaluates a design and differentiates it.

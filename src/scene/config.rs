@@ -4,6 +4,7 @@
 //! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
+use super::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
 /// A complete, resolved configuration.
@@ -218,10 +219,12 @@ pub struct Optimise {
     /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
     pub smoothing: f64,
     pub gradient: GradientMode,
-    /// Steps per segment; 0 chooses about the square root of the number of steps.
+    /// Memory the gradient may use: the fastest schedule that fits is taken (see [`crate::adjoint::schedule`]).
+    pub memory: MemorySize,
+    /// Precision of kept states; single is for schedules that keep every state only.
+    pub store: Precision,
+    /// Steps per segment instead of a schedule chosen by memory; 0 chooses.
     pub segment: usize,
-    /// Memory the gradient may use, in MB; a schedule that needs more is refused with an estimate.
-    pub memory_mb: f64,
     /// Steps that `truncated` looks back.
     pub horizon: usize,
 }
@@ -355,8 +358,9 @@ impl Default for Optimise {
             learning_rate: 3e-4,
             smoothing: 5.0,
             gradient: GradientMode::Segments,
+            memory: MemorySize(300_000_000),
+            store: Precision::F64,
             segment: 0,
-            memory_mb: 300.0,
             horizon: 200,
         }
     }

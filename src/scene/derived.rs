@@ -2,6 +2,13 @@
 
 use super::config::Config;
 
+/// What bounds the time step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeStepLimits {
+    pub acoustic: f64,
+    pub diffusive: f64,
+}
+
 impl Config {
     /// c = sound_speed_factor * reference_velocity.
     pub fn sound_speed(&self) -> f64 {
@@ -13,13 +20,21 @@ impl Config {
         self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
     }
 
-    /// The largest time step: the smaller of the acoustic limit cfl dx / (c + u_ref) and the diffusive limit
+    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and
     /// diffusion_number dx^2 / max(nu, alpha).
-    pub fn time_step_limit(&self) -> f64 {
+    pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
-        let acoustic = self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity);
         let diffusivity = (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity());
-        acoustic.min(self.time.diffusion_number * dx * dx / diffusivity)
+        TimeStepLimits {
+            acoustic: self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity),
+            diffusive: self.time.diffusion_number * dx * dx / diffusivity,
+        }
+    }
+
+    /// The largest time step: the smaller of the two limits.
+    pub fn time_step_limit(&self) -> f64 {
+        let limits = self.time_step_limits();
+        limits.acoustic.min(limits.diffusive)
     }
 
     /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.

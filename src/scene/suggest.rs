@@ -54,9 +54,9 @@ mod tests {
 
     #[test]
     fn nearest_is_near_or_nothing() {
-        let known = ["height", "length", "dx", "memory_mb"];
+        let known = ["height", "length", "dx", "memory"];
         assert_eq!(nearest("heigth", &known), Some("height"));
-        assert_eq!(nearest("memory", &known), Some("memory_mb"));
+        assert_eq!(nearest("memory_mb", &known), Some("memory"));
         assert_eq!(nearest("viscosity", &known), None);
         assert_eq!(nearest("qq", &known), None);
     }

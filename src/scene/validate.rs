@@ -1,6 +1,6 @@
 //! Ranges of every number, and the conditions that link them.
 
-use super::config::Config;
+use super::config::{Config, GradientMode, Precision};
 use super::shape::Shape;
 use crate::error::{BadInput, Error};
 
@@ -94,7 +94,6 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("optimise.learning_rate", optimise.learning_rate, Positive),
         ("optimise.smoothing", optimise.smoothing, NotNegative),
         ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
-        ("optimise.memory_mb", optimise.memory_mb, Positive),
         ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
         ("run.threads", run.threads as f64, Within(0.0, 1024.0)),
         ("output.frames", output.frames as f64, Within(0.0, 1e5)),
@@ -120,7 +119,23 @@ impl Config {
         self.check_channel()?;
         self.check_time()?;
         self.check_bound()?;
+        self.check_store()?;
         Shape::from_config(self).map(|_| ())
+    }
+
+    /// Rounded states belong to schedules that keep every state.
+    fn check_store(&self) -> Result<(), BadInput> {
+        let optimise = &self.optimise;
+        let every_state = optimise.gradient != GradientMode::Taped && optimise.segment <= 1;
+        if optimise.store == Precision::F32 && self.run.precision == Precision::F64 && !every_state {
+            return Err(BadInput::new("optimise.store = f32 with states that steps are run again from")
+                .key("optimise.store")
+                .allowed("f32 only where every state is kept: a run from a rounded state is another run")
+                .advice(
+                    "optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64",
+                ));
+        }
+        Ok(())
     }
 
     /// dx divides length and height, and the particles can be counted.

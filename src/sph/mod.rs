@@ -9,6 +9,7 @@ pub mod heat;
 pub mod interpolation;
 pub mod model;
 pub mod pairs;
+pub mod plan;
 pub mod pressure;
 pub mod primitives;
 pub mod rates;

@@ -1,0 +1,53 @@
+//! `--explain`: what would be run, without running it.
+
+use super::prepare::build;
+use crate::design::diagnostics::start;
+use crate::design::optimise;
+use crate::error::Error;
+use crate::lanes::Real;
+use crate::scene::config::{Config, Precision};
+use crate::scene::load::Loaded;
+use crate::sph::plan::Plan;
+
+/// Prints the plan of a scene, with that of its gradient if one would be taken.
+pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let plan = match config.run.precision {
+        Precision::F32 => plan::<f32>(config, gradient)?,
+        Precision::F64 => plan::<f64>(config, gradient)?,
+    };
+    println!("{}, {} steps", loaded.source, config.steps());
+    print!("{plan}");
+    Ok(())
+}
+
+fn plan<R: Real>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
+    let (channel, shape) = build::<R>(config)?;
+    let first = start(&channel, &shape.offsets);
+    let plan = Plan::of(&channel.model, &first.state, Some(limit(config)))
+        .map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))?;
+    if !gradient {
+        return Ok(plan);
+    }
+    let schedule = optimise::schedule(config, &channel)?;
+    let costs = optimise::costs(config, &channel)?;
+    Ok(plan.with_gradient(&channel.model, &schedule, costs, Some(config.optimise.memory.bytes())))
+}
+
+/// What the time step was chosen by.
+fn limit(config: &Config) -> String {
+    let limits = config.time_step_limits();
+    let which = match limits.acoustic <= limits.diffusive {
+        true => {
+            format!("sound (time.cfl = {}; heat and viscosity would allow {:.3e})", config.time.cfl, limits.diffusive)
+        }
+        false => format!(
+            "diffusion (time.diffusion_number = {}; sound would allow {:.3e})",
+            config.time.diffusion_number, limits.acoustic
+        ),
+    };
+    match config.time_step() / config.time_step_limit() {
+        share if share < 1.0 - 1e-6 => format!("{which}, and {:.2} % less to end at time.end", 100.0 * (1.0 - share)),
+        _ => which,
+    }
+}

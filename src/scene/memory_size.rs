@@ -1,0 +1,138 @@
+//! An amount of memory as people write it: `200MB`, `1.5 GiB`.
+
+use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
+
+/// Bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MemorySize(pub u64);
+
+/// Units by what they are worth.
+const UNITS: [(&str, u64); 7] = [
+    ("B", 1),
+    ("KB", 1_000),
+    ("MB", 1_000_000),
+    ("GB", 1_000_000_000),
+    ("KiB", 1 << 10),
+    ("MiB", 1 << 20),
+    ("GiB", 1 << 30),
+];
+
+/// What can be written.
+pub const FORM: &str = "a number above 0 with its unit, B, KB, MB, GB, KiB, MiB or GiB, such as \"200MB\"";
+
+impl MemorySize {
+    /// Bytes as the machine counts them.
+    pub fn bytes(self) -> usize {
+        usize::try_from(self.0).unwrap_or(usize::MAX)
+    }
+}
+
+impl std::str::FromStr for MemorySize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        // A number may end in a letter only if it is an exponent, which no unit begins with.
+        let at = text.find(|c: char| c.is_ascii_alphabetic() && !"eE".contains(c)).unwrap_or(text.len());
+        let (number, unit) = (text[..at].trim(), &text[at..]);
+        let bad = |what: &str| format!("`{text}` {what}; expected {FORM}");
+        let value: f64 = number.parse().map_err(|_| bad("is not an amount of memory"))?;
+        if unit.is_empty() {
+            return Err(bad("has no unit"));
+        }
+        let known = UNITS.iter().find(|(name, _)| name.eq_ignore_ascii_case(unit));
+        let Some((_, factor)) = known else {
+            return Err(bad(&format!("has the unknown unit `{unit}`")));
+        };
+        let bytes = (value * *factor as f64).round();
+        if !(bytes >= 1.0 && bytes <= 1e18) {
+            return Err(bad("is out of range"));
+        }
+        Ok(Self(bytes as u64))
+    }
+}
+
+impl fmt::Display for MemorySize {
+    /// In the largest unit that needs no fraction.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let whole = UNITS.iter().filter(|(_, factor)| self.0.is_multiple_of(*factor));
+        let (unit, factor) = whole.max_by_key(|(_, factor)| *factor).unwrap_or(&UNITS[0]);
+        write!(out, "{}{unit}", self.0 / factor)
+    }
+}
+
+impl Serialize for MemorySize {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for MemorySize {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl de::Visitor<'_> for Visitor {
+            type Value = MemorySize;
+            fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
+                out.write_str(FORM)
+            }
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<MemorySize, E> {
+                text.parse().map_err(E::custom)
+            }
+            fn visit_i64<E: de::Error>(self, number: i64) -> Result<MemorySize, E> {
+                number.to_string().parse().map_err(E::custom)
+            }
+            fn visit_f64<E: de::Error>(self, number: f64) -> Result<MemorySize, E> {
+                number.to_string().parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_any(Visitor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_read() {
+        for (text, bytes) in [
+            ("200MB", 200_000_000),
+            ("1.5 GiB", 3 << 29),
+            ("300mb", 300_000_000),
+            (" 2KiB ", 2048),
+            ("1e3B", 1000),
+            ("0.5KB", 500),
+        ] {
+            assert_eq!(text.parse(), Ok(MemorySize(bytes)), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_an_amount_is_refused() {
+        for (text, word) in [
+            ("200", "no unit"),
+            ("1e9", "no unit"),
+            ("200 apples", "unknown unit"),
+            ("MB", "not an amount"),
+            ("", "not an amount"),
+            ("-1MB", "out of range"),
+            ("0B", "out of range"),
+            ("1e40GB", "out of range"),
+            ("nanMB", "not an amount"),
+            ("infGB", "not an amount"),
+        ] {
+            let error = text.parse::<MemorySize>().unwrap_err();
+            assert!(error.contains(word) && error.contains("MiB"), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_is_shown_reads_back() {
+        for bytes in [1, 1000, 1024, 300_000_000, 200 << 20, 1_500_000_000, 123_456_789, 1 << 40] {
+            let size = MemorySize(bytes);
+            assert_eq!(size.to_string().parse(), Ok(size), "{size}");
+        }
+        assert_eq!(MemorySize(300_000_000).to_string(), "300MB");
+    }
+}

@@ -1,0 +1,498 @@
+//! The plan of a scene, made visible: what one step does, on which fields and particles, and what was left out and why.
+//!
+//! It is read off the same [`Model`], [`super::model::Layout`] and first neighbour list that the operators run on.
+
+use super::body_force::BodyForce;
+use super::equation_of_state::EquationOfState;
+use super::model::Model;
+use super::step::Neighbourhood;
+use crate::adjoint::schedule::{Costs, Counts, Schedule};
+use crate::lanes::{InstructionSet, Real};
+use crate::neighbours::list::NeighbourError;
+use crate::report::table::Table;
+use serde::Serialize;
+use std::fmt;
+
+/// c = sqrt(gamma p_ref / rho_ref).
+pub fn sound_speed(state: &EquationOfState) -> f64 {
+    (state.gamma as f64 * state.reference_pressure / state.reference_density).sqrt()
+}
+
+/// What a step of a scene is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Plan {
+    pub precision: &'static str,
+    pub instruction_set: String,
+    pub threads: usize,
+    pub dimension: usize,
+    pub particles: Particles,
+    pub list: List,
+    pub time_step: TimeStep,
+    /// In the order of one step.
+    pub operators: Vec<Operator>,
+    pub fields: Vec<Field>,
+    pub dropped: Vec<Dropped>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient: Option<GradientPlan>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Particles {
+    pub total: usize,
+    /// Rows of density and rates.
+    pub fluid: usize,
+    /// Wall particles with fluid in reach: rows of the walls' extrapolation.
+    pub walls: usize,
+    /// Wall particles that no fluid can reach before the list is built anew.
+    pub walls_without_row: usize,
+}
+
+/// The first neighbour list.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct List {
+    /// i in row j and j in row i are two.
+    pub directed_pairs: usize,
+    /// Mean over the rows that have any.
+    pub neighbours: f64,
+    /// Places in a row, padding included.
+    pub capacity: usize,
+    pub bytes: usize,
+    /// Cut-off and skin.
+    pub reach: f64,
+    pub skin: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TimeStep {
+    pub dt: f64,
+    /// dt (c + c/10) / h: the sound speed is chosen as ten times the fastest flow.
+    pub acoustic_number: f64,
+    /// dt max(nu, alpha) / h^2.
+    pub diffusion_number: f64,
+    /// What keeps it from being longer, where that is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limited_by: Option<String>,
+}
+
+/// An operator of a step. Bytes are an estimate: each input and output row and each list entry once from memory;
+/// `gathered` is what pairs fetch from their neighbours' records, mostly from the cache.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Operator {
+    pub name: &'static str,
+    pub does: Vec<String>,
+    /// Rows of particles that it computes.
+    pub rows: usize,
+    /// Directed pairs that it sums over.
+    pub pairs: usize,
+    pub bytes_read: usize,
+    pub bytes_written: usize,
+    pub bytes_gathered: usize,
+}
+
+/// A packed tensor `[rows, N]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Field {
+    pub name: &'static str,
+    pub rows: Vec<String>,
+    pub bytes: usize,
+}
+
+/// Something that the scene does not need.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Dropped {
+    pub what: String,
+    pub why: String,
+}
+
+fn dropped(what: impl Into<String>, why: impl Into<String>) -> Dropped {
+    Dropped { what: what.into(), why: why.into() }
+}
+
+/// How a run's gradient is computed and what that is predicted to take.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GradientPlan {
+    pub schedule: String,
+    pub steps: usize,
+    /// The first of them that is differentiated.
+    pub first: usize,
+    #[serde(flatten)]
+    pub counts: Counts,
+    pub state_bytes: usize,
+    pub taped_step_bytes: usize,
+    /// Peak of kept states and tape.
+    pub storage_bytes: usize,
+    /// The same with the buffers of the run.
+    pub memory_bytes: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget_bytes: Option<usize>,
+    /// What carries no adjoint.
+    pub dropped: Vec<Dropped>,
+}
+
+impl Plan {
+    /// The plan of a scene in a state (its positions make the list). `limited_by` says what the time step was chosen
+    /// by; a model does not know that.
+    pub fn of<R: Real>(model: &Model<R>, state: &[R], limited_by: Option<String>) -> Result<Self, NeighbourError> {
+        let list = Neighbourhood::build(model, state, 0)?.list;
+        let fluid = list.fluid_rows.len();
+        let walls = list.wall_rows.len();
+        let particles =
+            Particles { total: model.particles(), fluid, walls, walls_without_row: model.particles() - fluid - walls };
+        let h = model.kernel.smoothing_length;
+        let kinematic = model.viscosity / model.equation_of_state.reference_density;
+        let thermal = model
+            .heat
+            .as_ref()
+            .map_or(0.0, |heat| heat.conductivity / (model.equation_of_state.reference_density * heat.capacity));
+        let with_neighbours = list.count.iter().filter(|&&c| c > 0).count();
+        Ok(Self {
+            precision: if std::mem::size_of::<R>() == 4 { "f32" } else { "f64" },
+            instruction_set: format!("{:?}", InstructionSet::detect()).to_lowercase(),
+            threads: candle_core::utils::barrier_pool().n_workers() + 1,
+            dimension: model.layout.dimension,
+            particles,
+            list: List {
+                directed_pairs: list.pairs(),
+                neighbours: list.pairs() as f64 / with_neighbours.max(1) as f64,
+                capacity: list.capacity,
+                bytes: list.bytes(),
+                reach: model.reach(),
+                skin: model.skin,
+            },
+            time_step: TimeStep {
+                dt: model.dt,
+                acoustic_number: model.dt * 1.1 * sound_speed(&model.equation_of_state) / h,
+                diffusion_number: model.dt * kinematic.max(thermal) / (h * h),
+                limited_by,
+            },
+            operators: operators(model, &list),
+            fields: fields(model),
+            dropped: left_out(model, &particles),
+            gradient: None,
+        })
+    }
+
+    /// Adds how the gradient is computed.
+    pub fn with_gradient<R: Real>(
+        mut self,
+        model: &Model<R>,
+        schedule: &Schedule,
+        costs: Costs,
+        budget: Option<usize>,
+    ) -> Self {
+        let state = if schedule.is_rounded() { costs.rounded_state } else { costs.state };
+        self.gradient = Some(GradientPlan {
+            schedule: schedule.to_string(),
+            steps: schedule.steps,
+            first: schedule.first,
+            counts: schedule.counts(),
+            state_bytes: state,
+            taped_step_bytes: costs.tape_step,
+            storage_bytes: schedule.storage(costs),
+            memory_bytes: schedule.memory(costs),
+            budget_bytes: budget,
+            dropped: without_adjoint(model, schedule),
+        });
+        self
+    }
+
+    /// Bytes that a step reads and writes.
+    pub fn bytes_per_step(&self) -> (usize, usize) {
+        let sum = |f: fn(&Operator) -> usize| self.operators.iter().map(f).sum();
+        (sum(|o| o.bytes_read), sum(|o| o.bytes_written))
+    }
+}
+
+/// Names of vector components.
+fn components(name: &str, dimension: usize) -> Vec<String> {
+    ["x", "y", "z"][..dimension].iter().map(|c| format!("{name} {c}")).collect()
+}
+
+fn fields<R: Real>(model: &Model<R>) -> Vec<Field> {
+    let l = model.layout;
+    let vector = |name: &str| components(name, l.dimension);
+    let optional = |wanted: bool, names: Vec<String>| if wanted { names } else { vec![] };
+    let one = |name: &str| vec![name.to_string()];
+    let state = [
+        vector("position"),
+        vector("velocity"),
+        vector("acceleration"),
+        optional(l.transport, vector("transport acceleration")),
+        optional(l.heat, ["temperature", "temperature rate"].map(String::from).to_vec()),
+        optional(l.mass, one("mass")),
+    ];
+    let moved = [
+        vector("position"),
+        vector("velocity"),
+        optional(l.transport, vector("transport shift")),
+        optional(l.heat, ["temperature before", "temperature"].map(String::from).to_vec()),
+        optional(l.mass, one("mass")),
+        vec![],
+    ];
+    let primitives = [
+        one("density"),
+        vector("velocity"),
+        optional(l.transport, vector("transport shift")),
+        optional(l.heat, one("temperature")),
+        vec![],
+        vec![],
+    ];
+    let rates = [
+        vector("acceleration"),
+        optional(l.transport, vector("transport acceleration")),
+        optional(l.heat, one("temperature rate")),
+        vec![],
+        vec![],
+        vec![],
+    ];
+    let density = [one("density"), vec![], vec![], vec![], vec![], vec![]];
+    [("state", state), ("moved", moved), ("density", density), ("primitives", primitives), ("rates", rates)]
+        .into_iter()
+        .map(|(name, rows)| {
+            let rows = rows.concat();
+            Field { name, bytes: rows.len() * model.particles() * std::mem::size_of::<R>(), rows }
+        })
+        .collect()
+}
+
+fn operators<R: Real>(model: &Model<R>, list: &crate::neighbours::NeighbourList) -> Vec<Operator> {
+    let (l, n, number) = (model.layout, model.particles(), std::mem::size_of::<R>());
+    let d = l.dimension;
+    let row = |rows: usize| rows * n * number;
+    let fluid_pairs: usize = list.fluid_rows.iter().map(|&i| list.count[i as usize] as usize).sum();
+    let wall_pairs = list.pairs() - fluid_pairs;
+    let words = |parts: &[(bool, &str)]| -> Vec<String> {
+        parts.iter().filter(|(wanted, _)| *wanted).map(|(_, text)| text.to_string()).collect()
+    };
+    let mut all = vec![
+        Operator {
+            name: "drift",
+            does: words(&[
+                (true, "kick with the old acceleration"),
+                (l.transport, "transport velocity"),
+                (true, "move"),
+                (model.domain.periodic[..d].contains(&true), "periodic wrap"),
+                (l.heat, "heat with the old rate"),
+            ]),
+            rows: n,
+            pairs: 0,
+            bytes_read: row(l.state_rows()),
+            bytes_written: row(l.moved_rows()),
+            bytes_gathered: 0,
+        },
+        Operator {
+            name: "neighbours",
+            does: vec!["largest move since the list was built; a new list at half the skin".into()],
+            rows: n,
+            pairs: 0,
+            bytes_read: 2 * row(d),
+            bytes_written: 0,
+            bytes_gathered: 0,
+        },
+        Operator {
+            name: "density",
+            does: vec!["summation".into()],
+            rows: list.fluid_rows.len(),
+            pairs: fluid_pairs,
+            bytes_read: row(d + l.mass as usize) + 4 * fluid_pairs,
+            bytes_written: row(1),
+            bytes_gathered: d * number * fluid_pairs,
+        },
+    ];
+    // Averaged over the fluid: velocity, [shift], pressure, [temperature].
+    let averaged = d * (1 + l.transport as usize) + 1 + l.heat as usize;
+    let extrapolates = !list.wall_rows.is_empty();
+    all.push(Operator {
+        name: "primitives",
+        does: words(&[
+            (true, "copy of the fluid's fields"),
+            (extrapolates, "walls: pressure, density and velocity from the fluid (Adami 2012)"),
+            (extrapolates && l.transport, "walls: transport shift"),
+            (extrapolates && l.heat, "walls: temperature"),
+        ]),
+        rows: list.wall_rows.len(),
+        pairs: if extrapolates { wall_pairs } else { 0 },
+        bytes_read: row(l.moved_rows() + 1) + if extrapolates { 4 * wall_pairs } else { 0 },
+        bytes_written: row(l.primitive_rows()),
+        bytes_gathered: if extrapolates { (d + averaged) * number * wall_pairs } else { 0 },
+    });
+    let record = (2 * d + 2 + if l.transport { d } else { 0 } + l.heat as usize).next_multiple_of(4);
+    all.push(Operator {
+        name: "rates",
+        does: words(&[
+            (true, "pressure"),
+            (true, "viscosity"),
+            (l.transport, "transport velocity: stress and background pressure"),
+            (l.heat, "conduction"),
+            (model.body_force != BodyForce::None, "body force"),
+        ]),
+        rows: list.fluid_rows.len(),
+        pairs: fluid_pairs,
+        bytes_read: row(d + l.primitive_rows() + l.mass as usize) + 4 * fluid_pairs,
+        bytes_written: row(l.rate_rows()),
+        bytes_gathered: record * number * fluid_pairs,
+    });
+    all.push(Operator {
+        name: "advance",
+        does: words(&[(true, "the new state from its parts"), (l.heat, "inlet temperature")]),
+        rows: n,
+        pairs: 0,
+        bytes_read: row(l.moved_rows() + l.rate_rows()),
+        bytes_written: row(l.state_rows()),
+        bytes_gathered: 0,
+    });
+    all
+}
+
+fn left_out<R: Real>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> {
+    let l = model.layout;
+    let mut all = Vec::new();
+    if !l.heat {
+        all.push(dropped("temperature, its rate, conduction", "the scene has no heat"));
+    }
+    if !l.transport {
+        all.push(dropped("transport velocity and its acceleration", "its strength is 0"));
+    }
+    if !l.mass {
+        all.push(dropped("a mass of each particle", format!("every particle has the mass {:.4e}", model.mass)));
+    }
+    all.push(dropped("a viscosity of each particle", format!("constant: {}", model.viscosity)));
+    if let Some(heat) = &model.heat {
+        let constants = format!("constant: {} and {}", heat.conductivity, heat.capacity);
+        all.push(dropped("a conductivity and a heat capacity of each particle", constants));
+    }
+    if model.body_force == BodyForce::None {
+        all.push(dropped("body force", "the scene has none"));
+    }
+    if !model.has_walls() {
+        all.push(dropped("the walls' extrapolation", "the scene has no walls"));
+    } else {
+        all.push(dropped("pairs of two wall particles", "nothing sums over them"));
+    }
+    if particles.walls_without_row > 0 {
+        all.push(dropped(
+            format!("rows of {} wall particles", particles.walls_without_row),
+            "no fluid can reach them before the next list",
+        ));
+    }
+    all.push(dropped("self pairs", "their share of the density is a constant, and of all else zero"));
+    all
+}
+
+fn without_adjoint<R: Real>(model: &Model<R>, schedule: &Schedule) -> Vec<Dropped> {
+    let mut all = vec![
+        dropped("neighbour list", "a sum does not change when a pair outside of the kernel's support comes or goes"),
+        dropped("viscosity, masses' constant part, time step, equation of state", "the design does not change them"),
+    ];
+    if model.body_force != BodyForce::None {
+        all.push(dropped("body force", "piecewise constant: its derivative by the position is zero"));
+    }
+    if model.heat.is_some() {
+        all.push(dropped("temperature upstream of the inlet", "the inlet sets it anew"));
+    }
+    if schedule.first > 0 {
+        let steps = format!("steps 0 ... {}", schedule.first - 1);
+        all.push(dropped(steps, "truncated: optimise.horizon; the gradient is not exact"));
+    }
+    all
+}
+
+/// `12.3 MB`.
+fn bytes(count: usize) -> String {
+    match count as f64 {
+        b if b < 1e4 => format!("{b} B"),
+        b if b < 1e6 => format!("{:.1} kB", b / 1e3),
+        b if b < 1e10 => format!("{:.1} MB", b / 1e6),
+        b => format!("{:.1} GB", b / 1e9),
+    }
+}
+
+/// `1 step`, `2 steps`.
+fn plural(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
+fn lines(out: &mut fmt::Formatter<'_>, title: &str, all: &[Dropped]) -> fmt::Result {
+    writeln!(out, "\n{title}")?;
+    all.iter().try_for_each(|d| writeln!(out, "  {}: {}", d.what, d.why))
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (p, list, time) = (&self.particles, &self.list, &self.time_step);
+        writeln!(
+            out,
+            "{} particles in {} dimensions: {} fluid, {} wall particles with rows, {} without",
+            p.total, self.dimension, p.fluid, p.walls, p.walls_without_row
+        )?;
+        writeln!(
+            out,
+            "{} directed pairs in the first list ({:.1} per row, padded to {}), {}; reach {:.4}, of it skin {:.4}",
+            list.directed_pairs,
+            list.neighbours,
+            list.capacity,
+            bytes(list.bytes),
+            list.reach,
+            list.skin
+        )?;
+        writeln!(out, "{}, {}, {} threads", self.precision, self.instruction_set, self.threads)?;
+        writeln!(
+            out,
+            "dt {:.4e}: acoustic number {:.3}, diffusion number {:.3}{}",
+            time.dt,
+            time.acoustic_number,
+            time.diffusion_number,
+            time.limited_by.as_ref().map_or(String::new(), |by| format!("; limited by {by}"))
+        )?;
+        writeln!(out, "\none step:")?;
+        let mut table = Table::new(["operator", "rows", "pairs", "reads", "writes", "gathers", "does"]);
+        for o in &self.operators {
+            let numbers = [o.bytes_read, o.bytes_written, o.bytes_gathered].map(bytes);
+            let [read, written, gathered] = numbers;
+            table.row([
+                o.name.into(),
+                o.rows.to_string(),
+                o.pairs.to_string(),
+                read,
+                written,
+                gathered,
+                o.does.join(", "),
+            ]);
+        }
+        write!(out, "{table}")?;
+        let (read, written) = self.bytes_per_step();
+        let each = |total: usize| total as f64 / p.total.max(1) as f64;
+        writeln!(out, "{:.0} bytes read and {:.0} written per particle and step", each(read), each(written))?;
+        writeln!(out, "\nfields:")?;
+        let mut table = Table::new(["field", "rows", "bytes", "names"]);
+        for f in &self.fields {
+            table.row([f.name.into(), f.rows.len().to_string(), bytes(f.bytes), f.rows.join(", ")]);
+        }
+        write!(out, "{table}")?;
+        lines(out, "left out:", &self.dropped)?;
+        let Some(g) = &self.gradient else { return Ok(()) };
+        let c = &g.counts;
+        writeln!(out, "\ngradient of {} steps: {}", g.steps - g.first, g.schedule)?;
+        writeln!(
+            out,
+            "  at the peak {} kept, of {} each; {} on the tape, of {} each and a list",
+            plural(c.stored_states, "state"),
+            bytes(g.state_bytes),
+            plural(c.taped_steps, "step"),
+            bytes(g.taped_step_bytes)
+        )?;
+        writeln!(
+            out,
+            "  {} steps without graph ({} of them again), {} on it",
+            c.plain_steps, c.recomputed_steps, c.differentiated_steps
+        )?;
+        let budget = g.budget_bytes.map_or(String::new(), |b| format!(" of the {} given", bytes(b)));
+        writeln!(
+            out,
+            "  predicted storage {}; with the run's buffers {}{budget}",
+            bytes(g.storage_bytes),
+            bytes(g.memory_bytes)
+        )?;
+        lines(out, "without adjoint:", &g.dropped)
+    }
+}
