@@ -9,6 +9,7 @@ mod optimize;
 mod prepare;
 mod scenes;
 mod simulate;
+mod simulate_flow;
 
 pub use arguments::{
     BenchArguments, CheckGradientArguments, Cli, Command, CommonArguments, GradientArguments, OptimizeArguments,

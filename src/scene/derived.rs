@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use super::config::Config;
+use super::config::{Config, Scene};
 
 impl Config {
     /// c = sound_speed_factor * reference_velocity.
@@ -14,11 +14,14 @@ impl Config {
     }
 
     /// The largest time step: the smaller of the acoustic limit cfl dx / (c + u_ref) and the diffusive limit
-    /// diffusion_number dx^2 / max(nu, alpha).
+    /// diffusion_number dx^2 / max(nu, alpha); the verification flows have nu = 1 / Re and no heat.
     pub fn time_step_limit(&self) -> f64 {
         let dx = self.resolution.dx;
         let acoustic = self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity);
-        let diffusivity = (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity());
+        let diffusivity = match self.scene {
+            Scene::HeatedChannel => (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity()),
+            Scene::TaylorGreen | Scene::TaylorGreen3d | Scene::Poiseuille => 1.0 / self.flow.reynolds,
+        };
         acoustic.min(self.time.diffusion_number * dx * dx / diffusivity)
     }
 
