@@ -409,3 +409,73 @@ fn scenes_prints_a_complete_scene() {
     let preset = hydrograd::scene::config::Config::load(None, Some("report"), &[]).unwrap();
     assert_eq!(loaded.config, preset.config);
 }
+
+#[test]
+fn keys_that_a_scene_does_not_have() {
+    let case = Case::new(&[
+        ("vortices.toml", "scene = \"taylor-green\"\n[channel]\nheight = 0.2\n"),
+        ("channel.toml", "[flow]\nreynolds = 50\n"),
+    ]);
+    let run = ["simulate", "taylor-green", "--out", "out", "--set"];
+    let refuses = |set: &str, parts: &[&str]| case.refuses(&[&run[..], &[set]].concat(), parts);
+    refuses(
+        "fluid.viscosity=0.1",
+        &["--set fluid.viscosity=0.1", "not a key of scene taylor-green", "fluid.transport_velocity"],
+    );
+    refuses(
+        "wall.hot_temperature=2",
+        &["--set wall.hot_temperature=2", "not a key", "resolution, flow, fluid", "heated-channel"],
+    );
+    refuses("design.shape=sine", &["--set design.shape=sine", "taylor-green, which has no design"]);
+    refuses("time.start=rest", &["not a key of scene taylor-green", "time.jitter"]);
+    refuses(
+        "scene=poiseuille",
+        &["--set scene=poiseuille", "taylor-green already", "try: hydrograd simulate poiseuille"],
+    );
+    case.refuses(&["simulate", "vortices.toml"], &["vortices.toml, line 3", "`channel.height`", "scene taylor-green"]);
+    let parts = [
+        "channel.toml, line 2",
+        "`flow.reynolds`",
+        "scene heated-channel",
+        "taylor-green, taylor-green-3d, poiseuille",
+    ];
+    case.refuses(&["simulate", "channel.toml"], &parts);
+    case.refuses(&["simulate", "poiseuille", "--preset", "report"], &["preset report", "scene poiseuille"]);
+}
+
+#[test]
+fn numbers_of_the_flows() {
+    let case = Case::new(&[]);
+    let refuses = |scene: &str, set: &str, parts: &[&str]| {
+        case.refuses(&["simulate", scene, "--out", "out", "--set", set], parts)
+    };
+    refuses("taylor-green", "flow.reynolds=0", &["flow.reynolds = 0", "flow.reynolds > 0", "= 100"]);
+    refuses("taylor-green", "resolution.dx=0.03", &["does not divide 1", "try: --set resolution.dx=0.030303"]);
+    refuses("taylor-green-3d", "resolution.dx=0.3", &["does not divide 2 pi", "try: --set resolution.dx=0.2991"]);
+    refuses(
+        "taylor-green",
+        "resolution.dx=0.25",
+        &["too coarse", "2 (3 + time.skin)", "try: --set resolution.dx=0.142857"],
+    );
+    refuses("poiseuille", "resolution.dx=0.2", &["too coarse", "six spacings"]);
+    refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);
+    refuses("poiseuille", "time.end=1e9", &["time.end = 1000000000", "steps"]);
+}
+
+#[test]
+fn scenes_without_a_design() {
+    let case = Case::new(&[("mine.toml", "scene = \"poiseuille\"\n")]);
+    for command in ["optimize", "check-gradient"] {
+        for (scene, name) in
+            [("taylor-green", "taylor-green"), ("taylor-green-3d", "taylor-green-3d"), ("mine.toml", "poiseuille")]
+        {
+            let parts = [
+                &format!("scene {name} has no design"),
+                "allowed: a scene with a design: heated-channel",
+                "try: hydrograd simulate",
+            ];
+            case.refuses(&[command, scene, "--out", "out"], &parts);
+        }
+    }
+    case.refuses(&["optimize", "taylor-green", "--epochs", "3", "--start", "sine"], &["taylor-green has no design"]);
+}

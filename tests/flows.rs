@@ -96,7 +96,8 @@ fn taylor_green_in_three_dimensions_begins_to_decay_as_it_should() {
     let all = run(&flow.build::<f64>(), 0.6);
     let (rate, exact) = (decay_rate(&all), 3.0 / 50.0);
     println!("3D: rate {rate:.5} of {exact:.5}");
-    assert!((rate / exact - 1.0).abs() < 0.1, "decay rate {rate}, exact {exact}");
+    // Measured: 3.5 % too slow, of which a third is the first step, which has no acceleration yet.
+    assert!((rate / exact - 1.0).abs() < 0.05, "decay rate {rate}, exact {exact}");
     assert_eq!(all[0].velocity_error, None);
     // Of u = sin x cos y cos z, v = -cos x sin y cos z: a quarter of the box's volume.
     let energy = std::f64::consts::TAU.powi(3) / 8.0;
@@ -128,4 +129,42 @@ fn single_precision_agrees() {
     println!("{a:?}\n{b:?}");
     assert!((a.kinetic_energy / b.kinetic_energy - 1.0).abs() < 1e-5);
     assert!((a.velocity_error.unwrap() - b.velocity_error.unwrap()).abs() < 1e-4);
+}
+
+#[test]
+fn points_of_accuracy_fall_with_the_spacing() {
+    let mut shares = vec![];
+    let points = hydrograd::scene::accuracy::points(true, &mut |share| shares.push(share)).unwrap();
+    assert!(shares.windows(2).all(|pair| pair[0] < pair[1]) && (shares[shares.len() - 1] - 1.0).abs() < 1e-12);
+    assert_eq!(shares.len(), points.len());
+    for (k, point) in points.iter().enumerate() {
+        assert!(point.stable && point.seconds > 0.0, "{point:?}");
+        // The next of the same scene and precision is finer.
+        let next = points[k + 1..].iter().find(|p| p.scene == point.scene && p.precision == point.precision);
+        if let Some(next) = next {
+            assert!(next.dx < point.dx && next.error < point.error, "{next:?} is no better than {point:?}");
+        }
+    }
+    for scene in ["taylor-green", "poiseuille", "heated-channel"] {
+        assert!(points.iter().any(|point| point.scene == scene));
+    }
+}
+
+#[test]
+fn starts_as_jax_sph_does() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/data/reference/jax-sph-states.h5");
+    let file = hdf5::File::open(path).unwrap();
+    for (name, dimension) in [("tgv2d_tvf1", 2), ("tgv3d_tvf1", 3)] {
+        let rows = |field: &str| file.dataset(&format!("{name}/0/{field}")).unwrap().read_raw::<f64>().unwrap();
+        let (position, velocity) = (rows("r"), rows("u"));
+        let scene = TaylorGreen { dimension, ..Default::default() };
+        for (r, u) in position.chunks(dimension).zip(velocity.chunks(dimension)) {
+            let mut place = [0.0; 3];
+            place[..dimension].copy_from_slice(r);
+            let ours = scene.start(place);
+            for d in 0..dimension {
+                assert!((ours[d] - u[d]).abs() < 1e-14, "{name} at {r:?}: {ours:?}, {u:?}");
+            }
+        }
+    }
 }

@@ -287,3 +287,103 @@ fn a_run_that_diverges_says_so() {
     assert!(error.contains("diverged") && error.contains("time.cfl"), "{error}");
     assert!(!folder.path().join("out/summary.json").exists());
 }
+
+/// A verification flow that takes a moment.
+const VORTICES: [&str; 8] =
+    ["simulate", "taylor-green", "--set", "resolution.dx=0.05", "--set", "time.end=0.4", "--set", "output.frames=2"];
+
+#[test]
+fn flows_write_what_they_say() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let cube = ["simulate", "taylor-green-3d", "--set", "resolution.dx=0.5235987755982988", "--set", "time.end=0.5"];
+    let channel = ["simulate", "poiseuille", "--set", "resolution.dx=0.1", "--set", "time.end=0.0025"];
+    for (name, arguments, exact, dimension) in
+        [("plane", &VORTICES[..], true, 2), ("cube", &cube, false, 3), ("channel", &channel, true, 2)]
+    {
+        let text = succeeds(at, &[arguments, &["--out", name]].concat());
+        assert!(text.contains("kinetic energy") && text.contains("velocity error"), "{text}");
+        for file in ["config.toml", "history.csv", "kinetic_energy.png", "state.h5", "particles/particles.pvd"] {
+            assert!(at.join(name).join(file).metadata().unwrap().len() > 0, "{name}/{file}");
+        }
+        assert_eq!(at.join(name).join("profile.png").exists(), name == "channel");
+        let summary = json(&at.join(name).join("summary.json"));
+        for key in ["kinetic_energy", "largest_velocity", "steps", "particles", "wall_seconds", "time_step"] {
+            assert!(summary[key].as_f64().unwrap() > 0.0, "{key}");
+        }
+        assert_eq!(summary["scene"].as_str().unwrap(), arguments[1]);
+        assert_eq!(summary["velocity_error"].is_null(), !exact);
+        let history = std::fs::read_to_string(at.join(name).join("history.csv")).unwrap();
+        let lines: Vec<&str> = history.lines().collect();
+        assert_eq!(lines[0].split(',').count(), if exact { 5 } else { 3 });
+        assert_eq!(lines.len() as u64, 2 + summary["steps"].as_u64().unwrap(), "{name}: header, start, steps");
+        // The last row is what the summary says.
+        let last: Vec<f64> = lines[lines.len() - 1].split(',').map(|x| x.parse().unwrap()).collect();
+        for (value, key) in last.iter().zip(["time", "kinetic_energy", "largest_velocity"]) {
+            // serde_json reads numbers to the last bit but one.
+            assert!((value / summary[key].as_f64().unwrap() - 1.0).abs() < 1e-15, "{name}: {key}");
+        }
+        let file = hdf5::File::open(at.join(name).join("state.h5")).unwrap();
+        let position = file.dataset("position").unwrap();
+        assert_eq!(position.shape(), [summary["particles"].as_u64().unwrap() as usize, dimension]);
+        assert!(file.dataset("temperature").is_err());
+    }
+    // Measured 0.0101, see tests/flows.rs.
+    let error = json(&at.join("channel/summary.json"))["velocity_error"].as_f64().unwrap();
+    assert!(error > 0.0 && error < 0.0115, "{error}");
+}
+
+#[test]
+fn flows_resume_and_agree_between_kernels_and_precisions() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let energy = |name: &str, more: &[&str]| {
+        succeeds(at, &[&VORTICES[..], &["--out", name], more].concat());
+        json(&at.join(name).join("summary.json"))["kinetic_energy"].as_f64().unwrap()
+    };
+    let fused = energy("fused", &["--threads", "2"]);
+    assert!((energy("composed", &["--kernels", "composed"]) / fused - 1.0).abs() < 1e-9);
+    assert!((energy("single", &["--precision", "f32"]) / fused - 1.0).abs() < 1e-3);
+    assert_ne!(energy("other", &["--seed", "1"]), fused);
+    refuses(at, &["simulate", "--resume", "fused", "--out", "unwritten"], &["steps already", "time.end"]);
+
+    // An interrupted run: the same scene stopped by its disk, here a run of the same step size with fewer steps, whose
+    // checkpoint and configuration are those of the longer one but for the number of steps.
+    let dt = json(&at.join("fused/summary.json"))["time_step"].as_f64().unwrap();
+    let by_steps = |steps: &str, out: &str| {
+        let cfl = format!("time.cfl={}", dt * 11.0 / 0.05);
+        let arguments = ["simulate", "taylor-green", "--set", "resolution.dx=0.05", "--set", &cfl, "--out", out];
+        succeeds(
+            at,
+            &[&arguments[..], &["--set", &format!("time.steps={steps}"), "--set", "output.frames=0"]].concat(),
+        );
+    };
+    by_steps("88", "whole");
+    by_steps("30", "part");
+    let checkpoint = at.join("part/checkpoint.safetensors");
+    let bytes = std::fs::read(&checkpoint).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    let from = text.find("steps = 30").expect("the checkpoint holds its configuration");
+    let mut longer = bytes.clone();
+    longer[from..from + 10].copy_from_slice(b"steps = 88");
+    std::fs::write(&checkpoint, longer).unwrap();
+    succeeds(at, &["simulate", "--resume", "part", "--set", "time.steps=88"]);
+    let [whole, part] = ["whole", "part"].map(|name| {
+        let file = hdf5::File::open(at.join(name).join("state.h5")).unwrap();
+        ["position", "velocity", "density"].map(|field| file.dataset(field).unwrap().read_raw::<f64>().unwrap())
+    });
+    assert!(whole == part, "a resumed run ends with other bits");
+    let history = |name: &str| std::fs::read_to_string(at.join(name).join("history.csv")).unwrap();
+    assert_eq!(history("whole"), history("part"));
+}
+
+#[test]
+fn a_flow_that_diverges_says_so() {
+    let folder = TempDir::new().unwrap();
+    let sets = ["--set", "time.diffusion_number=1", "--set", "resolution.dx=0.1"];
+    let output = hydrograd(folder.path(), &[&["simulate", "poiseuille", "--out", "out"], &sets[..]].concat());
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("diverged") && error.contains("time.diffusion_number"), "{error}");
+    assert!(!folder.path().join("out/summary.json").exists());
+}

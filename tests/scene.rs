@@ -1,8 +1,9 @@
 //! Loading of scenes and the wall shape.
 
 use hydrograd::scene::builtin::{PRESETS, SCENES};
-use hydrograd::scene::config::*;
-use hydrograd::scene::layers::{description, known_keys, Setting};
+use hydrograd::scene::config::{BodyForceRegion, Config, ShapeName, Start};
+use hydrograd::scene::flow::Flow;
+use hydrograd::scene::layers::{described, description, known_keys, Setting};
 use hydrograd::scene::load::Source;
 use hydrograd::scene::memory_size::MemorySize;
 use hydrograd::scene::shape::{default_nodes, Shape};
@@ -336,4 +337,40 @@ fn defaults_give_way_to_what_is_given() {
     assert_eq!(toml::from_str::<Config>(&short.text).unwrap(), short.config);
     assert_eq!(load(&["resolution.dx=0.005"]).config.channel.wall_rows, 4);
     assert_eq!(load(&["design.bound=0.04"]).config.channel.wall_rows, 3);
+}
+
+#[test]
+fn every_family_has_its_built_in_scene() {
+    for built_in in SCENES {
+        let loaded = Config::load(Some(built_in.name), None, &[]).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(loaded.text, built_in.text);
+        assert_eq!(loaded.config.scene.built_in().name, built_in.name);
+        let keys = described(built_in.text);
+        for (key, comment) in &keys {
+            assert!(comment.ends_with(['.', ')']) && comment.len() > 20, "{}: {key}: {comment}", built_in.name);
+        }
+        // Every line that sets something is one of them.
+        let lines = built_in.text.lines().filter(|line| !line.starts_with('#') && line.contains('='));
+        assert!(lines.count() <= keys.len() && keys.len() > 15);
+    }
+}
+
+#[test]
+fn flows_follow_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    std::fs::write(&file, "scene = \"taylor-green-3d\"\n[flow]\nreynolds = 20\n[time]\nend = 0.5\n").unwrap();
+    let dx = std::f64::consts::TAU / 12.0;
+    let sets = [format!("resolution.dx={dx}"), "fluid.transport_velocity=0".into(), "time.cfl=0.25".into()];
+    let loaded = Config::load(file.to_str(), None, &sets).unwrap();
+    assert_eq!(read(&loaded.text), loaded.config);
+    let flow = Flow::<f64>::from_config(&loaded.config).unwrap();
+    assert_eq!((flow.model.particles(), flow.model.layout.dimension, flow.model.layout.transport), (1728, 3, false));
+    assert_eq!(flow.model.viscosity, 0.05);
+    assert_eq!((flow.model.dt, loaded.config.steps()), (0.5 / 43.0, 43), "0.25 dx / 11 = 0.0119");
+    let poiseuille = Config::load(Some("poiseuille"), None, &["time.steps=7".into()]).unwrap().config;
+    let flow = Flow::<f32>::from_config(&poiseuille).unwrap();
+    assert_eq!(flow.model.particles(), 12 * 46);
+    assert!((flow.model.dt - 0.25 * 0.025 * 0.025 * 0.0125).abs() < 1e-18);
+    assert!(Flow::<f64>::from_config(&Config::default()).is_none());
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use super::prepare::require_design;
 use crate::cli::bench::BenchArguments;
 use crate::error::{BadInput, Error};
 use crate::scene::config::{Config, GradientMode, Kernels, Precision};
@@ -44,6 +45,8 @@ Examples:
       the optimum of a run again, at half the spacing
   hydrograd simulate --explain
       what a step would do, and nothing is run
+  hydrograd simulate taylor-green --set resolution.dx=0.01
+      a flow with an exact solution (`hydrograd scenes` lists more), and how far from it the particles end
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -233,6 +236,11 @@ impl StartName {
 }
 
 impl CommonArguments {
+    /// An error if the scene has no design, before any key of one is looked at.
+    fn require_design(&self) -> Result<(), Error> {
+        Ok(require_design(&Config::load_settings(self.scene.as_deref(), None, &[])?.config)?)
+    }
+
     /// Loads the scene with `defaults` below and `options` above what the user set.
     fn load(&self, resume: Option<&Path>, defaults: Vec<Setting>, options: Vec<Setting>) -> Result<Loaded, Error> {
         let mut settings = defaults;
@@ -314,6 +322,7 @@ impl SimulateArguments {
 
 impl OptimizeArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.require_design()?;
         let mut options = self.gradient.settings();
         options.extend(self.epochs.map(|value| Setting::option("--epochs", "optimise.epochs", value)));
         options.extend(self.start.and_then(StartName::setting));
@@ -328,6 +337,7 @@ impl OptimizeArguments {
 
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.require_design()?;
         // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
         // longer than the steps checked.
         let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];

@@ -69,9 +69,12 @@ pub fn write_numbers(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow:
 
 /// A state as plain f64 fields, walls included.
 pub struct Fields {
+    pub dimension: usize,
+    pub box_size: Vec<f64>,
     pub position: Vec<f64>,
     pub velocity: Vec<f64>,
-    pub temperature: Vec<f64>,
+    /// None where the scene has no heat.
+    pub temperature: Option<Vec<f64>>,
     pub density: Vec<f64>,
     pub pressure: Vec<f64>,
     pub mass: Vec<f64>,
@@ -89,12 +92,16 @@ impl Fields {
         let rows = |from: usize, count: usize| -> Vec<f64> {
             solver.state[from * n..(from + count) * n].iter().map(|x| x.f64()).collect()
         };
-        let reference = model.heat.as_ref().map_or(0.0, |h| h.reference);
         let density: Vec<f64> = solver.primitives[..n].iter().map(|x| x.f64()).collect();
         Self {
+            dimension: l.dimension,
+            box_size: model.domain.size[..l.dimension].to_vec(),
             position: rows(0, l.dimension),
             velocity: rows(l.velocity(), l.dimension),
-            temperature: rows(l.temperature(), 1).into_iter().map(|t| t + reference).collect(),
+            temperature: model
+                .heat
+                .as_ref()
+                .map(|heat| rows(l.temperature(), 1).into_iter().map(|t| t + heat.reference).collect()),
             pressure: density.iter().map(|&rho| model.equation_of_state.pressure(rho)).collect(),
             density,
             mass: if l.mass { rows(l.state_mass(), 1) } else { vec![model.mass; n] },
@@ -106,10 +113,11 @@ impl Fields {
 
     /// As a ParaView frame.
     pub fn with_frame<T>(&self, f: impl FnOnce(&ParticleFrame) -> T) -> T {
-        let scalars: [(&str, &[f64]); 3] =
-            [("temperature", &self.temperature), ("density", &self.density), ("pressure", &self.pressure)];
+        let mut scalars: Vec<(&str, &[f64])> = Vec::new();
+        scalars.extend(self.temperature.as_deref().map(|temperature| ("temperature", temperature)));
+        scalars.extend([("density", self.density.as_slice()), ("pressure", &self.pressure)]);
         f(&ParticleFrame {
-            dimension: 2,
+            dimension: self.dimension,
             time: self.time,
             position: &self.position,
             velocity: &self.velocity,
@@ -121,19 +129,18 @@ impl Fields {
     /// `state.h5`.
     pub fn write(&self, folder: &Path, loaded: &Loaded) -> anyhow::Result<()> {
         let config = &loaded.config;
-        let height = config.channel.height + 2.0 * config.channel.wall_rows as f64 * config.resolution.dx;
         let state = State {
-            dimension: 2,
+            dimension: self.dimension,
             position: self.position.clone(),
             velocity: Some(self.velocity.clone()),
-            temperature: Some(self.temperature.clone()),
+            temperature: self.temperature.clone(),
             density: Some(self.density.clone()),
             pressure: Some(self.pressure.clone()),
             mass: Some(self.mass.clone()),
             tag: Some(self.tag.clone()),
             time: self.time,
             step: self.step as u64,
-            box_size: vec![config.channel.length, height],
+            box_size: self.box_size.clone(),
             dx: config.resolution.dx,
             configuration: loaded.text.clone(),
             version: VERSION.into(),
@@ -154,7 +161,7 @@ pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &Fields
         .map(|(title, f)| TemperaturePanel {
             title,
             position: &f.position,
-            temperature: &f.temperature,
+            temperature: f.temperature.as_deref().unwrap_or(&[]),
             tag: &f.tag,
             diameter: dx,
         })

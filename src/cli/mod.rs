@@ -10,6 +10,7 @@ mod optimize;
 mod prepare;
 mod scenes;
 mod simulate;
+mod simulate_flow;
 
 pub use arguments::{
     CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments, MemoryArgument,

@@ -1,7 +1,8 @@
 //! What every run does first.
 
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::lanes::Real;
+use crate::scene::builtin::SCENES;
 use crate::scene::config::Config;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::shape::Shape;
@@ -15,8 +16,22 @@ pub fn set_threads(config: &Config) {
     }
 }
 
+/// An error for scenes without a design.
+pub fn require_design(config: &Config) -> Result<(), BadInput> {
+    if config.scene.has_design() {
+        return Ok(());
+    }
+    let with_design = SCENES.iter().filter(|built_in| built_in.scene().has_design());
+    let with_design: Vec<&str> = with_design.map(|built_in| built_in.name).collect();
+    let name = config.scene.built_in().name;
+    Err(BadInput::new(format!("scene {name} has no design, so there is nothing to differentiate or optimise"))
+        .allowed(format!("a scene with a design: {}", with_design.join(", ")))
+        .advice(format!("hydrograd simulate {name}")))
+}
+
 /// Builds the scene and its start shape.
 pub fn build<R: Real>(config: &Config) -> Result<(HeatedChannel<R>, Shape), Error> {
+    require_design(config)?;
     let shape = Shape::from_config(config)?;
     Ok((HeatedChannel::new(config, &shape), shape))
 }

@@ -3,6 +3,7 @@
 use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, difference, set_threads};
+use super::simulate_flow;
 use super::SimulateArguments;
 use crate::design::diagnostics::{simulate, start};
 use crate::error::{BadInput, Error};
@@ -20,9 +21,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Checkpoints per run, besides the one at the end.
-const CHECKPOINTS: usize = 10;
+pub const CHECKPOINTS: usize = 10;
 /// Rows of history.csv.
-const HISTORY: usize = 400;
+pub const HISTORY: usize = 400;
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
@@ -30,9 +31,12 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     if arguments.explain.explain {
         return explain(&loaded, false);
     }
-    match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(&loaded, &folder, arguments.resume.resume.as_deref()),
-        Precision::F64 => go::<f64>(&loaded, &folder, arguments.resume.resume.as_deref()),
+    let resume = arguments.resume.resume.as_deref();
+    match (loaded.config.run.precision, loaded.config.scene.has_design()) {
+        (Precision::F32, true) => go::<f32>(&loaded, &folder, resume),
+        (Precision::F64, true) => go::<f64>(&loaded, &folder, resume),
+        (Precision::F32, false) => simulate_flow::run::<f32>(&loaded, &folder, resume),
+        (Precision::F64, false) => simulate_flow::run::<f64>(&loaded, &folder, resume),
     }
 }
 
@@ -64,7 +68,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
     let history_every = channel.steps.div_ceil(HISTORY);
     let checkpoint_every = channel.steps.div_ceil(CHECKPOINTS);
     let mut history = match resume {
-        Some(from) => earlier_history(from, first.step as f64 * channel.model.dt),
+        Some(from) => earlier_history(from, &HISTORY_COLUMNS, first.step as f64 * channel.model.dt),
         None => Vec::new(),
     };
     let mut before: Option<Fields> = None;
@@ -156,8 +160,8 @@ fn write_history(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
 }
 
 /// The rows before `time` of an interrupted run's history; none if it left no readable one.
-fn earlier_history(folder: &Path, time: f64) -> Vec<Vec<f64>> {
-    let columns = crate::io::csv::read_columns(&folder.join("history.csv"), &HISTORY_COLUMNS).unwrap_or_default();
+pub fn earlier_history(folder: &Path, header: &[&str], time: f64) -> Vec<Vec<f64>> {
+    let columns = crate::io::csv::read_columns(&folder.join("history.csv"), header).unwrap_or_default();
     let rows = columns.first().map_or(0, Vec::len);
     (0..rows).map(|k| columns.iter().map(|c| c[k]).collect::<Vec<f64>>()).filter(|row| row[0] < time).collect()
 }
@@ -174,7 +178,7 @@ pub fn diverged(error: anyhow::Error) -> anyhow::Error {
 /// Keys that may change between a simulation and its continuation.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-fn write_checkpoint<R: Real>(path: &Path, solver: &Solver<R>, loaded: &Loaded) -> anyhow::Result<()> {
+pub fn write_checkpoint<R: Real>(path: &Path, solver: &Solver<R>, loaded: &Loaded) -> anyhow::Result<()> {
     let n = solver.model.particles();
     let data = |values: &[R]| Data::F64(values.iter().map(|x| x.f64()).collect());
     let mut tensors: Tensors = BTreeMap::new();
@@ -190,7 +194,7 @@ fn write_checkpoint<R: Real>(path: &Path, solver: &Solver<R>, loaded: &Loaded) -
     Ok(write_tensors(path, &tensors, &metadata)?)
 }
 
-fn read_checkpoint<R: Real>(
+pub fn read_checkpoint<R: Real>(
     path: &Path,
     config: &Config,
     model: &crate::sph::model::Model<R>,

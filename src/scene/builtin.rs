@@ -1,6 +1,7 @@
 //! The scenes and presets that are compiled into the program; their text is in `data/scenes/`.
 
 use crate::error::BadInput;
+use crate::scene::config::{Config, Scene};
 use crate::scene::suggest;
 
 /// A TOML text with a name.
@@ -12,12 +13,37 @@ pub struct BuiltIn {
     pub text: &'static str,
 }
 
-/// Complete scenes; the first is the default.
-pub const SCENES: &[BuiltIn] = &[BuiltIn {
-    name: "heated-channel",
-    description: "2D channel with a hot section in the bottom wall whose shape is optimised for heat transfer",
-    text: include_str!("../../data/scenes/heated-channel.toml"),
-}];
+impl BuiltIn {
+    /// The scene's family.
+    pub fn scene(&self) -> Scene {
+        toml::from_str::<Config>(self.text).expect("a built-in scene is a configuration").scene
+    }
+}
+
+/// Complete scenes, one per family and with every key that the family has (one that is not set is commented out); the
+/// first is the default.
+pub const SCENES: &[BuiltIn] = &[
+    BuiltIn {
+        name: "heated-channel",
+        description: "2D channel with a hot section in the bottom wall whose shape is optimised for heat transfer",
+        text: include_str!("../../data/scenes/heated-channel.toml"),
+    },
+    BuiltIn {
+        name: "taylor-green",
+        description: "2D decaying vortices in a periodic box, against their exact solution (no design)",
+        text: include_str!("../../data/scenes/taylor-green.toml"),
+    },
+    BuiltIn {
+        name: "taylor-green-3d",
+        description: "the same in 3D, without a closed form (no design)",
+        text: include_str!("../../data/scenes/taylor-green-3d.toml"),
+    },
+    BuiltIn {
+        name: "poiseuille",
+        description: "2D flow between plane walls from rest, against its exact solution (no design)",
+        text: include_str!("../../data/scenes/poiseuille.toml"),
+    },
+];
 
 /// Sets of keys laid over a scene with `--preset`.
 pub const PRESETS: &[BuiltIn] = &[BuiltIn {
@@ -29,6 +55,18 @@ pub const PRESETS: &[BuiltIn] = &[BuiltIn {
 /// The built-in scene of that name.
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     SCENES.iter().find(|scene| scene.name == name)
+}
+
+impl Scene {
+    /// The built-in scene of this family.
+    pub fn built_in(self) -> &'static BuiltIn {
+        &SCENES[self as usize]
+    }
+
+    /// Its configuration.
+    pub fn defaults(self) -> Config {
+        toml::from_str(self.built_in().text).expect("a built-in scene is a configuration")
+    }
 }
 
 /// The preset of that name, or an error that lists them.

@@ -14,6 +14,7 @@ pub struct Config {
     pub scene: Scene,
     pub resolution: Resolution,
     pub channel: Channel,
+    pub flow: Flow,
     pub fluid: Fluid,
     pub wall: Wall,
     pub time: Time,
@@ -30,6 +31,17 @@ pub struct Config {
 pub enum Scene {
     #[default]
     HeatedChannel,
+    TaylorGreen,
+    #[serde(rename = "taylor-green-3d")]
+    TaylorGreen3d,
+    Poiseuille,
+}
+
+impl Scene {
+    /// Whether there is something to optimise; the others are [`super::flow::Flow`]s.
+    pub fn has_design(self) -> bool {
+        self == Self::HeatedChannel
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,6 +67,14 @@ pub struct Channel {
     pub inlet_length: f64,
     /// Fluid at x > length - outlet_length does not conduct.
     pub outlet_length: f64,
+}
+
+/// The verification flows: reference velocity, density and length are 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Flow {
+    /// Reference velocity * length / kinematic viscosity.
+    pub reynolds: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -290,6 +310,12 @@ impl Default for Channel {
             inlet_length: 0.06,
             outlet_length: 0.06,
         }
+    }
+}
+
+impl Default for Flow {
+    fn default() -> Self {
+        Self { reynolds: 100.0 }
     }
 }
 

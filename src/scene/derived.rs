@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use super::config::Config;
+use super::config::{Config, Scene};
 
 /// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,11 +20,14 @@ impl Config {
         self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
     }
 
-    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and
-    /// diffusion_number dx^2 / max(nu, alpha).
+    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha);
+    /// the verification flows have nu = 1 / Re and no heat.
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
-        let diffusivity = (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity());
+        let diffusivity = match self.scene {
+            Scene::HeatedChannel => (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity()),
+            Scene::TaylorGreen | Scene::TaylorGreen3d | Scene::Poiseuille => 1.0 / self.flow.reynolds,
+        };
         TimeStepLimits {
             acoustic: self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity),
             diffusive: self.time.diffusion_number * dx * dx / diffusivity,

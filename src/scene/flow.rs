@@ -1,5 +1,8 @@
 //! Verification flows: scenes without a design whose solution is known.
 
+use super::config::{Config, Scene};
+use super::poiseuille::Poiseuille;
+use super::taylor_green::TaylorGreen;
 use crate::kernel::Quintic;
 use crate::lanes::Real;
 use crate::particles::{tag, Domain};
@@ -69,6 +72,38 @@ impl Exact {
             }
             Self::Poiseuille { velocity, .. } => Some(velocity),
             Self::Unknown => None,
+        }
+    }
+}
+
+impl<R: Real> Flow<R> {
+    /// The flow of a checked configuration; none if its scene is one with a design.
+    pub fn from_config(config: &Config) -> Option<Self> {
+        // As counted by the check: the spacing that divides the box exactly.
+        let count = |size: f64| (size / config.resolution.dx).round() as usize;
+        let numerics = Numerics {
+            cfl: config.time.cfl,
+            diffusion_number: config.time.diffusion_number,
+            time_step: Some(config.time_step()),
+            sound_speed_factor: config.fluid.sound_speed_factor,
+            background_pressure_factor: config.fluid.background_pressure_factor,
+            transport_velocity: config.fluid.transport_velocity,
+            jitter: config.time.jitter,
+            skin: config.time.skin,
+            seed: config.run.seed,
+        };
+        let reynolds = config.flow.reynolds;
+        let vortices = |dimension: usize| {
+            let scene = TaylorGreen { dimension, reynolds, ..Default::default() };
+            TaylorGreen { per_side: count(scene.size()), ..scene }.build_with(numerics)
+        };
+        match config.scene {
+            Scene::HeatedChannel => None,
+            Scene::TaylorGreen => Some(vortices(2)),
+            Scene::TaylorGreen3d => Some(vortices(3)),
+            Scene::Poiseuille => {
+                Some(Poiseuille { rows: count(1.0), reynolds, ..Default::default() }.build_with(numerics))
+            }
         }
     }
 }
@@ -146,6 +181,7 @@ pub(super) struct Parts {
 }
 
 /// Numbers of the method rather than of the flow. The flows' density is 1.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Numerics {
     /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
     pub cfl: f64,

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use toml_edit::{Document, DocumentMut, Item, TableLike, Value};
 
-use super::builtin::SCENES;
+use super::builtin::{BuiltIn, SCENES};
 use super::config::Config;
 use super::suggest;
 use crate::error::BadInput;
@@ -123,6 +123,42 @@ impl Layer {
     /// The string value of a key of this layer.
     pub fn string(&self, path: &str) -> Option<&str> {
         self.entries.iter().find(|entry| entry.path == path).and_then(|entry| entry.value.as_str())
+    }
+
+    /// An error if the scene has no use for a key of this layer, or if the layer names another scene.
+    pub fn fits(&self, scene: &BuiltIn) -> Result<(), BadInput> {
+        let keys: Vec<String> = described(scene.text).into_iter().map(|(path, _)| path).collect();
+        for entry in &self.entries {
+            let name = entry.value.as_str().unwrap_or_default();
+            if entry.path == "scene" && name != scene.name {
+                return Err(BadInput::new(format!("the run is one of scene {} already", scene.name))
+                    .place(&entry.place)
+                    .allowed("the scene as the command's argument, or in a file")
+                    .advice(format!("hydrograd simulate {name}")));
+            }
+            if keys.contains(&entry.path) {
+                continue;
+            }
+            let section = |path: &str| path.split('.').next().unwrap_or_default().to_string();
+            let own = section(&entry.path);
+            let mut near: Vec<String> = keys.iter().filter(|key| section(key) == own).cloned().collect();
+            if near.is_empty() {
+                near = keys.iter().map(|key| section(key)).filter(|section| section != "scene").collect();
+                near.dedup();
+            }
+            let what = match own.as_str() {
+                "design" | "objective" | "optimise" if scene.name != SCENES[0].name => ", which has no design",
+                _ => "",
+            };
+            let bad = BadInput::new(format!("`{}` is not a key of scene {}{what}", entry.path, scene.name))
+                .place(&entry.place)
+                .allowed(near.join(", "));
+            let others =
+                SCENES.iter().filter(|other| described(other.text).iter().any(|(path, _)| *path == entry.path));
+            let others: Vec<&str> = others.map(|other| other.name).collect();
+            return Err(bad.advice(format!("leave it out, or take a scene that has it: {}", others.join(", "))));
+        }
+        Ok(())
     }
 
     fn has(&self, path: &str) -> bool {
@@ -252,17 +288,24 @@ pub fn known_keys() -> Vec<String> {
     flatten(document.as_table()).into_iter().map(|(path, _)| path).collect()
 }
 
-/// The comment above a key in the first built-in scene: its meaning, units and range, on one line.
+/// The comment above a key in the first built-in scene that has it: its meaning, units and range, on one line.
 pub fn description(path: &str) -> Option<String> {
-    let (mut section, mut comment) = ("", Vec::new());
-    for line in SCENES[0].text.lines() {
+    let all = SCENES.iter().flat_map(|scene| described(scene.text));
+    all.filter(|(key, comment)| key == path && !comment.is_empty()).map(|(_, comment)| comment).next()
+}
+
+/// The keys of a scene's text, those commented out included, each with the comment above it.
+pub fn described(text: &str) -> Vec<(String, String)> {
+    let known = known_keys();
+    let (mut section, mut comment, mut found) = ("", Vec::new(), Vec::new());
+    for line in text.lines() {
         let bare = line.trim_start_matches("# ");
         let key = bare.split_once(" = ").map_or("", |(key, _)| key);
-        let here = format!("{section}.{key}");
-        if here.trim_start_matches('.') == path {
-            return (!comment.is_empty()).then(|| comment.join(" "));
-        }
-        if line.starts_with('#') && !known_keys().contains(&here) {
+        let path = format!("{section}.{key}").trim_start_matches('.').to_string();
+        if known.contains(&path) {
+            found.push((path, comment.join(" ")));
+            comment.clear();
+        } else if line.starts_with('#') {
             comment.push(bare);
         } else {
             comment.clear();
@@ -271,7 +314,7 @@ pub fn description(path: &str) -> Option<String> {
             section = name.trim_end_matches(']');
         }
     }
-    None
+    found
 }
 
 /// Turns serde's message into one for users: plain words for Rust's types, the key's description, a suggestion.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use toml_edit::{Array, Value};
 
 use super::builtin::{self, BuiltIn, SCENES};
-use super::config::Config;
+use super::config::{Config, Scene};
 use super::layers::{Layer, Merged, Setting};
 use super::shape;
 use crate::error::{BadInput, Error};
@@ -79,7 +79,9 @@ impl Loaded {
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = Merged::new(&self.text, self.places.clone());
         for setting in settings {
-            merged.apply(&Layer::from_setting(setting)?);
+            let layer = Layer::from_setting(setting)?;
+            layer.fits(self.config.scene.built_in())?;
+            merged.apply(&layer);
         }
         Ok(finish(merged, self.source.clone())?)
     }
@@ -90,13 +92,18 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     let mut merged = Merged::new(base.text, BTreeMap::new());
     if let Some(name) = preset {
         let preset = builtin::preset(name)?;
-        merged.apply(&Layer::from_text(&format!("preset {name}"), preset.text)?);
+        let layer = Layer::from_text(&format!("preset {name}"), preset.text)?;
+        layer.fits(base)?;
+        merged.apply(&layer);
     }
     if let Some(layer) = file {
+        layer.fits(base)?;
         merged.apply(&layer);
     }
     for setting in settings {
-        merged.apply(&Layer::from_setting(setting)?);
+        let layer = Layer::from_setting(setting)?;
+        layer.fits(base)?;
+        merged.apply(&layer);
     }
     finish(merged, source)
 }
@@ -144,9 +151,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         toml::from_str(&merged.text()).expect("every layer was read as a Config, so their union is one")
     };
     let mut config = read(&merged);
+    let scene = config.scene.built_in().name;
     let place_of = |merged: &Merged, key: &str| {
         let key = key.split('[').next().unwrap_or(key);
-        let default = || format!("default of scene {}", SCENES[0].name);
+        let default = || format!("default of scene {scene}");
         Some(merged.places().get(key).cloned().unwrap_or_else(default))
     };
     if let Some(file) = config.design.file.clone() {
@@ -163,7 +171,9 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = read(&merged);
         }
     }
-    fit_defaults(&mut merged, &config);
+    if config.scene == Scene::HeatedChannel {
+        fit_defaults(&mut merged, &config);
+    }
     let config = read(&merged);
     config.check().map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })

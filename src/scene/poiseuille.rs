@@ -78,6 +78,11 @@ impl Poiseuille {
     }
 
     pub fn build<R: Real>(&self) -> Flow<R> {
+        self.build_with(self.numerics())
+    }
+
+    /// With these numerics instead of its own.
+    pub(super) fn build_with<R: Real>(&self, numerics: Numerics) -> Flow<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
             name: "poiseuille",
@@ -87,7 +92,7 @@ impl Poiseuille {
             spacing: 1.0 / self.rows as f64,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics: self.numerics(),
+            numerics,
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity, height: 1.0 },
         }

@@ -89,9 +89,14 @@ impl TaylorGreen {
     }
 
     pub fn build<R: Real>(&self) -> Flow<R> {
+        self.build_with(self.numerics())
+    }
+
+    /// With these numerics instead of its own.
+    pub(super) fn build_with<R: Real>(&self, numerics: Numerics) -> Flow<R> {
         assert!((2..=3).contains(&self.dimension), "Taylor and Green's vortices have 2 or 3 dimensions");
         let (spacing, kinematic_viscosity) = (self.size() / self.per_side as f64, 1.0 / self.reynolds);
-        let parts = Parts {
+        Parts {
             name: if self.dimension == 2 { "taylor-green" } else { "taylor-green-3d" },
             dimension: self.dimension,
             cells: [self.per_side; 3],
@@ -99,18 +104,24 @@ impl TaylorGreen {
             spacing,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics: self.numerics(),
+            numerics,
             body_force: BodyForce::None,
             exact: match self.dimension {
                 2 => Exact::TaylorGreen { velocity: 1.0, kinematic_viscosity },
                 _ => Exact::Unknown,
             },
-        };
-        let exact = parts.exact;
-        parts.build(|[x, y, z]| {
-            exact
-                .velocity([x, y, z], 0.0)
-                .unwrap_or_else(|| [x.sin() * y.cos() * z.cos(), -x.cos() * y.sin() * z.cos(), 0.0])
-        })
+        }
+        .build(|place| self.start(place))
+    }
+
+    /// The velocity at the start.
+    pub fn start(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self.dimension {
+            2 => {
+                let ((sin_x, cos_x), (sin_y, cos_y)) = ((2.0 * PI * x).sin_cos(), (2.0 * PI * y).sin_cos());
+                [-cos_x * sin_y, sin_x * cos_y, 0.0]
+            }
+            _ => [x.sin() * y.cos() * z.cos(), -x.cos() * y.sin() * z.cos(), 0.0],
+        }
     }
 }

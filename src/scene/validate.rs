@@ -1,6 +1,6 @@
 //! Ranges of every number, and the conditions that link them.
 
-use super::config::{Config, GradientMode, Precision};
+use super::config::{Config, GradientMode, Precision, Scene};
 use super::shape::Shape;
 use crate::error::{BadInput, Error};
 
@@ -57,7 +57,8 @@ impl Range {
 /// Every number with its own range (arrays are checked by [`Shape`]).
 fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
-    let Config { scene: _, resolution, channel, fluid, wall, time, objective, design, optimise, run, output } = config;
+    let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
+        config;
     vec![
         ("resolution.dx", resolution.dx, Positive),
         ("channel.length", channel.length, Positive),
@@ -67,6 +68,7 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("channel.hot_to", channel.hot_to, NotNegative),
         ("channel.inlet_length", channel.inlet_length, NotNegative),
         ("channel.outlet_length", channel.outlet_length, NotNegative),
+        ("flow.reynolds", flow.reynolds, Positive),
         ("fluid.density", fluid.density, Positive),
         ("fluid.viscosity", fluid.viscosity, Positive),
         ("fluid.body_force", fluid.body_force, NotNegative),
@@ -107,13 +109,17 @@ impl Config {
     }
 
     pub(super) fn check(&self) -> Result<(), BadInput> {
-        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&Self::default())) {
+        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&self.scene.defaults())) {
             if !range.contains(value) {
                 return Err(BadInput::new(format!("{key} = {value} is out of range"))
                     .key(key)
                     .allowed(range.describe(key))
                     .advice(format!("the built-in scene's {key} = {default}")));
             }
+        }
+        if self.scene != Scene::HeatedChannel {
+            self.check_box()?;
+            return self.check_steps();
         }
         self.check_spacing()?;
         self.check_channel()?;
@@ -213,19 +219,40 @@ impl Config {
         Ok(())
     }
 
+    /// dx divides the box of a verification flow, which is large enough for it.
+    fn check_box(&self) -> Result<(), BadInput> {
+        let dx = self.resolution.dx;
+        let walls = self.scene == Scene::Poiseuille;
+        let (size, text, dimension) = match self.scene {
+            Scene::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
+            Scene::Poiseuille => (1.0, "1, the height of the channel", 2),
+            _ => (1.0, "1, the side of the box", 2),
+        };
+        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
+        let particles = (size / dx).powi(if walls { 1 } else { dimension });
+        if particles > MAX_PARTICLES {
+            return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
+        }
+        // Periodic images: a particle may see each neighbour once only. Walls: it may reach one of them only.
+        let fewest = if walls { FLUID_ROWS } else { 2.0 * (SUPPORT + self.time.skin) };
+        let count = (size / dx).round();
+        if count < fewest {
+            let rule = if walls { "six spacings" } else { "2 (3 + time.skin) spacings" };
+            return Err(bad(format!("resolution.dx = {dx} is too coarse"))
+                .allowed(format!("at least {rule} in {text}"))
+                .advice(format!("--set resolution.dx={}", size / fewest.ceil())));
+        }
+        if !is_whole(size / dx) {
+            return Err(bad(format!("resolution.dx = {dx} does not divide {text}"))
+                .allowed(format!("{size} over a whole number"))
+                .advice(format!("--set resolution.dx={}", size / count)));
+        }
+        Ok(())
+    }
+
     fn check_time(&self) -> Result<(), BadInput> {
-        let limit = self.time_step_limit();
-        if !(limit > 0.0 && limit.is_finite()) {
-            return Err(BadInput::new(format!("the fluid's numbers allow a time step of {limit}"))
-                .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
-                .advice("`hydrograd scenes heated-channel` shows usual values of [fluid]"));
-        }
-        let needed = self.time.end / limit;
-        if self.time.steps.is_none() && needed > MAX_STEPS {
-            return Err(BadInput::new(format!("time.end = {} needs {needed:.1e} steps", self.time.end))
-                .key("time.end")
-                .allowed(format!("at most {MAX_STEPS:.0e} steps")));
-        }
+        self.check_steps()?;
         let (window, duration) = (self.objective.window, self.duration());
         if window > duration * (1.0 + 1e-9) {
             return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
@@ -241,6 +268,23 @@ impl Config {
             ))
             .key("objective.samples")
             .allowed(format!("1 ... {steps}")));
+        }
+        Ok(())
+    }
+
+    /// The time step is a number, and the steps can be counted.
+    fn check_steps(&self) -> Result<(), BadInput> {
+        let limit = self.time_step_limit();
+        if !(limit > 0.0 && limit.is_finite()) {
+            return Err(BadInput::new(format!("the fluid's numbers allow a time step of {limit}"))
+                .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
+                .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.built_in().name)));
+        }
+        let needed = self.time.end / limit;
+        if self.time.steps.is_none() && needed > MAX_STEPS {
+            return Err(BadInput::new(format!("time.end = {} needs {needed:.1e} steps", self.time.end))
+                .key("time.end")
+                .allowed(format!("at most {MAX_STEPS:.0e} steps")));
         }
         Ok(())
     }
