@@ -6,6 +6,7 @@ use crate::design::optimise;
 use crate::error::Error;
 use crate::lanes::Real;
 use crate::scene::config::{Config, Precision};
+use crate::scene::flow::Flow;
 use crate::scene::load::Loaded;
 use crate::sph::plan::Plan;
 
@@ -22,10 +23,14 @@ pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
 }
 
 fn plan<R: Real>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
+    let failed =
+        |e: crate::neighbours::list::NeighbourError| Error::run(e.to_string(), "another resolution.dx or time.skin");
+    if let Some(flow) = Flow::<R>::from_config(config) {
+        return Ok(Plan::of(&flow.model, &flow.state, Some(limit(config))).map_err(failed)?);
+    }
     let (channel, shape) = build::<R>(config)?;
     let first = start(&channel, &shape.offsets);
-    let plan = Plan::of(&channel.model, &first.state, Some(limit(config)))
-        .map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))?;
+    let plan = Plan::of(&channel.model, &first.state, Some(limit(config))).map_err(failed)?;
     if !gradient {
         return Ok(plan);
     }
