@@ -135,13 +135,11 @@ fn side<L: Lanes, const D: usize, const TRANSPORT: bool, const HEAT: bool>(f: &F
     side
 }
 
-/// A position of more than one group has its last component in the second.
+/// The position stands first in a record.
 #[inline(always)]
 fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
     let mut position = [L::zero(); D];
-    for d in 0..D {
-        position[d] = f[0][d];
-    }
+    position.copy_from_slice(&f[0][..D]);
     position
 }
 
