@@ -14,7 +14,7 @@ use crate::scene::config::Kernels;
 use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::model::Model;
 use crate::sph::step::Neighbourhood;
-use candle_core::{Device, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp1, Device, Layout, Shape, Tensor, Var};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
@@ -328,7 +328,7 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         }
         self.graph = Some(graph);
         if let Some(cotangent) = cotangent {
-            terms.push((state * cotangent).and_then(|t| t.sum_all()).map_err(failed)?);
+            terms.push(state.apply_op1(Seed(cotangent)).map_err(failed)?);
         }
         let mut terms = terms.into_iter();
         let found = match terms.next() {
@@ -346,6 +346,29 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         };
         taped.into_iter().for_each(|bytes| self.held.remove(bytes));
         Ok(found)
+    }
+}
+
+/// A scalar whose derivative by its argument is a given cotangent: the end of a segment, where candle's `backward`
+/// begins. (The scalar product of state and cotangent would do, with several more passes over the state; its value is of
+/// no use, so this one's is zero.)
+struct Seed(Tensor);
+
+impl CustomOp1 for Seed {
+    fn name(&self) -> &'static str {
+        "seed"
+    }
+    fn cpu_fwd(&self, storage: &CpuStorage, _: &Layout) -> candle_core::Result<(CpuStorage, Shape)> {
+        let zero = match storage {
+            CpuStorage::F32(_) => CpuStorage::F32(vec![0.0]),
+            CpuStorage::F64(_) => CpuStorage::F64(vec![0.0]),
+            _ => candle_core::bail!("a state is in f32 or f64"),
+        };
+        Ok((zero, Shape::from(())))
+    }
+    fn bwd(&self, _: &Tensor, _: &Tensor, _: &Tensor) -> candle_core::Result<Option<Tensor>> {
+        // The loss is a sum with this as a term, so the incoming derivative is 1.
+        Ok(Some(self.0.clone()))
     }
 }
 

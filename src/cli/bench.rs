@@ -39,6 +39,8 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
         (format!("segments of {least} (least memory)"), Schedule::segments(steps, least)),
         ("every state".to_string(), Schedule::segments(steps, 1)),
         ("every state, rounded to f32".to_string(), Schedule::every_state(steps, 0, true)),
+        ("segments of 4".to_string(), Schedule::segments(steps, 4)),
+        ("segments of 10".to_string(), Schedule::segments(steps, 10)),
         ("segments of 200".to_string(), Schedule::segments(steps, 200)),
         (Schedule::two_level(steps, 0, steps.isqrt()).to_string(), Schedule::two_level(steps, 0, steps.isqrt())),
         (Schedule::binomial(steps, 0, 20).to_string(), Schedule::binomial(steps, 0, 20)),
@@ -55,18 +57,20 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
         "ns per particle-step",
         "seconds",
         "peak MB",
+        "kept and taped MB",
         "predicted MB",
     ]);
     let failed = |e: crate::solver::SolverError| Error::run(e.to_string(), "--set time.cfl=0.5");
     let base = peak_memory_bytes();
 
     let mut row =
-        |name: &str, predicted: Option<usize>, work: &mut dyn FnMut() -> Result<(), Error>| -> Result<(), Error> {
+        |name: &str, predicted: Option<usize>, work: &mut dyn FnMut() -> Result<usize, Error>| -> Result<(), Error> {
             reset_peak_memory();
             let mut seconds = Vec::new();
+            let mut held = 0;
             for _ in 0..arguments.repeats {
                 let clock = std::time::Instant::now();
-                work()?;
+                held = work()?;
                 seconds.push(clock.elapsed().as_secs_f64());
                 bar.advance(1);
             }
@@ -79,7 +83,8 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
                 format!("{:.0}", 1e6 * per_step(seconds[0]) / n as f64),
                 format!("{:.3}", seconds[0]),
                 format!("{:.0}", peak_memory_bytes() as f64 / 1e6),
-                predicted.map_or("".into(), |p| format!("{:.0}", p as f64 / 1e6)),
+                predicted.map_or("".into(), |_| format!("{:.1}", held as f64 / 1e6)),
+                predicted.map_or("".into(), |p| format!("{:.1}", p as f64 / 1e6)),
             ]);
             Ok(())
         };
@@ -88,11 +93,11 @@ fn go<R: Real>(loaded: &Loaded, arguments: &BenchArguments) -> anyhow::Result<()
         while solver.step < steps {
             solver.advance().map_err(failed)?;
         }
-        solver.check_finite().map_err(failed)
+        solver.check_finite().map_err(failed).map(|_| 0)
     })?;
     for (name, schedule) in &modes {
-        row(&format!("gradient, {name}"), Some(schedule.memory(costs)), &mut || {
-            gradient(&dynamics, &first, schedule, &channel.objective, &mut |_| ()).map_err(failed).map(|_| ())
+        row(&format!("gradient, {name}"), Some(schedule.storage(costs)), &mut || {
+            gradient(&dynamics, &first, schedule, &channel.objective, &mut |_| ()).map_err(failed).map(|g| g.storage)
         })?;
     }
     bar.finish();
