@@ -65,51 +65,50 @@ fn number<L: Lanes>(value: f64) -> L {
 }
 
 impl<L: Lanes> QuinticLanes<L> {
+    /// q = d/h and 1/q. At d = 0, which only self pairs and padding have, q is 0 and 1/q large but finite.
     #[inline(always)]
-    fn q(&self, r2: L) -> L {
-        r2.sqrt() * self.inverse_h
+    fn q(&self, r2: L) -> (L, L) {
+        let r2 = r2 * (self.inverse_h * self.inverse_h);
+        let inverse = (r2 + number(1e-30)).inverse_sqrt();
+        (r2 * inverse, inverse)
+    }
+
+    /// W, F and G from one distance; what the caller drops is not computed.
+    #[inline(always)]
+    pub fn all(&self, r2: L) -> (L, L, L) {
+        let (q, inverse) = self.q(r2);
+        let one = number::<L>(1.0);
+        let q3 = (number::<L>(3.0) - q).positive();
+        let q2 = (number::<L>(2.0) - q).positive();
+        let q1 = (one - q).positive();
+        let (s3, s2, s1) = (q3 * q3, q2 * q2, q1 * q1);
+        let (f3, f2, f1) = (s3 * s3, s2 * s2, s1 * s1);
+        let w = (f2 * q2).mul_add(number(-6.0), f3 * q3);
+        let w = (f1 * q1).mul_add(number(15.0), w);
+        let outer_f = f2.mul_add(number(-6.0), f3) * inverse;
+        let derivative = (s2 * q2).mul_add(number(24.0), s3 * q3 * number(-4.0));
+        let outer_g = (derivative - outer_f) * (inverse * inverse);
+        let inner_f = (q * q).mul_add(number::<L>(10.0).mul_add(q, number(-24.0)), number(24.0));
+        let inner_g = q.mul_add(number(30.0), number(-48.0));
+        (self.w * w, self.f * q.select_less(one, inner_f, outer_f), self.g * q.select_less(one, inner_g, outer_g))
     }
 
     /// W.
     #[inline(always)]
     pub fn value(&self, r2: L) -> L {
-        let q = self.q(r2);
-        let q3 = (number::<L>(3.0) - q).positive();
-        let q2 = (number::<L>(2.0) - q).positive();
-        let q1 = (number::<L>(1.0) - q).positive();
-        let fifth = |a: L| {
-            let s = a * a;
-            s * s * a
-        };
-        self.w * (fifth(q3) - number::<L>(6.0) * fifth(q2) + number::<L>(15.0) * fifth(q1))
+        self.all(r2).0
     }
 
     /// F = W'(d)/d.
     #[inline(always)]
     pub fn slope(&self, r2: L) -> L {
-        let q = self.q(r2);
-        let q3 = (number::<L>(3.0) - q).positive();
-        let q2 = (number::<L>(2.0) - q).positive();
-        let (s3, s2) = (q3 * q3, q2 * q2);
-        let outer = (s3 * s3 - number::<L>(6.0) * (s2 * s2)) / q;
-        let inner = (q * q).mul_add(number::<L>(10.0) * q - number::<L>(24.0), number(24.0));
-        self.f * q.select_less(number(1.0), inner, outer)
+        self.all(r2).1
     }
 
     /// F and G = F'(d)/d.
     #[inline(always)]
     pub fn slope_and_curvature(&self, r2: L) -> (L, L) {
-        let q = self.q(r2);
-        let q3 = (number::<L>(3.0) - q).positive();
-        let q2 = (number::<L>(2.0) - q).positive();
-        let (s3, s2) = (q3 * q3, q2 * q2);
-        let inverse = number::<L>(1.0) / q;
-        let outer_f = (s3 * s3 - number::<L>(6.0) * (s2 * s2)) * inverse;
-        let derivative = number::<L>(24.0) * (s2 * q2) - number::<L>(4.0) * (s3 * q3);
-        let outer_g = (derivative - outer_f) * (inverse * inverse);
-        let inner_f = (q * q).mul_add(number::<L>(10.0) * q - number::<L>(24.0), number(24.0));
-        let inner_g = q.mul_add(number(30.0), number(-48.0));
-        let one = number(1.0);
-        (self.f * q.select_less(one, inner_f, outer_f), self.g * q.select_less(one, inner_g, outer_g))
+        let (_, f, g) = self.all(r2);
+        (f, g)
     }
 }

@@ -22,6 +22,9 @@ pub trait Real:
     fn floor(self) -> Self;
 }
 
+/// The most lanes of any [`Lanes`].
+pub const WIDEST: usize = 16;
+
 /// A few [`Real`]s that are computed on together.
 pub trait Lanes:
     Copy
@@ -45,6 +48,26 @@ pub trait Lanes:
     /// # Safety
     /// `from` must be readable for `COUNT` numbers.
     unsafe fn load(from: *const Self::Real) -> Self;
+    /// The first numbers of a slice, zeros behind its end.
+    #[inline(always)]
+    fn load_part(from: &[Self::Real]) -> Self {
+        if from.len() >= Self::COUNT {
+            // SAFETY: COUNT numbers are there.
+            return unsafe { Self::load(from.as_ptr()) };
+        }
+        let mut part = [Self::Real::default(); WIDEST];
+        part[..from.len()].copy_from_slice(from);
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { Self::load(part.as_ptr()) }
+    }
+    /// The largest lane.
+    #[inline(always)]
+    fn largest(self) -> Self::Real {
+        let mut lanes = [Self::Real::default(); WIDEST];
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { self.store(lanes.as_mut_ptr()) };
+        lanes[..Self::COUNT].iter().fold(lanes[0], |most, &x| if x > most { x } else { most })
+    }
     /// Stores `COUNT` numbers.
     ///
     /// # Safety
@@ -53,11 +76,28 @@ pub trait Lanes:
     /// `self * factor + term`, rounded once where the machine can.
     fn mul_add(self, factor: Self, term: Self) -> Self;
     fn sqrt(self) -> Self;
+    /// 1/sqrt(self) to a few units in the last place; anything at 0. Where the machine can, without its divider, which
+    /// needs 40 cycles for the square root and the division of eight f64: a third of a pair pass.
+    fn inverse_sqrt(self) -> Self;
     /// max(self, 0).
     fn positive(self) -> Self;
     fn round(self) -> Self;
     /// Lane by lane: `if self < limit { below } else { above }`.
     fn select_less(self, limit: Self, below: Self, above: Self) -> Self;
+    /// Bit `lane` is set where `self < limit`.
+    fn bits_less(self, limit: Self) -> u32;
+    /// Copies those of `COUNT` entries whose bit is set to the front of `to`, in order; the places behind them get anything.
+    ///
+    /// # Safety
+    /// `from` must be readable and `to` writable for `COUNT` entries.
+    unsafe fn compress(from: *const u32, bits: u32, to: *mut u32) {
+        let mut kept = 0;
+        for lane in 0..Self::COUNT {
+            // SAFETY: lane and kept are below COUNT.
+            unsafe { *to.add(kept) = *from.add(lane) };
+            kept += (bits >> lane & 1) as usize;
+        }
+    }
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
@@ -204,6 +244,10 @@ macro_rules! portable {
                 Self(self.0.map(|a| a.sqrt()))
             }
             #[inline(always)]
+            fn inverse_sqrt(self) -> Self {
+                Self(self.0.map(|a| 1.0 / a.sqrt()))
+            }
+            #[inline(always)]
             fn positive(self) -> Self {
                 Self(self.0.map(|a| if a > 0.0 { a } else { 0.0 }))
             }
@@ -214,6 +258,10 @@ macro_rules! portable {
             #[inline(always)]
             fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
                 Self(std::array::from_fn(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
+            }
+            #[inline(always)]
+            fn bits_less(self, limit: Self) -> u32 {
+                (0..$count).fold(0, |bits, l| bits | ((self.0[l] < limit.0[l]) as u32) << l)
             }
             #[inline(always)]
             fn sum(self) -> $real {
@@ -285,6 +333,10 @@ mod x86 {
                     Self(unsafe { $sqrt(self.0) })
                 }
                 #[inline(always)]
+                fn inverse_sqrt(self) -> Self {
+                    inverse_sqrt::$name(self)
+                }
+                #[inline(always)]
                 fn positive(self) -> Self {
                     Self(unsafe { $max(self.0, $zero()) })
                 }
@@ -295,6 +347,14 @@ mod x86 {
                 #[inline(always)]
                 fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
                     Self(unsafe { select_less::$name(self.0, limit.0, below.0, above.0) })
+                }
+                #[inline(always)]
+                fn bits_less(self, limit: Self) -> u32 {
+                    unsafe { bits_less::$name(self.0, limit.0) }
+                }
+                #[inline(always)]
+                unsafe fn compress(from: *const u32, bits: u32, to: *mut u32) {
+                    unsafe { compress::$name(from, bits, to) }
                 }
                 #[inline(always)]
                 fn sum(self) -> $real {
@@ -395,6 +455,38 @@ mod x86 {
     }
 
     #[allow(non_snake_case)]
+    mod inverse_sqrt {
+        use super::*;
+        #[inline(always)]
+        pub fn Avx2F64(a: super::Avx2F64) -> super::Avx2F64 {
+            super::Avx2F64::splat(1.0) / a.sqrt()
+        }
+        #[inline(always)]
+        pub fn Avx2F32(a: super::Avx2F32) -> super::Avx2F32 {
+            super::Avx2F32::splat(1.0) / a.sqrt()
+        }
+        /// One Newton step y + y/2 (1 - a y^2) doubles the 14 binary digits of the machine's estimate.
+        #[inline(always)]
+        fn newton<L: Lanes>(a: L, y: L) -> L {
+            let number = |x: f64| L::splat(L::Real::of(x));
+            let error = (a * y).mul_add(-y, number(1.0));
+            (y * number(0.5)).mul_add(error, y)
+        }
+        #[inline(always)]
+        pub fn Avx512F64(a: super::Avx512F64) -> super::Avx512F64 {
+            // SAFETY: as for every lane type, only reached on a checked CPU.
+            let y = super::Avx512F64(unsafe { _mm512_rsqrt14_pd(a.0) });
+            newton(a, newton(a, y))
+        }
+        #[inline(always)]
+        pub fn Avx512F32(a: super::Avx512F32) -> super::Avx512F32 {
+            // SAFETY: as above.
+            let y = super::Avx512F32(unsafe { _mm512_rsqrt14_ps(a.0) });
+            newton(a, y)
+        }
+    }
+
+    #[allow(non_snake_case)]
     mod select_less {
         use super::*;
         #[inline(always)]
@@ -412,6 +504,81 @@ mod x86 {
         #[inline(always)]
         pub unsafe fn Avx512F32(a: __m512, b: __m512, x: __m512, y: __m512) -> __m512 {
             unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b), y, x) }
+        }
+    }
+
+    #[allow(non_snake_case)]
+    mod bits_less {
+        use super::*;
+        #[inline(always)]
+        pub unsafe fn Avx2F64(a: __m256d, b: __m256d) -> u32 {
+            unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(a, b)) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx2F32(a: __m256, b: __m256) -> u32 {
+            unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(a, b)) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F64(a: __m512d, b: __m512d) -> u32 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(a, b) as u32 }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F32(a: __m512, b: __m512) -> u32 {
+            unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) as u32 }
+        }
+    }
+
+    /// Compressed in a register and stored whole: compressing stores are slow on some machines.
+    #[allow(non_snake_case)]
+    mod compress {
+        use super::*;
+        /// Where the set bits of a byte stand, for a permutation of eight entries.
+        const PLACES: [[u32; 8]; 256] = {
+            let mut table = [[0; 8]; 256];
+            let mut bits = 0;
+            while bits < 256 {
+                let (mut kept, mut lane) = (0, 0);
+                while lane < 8 {
+                    if bits >> lane & 1 == 1 {
+                        table[bits][kept] = lane as u32;
+                        kept += 1;
+                    }
+                    lane += 1;
+                }
+                bits += 1;
+            }
+            table
+        };
+        #[inline(always)]
+        pub unsafe fn Avx2F64(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let four = _mm256_castsi128_si256(_mm_loadu_si128(from.cast()));
+                let places = _mm256_loadu_si256(PLACES[(bits & 15) as usize].as_ptr().cast());
+                let kept = _mm256_permutevar8x32_epi32(four, places);
+                _mm_storeu_si128(to.cast(), _mm256_castsi256_si128(kept));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx2F32(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let eight = _mm256_loadu_si256(from.cast());
+                let places = _mm256_loadu_si256(PLACES[(bits & 255) as usize].as_ptr().cast());
+                _mm256_storeu_si256(to.cast(), _mm256_permutevar8x32_epi32(eight, places));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F64(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let eight = _mm256_loadu_si256(from.cast());
+                _mm256_storeu_si256(to.cast(), _mm256_maskz_compress_epi32(bits as u8, eight));
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F32(from: *const u32, bits: u32, to: *mut u32) {
+            unsafe {
+                let sixteen = _mm512_loadu_si512(from.cast());
+                _mm512_storeu_si512(to.cast(), _mm512_maskz_compress_epi32(bits as u16, sixteen));
+            }
         }
     }
 
@@ -637,6 +804,11 @@ impl<'a, T: Copy> Shared<'a, T> {
     pub fn new(slice: &'a mut [T]) -> Self {
         Self { pointer: slice.as_mut_ptr(), length: slice.len(), lifetime: std::marker::PhantomData }
     }
+    /// For reading places that nobody writes during the sweep.
+    #[inline(always)]
+    pub fn as_ptr(&self) -> *const T {
+        self.pointer
+    }
     /// Writes one place.
     ///
     /// # Safety
@@ -656,6 +828,19 @@ impl<'a, T: Copy> Shared<'a, T> {
         assert!(place < self.length);
         // SAFETY: in bounds, and not written by others by the contract.
         unsafe { *self.pointer.add(place) }
+    }
+    /// Stores COUNT numbers from `place` on.
+    ///
+    /// # Safety
+    /// No other thread may access these places during the sweep.
+    #[inline(always)]
+    pub unsafe fn store<L: Lanes<Real = T>>(&self, place: usize, value: L)
+    where
+        T: Real,
+    {
+        assert!(place + L::COUNT <= self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { value.store(self.pointer.add(place)) }
     }
     /// A stretch of places as a slice.
     ///

@@ -4,6 +4,7 @@ use crate::lanes::Real;
 use crate::neighbours::list::NeighbourError;
 use crate::scene::config::Kernels;
 use crate::sph::model::Model;
+use crate::sph::pairs::Kept;
 use crate::sph::step::{self, Neighbourhood, Step};
 use crate::sph::{advance, density, drift, primitives, rates};
 use candle_core::Tensor;
@@ -41,7 +42,8 @@ pub struct Solver<R> {
     pub neighbourhood: Neighbourhood<R>,
     moved: Vec<R>,
     density: Vec<R>,
-    /// Of the last step, walls included, `[C, N]`.
+    kept: Kept<R>,
+    /// Of the last [`Self::look`], walls included, `[C, N]`.
     pub primitives: Vec<R>,
     rates: Vec<R>,
 }
@@ -59,7 +61,8 @@ impl<R: Real> Solver<R> {
         Self {
             moved: rows(l.moved_rows()),
             density: rows(1),
-            primitives: rows(l.primitive_rows()),
+            kept: Kept::default(),
+            primitives: Vec::new(),
             rates: rows(l.rate_rows()),
             model,
             state,
@@ -86,9 +89,9 @@ impl<R: Real> Solver<R> {
             .update(&self.model, &self.moved)
             .map_err(|source| SolverError::Neighbours { step: self.step, source })?;
         let step = self.step_now();
-        density::forward(&step, &self.moved, &mut self.density);
-        primitives::forward(&step, &self.moved, &self.density, &mut self.primitives);
-        rates::forward(&step, &self.moved, &self.primitives, &mut self.rates);
+        density::forward(&step, &self.moved, &mut self.kept, false, &mut self.density);
+        primitives::forward(&step, &self.moved, &self.density, &mut self.kept, None);
+        rates::forward(&step, &self.moved, &self.kept, &mut self.rates);
         advance::forward(&step, &self.moved, &self.rates, &mut self.state);
         self.step += 1;
         Ok(())
@@ -103,8 +106,9 @@ impl<R: Real> Solver<R> {
     pub fn look(&mut self) {
         drift::forward(&self.model, 0.0, &self.state, &mut self.moved);
         let step = self.step_now();
-        density::forward(&step, &self.moved, &mut self.density);
-        primitives::forward(&step, &self.moved, &self.density, &mut self.primitives);
+        density::forward(&step, &self.moved, &mut self.kept, false, &mut self.density);
+        self.primitives.resize(self.model.layout.primitive_rows() * self.model.particles(), R::default());
+        primitives::forward(&step, &self.moved, &self.density, &mut self.kept, Some(&mut self.primitives));
     }
 
     /// The moved state of the last [`Self::advance`] or [`Self::look`], `[M, N]`.

@@ -85,6 +85,8 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
             twin.advance().map_err(|e| e.to_string())?;
         }
         compared += 1;
+        solver.look();
+        twin.look();
         let mut worst: (f64, &str) = (0.0, "");
         let ours = fields(case, &solver, &before[0]);
         for ((name, values), (_, shaken)) in ours.iter().zip(fields(case, &twin, &before[1])) {

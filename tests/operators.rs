@@ -16,7 +16,7 @@ use hydrograd::solver::Solver;
 use hydrograd::sph::body_force::BodyForce;
 use hydrograd::sph::interpolation::{Interpolation, Mode};
 use hydrograd::sph::model::Model;
-use hydrograd::sph::step::Step;
+use hydrograd::sph::step::{Chain, Step};
 use hydrograd::sph::{advance, composed::quintic, composed::Pairs, density, drift, primitives, rates};
 use std::sync::Arc;
 use support::final_sum::FinalSum;
@@ -66,9 +66,9 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     let state = tensor(&scene.state::<R>(), n);
     let moved = Step::drift(&model, model.dt, &state, true).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
-    let density = moved.apply_op1(density::Density(step.clone())).unwrap();
-    let primitives = moved.apply_op2(&density, primitives::Primitives(step.clone())).unwrap();
-    let rates = moved.apply_op2(&primitives, rates::Rates(step.clone())).unwrap();
+    let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
+    let primitives = moved.apply_op2(&density, primitives::Primitives(Chain::new(step.clone()))).unwrap();
+    let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step.clone()))).unwrap();
     let targets = targets(&model, scene);
     let interpolation = |mode: Mode| Interpolation { step: step.clone(), targets: targets.clone(), mode };
 
@@ -91,21 +91,21 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "density",
         &[&moved],
-        Box::new(move |t| t[0].apply_op1(density::Density(s.clone()))),
+        Box::new(move |t| t[0].apply_op1(density::Density(Chain::new(s.clone())))),
         Box::new(move |t| density::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
         "primitives",
         &[&moved, &density],
-        Box::new(move |t| t[0].apply_op2(&t[1], primitives::Primitives(s.clone()))),
+        Box::new(move |t| t[0].apply_op2(&t[1], primitives::Primitives(Chain::new(s.clone())))),
         Box::new(move |t| primitives::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
         "rates",
         &[&moved, &primitives],
-        Box::new(move |t| t[0].apply_op2(&t[1], rates::Rates(s.clone()))),
+        Box::new(move |t| t[0].apply_op2(&t[1], rates::Rates(Chain::new(s.clone())))),
         Box::new(move |t| rates::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
@@ -304,9 +304,9 @@ fn rates_of<R: Real>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
     let (model, n) = (scene.model::<R>(), scene.particles());
     let moved = Step::drift(&model, model.dt, &tensor(&scene.state::<R>(), n), true).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
-    let density = moved.apply_op1(density::Density(step.clone())).unwrap();
-    let primitives = moved.apply_op2(&density, primitives::Primitives(step.clone())).unwrap();
-    let rates = moved.apply_op2(&primitives, rates::Rates(step)).unwrap();
+    let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
+    let primitives = moved.apply_op2(&density, primitives::Primitives(Chain::new(step.clone()))).unwrap();
+    let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step))).unwrap();
     let mass = match scene.options.mass {
         true => scene.state[model.layout.state_mass() * n..].to_vec(),
         false => vec![model.mass; n],

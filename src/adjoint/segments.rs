@@ -9,7 +9,7 @@
 
 use super::schedule::{Action, Costs, Schedule};
 use crate::lanes::Real;
-use crate::neighbours::{list::NeighbourError, NeighbourList};
+use crate::neighbours::list::NeighbourError;
 use crate::scene::config::Kernels;
 use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::model::Model;
@@ -500,10 +500,11 @@ impl<R: Real> Sph<R> {
         if let Some(same) = known.into_iter().flatten().find(|n| Arc::ptr_eq(&n.reference, &kept.reference)) {
             return Ok(same.clone());
         }
-        let model = &self.model;
-        let list = NeighbourList::build(&kept.reference, &model.tags, &model.domain, model.reach(), 0)
+        let mut new = Neighbourhood::build(&self.model, &kept.reference, 0)
             .map_err(|source| SolverError::Neighbours { step: kept.step, source })?;
-        Ok(Neighbourhood { list: Arc::new(list), reference: kept.reference.clone() })
+        // The same positions, and the same place in memory: states of one list are known by it.
+        new.reference = kept.reference.clone();
+        Ok(new)
     }
 
     /// Bytes of a number in every row of a field with `rows` rows.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::cli::bench::BenchArguments;
 use crate::error::{BadInput, Error};
 use crate::scene::config::{Config, GradientMode, Kernels, Precision};
 use crate::scene::layers::Setting;
@@ -107,29 +108,8 @@ pub struct CheckGradientArguments {
     #[arg(long, value_name = "N", default_value_t = CHECK_STEPS)]
     pub steps: usize,
     /// Random directions to compare along.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = at_least_one)]
     pub directions: usize,
-}
-
-/// Time a step and its gradient in every mode, with peak memory (best and median of several repeats).
-#[derive(Debug, Clone, Args)]
-#[command(after_long_help = "\
-Examples:
-  hydrograd bench --preset report
-      the original report's 950 particles and 2000 steps
-  hydrograd bench --preset report --set time.steps=400 --threads 1 --precision f32
-      one thread, single precision")]
-pub struct BenchArguments {
-    #[command(flatten)]
-    pub common: CommonArguments,
-    #[command(flatten)]
-    pub memory: MemoryArgument,
-    /// Repeats of each row.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = directions)]
-    pub repeats: usize,
-    /// Leave out gradients predicted to take more than this.
-    #[arg(long, value_name = "GB", default_value_t = 4.0)]
-    pub memory_gb: f64,
 }
 
 /// List the built-in scenes and presets, or print a scene as TOML.
@@ -288,7 +268,7 @@ impl CommonArguments {
 }
 
 /// Checks that `folder` is one or can be created, without leaving anything behind.
-fn check_writable(folder: &Path) -> Result<(), BadInput> {
+pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
             .place(format!("--out {}", folder.display()))
@@ -346,12 +326,6 @@ impl OptimizeArguments {
     }
 }
 
-impl BenchArguments {
-    pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(None, vec![], self.memory.setting().into_iter().collect())
-    }
-}
-
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
@@ -367,12 +341,12 @@ impl CheckGradientArguments {
 }
 
 /// The name of a value as the command line and the configuration spell it.
-fn name_of(value: impl ValueEnum) -> String {
+pub(super) fn name_of(value: impl ValueEnum) -> String {
     let value = value.to_possible_value().expect("no value is hidden");
     value.get_name().to_string()
 }
 
-fn directions(text: &str) -> Result<usize, String> {
+pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if count >= 1 => Ok(count),
         _ => Err("allowed: a whole number, at least 1".into()),

@@ -12,9 +12,10 @@ mod scenes;
 mod simulate;
 
 pub use arguments::{
-    BenchArguments, CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments,
-    MemoryArgument, OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments, MemoryArgument,
+    OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
 };
+pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};
 
 /// Runs the parsed command line.
@@ -23,7 +24,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
-        Command::Bench(arguments) => bench::run(arguments.load()?, arguments),
+        Command::Bench(arguments) => bench::run(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }

@@ -9,7 +9,7 @@ use crate::lanes::Real;
 use crate::scene::config::Kernels;
 use crate::solver::{Solver, SolverError, TensorSolver};
 use crate::sph::interpolation::{Interpolation, Mode};
-use crate::sph::step::Step;
+use crate::sph::step::{Chain, Step};
 use crate::sph::{density, primitives};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
@@ -86,8 +86,9 @@ impl<R: Real> Objective<Sph<R>> for Outflow {
             let fused = run.kernels == Kernels::Fused;
             let moved = Step::drift(&run.model, 0.0, state, fused)?;
             let fields = if fused {
-                let density = moved.apply_op1(density::Density(step.clone()))?;
-                let primitives = moved.apply_op2(&density, primitives::Primitives(step.clone()))?;
+                let chain = Chain::new(step.clone());
+                let density = moved.apply_op1(density::Density(chain.clone()))?;
+                let primitives = moved.apply_op2(&density, primitives::Primitives(chain))?;
                 moved.apply_op2(&primitives, self.interpolation(step))?
             } else {
                 let pairs = crate::sph::composed::Pairs::new(&step, &moved)?;

@@ -9,15 +9,17 @@
 //! The list is a pure function of the positions it was built from, so replaying a segment from stored
 //! positions gives the same list, the same order of every sum and the same bits.
 
-use crate::lanes::{Real, Shared};
+use super::cells::{Cells, Geometry, Runs};
+use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::particles::{tag, Domain};
+use std::ops::Range;
 
 /// Rows are padded to a multiple of the widest lane count.
-const ROW_MULTIPLE: usize = 16;
+pub const ROW_MULTIPLE: usize = 16;
 /// More neighbours than this means that particles have clumped: no flow of this kind has them.
 const MOST_NEIGHBOURS: usize = 1024;
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct NeighbourList {
     /// N.
     pub particles: usize,
@@ -50,104 +52,12 @@ pub enum NeighbourError {
     BoxTooSmall { direction: usize, size: f64, reach: f64 },
 }
 
-/// Particles sorted into cells of at least one reach.
-struct Grid<R> {
-    cells: [usize; 3],
-    origin: [f64; 3],
-    scale: [f64; 3],
-    /// First sorted place of each cell.
-    start: Vec<u32>,
-    /// Positions `[D][N]` and numbers in cell order.
-    position: Vec<Vec<R>>,
-    particle: Vec<u32>,
-}
-
-impl<R: Real> Grid<R> {
-    fn build(position: &[R], n: usize, domain: &Domain, reach: f64) -> Result<Self, NeighbourError> {
-        let dimension = domain.dimension;
-        let mut origin = [0.0; 3];
-        let mut cells = [1; 3];
-        let mut scale = [0.0; 3];
-        for d in 0..dimension {
-            let row = &position[d * n..(d + 1) * n];
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for (i, x) in row.iter().enumerate() {
-                let x = x.f64();
-                // Ten box lengths: a particle there is lost, and a grid around it would not fit into memory.
-                if x.is_nan() || x.abs() > 10.0 * domain.size[d] {
-                    return Err(NeighbourError::LostParticle { particle: i, component: d, value: x });
-                }
-                low = low.min(x);
-                high = high.max(x);
-            }
-            let extent = if domain.periodic[d] {
-                if domain.size[d] < 2.0 * reach {
-                    return Err(NeighbourError::BoxTooSmall { direction: d, size: domain.size[d], reach });
-                }
-                domain.size[d]
-            } else {
-                origin[d] = low;
-                (high - low).max(reach)
-            };
-            // 1e-9: a particle exactly on the upper edge of an extent that is a multiple of the reach.
-            cells[d] = ((extent / reach * (1.0 - 1e-9)) as usize).max(1);
-            scale[d] = cells[d] as f64 / extent;
-        }
-        let mut grid = Self {
-            cells,
-            origin,
-            scale,
-            start: vec![0; cells.iter().product::<usize>() + 1],
-            position: vec![vec![R::default(); n]; dimension],
-            particle: vec![0; n],
-        };
-        let cell_of: Vec<u32> = (0..n).map(|i| grid.cell_of(position, n, dimension, i) as u32).collect();
-        for &c in &cell_of {
-            grid.start[c as usize + 1] += 1;
-        }
-        for c in 1..grid.start.len() {
-            grid.start[c] += grid.start[c - 1];
-        }
-        let mut next = grid.start.clone();
-        for (i, &c) in cell_of.iter().enumerate() {
-            let place = next[c as usize] as usize;
-            next[c as usize] += 1;
-            grid.particle[place] = i as u32;
-            for d in 0..dimension {
-                grid.position[d][place] = position[d * n + i];
-            }
-        }
-        Ok(grid)
-    }
-
-    fn coordinate(&self, value: f64, d: usize) -> usize {
-        (((value - self.origin[d]) * self.scale[d]).max(0.0) as usize).min(self.cells[d] - 1)
-    }
-
-    fn cell_of(&self, position: &[R], n: usize, dimension: usize, i: usize) -> usize {
-        let mut cell = 0;
-        for d in (0..dimension).rev() {
-            cell = cell * self.cells[d] + self.coordinate(position[d * n + i].f64(), d);
-        }
-        cell
-    }
-
-    /// The cells around `at` in direction d, each once.
-    fn around(&self, at: usize, d: usize, periodic: bool) -> ([usize; 3], usize) {
-        let cells = self.cells[d] as isize;
-        let mut list = [0; 3];
-        let mut count = 0;
-        for offset in [-1, 0, 1] {
-            let raw = at as isize + offset;
-            let cell = raw.rem_euclid(cells) as usize;
-            // With one or two cells the same cell is reached twice: it must be listed once.
-            if (periodic || cell as isize == raw) && !list[..count].contains(&cell) {
-                list[count] = cell;
-                count += 1;
-            }
-        }
-        (list, count)
-    }
+/// What building a list needs besides the list; kept between builds so that none of it is allocated anew.
+#[derive(Debug, Clone, Default)]
+pub struct Workspace<R> {
+    /// Fluid, and walls if there are any, each sorted into the same cells.
+    fluid: Cells<R>,
+    wall: Cells<R>,
 }
 
 impl NeighbourList {
@@ -161,107 +71,73 @@ impl NeighbourList {
         reach: f64,
         capacity_hint: usize,
     ) -> Result<Self, NeighbourError> {
+        let mut list = Self { capacity: capacity_hint, ..Self::default() };
+        list.rebuild(position, tags, domain, reach, &mut Workspace::default())?;
+        Ok(list)
+    }
+
+    /// [`Self::build`] in place: `tags` must be those of the first build.
+    pub fn rebuild<R: Real>(
+        &mut self,
+        position: &[R],
+        tags: &[u8],
+        domain: &Domain,
+        reach: f64,
+        workspace: &mut Workspace<R>,
+    ) -> Result<(), NeighbourError> {
         let n = tags.len();
-        let grid = Grid::build(position, n, domain, reach)?;
-        let mut list = Self {
-            particles: n,
-            capacity: capacity_hint.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE),
-            index: Vec::new(),
-            count: vec![0; n],
-            fluid_count: vec![0; n],
-            fluid_rows: (0..n as u32).filter(|&i| tags[i as usize] == tag::FLUID).collect(),
-            wall_rows: Vec::new(),
-        };
+        let walls = |&i: &u32| tags[i as usize] != tag::FLUID;
+        if self.particles != n || self.count.len() != n {
+            self.particles = n;
+            self.count = vec![0; n];
+            self.fluid_count = vec![0; n];
+            self.fluid_rows = (0..n as u32).filter(|i| !walls(i)).collect();
+        }
+        let geometry = Geometry::new(position, n, domain, reach)?;
+        workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
+        if workspace.wall.members() + self.fluid_rows.len() != n {
+            let all: Vec<u32> = (0..n as u32).filter(walls).collect();
+            workspace.wall.fill(&geometry, position, n, &all);
+        } else {
+            workspace.wall.refill(&geometry, position, n);
+        }
+        self.capacity = self.capacity.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE);
         loop {
-            list.fill(&grid, position, tags, domain, reach);
-            let (particle, &most) = list.count.iter().enumerate().max_by_key(|(_, c)| **c).unwrap_or((0, &0));
+            self.index.resize(n * self.capacity, 0);
+            self.sweep(&geometry, workspace);
+            let (particle, &most) = self.count.iter().enumerate().max_by_key(|(_, c)| **c).unwrap_or((0, &0));
             let most = most as usize;
             if most > MOST_NEIGHBOURS {
                 return Err(NeighbourError::Clumped { particle, count: most });
             }
-            if most <= list.capacity {
+            if most <= self.capacity {
                 break;
             }
             // Grown with some room, so that the next builds fit at once.
-            list.capacity = (most + 4).next_multiple_of(ROW_MULTIPLE);
+            self.capacity = (most + 4).next_multiple_of(ROW_MULTIPLE);
         }
-        list.wall_rows =
-            (0..n as u32).filter(|&i| tags[i as usize] != tag::FLUID && list.count[i as usize] > 0).collect();
-        Ok(list)
+        self.wall_rows.clear();
+        let count = &self.count;
+        self.wall_rows.extend(workspace.wall.in_order().iter().copied().filter(|&i| count[i as usize] > 0));
+        Ok(())
     }
 
-    fn fill<R: Real>(&mut self, grid: &Grid<R>, position: &[R], tags: &[u8], domain: &Domain, reach: f64) {
-        let (n, capacity, dimension) = (self.particles, self.capacity, domain.dimension);
-        self.index.clear();
-        self.index.resize(n * capacity, 0);
-        let index = Shared::new(&mut self.index);
-        let count = Shared::new(&mut self.count);
-        let fluid_count = Shared::new(&mut self.fluid_count);
-        let wall_of: Vec<bool> = grid.particle.iter().map(|&j| tags[j as usize] != tag::FLUID).collect();
-        let size = domain.size.map(R::of);
-        let inverse = domain.inverse_period().map(R::of);
-        let reach2 = R::of(reach * reach);
-        let half = R::of(0.5);
-        candle_core::utils::barrier_pool().execute_chunked(n, |rows| {
-            let mut fluid: Vec<u32> = Vec::new();
-            let mut wall: Vec<u32> = Vec::new();
-            for i in rows {
-                let own_wall = tags[i] != tag::FLUID;
-                let here: [R; 3] =
-                    std::array::from_fn(|d| if d < dimension { position[d * n + i] } else { R::default() });
-                let mut ranges = [(0usize, 0usize); 27];
-                let mut range_count = 0;
-                let around: [([usize; 3], usize); 3] = std::array::from_fn(|d| {
-                    if d < dimension {
-                        grid.around(grid.coordinate(here[d].f64(), d), d, domain.periodic[d])
-                    } else {
-                        ([0; 3], 1)
-                    }
-                });
-                for &cz in &around[2].0[..around[2].1] {
-                    for &cy in &around[1].0[..around[1].1] {
-                        for &cx in &around[0].0[..around[0].1] {
-                            let c = (cz * grid.cells[1] + cy) * grid.cells[0] + cx;
-                            ranges[range_count] = (grid.start[c] as usize, grid.start[c + 1] as usize);
-                            range_count += 1;
-                        }
-                    }
-                }
-                let candidates: usize = ranges[..range_count].iter().map(|(a, b)| b - a).sum();
-                fluid.resize(candidates + 1, 0);
-                wall.resize(candidates + 1, 0);
-                let (mut fluids, mut walls) = (0, 0);
-                for &(from, to) in &ranges[..range_count] {
-                    for place in from..to {
-                        let mut r2 = R::default();
-                        for d in 0..dimension {
-                            let mut dr = here[d] - grid.position[d][place];
-                            dr -= size[d] * (dr * inverse[d] + half).floor();
-                            r2 += dr * dr;
-                        }
-                        let j = grid.particle[place];
-                        let near = r2 < reach2 && j as usize != i;
-                        // Without branches: written always, kept by moving on.
-                        fluid[fluids] = j;
-                        wall[walls] = j;
-                        fluids += (near && !wall_of[place]) as usize;
-                        walls += (near && wall_of[place] && !own_wall) as usize;
-                    }
-                }
-                let total = fluids + walls;
-                // SAFETY: row i and its counts belong to this iteration alone.
-                unsafe {
-                    count.set(i, total as u32);
-                    fluid_count.set(i, fluids as u32);
-                    if total <= capacity {
-                        let row = index.slice(i * capacity..(i + 1) * capacity);
-                        row[..fluids].copy_from_slice(&fluid[..fluids]);
-                        row[fluids..total].copy_from_slice(&wall[..walls]);
-                        row[total..].fill(i as u32);
-                    }
-                }
-            }
-        });
+    fn sweep<R: Real>(&mut self, geometry: &Geometry, workspace: &Workspace<R>) {
+        let capacity = self.capacity;
+        let search = Search {
+            geometry,
+            fluid: &workspace.fluid,
+            wall: &workspace.wall,
+            capacity,
+            index: Shared::new(&mut self.index),
+            count: Shared::new(&mut self.count),
+            fluid_count: Shared::new(&mut self.fluid_count),
+        };
+        let rows = workspace.fluid.members() + workspace.wall.members();
+        match geometry.dimension {
+            2 => run_rows(&SearchIn::<R, 2>(search), rows),
+            _ => run_rows(&SearchIn::<R, 3>(search), rows),
+        }
     }
 
     /// The padded row of particle i.
@@ -278,4 +154,107 @@ impl NeighbourList {
     pub fn bytes(&self) -> usize {
         4 * (self.index.len() + 2 * self.particles + self.fluid_rows.len() + self.wall_rows.len())
     }
+}
+
+/// The search for neighbours: rows are places in the fluid's cells, then in the walls'.
+struct Search<'a, R> {
+    geometry: &'a Geometry,
+    fluid: &'a Cells<R>,
+    wall: &'a Cells<R>,
+    capacity: usize,
+    index: Shared<'a, u32>,
+    count: Shared<'a, u32>,
+    fluid_count: Shared<'a, u32>,
+}
+
+struct SearchIn<'a, R, const D: usize>(Search<'a, R>);
+
+/// Neighbours found for one particle, with room for a last whole vector.
+type Found = [u32; MOST_NEIGHBOURS + ROW_MULTIPLE];
+
+impl<R: Real, const D: usize> RowKernel<R> for SearchIn<'_, R, D> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let search = &self.0;
+        let fluids = search.fluid.members();
+        let mut found: Found = [0; MOST_NEIGHBOURS + ROW_MULTIPLE];
+        let mut cell = usize::MAX;
+        let mut runs = Runs::default();
+        let mut own_wall = false;
+        for row in rows {
+            let wall = row >= fluids;
+            let (own, place) = if wall { (search.wall, row - fluids) } else { (search.fluid, row) };
+            if cell != own.cell_of_place(place) || wall != own_wall {
+                (cell, own_wall) = (own.cell_of_place(place), wall);
+                runs = search.geometry.runs(cell);
+            }
+            let here: [L; D] = std::array::from_fn(|d| L::splat(own.position(d)[place]));
+            let me = own.numbers()[place];
+            let myself = if wall { None } else { Some(place) };
+            let mut total = append::<R, L, D>(search.geometry, &runs, search.fluid, &here, myself, &mut found, 0);
+            let fluid_count = total;
+            if !wall && search.wall.members() > 0 {
+                total = append::<R, L, D>(search.geometry, &runs, search.wall, &here, None, &mut found, total);
+            }
+            let (i, capacity) = (me as usize, search.capacity);
+            // SAFETY: every particle stands at one place, so row i and its counts belong to this iteration alone.
+            unsafe {
+                search.count.set(i, total as u32);
+                search.fluid_count.set(i, fluid_count as u32);
+                if total <= capacity {
+                    let row = search.index.slice(i * capacity..(i + 1) * capacity);
+                    row[..total].copy_from_slice(&found[..total]);
+                    row[total..].fill(me);
+                }
+            }
+        }
+    }
+}
+
+/// Appends the particles of `cells` within reach of `here`, but for the one at the place `myself`, to the `total` that
+/// `found` has; counts on, without keeping them, when there is no room left.
+#[inline(always)]
+fn append<R: Real, L: Lanes<Real = R>, const D: usize>(
+    geometry: &Geometry,
+    runs: &Runs,
+    cells: &Cells<R>,
+    here: &[L; D],
+    myself: Option<usize>,
+    found: &mut Found,
+    mut total: usize,
+) -> usize {
+    let reach2 = L::splat(R::of(geometry.reach * geometry.reach));
+    for run in &runs.list[..runs.count] {
+        let (from, to) = cells.places(run.first, run.last);
+        let shift: [L; D] = std::array::from_fn(|d| L::splat(R::of(run.shift[d])));
+        let mut at = from;
+        while at < to {
+            let mut r2 = L::zero();
+            for d in 0..D {
+                // SAFETY: positions are padded by the widest lane count behind the last place.
+                let there = unsafe { L::load(cells.position(d).as_ptr().add(at)) };
+                let mut dr = here[d] - there + shift[d];
+                if geometry.narrow[d] {
+                    let size = L::splat(R::of(geometry.size[d]));
+                    dr = dr - size * (dr * L::splat(R::of(1.0 / geometry.size[d]))).round();
+                }
+                r2 = dr.mul_add(dr, r2);
+            }
+            let mut bits = r2.bits_less(reach2);
+            if at + L::COUNT > to {
+                bits &= (1 << (to - at)) - 1;
+            }
+            if let Some(place) = myself.filter(|place| (at..at + L::COUNT).contains(place)) {
+                bits &= !(1 << (place - at));
+            }
+            // SAFETY: numbers are padded as positions are; `found` has room for COUNT behind MOST_NEIGHBOURS.
+            unsafe {
+                let free = found.as_mut_ptr().add(total.min(MOST_NEIGHBOURS));
+                L::compress(cells.numbers().as_ptr().add(at), bits, free);
+            }
+            total += bits.count_ones() as usize;
+            at += L::COUNT;
+        }
+    }
+    total
 }

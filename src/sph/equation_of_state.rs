@@ -51,7 +51,8 @@ impl EquationOfState {
     #[inline(always)]
     pub fn pressure_lanes<L: Lanes>(&self, density: L) -> L {
         let number = |x: f64| L::splat(L::Real::of(x));
-        let power = self.power_lanes(density * number(1.0 / self.reference_density), self.gamma);
+        let ratio = density * number(1.0 / self.reference_density);
+        let power = if self.gamma == 1 { ratio } else { self.power_lanes(ratio, self.gamma) };
         number(self.reference_pressure).mul_add(power - number(1.0), number(self.background_pressure))
     }
 
@@ -60,6 +61,9 @@ impl EquationOfState {
     pub fn slope_lanes<L: Lanes>(&self, density: L) -> L {
         let number = |x: f64| L::splat(L::Real::of(x));
         let factor = self.gamma as f64 * self.reference_pressure / self.reference_density;
+        if self.gamma == 1 {
+            return number(factor);
+        }
         number(factor) * self.power_lanes(density * number(1.0 / self.reference_density), self.gamma - 1)
     }
 

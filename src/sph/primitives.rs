@@ -16,8 +16,10 @@
 //! that they reach.
 
 use super::composed;
-use super::pairs::{self, pack_positions, RowGeometry};
-use super::step::{input, output, read, tensor, Step};
+use super::pairs::{self, gather_fields, pack_positions, splat_fields, stride, Fields, Kept, Masses, RowGeometry};
+use super::rates::{dispatch, record_fields, record_temperature};
+use super::step::{input, output, read, tensor, Chain, Step};
+use crate::kernel::QuinticLanes;
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use std::ops::Range;
@@ -27,249 +29,381 @@ use std::sync::Arc;
 const EPSILON: f64 = f64::EPSILON;
 
 /// moved `[M, N]`, density `[1, N]` (fluid) -> primitives `[C, N]`.
-pub struct Primitives<R>(pub Arc<Step<R>>);
+pub struct Primitives<R: Real>(pub Arc<Chain<R>>);
 
-/// Most fields that walls average: velocity 3, shift 3, pressure, temperature.
-const MOST: usize = 8;
-
-/// The fields that walls average, in this order: velocity D, [shift D], pressure, [temperature].
-struct Averaged {
-    count: usize,
-    pressure: usize,
+/// What walls average over their fluid neighbours.
+#[derive(Clone, Copy)]
+struct Averages<T, const D: usize> {
+    velocity: [T; D],
+    shift: [T; D],
+    pressure: T,
+    temperature: T,
 }
 
-fn averaged<R: Real>(step: &Step<R>) -> Averaged {
-    let l = step.model.layout;
-    let pressure = l.dimension * (1 + l.transport as usize);
-    Averaged { count: pressure + 1 + l.heat as usize, pressure }
-}
+impl<T: Copy, const D: usize> Averages<T, D> {
+    fn all(value: T) -> Self {
+        Self { velocity: [value; D], shift: [value; D], pressure: value, temperature: value }
+    }
 
-/// Packs the averaged fields of the fluid as `[MOST, N]` rows.
-fn pack_fields<R: Real>(step: &Step<R>, moved: &[R], density: &[R], fields: &mut [R]) {
-    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
-    let set = averaged(step);
-    let mut copy = |to: usize, from: usize, count: usize| {
-        fields[to * n..(to + count) * n].copy_from_slice(&moved[from * n..(from + count) * n]);
-    };
-    copy(0, l.velocity(), l.dimension);
-    if l.transport {
-        copy(l.dimension, l.moved_shift(), l.dimension);
-    }
-    if l.heat {
-        copy(set.pressure + 1, l.moved_old_temperature(), 1);
-    }
-    for i in 0..n {
-        fields[set.pressure * n + i] = model.equation_of_state.pressure(density[i]);
-    }
-}
-
-struct Forward<'a, R, const D: usize> {
-    step: &'a Step<R>,
-    position: &'a [R],
-    fields: &'a [R],
-    moved: &'a [R],
-    primitives: Shared<'a, R>,
-}
-
-/// Values of a wall particle with these averages.
-#[inline(always)]
-fn wall_values<R: Real>(step: &Step<R>, moved: &[R], average: &[R; MOST], i: usize, mut set: impl FnMut(usize, R)) {
-    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
-    let fields = averaged(step);
-    let two = R::of(2.0);
-    for d in 0..l.dimension {
-        set(l.primitive_velocity() + d, two * moved[(l.velocity() + d) * n + i] - average[d]);
-        if l.transport {
-            let w = moved[(l.moved_shift() + d) * n + i];
-            set(l.primitive_shift() + d, two * w - average[l.dimension + d]);
-        }
-    }
-    set(0, model.equation_of_state.density(average[fields.pressure]));
-    if let Some(heat) = &model.heat {
-        let t = average[fields.pressure + 1];
-        set(l.primitive_temperature(), heat.wall_constant[i] + heat.wall_factor[i] * t);
-    }
-}
-
-impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
+    /// Each field through `f`.
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (model, list) = (&*self.step.model, &*self.step.list);
-        let n = model.particles();
-        for row in rows {
-            let i = list.wall_rows[row] as usize;
-            let (_, average) = wall_averages::<R, L, D>(self.step, self.position, self.fields, i);
-            // SAFETY: each wall row writes its own particle.
-            wall_values(self.step, self.moved, &average, i, |field, value| unsafe {
-                self.primitives.set(field * n + i, value)
-            });
+    fn map<U: Copy>(&self, mut f: impl FnMut(T) -> U) -> Averages<U, D> {
+        let pressure = f(self.pressure);
+        let mut mapped = Averages::all(pressure);
+        for d in 0..D {
+            mapped.velocity[d] = f(self.velocity[d]);
+            mapped.shift[d] = f(self.shift[d]);
         }
+        mapped.temperature = f(self.temperature);
+        mapped
     }
 }
 
-/// Weight and averages of a wall particle's row.
+/// What is averaged of a fluid particle, from its record.
 #[inline(always)]
-fn wall_averages<R: Real, L: Lanes<Real = R>, const D: usize>(
+fn averaged<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, const HEAT: bool>(
     step: &Step<R>,
-    position: &[R],
-    fields: &[R],
-    i: usize,
-) -> (R, [R; MOST]) {
-    let (model, list) = (&*step.model, &*step.list);
-    let n = model.particles();
-    let kernel = model.kernel.lanes::<L>();
-    let geometry = RowGeometry::<L, D>::new(&model.domain);
-    let count = averaged(step).count;
-    let here = geometry.splat(position, i);
-    let mut weight = L::zero();
-    let mut sums = [L::zero(); MOST];
-    for (index, mask) in pairs::row::<L>(list, i) {
-        // SAFETY: `row` gives COUNT valid particle numbers.
-        unsafe {
-            let there = L::gather4(position.as_ptr(), 4, index);
-            let w = mask.apply(kernel.value(geometry.difference(&here, &there).1));
-            weight += w;
-            for (q, sum) in sums.iter_mut().enumerate().take(count) {
-                *sum = w.mul_add(L::gather(fields[q * n..].as_ptr(), index), *sum);
-            }
+    f: &Fields<L>,
+) -> Averages<L, D> {
+    let get = |q: usize| f[q / 4][q % 4];
+    let mut fields = Averages::all(L::zero());
+    for d in 0..D {
+        fields.velocity[d] = get(D + 2 + d);
+        if TRANSPORT {
+            fields.shift[d] = get(2 * D + 2 + d);
         }
     }
-    let weight = weight.sum();
-    (weight, averages(step, weight, &std::array::from_fn(|q| sums[q].sum())))
+    fields.pressure = step.model.equation_of_state.pressure_lanes(get(D + 1));
+    if HEAT {
+        fields.temperature = get(record_temperature(D, TRANSPORT) + 1);
+    }
+    fields
+}
+
+/// Sums of W and of W times the fields over a wall particle's row. `records` are those of the step, of fluid at least.
+#[inline(always)]
+fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, const HEAT: bool>(
+    step: &Step<R>,
+    kernel: &QuinticLanes<L>,
+    geometry: &RowGeometry<L, D>,
+    position: &[R],
+    records: *const R,
+    i: usize,
+) -> (L, Averages<L, D>) {
+    let here = splat_fields::<L>(&position[4 * i..4 * i + 4], 4);
+    let mut weight = L::zero();
+    let mut sums = Averages::<L, D>::all(L::zero());
+    for (index, mask) in pairs::row::<L>(&step.list, i) {
+        // SAFETY: `row` gives COUNT valid particle numbers, of fluid, whose records are packed.
+        let there = unsafe { gather_fields::<L>(records, record_fields(D, TRANSPORT, HEAT), index) };
+        let (_, r2) = geometry.difference::<true>(&here[0], &there[0]);
+        let w = mask.apply(kernel.value(r2));
+        weight += w;
+        let fields = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+        for d in 0..D {
+            sums.velocity[d] = w.mul_add(fields.velocity[d], sums.velocity[d]);
+            sums.shift[d] = w.mul_add(fields.shift[d], sums.shift[d]);
+        }
+        sums.pressure = w.mul_add(fields.pressure, sums.pressure);
+        sums.temperature = w.mul_add(fields.temperature, sums.temperature);
+    }
+    (weight, sums)
 }
 
 /// Sums over their guarded weight. The guard acts on the absolute temperature in JAX-SPH, hence its
 /// reference here, where temperatures are differences to it.
 #[inline(always)]
-fn averages<R: Real>(step: &Step<R>, weight: R, sums: &[R; MOST]) -> [R; MOST] {
+fn averages<R: Real, const D: usize>(step: &Step<R>, weight: R, sums: &Averages<R, D>) -> Averages<R, D> {
     let inverse = R::of(1.0) / (weight + R::of(EPSILON));
-    let set = averaged(step);
-    let mut average: [R; MOST] = std::array::from_fn(|q| sums[q] * inverse);
+    let mut average = sums.map(|sum| sum * inverse);
     if let Some(heat) = &step.model.heat {
-        average[set.pressure + 1] -= R::of(EPSILON * heat.reference) * inverse;
+        average.temperature -= R::of(EPSILON * heat.reference) * inverse;
     }
     average
 }
 
-/// The forward pass, on plain numbers.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], density: &[R], primitives: &mut [R]) {
-    let model = &*step.model;
-    let (n, l) = (model.particles(), model.layout);
-    let d = l.dimension;
-    primitives[..n].copy_from_slice(&density[..n]);
-    let mut copy = |to: usize, from: usize, count: usize| {
-        primitives[to * n..(to + count) * n].copy_from_slice(&moved[from * n..(from + count) * n]);
-    };
-    copy(l.primitive_velocity(), l.velocity(), d);
-    if l.transport {
-        copy(l.primitive_shift(), l.moved_shift(), d);
-    }
-    if l.heat {
-        copy(l.primitive_temperature(), l.moved_temperature(), 1);
-    }
-    if !model.has_walls() {
-        return;
-    }
-    // Walls that no fluid reaches: averages of nothing.
-    let nothing = averages(step, R::default(), &[R::default(); MOST]);
-    for i in 0..n {
-        if !model.is_fluid(i) && step.list.count[i] == 0 {
-            wall_values(step, moved, &nothing, i, |field, value| primitives[field * n + i] = value);
-        }
-    }
-    let mut position = model.scratch.take(4 * n);
-    pack_positions(model, moved, None, &mut position);
-    let mut fields = model.scratch.take(MOST * n);
-    pack_fields(step, moved, density, &mut fields);
-    macro_rules! go {
-        ($d:literal) => {
-            run_rows(
-                &Forward::<R, $d> {
-                    step,
-                    position: &position,
-                    fields: &fields,
-                    moved,
-                    primitives: Shared::new(primitives),
-                },
-                step.list.wall_rows.len(),
-            )
-        };
-    }
-    if d == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
-    model.scratch.give_back(position);
-    model.scratch.give_back(fields);
+/// A wall particle's own fields, from the averages: density, velocity, shift, temperature.
+struct WallValues<R, const D: usize> {
+    density: R,
+    velocity: [R; D],
+    shift: [R; D],
+    temperature: R,
 }
 
-/// Wall rows of the adjoint: cotangents of the weighted sums, `[1 + MOST, N]`, the weight's first; and the walls' own
-/// position.
-struct WallRows<'a, R, const D: usize> {
+#[inline(always)]
+fn wall_values<R: Real, const D: usize>(
+    step: &Step<R>,
+    moved: &[R],
+    average: &Averages<R, D>,
+    i: usize,
+) -> WallValues<R, D> {
+    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
+    let two = R::of(2.0);
+    let mut values = WallValues {
+        density: model.equation_of_state.density(average.pressure),
+        velocity: [R::default(); D],
+        shift: [R::default(); D],
+        temperature: R::default(),
+    };
+    for d in 0..D {
+        values.velocity[d] = two * moved[(l.velocity() + d) * n + i] - average.velocity[d];
+        if l.transport {
+            values.shift[d] = two * moved[(l.moved_shift() + d) * n + i] - average.shift[d];
+        }
+    }
+    if let Some(heat) = &model.heat {
+        values.temperature = heat.wall_constant[i] + heat.wall_factor[i] * average.temperature;
+    }
+    values
+}
+
+/// Where a wall particle's fields go.
+fn store_rows<R: Real, const D: usize>(
+    step: &Step<R>,
+    values: &WallValues<R, D>,
+    i: usize,
+    mut set: impl FnMut(usize, R),
+) {
+    let (n, l) = (step.model.particles(), step.model.layout);
+    set(i, values.density);
+    for d in 0..D {
+        set((l.primitive_velocity() + d) * n + i, values.velocity[d]);
+        if l.transport {
+            set((l.primitive_shift() + d) * n + i, values.shift[d]);
+        }
+    }
+    if l.heat {
+        set(l.primitive_temperature() * n + i, values.temperature);
+    }
+}
+
+/// Packs the fluid's records.
+struct FluidRecords<'a, R> {
+    step: &'a Step<R>,
+    moved: &'a [R],
+    density: &'a [R],
+    mass: Masses<'a, R>,
+    records: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for FluidRecords<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (n, l) = (self.step.model.particles(), self.step.model.layout);
+        let d = l.dimension;
+        let width = stride(record_fields(d, l.transport, l.heat));
+        for row in rows {
+            let i = self.step.list.fluid_rows[row] as usize;
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            for k in 0..d {
+                record[k] = self.moved[k * n + i];
+                record[d + 2 + k] = self.moved[(l.velocity() + k) * n + i];
+                if l.transport {
+                    record[2 * d + 2 + k] = self.moved[(l.moved_shift() + k) * n + i];
+                }
+            }
+            record[d] = self.mass.of(i) / self.density[i];
+            record[d + 1] = self.density[i];
+            if l.heat {
+                let at = record_temperature(d, l.transport);
+                record[at] = self.moved[l.moved_temperature() * n + i];
+                record[at + 1] = self.moved[l.moved_old_temperature() * n + i];
+            }
+        }
+    }
+}
+
+/// Extrapolates to the walls in reach of fluid. Reads records of fluid, writes records of walls.
+struct Walls<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
     position: &'a [R],
-    fields: &'a [R],
+    moved: &'a [R],
+    mass: Masses<'a, R>,
+    records: Shared<'a, R>,
+    primitives: Option<Shared<'a, R>>,
+}
+
+impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
+    for Walls<'_, R, D, TRANSPORT, HEAT>
+{
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (step, model, list) = (self.step, &*self.step.model, &*self.step.list);
+        let n = model.particles();
+        let kernel = model.kernel.lanes::<L>();
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let width = stride(record_fields(D, TRANSPORT, HEAT));
+        for row in rows {
+            let i = list.wall_rows[row] as usize;
+            let records = self.records.as_ptr();
+            let (weight, sums) =
+                wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &kernel, &geometry, self.position, records, i);
+            let average = averages(step, weight.sum(), &sums.map(|sum| sum.sum()));
+            let values = wall_values(step, self.moved, &average, i);
+            // SAFETY (all writes): each wall row writes its own particle.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            for d in 0..D {
+                record[d] = self.moved[d * n + i];
+                record[D + 2 + d] = values.velocity[d];
+                if TRANSPORT {
+                    record[2 * D + 2 + d] = values.shift[d];
+                }
+            }
+            record[D] = self.mass.of(i) / values.density;
+            record[D + 1] = values.density;
+            if HEAT {
+                record[record_temperature(D, TRANSPORT)] = values.temperature;
+            }
+            if let Some(primitives) = &self.primitives {
+                store_rows(step, &values, i, |place, value| unsafe { primitives.set(place, value) });
+            }
+        }
+    }
+}
+
+/// The forward pass, on plain numbers: fills [`Kept`]'s records, and `primitives` if somebody wants to read them.
+pub fn forward<R: Real>(
+    step: &Step<R>,
+    moved: &[R],
+    density: &[R],
+    kept: &mut Kept<R>,
+    mut primitives: Option<&mut [R]>,
+) {
+    let (model, list) = (&*step.model, &*step.list);
+    let (n, l) = (model.particles(), model.layout);
+    if let Some(primitives) = &mut primitives {
+        primitives[..n].copy_from_slice(&density[..n]);
+        let mut copy = |to: usize, from: usize, count: usize| {
+            primitives[to * n..(to + count) * n].copy_from_slice(&moved[from * n..(from + count) * n]);
+        };
+        copy(l.primitive_velocity(), l.velocity(), l.dimension);
+        if l.transport {
+            copy(l.primitive_shift(), l.moved_shift(), l.dimension);
+        }
+        if l.heat {
+            copy(l.primitive_temperature(), l.moved_temperature(), 1);
+        }
+    }
+    let mass = Masses::new(model, moved);
+    let mut records = std::mem::take(&mut kept.records);
+    records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
+    run_rows(&FluidRecords { step, moved, density, mass, records: Shared::new(&mut records) }, list.fluid_rows.len());
+    if list.fluid_rows.len() < n && !kept.has_pairs {
+        pack_positions(model, moved, None, &mut kept.position);
+    }
+    macro_rules! go {
+        ($d:literal, $transport:literal, $heat:literal) => {{
+            if let Some(primitives) = &mut primitives {
+                // Walls that no fluid reaches: averages of nothing.
+                let nothing = averages(step, R::default(), &Averages::<R, $d>::all(R::default()));
+                for i in 0..n {
+                    if !model.is_fluid(i) && list.count[i] == 0 {
+                        let values = wall_values(step, moved, &nothing, i);
+                        store_rows(step, &values, i, |place, value| primitives[place] = value);
+                    }
+                }
+            }
+            let walls = Walls::<R, $d, $transport, $heat> {
+                step,
+                position: &kept.position,
+                moved,
+                mass,
+                records: Shared::new(&mut records),
+                primitives: primitives.map(Shared::new),
+            };
+            run_rows(&walls, list.wall_rows.len())
+        }};
+    }
+    if list.fluid_rows.len() < n {
+        dispatch!(l, go);
+    }
+    kept.records = records;
+    kept.has_records = true;
+}
+
+const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
+    2 + d + if transport { d } else { 0 } + heat as usize
+}
+
+/// Wall rows of the adjoint: cotangents of the sums as records (of the weight, velocity D, [shift D], pressure,
+/// [temperature]), and of the walls' own position.
+struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
+    step: &'a Step<R>,
+    kept: &'a Kept<R>,
     primitives_bar: &'a [R],
-    primitives: &'a [R],
     sums_bar: Shared<'a, R>,
     moved_bar: Shared<'a, R>,
 }
 
-impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
+impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
+    for WallRows<'_, R, D, TRANSPORT, HEAT>
+{
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (model, list) = (&*self.step.model, &*self.step.list);
+        let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);
         let (n, l) = (model.particles(), model.layout);
         let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain);
-        let set = averaged(self.step);
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let fields = record_fields(D, TRANSPORT, HEAT);
+        let width = stride(bar_fields(D, TRANSPORT, HEAT));
         let bar = |field: usize, i: usize| self.primitives_bar[field * n + i];
         for row in rows {
             let i = list.wall_rows[row] as usize;
-            let here = geometry.splat(self.position, i);
-            // Cotangents of the averages.
-            let mut average_bar = [R::default(); MOST];
+            let records = kept.records.as_ptr();
+            let (weight, sums) =
+                wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &kernel, &geometry, &kept.position, records, i);
+            let weight = weight.sum();
+            let average = averages(step, weight, &sums.map(|sum| sum.sum()));
+            // Cotangents of the averages, over the weight: of the sums; and of the weight, which divides them all.
+            let inverse = R::of(1.0) / (weight + R::of(EPSILON));
+            let mut sums_bar = Averages::<R, D>::all(R::default());
+            let mut weight_bar = R::default();
+            // SAFETY: each wall row writes its own record.
+            let record = unsafe { self.sums_bar.slice(i * width..(i + 1) * width) };
             for d in 0..D {
-                average_bar[d] = -bar(l.primitive_velocity() + d, i);
-                if l.transport {
-                    average_bar[D + d] = -bar(l.primitive_shift() + d, i);
+                sums_bar.velocity[d] = -bar(l.primitive_velocity() + d, i) * inverse;
+                weight_bar -= sums_bar.velocity[d] * average.velocity[d];
+                record[1 + d] = sums_bar.velocity[d];
+                if TRANSPORT {
+                    sums_bar.shift[d] = -bar(l.primitive_shift() + d, i) * inverse;
+                    weight_bar -= sums_bar.shift[d] * average.shift[d];
+                    record[1 + D + d] = sums_bar.shift[d];
                 }
             }
-            average_bar[set.pressure] = bar(0, i) / model.equation_of_state.slope(self.primitives[i]);
+            let at = 1 + D * (1 + TRANSPORT as usize);
+            let own_density = kept.records[i * stride(fields) + D + 1];
+            sums_bar.pressure = bar(0, i) / model.equation_of_state.slope(own_density) * inverse;
+            weight_bar -= sums_bar.pressure * average.pressure;
+            record[at] = sums_bar.pressure;
             if let Some(heat) = &model.heat {
-                average_bar[set.pressure + 1] = heat.wall_factor[i] * bar(l.primitive_temperature(), i);
+                sums_bar.temperature = heat.wall_factor[i] * bar(l.primitive_temperature(), i) * inverse;
+                weight_bar -= sums_bar.temperature * average.temperature;
+                record[at + 1] = sums_bar.temperature;
             }
-            // The averages again: weight first, since everything is divided by it.
-            let (weight, average) = wall_averages::<R, L, D>(self.step, self.position, self.fields, i);
-            let inverse = R::of(1.0) / (weight + R::of(EPSILON));
-            let mut weight_bar = R::default();
-            for q in 0..set.count {
-                weight_bar -= average_bar[q] * average[q] * inverse;
-                // SAFETY: each wall row writes its own particle.
-                unsafe { self.sums_bar.set((1 + q) * n + i, average_bar[q] * inverse) };
-            }
-            // SAFETY: as above.
-            unsafe { self.sums_bar.set(i, weight_bar) };
+            record[0] = weight_bar;
             // The wall particle's position: e_ij = weight_bar + sum_q sums_bar_q x_q(j), r_bar = sum_j e_ij F r_ij.
+            let here = splat_fields::<L>(&kept.position[4 * i..4 * i + 4], 4);
+            let by_field = sums_bar.map(|bar| L::splat(bar));
             let mut sum = [L::zero(); D];
             for (index, mask) in pairs::row::<L>(list, i) {
-                // SAFETY: as above.
-                unsafe {
-                    let there = L::gather4(self.position.as_ptr(), 4, index);
-                    let (dr, r2) = geometry.difference(&here, &there);
-                    let mut e = L::splat(weight_bar);
-                    for (q, a) in average_bar.iter().enumerate().take(set.count) {
-                        e = L::splat(*a * inverse).mul_add(L::gather(self.fields[q * n..].as_ptr(), index), e);
-                    }
-                    let factor = mask.apply(e * kernel.slope(r2));
-                    for d in 0..D {
-                        sum[d] = factor.mul_add(dr[d], sum[d]);
-                    }
+                // SAFETY: as in the forward pass.
+                let there = unsafe { gather_fields::<L>(records, fields, index) };
+                let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
+                let x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+                let mut e = by_field.pressure.mul_add(x.pressure, L::splat(weight_bar));
+                e = by_field.temperature.mul_add(x.temperature, e);
+                for d in 0..D {
+                    e = by_field.velocity[d].mul_add(x.velocity[d], e);
+                    e = by_field.shift[d].mul_add(x.shift[d], e);
+                }
+                let factor = mask.apply(e * kernel.slope(r2));
+                for d in 0..D {
+                    sum[d] = factor.mul_add(dr[d], sum[d]);
                 }
             }
             for d in 0..D {
-                // SAFETY: as above.
+                // SAFETY: each wall row writes its own particle.
                 unsafe { self.moved_bar.set(d * n + i, sum[d].sum()) };
             }
         }
@@ -277,49 +411,66 @@ impl<R: Real, const D: usize> RowKernel<R> for WallRows<'_, R, D> {
 }
 
 /// Fluid rows of the adjoint: gather from the walls in reach.
-struct FluidRows<'a, R, const D: usize> {
+struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    position: &'a [R],
-    fields: &'a [R],
-    density: &'a [R],
+    kept: &'a Kept<R>,
     sums_bar: &'a [R],
     moved_bar: Shared<'a, R>,
     density_bar: Shared<'a, R>,
 }
 
-impl<R: Real, const D: usize> RowKernel<R> for FluidRows<'_, R, D> {
+impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
+    for FluidRows<'_, R, D, TRANSPORT, HEAT>
+{
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (model, list) = (&*self.step.model, &*self.step.list);
+        let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);
         let (n, l) = (model.particles(), model.layout);
         let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain);
-        let set = averaged(self.step);
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let fields = record_fields(D, TRANSPORT, HEAT);
+        let bar_fields = bar_fields(D, TRANSPORT, HEAT);
+        let at = 1 + D * (1 + TRANSPORT as usize);
         for row in rows {
             let j = list.fluid_rows[row] as usize;
             let (from, to) = (list.fluid_count[j] as usize, list.count[j] as usize);
             if from == to {
                 continue;
             }
-            let here = geometry.splat(self.position, j);
-            let mut sums = [L::zero(); MOST];
+            let record = &kept.records[j * stride(fields)..(j + 1) * stride(fields)];
+            let own = splat_fields::<L>(record, fields);
+            let x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &own);
+            let here = splat_fields::<L>(&kept.position[4 * j..4 * j + 4], 4);
+            let mut sums = Averages::<L, D>::all(L::zero());
             let mut position = [L::zero(); D];
             for (index, mask) in pairs::part::<L>(list, j, from, to) {
-                // SAFETY: `part` gives COUNT valid particle numbers.
-                unsafe {
-                    let there = L::gather4(self.position.as_ptr(), 4, index);
-                    let (dr, r2) = geometry.difference(&here, &there);
-                    let w = mask.apply(kernel.value(r2));
-                    let mut e = L::gather(self.sums_bar.as_ptr(), index);
-                    for (q, sum) in sums.iter_mut().enumerate().take(set.count) {
-                        let bar = L::gather(self.sums_bar[(1 + q) * n..].as_ptr(), index);
-                        *sum = w.mul_add(bar, *sum);
-                        e = bar.mul_add(L::splat(self.fields[q * n + j]), e);
+                // SAFETY: `part` gives COUNT valid particle numbers. Fluid ones among them are masked; their records of
+                // cotangents are zero.
+                let (there, bar) = unsafe {
+                    let there = L::gather4(kept.position.as_ptr(), 4, index);
+                    (there, gather_fields::<L>(self.sums_bar.as_ptr(), bar_fields, index))
+                };
+                let get = |q: usize| bar[q / 4][q % 4];
+                let (dr, r2) = geometry.difference::<true>(&here[0], &there);
+                let (w, f, _) = kernel.all(r2);
+                let w = mask.apply(w);
+                let mut e = get(at).mul_add(x.pressure, get(0));
+                sums.pressure = w.mul_add(get(at), sums.pressure);
+                for d in 0..D {
+                    e = get(1 + d).mul_add(x.velocity[d], e);
+                    sums.velocity[d] = w.mul_add(get(1 + d), sums.velocity[d]);
+                    if TRANSPORT {
+                        e = get(1 + D + d).mul_add(x.shift[d], e);
+                        sums.shift[d] = w.mul_add(get(1 + D + d), sums.shift[d]);
                     }
-                    let factor = mask.apply(e * kernel.slope(r2));
-                    for d in 0..D {
-                        position[d] = factor.mul_add(dr[d], position[d]);
-                    }
+                }
+                if HEAT {
+                    e = get(at + 1).mul_add(x.temperature, e);
+                    sums.temperature = w.mul_add(get(at + 1), sums.temperature);
+                }
+                let factor = mask.apply(e * f);
+                for d in 0..D {
+                    position[d] = factor.mul_add(dr[d], position[d]);
                 }
             }
             // SAFETY: each fluid row writes its own particle, on top of what the copies gave.
@@ -330,17 +481,16 @@ impl<R: Real, const D: usize> RowKernel<R> for FluidRows<'_, R, D> {
                 };
                 for d in 0..D {
                     add(d, position[d].sum());
-                    add(l.velocity() + d, sums[d].sum());
-                    if l.transport {
-                        add(l.moved_shift() + d, sums[D + d].sum());
+                    add(l.velocity() + d, sums.velocity[d].sum());
+                    if TRANSPORT {
+                        add(l.moved_shift() + d, sums.shift[d].sum());
                     }
                 }
-                if l.heat {
-                    add(l.moved_old_temperature(), sums[set.pressure + 1].sum());
+                if HEAT {
+                    add(l.moved_old_temperature(), sums.temperature.sum());
                 }
-                let slope = model.equation_of_state.slope(self.density[j]);
-                let value = self.density_bar.get(j) + sums[set.pressure].sum() * slope;
-                self.density_bar.set(j, value);
+                let slope = model.equation_of_state.slope(record[D + 1]);
+                self.density_bar.set(j, self.density_bar.get(j) + sums.pressure.sum() * slope);
             }
         }
     }
@@ -349,78 +499,68 @@ impl<R: Real, const D: usize> RowKernel<R> for FluidRows<'_, R, D> {
 /// The adjoint, on plain numbers; `moved_bar` and `density_bar` must be zero.
 pub fn backward<R: Real>(
     step: &Step<R>,
-    moved: &[R],
-    density: &[R],
-    primitives: &[R],
+    kept: &Kept<R>,
     primitives_bar: &[R],
     moved_bar: &mut [R],
     density_bar: &mut [R],
 ) {
-    let model = &*step.model;
+    let (model, list) = (&*step.model, &*step.list);
     let (n, l) = (model.particles(), model.layout);
     let d = l.dimension;
+    // Fluid fields are copies; a wall's own velocity counts twice, its own temperature not at all.
     let two = R::of(2.0);
-    for i in 0..n {
-        let fluid = model.is_fluid(i);
-        // Fluid fields are copies; a wall's own velocity counts twice, its own temperature not at all.
-        let factor = if fluid { R::of(1.0) } else { two };
-        for k in 0..d {
-            moved_bar[(l.velocity() + k) * n + i] = factor * primitives_bar[(l.primitive_velocity() + k) * n + i];
-            if l.transport {
-                moved_bar[(l.moved_shift() + k) * n + i] = factor * primitives_bar[(l.primitive_shift() + k) * n + i];
+    let mut copy = |to: usize, from: usize, count: usize, wall: R| {
+        for k in 0..count {
+            let (to, from) = ((to + k) * n, (from + k) * n);
+            moved_bar[to..to + n].copy_from_slice(&primitives_bar[from..from + n]);
+            if list.fluid_rows.len() < n {
+                for i in (0..n).filter(|&i| !model.is_fluid(i)) {
+                    moved_bar[to + i] = wall * moved_bar[to + i];
+                }
             }
         }
-        if fluid {
-            density_bar[i] = primitives_bar[i];
-            if l.heat {
-                moved_bar[l.moved_temperature() * n + i] = primitives_bar[l.primitive_temperature() * n + i];
-            }
-        }
+    };
+    copy(l.velocity(), l.primitive_velocity(), d, two);
+    if l.transport {
+        copy(l.moved_shift(), l.primitive_shift(), d, two);
     }
-    if !model.has_walls() {
+    if l.heat {
+        copy(l.moved_temperature(), l.primitive_temperature(), 1, R::default());
+    }
+    for &i in &list.fluid_rows {
+        density_bar[i as usize] = primitives_bar[i as usize];
+    }
+    if list.fluid_rows.len() == n {
         return;
     }
-    let mut position = model.scratch.take(4 * n);
-    pack_positions(model, moved, None, &mut position);
-    let mut fields = model.scratch.take(MOST * n);
-    pack_fields(step, moved, density, &mut fields);
-    let mut sums_bar = model.scratch.take((1 + MOST) * n);
     macro_rules! go {
-        ($d:literal) => {{
+        ($d:literal, $transport:literal, $heat:literal) => {{
+            let mut sums_bar = model.scratch.take(stride(bar_fields($d, $transport, $heat)) * n);
+            sums_bar.fill(R::default());
             run_rows(
-                &WallRows::<R, $d> {
+                &WallRows::<R, $d, $transport, $heat> {
                     step,
-                    position: &position,
-                    fields: &fields,
+                    kept,
                     primitives_bar,
-                    primitives,
                     sums_bar: Shared::new(&mut sums_bar),
                     moved_bar: Shared::new(moved_bar),
                 },
-                step.list.wall_rows.len(),
+                list.wall_rows.len(),
             );
             run_rows(
-                &FluidRows::<R, $d> {
+                &FluidRows::<R, $d, $transport, $heat> {
                     step,
-                    position: &position,
-                    fields: &fields,
-                    density,
+                    kept,
                     sums_bar: &sums_bar,
                     moved_bar: Shared::new(moved_bar),
                     density_bar: Shared::new(density_bar),
                 },
-                step.list.fluid_rows.len(),
+                list.fluid_rows.len(),
             );
+            model.scratch.give_back(sums_bar);
         }};
     }
-    if d == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
-    model.scratch.give_back(position);
-    model.scratch.give_back(fields);
-    model.scratch.give_back(sums_bar);
+    dispatch!(l, go);
 }
 
 impl<R: Real> CustomOp2 for Primitives<R> {
@@ -428,30 +568,26 @@ impl<R: Real> CustomOp2 for Primitives<R> {
         "primitives"
     }
     fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (rows, n) = (self.0.model.layout.primitive_rows(), self.0.model.particles());
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.primitive_rows(), step.model.particles());
         let mut primitives = vec![R::default(); rows * n];
-        forward(&self.0, input(s1, l1)?, input(s2, l2)?, &mut primitives);
+        forward(step, input(s1, l1)?, input(s2, l2)?, &mut self.0.kept(), Some(&mut primitives));
         Ok(output(primitives, (rows, n)))
     }
     fn bwd(
         &self,
-        moved: &Tensor,
-        density: &Tensor,
-        primitives: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
         primitives_bar: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (l, n) = (self.0.model.layout, self.0.model.particles());
+        let step = &self.0.step;
+        let (l, n) = (step.model.layout, step.model.particles());
         let mut moved_bar = vec![R::default(); l.moved_rows() * n];
         let mut density_bar = vec![R::default(); n];
-        read(moved, |m| {
-            read(density, |rho| {
-                read(primitives, |p| {
-                    read(&primitives_bar.contiguous()?, |bar| {
-                        backward(&self.0, m, rho, p, bar, &mut moved_bar, &mut density_bar);
-                        Ok(())
-                    })
-                })
-            })
+        read(&primitives_bar.contiguous()?, |bar| {
+            backward(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
+            Ok(())
         })?;
         Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(density_bar, 1, n)?)))
     }

@@ -11,17 +11,17 @@
 //! scalar product of cotangent and rates, alpha = a_bar_i/m_i - a_bar_j/m_j and beta, gamma likewise; row i
 //! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
 
-use super::pairs::{self, Masses, RowGeometry};
+use super::pairs::{self, gather_fields, splat_fields, stride, Fields, Kept, Masses, RowGeometry};
 use super::pressure::Pressure;
-use super::step::{input, output, read, tensor, Step};
-use super::{composed, heat, transport_velocity, viscosity};
+use super::step::{input, output, read, tensor, Chain, Step};
+use super::{composed, density, heat, transport_velocity, viscosity};
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]`, primitives `[C, N]` -> rates `[A, N]`, zero for walls.
-pub struct Rates<R>(pub Arc<Step<R>>);
+pub struct Rates<R: Real>(pub Arc<Chain<R>>);
 
 /// One particle of a pair: what its record holds.
 #[derive(Clone, Copy)]
@@ -55,86 +55,154 @@ pub fn dot<L: Lanes, const D: usize>(a: &[L; D], b: &[L; D]) -> L {
     sum
 }
 
-/// Records `[N, stride]`: position D, volume, density, velocity D, [transport D], [temperature].
-fn stride(fields: usize) -> usize {
-    fields.next_multiple_of(4)
+/// Records `[N, stride]`: position D, volume, density, velocity D, [transport shift D], [temperature, temperature before
+/// this step's conduction].
+pub const fn record_fields(d: usize, transport: bool, heat: bool) -> usize {
+    2 * d + 2 + if transport { d } else { 0 } + if heat { 2 } else { 0 }
 }
 
-const fn record_fields(d: usize, transport: bool, heat: bool) -> usize {
-    2 * d + 2 + if transport { d } else { 0 } + heat as usize
+/// Where temperatures stand in a record.
+pub const fn record_temperature(d: usize, transport: bool) -> usize {
+    record_fields(d, transport, false)
 }
 
-fn pack_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], records: &mut [R]) {
-    let (n, l) = (step.model.particles(), step.model.layout);
-    let d = l.dimension;
-    let width = stride(record_fields(d, l.transport, l.heat));
-    let mass = Masses::new(&step.model, moved);
-    for i in 0..n {
-        let record = &mut records[i * width..(i + 1) * width];
-        let density = primitives[i];
-        for k in 0..d {
-            record[k] = moved[k * n + i];
-            record[d + 2 + k] = primitives[(l.primitive_velocity() + k) * n + i];
-            if l.transport {
-                record[2 * d + 2 + k] = R::of(0.5) * density * primitives[(l.primitive_shift() + k) * n + i];
+/// Packs the records of particles whose primitives are known.
+struct Packing<'a, R> {
+    step: &'a Step<R>,
+    moved: &'a [R],
+    primitives: &'a [R],
+    mass: Masses<'a, R>,
+    records: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Packing<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (n, l) = (self.step.model.particles(), self.step.model.layout);
+        let d = l.dimension;
+        let width = stride(record_fields(d, l.transport, l.heat));
+        for i in rows {
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            let density = self.primitives[i];
+            for k in 0..d {
+                record[k] = self.moved[k * n + i];
+                record[d + 2 + k] = self.primitives[(l.primitive_velocity() + k) * n + i];
+                if l.transport {
+                    record[2 * d + 2 + k] = self.primitives[(l.primitive_shift() + k) * n + i];
+                }
+            }
+            record[d] = self.mass.of(i) / density;
+            record[d + 1] = density;
+            if l.heat {
+                let at = record_temperature(d, l.transport);
+                record[at] = self.primitives[l.primitive_temperature() * n + i];
+                record[at + 1] = self.moved[l.moved_old_temperature() * n + i];
             }
         }
-        record[d] = mass.of(i) / density;
-        record[d + 1] = density;
-        if l.heat {
-            record[record_fields(d, l.transport, true) - 1] = primitives[l.primitive_temperature() * n + i];
-        }
     }
 }
 
-/// A record's fields: up to three groups of 4, of which the compiler keeps those that are used.
-type Fields<L> = [[L; 4]; 3];
-
-#[inline(always)]
-fn gather_fields<L: Lanes>(records: &[L::Real], fields: usize, index: *const u32) -> Fields<L> {
-    let width = stride(fields);
-    // SAFETY: `index` comes from `row`; records are `width` long, a multiple of 4.
-    unsafe {
-        let base = records.as_ptr();
-        [
-            L::gather4(base, width, index),
-            L::gather4(base.add(4), width, index),
-            if fields > 8 { L::gather4(base.add(8), width, index) } else { [L::zero(); 4] },
-        ]
+/// [`Kept`]'s records for an operator that is used without the primitives in front of it.
+fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut Kept<R>) {
+    if !kept.has_records {
+        let (n, l) = (step.model.particles(), step.model.layout);
+        kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
+        let mass = Masses::new(&step.model, moved);
+        run_rows(&Packing { step, moved, primitives, mass, records: Shared::new(&mut kept.records) }, n);
+        kept.has_records = true;
     }
-}
-
-#[inline(always)]
-fn splat_fields<L: Lanes>(records: &[L::Real], fields: usize, i: usize) -> Fields<L> {
-    let width = stride(fields);
-    let record = &records[i * width..(i + 1) * width];
-    std::array::from_fn(|b| {
-        std::array::from_fn(|q| if 4 * b + q < width { L::splat(record[4 * b + q]) } else { L::zero() })
-    })
 }
 
 #[inline(always)]
 fn side<L: Lanes, const D: usize, const TRANSPORT: bool, const HEAT: bool>(f: &Fields<L>) -> Side<L, D> {
     let get = |q: usize| f[q / 4][q % 4];
-    Side {
+    let density = get(D + 1);
+    let half = L::splat(L::Real::of(0.5)) * density;
+    let mut side = Side {
         volume: get(D),
-        density: get(D + 1),
-        velocity: std::array::from_fn(|d| get(D + 2 + d)),
-        transport: std::array::from_fn(|d| if TRANSPORT { get(2 * D + 2 + d) } else { L::zero() }),
-        temperature: if HEAT { get(record_fields(D, TRANSPORT, HEAT) - 1) } else { L::zero() },
+        density,
+        velocity: [L::zero(); D],
+        transport: [L::zero(); D],
+        temperature: if HEAT { get(record_temperature(D, TRANSPORT)) } else { L::zero() },
+    };
+    for d in 0..D {
+        side.velocity[d] = get(D + 2 + d);
+        if TRANSPORT {
+            side.transport[d] = half * get(2 * D + 2 + d);
+        }
     }
+    side
 }
 
+/// A position of more than one group has its last component in the second.
 #[inline(always)]
 fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
-    std::array::from_fn(|d| f[d / 4][d % 4])
+    let mut position = [L::zero(); D];
+    for d in 0..D {
+        position[d] = f[0][d];
+    }
+    position
 }
 
 struct Forward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    records: &'a [R],
+    kept: &'a Kept<R>,
     mass: Masses<'a, R>,
     rates: Shared<'a, R>,
+}
+
+/// Sums over a row of the pair pass.
+struct Sums<L, const D: usize> {
+    force: [L; D],
+    spread: [L; D],
+    warmth: L,
+}
+
+impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Forward<'_, R, D, TRANSPORT, HEAT> {
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        geometry: &RowGeometry<L, D>,
+        own: &Fields<L>,
+        i: usize,
+    ) -> Sums<L, D> {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let fields = record_fields(D, TRANSPORT, HEAT);
+        let pressure = Pressure(model.equation_of_state);
+        let eta = L::splat(R::of(model.viscosity));
+        let (here, a) = (position::<L, D>(own), side::<L, D, TRANSPORT, HEAT>(own));
+        let own_pressure = pressure.prepare(&a);
+        let volume2 = a.volume * a.volume;
+        let from = i * list.capacity;
+        let mut sums = Sums { force: [L::zero(); D], spread: [L::zero(); D], warmth: L::zero() };
+        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: `row` gives valid particle numbers; F is kept for every pair of the list, 0 in the padding.
+            let (other, slope) = unsafe {
+                let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
+                (gather_fields::<L>(self.kept.records.as_ptr(), fields, index), slope)
+            };
+            let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
+            let (dr, _) = geometry.difference::<EDGE>(&here, &there);
+            let c = b.volume.mul_add(b.volume, volume2) * slope;
+            let mut e = [L::zero(); D];
+            pressure.add(&a, &own_pressure, &b, &dr, &mut e);
+            viscosity::add(eta, &a, &b, &mut e);
+            if TRANSPORT {
+                transport_velocity::add(&a, &b, &dr, &mut e);
+            }
+            for d in 0..D {
+                sums.force[d] = c.mul_add(e[d], sums.force[d]);
+                if TRANSPORT {
+                    sums.spread[d] = c.mul_add(dr[d], sums.spread[d]);
+                }
+            }
+            if HEAT {
+                sums.warmth = heat::add(&a, &b, slope, sums.warmth);
+            }
+        }
+        sums
+    }
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -144,59 +212,32 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let n = model.particles();
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain);
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         let fields = record_fields(D, TRANSPORT, HEAT);
-        let pressure = Pressure(model.equation_of_state);
-        let eta = L::splat(R::of(model.viscosity));
         let vacuum = R::of(model.equation_of_state.at_vacuum());
         let conduction = R::of(heat::factor(model));
         for row in rows {
             let i = list.fluid_rows[row] as usize;
-            let own = splat_fields::<L>(self.records, fields, i);
-            let (here, a) = (position::<L, D>(&own), side::<L, D, TRANSPORT, HEAT>(&own));
-            let own_pressure = pressure.prepare(&a);
-            let volume2 = a.volume * a.volume;
-            let mut force = [L::zero(); D];
-            let mut spread = [L::zero(); D];
-            let mut warmth = L::zero();
-            for (index, mask) in pairs::row::<L>(list, i) {
-                let other = gather_fields::<L>(self.records, fields, index);
-                let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
-                let (dr, r2) = geometry.difference(&here, &there);
-                let slope = mask.apply(kernel.slope(r2));
-                let c = b.volume.mul_add(b.volume, volume2) * slope;
-                let mut e = [L::zero(); D];
-                pressure.add(&a, &own_pressure, &b, &dr, &mut e);
-                viscosity::add(eta, &a, &b, &mut e);
-                if TRANSPORT {
-                    transport_velocity::add(&a, &b, &dr, &mut e);
-                }
-                for d in 0..D {
-                    force[d] = c.mul_add(e[d], force[d]);
-                    if TRANSPORT {
-                        spread[d] = c.mul_add(dr[d], spread[d]);
-                    }
-                }
-                if HEAT {
-                    warmth = heat::add(&a, &b, slope, warmth);
-                }
-            }
+            let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
+            let own = splat_fields::<L>(record, fields);
+            let sums = if geometry.at_edge(record) {
+                self.row::<L, true>(&geometry, &own, i)
+            } else {
+                self.row::<L, false>(&geometry, &own, i)
+            };
             let inverse_mass = R::of(1.0) / self.mass.of(i);
             // SAFETY (all writes): each fluid row writes its own particle.
             unsafe {
-                let y = self.records[i * stride(fields) + 1].f64();
                 for d in 0..D {
-                    let given = if d == 0 { R::of(model.body_force.at(y)) } else { R::default() };
-                    self.rates.set(d * n + i, force[d].sum() * inverse_mass + given);
+                    let given = if d == 0 { R::of(model.body_force.at(record[1].f64())) } else { R::default() };
+                    self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
                     if TRANSPORT {
-                        self.rates.set((D + d) * n + i, vacuum * spread[d].sum() * inverse_mass);
+                        self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
                     }
                 }
                 if HEAT {
-                    let x = self.records[i * stride(fields)];
-                    let rate = conduction * inverse_mass * warmth.sum();
-                    let open = heat::conducts(model, x);
+                    let rate = conduction * inverse_mass * sums.warmth.sum();
+                    let open = heat::conducts(model, record[0]);
                     self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
                 }
             }
@@ -204,6 +245,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     }
 }
 
+/// Calls a macro with the laws of a layout as literals.
 macro_rules! dispatch {
     ($layout:expr, $go:ident) => {
         match ($layout.dimension, $layout.transport, $layout.heat) {
@@ -218,30 +260,26 @@ macro_rules! dispatch {
         }
     };
 }
+pub(super) use dispatch;
 
-/// The forward pass, on plain numbers. `rates` must be zero for walls.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], rates: &mut [R]) {
-    let model = &*step.model;
-    let l = model.layout;
-    let width = stride(record_fields(l.dimension, l.transport, l.heat));
-    let mut records = model.scratch.take(width * model.particles());
-    pack_records(step, moved, primitives, &mut records);
-    let mass = Masses::new(model, moved);
+/// The forward pass, on plain numbers, from [`Kept`]'s pairs and records. `rates` must be zero for walls.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &Kept<R>, rates: &mut [R]) {
+    let l = step.model.layout;
+    let mass = Masses::new(&step.model, moved);
     macro_rules! go {
         ($d:literal, $transport:literal, $heat:literal) => {
             run_rows(
-                &Forward::<R, $d, $transport, $heat> { step, records: &records, mass, rates: Shared::new(rates) },
+                &Forward::<R, $d, $transport, $heat> { step, kept, mass, rates: Shared::new(rates) },
                 step.list.fluid_rows.len(),
             )
         };
     }
     dispatch!(l, go);
-    model.scratch.give_back(records);
 }
 
 struct Backward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    records: &'a [R],
+    kept: &'a Kept<R>,
     /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
     bars: &'a [R],
     mass: Masses<'a, R>,
@@ -249,11 +287,83 @@ struct Backward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> 
     primitives_bar: Shared<'a, R>,
 }
 
-const fn bar_width(transport: bool) -> usize {
-    if transport {
-        8
-    } else {
-        4
+const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
+    d + if transport { d } else { 0 } + heat as usize
+}
+
+impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Backward<'_, R, D, TRANSPORT, HEAT> {
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        geometry: &RowGeometry<L, D>,
+        own: &Fields<L>,
+        i: usize,
+    ) -> SideBar<L, D> {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let fields = record_fields(D, TRANSPORT, HEAT);
+        let bar_fields = bar_fields(D, TRANSPORT, HEAT);
+        let width = stride(bar_fields);
+        let pressure = Pressure(model.equation_of_state);
+        let eta = L::splat(R::of(model.viscosity));
+        let two = L::splat(R::of(2.0));
+        let (here, a) = (position::<L, D>(own), side::<L, D, TRANSPORT, HEAT>(own));
+        let own_pressure = pressure.prepare(&a);
+        let own_bar = splat_fields::<L>(&self.bars[i * width..(i + 1) * width], bar_fields);
+        let volume2 = a.volume * a.volume;
+        let from = i * list.capacity;
+        let mut bar = SideBar {
+            volume: L::zero(),
+            density: L::zero(),
+            velocity: [L::zero(); D],
+            transport: [L::zero(); D],
+            temperature: L::zero(),
+            position: [L::zero(); D],
+        };
+        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: `row` gives valid particle numbers; F and G are kept for every pair of the list, 0 in the padding.
+            let (other, other_bar, slope, curvature) = unsafe {
+                (
+                    gather_fields::<L>(self.kept.records.as_ptr(), fields, index),
+                    gather_fields::<L>(self.bars.as_ptr(), bar_fields, index),
+                    L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT)),
+                    L::load(self.kept.curvature.as_ptr().add(from + k * L::COUNT)),
+                )
+            };
+            let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
+            let difference = |q: usize| own_bar[q / 4][q % 4] - other_bar[q / 4][q % 4];
+            let mut alpha = [L::zero(); D];
+            for d in 0..D {
+                alpha[d] = difference(d);
+            }
+            let (dr, _) = geometry.difference::<EDGE>(&here, &there);
+            let volumes2 = b.volume.mul_add(b.volume, volume2);
+            let c = volumes2 * slope;
+
+            // s = alpha.e + beta.r, and its derivative by r_ij.
+            let mut s = L::zero();
+            let mut by_position = [L::zero(); D];
+            let along = dot(&alpha, &dr);
+            pressure.adjoint(&a, &own_pressure, &b, along, &alpha, c, &mut s, &mut by_position, &mut bar);
+            viscosity::adjoint(eta, &a, &b, &alpha, c, &mut s, &mut bar);
+            if TRANSPORT {
+                let mut beta = [L::zero(); D];
+                for d in 0..D {
+                    beta[d] = difference(D + d);
+                }
+                transport_velocity::adjoint(&a, &b, &dr, &alpha, &beta, c, &mut s, &mut by_position, &mut bar);
+            }
+            bar.volume = (slope * s).mul_add(two * a.volume, bar.volume);
+            let mut by_slope = volumes2 * s;
+            if HEAT {
+                let gamma = difference(if TRANSPORT { 2 * D } else { D });
+                heat::adjoint(&a, &b, gamma, slope, &mut by_slope, &mut bar);
+            }
+            let radial = by_slope * curvature;
+            for d in 0..D {
+                bar.position[d] += radial.mul_add(dr[d], c * by_position[d]);
+            }
+        }
+        bar
     }
 }
 
@@ -264,72 +374,19 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let (n, l) = (model.particles(), model.layout);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain);
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         let fields = record_fields(D, TRANSPORT, HEAT);
-        let width = bar_width(TRANSPORT);
-        let pressure = Pressure(model.equation_of_state);
-        let eta = L::splat(R::of(model.viscosity));
-        let two = L::splat(R::of(2.0));
         for row in rows {
             let i = pairs::particle_of_row(list, row);
-            let own = splat_fields::<L>(self.records, fields, i);
-            let (here, a) = (position::<L, D>(&own), side::<L, D, TRANSPORT, HEAT>(&own));
-            let own_pressure = pressure.prepare(&a);
-            let own_bar: [L; 8] =
-                std::array::from_fn(|q| if q < width { L::splat(self.bars[i * width + q]) } else { L::zero() });
-            let volume2 = a.volume * a.volume;
-            let mut bar = SideBar {
-                volume: L::zero(),
-                density: L::zero(),
-                velocity: [L::zero(); D],
-                transport: [L::zero(); D],
-                temperature: L::zero(),
-                position: [L::zero(); D],
+            let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
+            let own = splat_fields::<L>(record, fields);
+            let bar = if geometry.at_edge(record) {
+                self.row::<L, true>(&geometry, &own, i)
+            } else {
+                self.row::<L, false>(&geometry, &own, i)
             };
-            for (index, mask) in pairs::row::<L>(list, i) {
-                let other = gather_fields::<L>(self.records, fields, index);
-                let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
-                // SAFETY: `index` comes from `row`; records of the cotangents are `width` long.
-                let other_bar: [[L; 4]; 2] = unsafe {
-                    let base = self.bars.as_ptr();
-                    [
-                        L::gather4(base, width, index),
-                        if TRANSPORT { L::gather4(base.add(4), width, index) } else { [L::zero(); 4] },
-                    ]
-                };
-                let difference = |q: usize| own_bar[q] - other_bar[q / 4][q % 4];
-                let alpha: [L; D] = std::array::from_fn(difference);
-                let (dr, r2) = geometry.difference(&here, &there);
-                let (slope, curvature) = kernel.slope_and_curvature(r2);
-                let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
-                let volumes2 = b.volume.mul_add(b.volume, volume2);
-                let c = volumes2 * slope;
-
-                // s = alpha.e + beta.r, and its derivative by r_ij.
-                let mut s = L::zero();
-                let mut by_position = [L::zero(); D];
-                let along = dot(&alpha, &dr);
-                pressure.adjoint(&a, &own_pressure, &b, along, &alpha, c, &mut s, &mut by_position, &mut bar);
-                viscosity::adjoint(eta, &a, &b, &alpha, c, &mut s, &mut bar);
-                if TRANSPORT {
-                    let beta: [L; D] = std::array::from_fn(|d| difference(D + d));
-                    transport_velocity::adjoint(&a, &b, &dr, &alpha, &beta, c, &mut s, &mut by_position, &mut bar);
-                }
-                bar.volume = (slope * s).mul_add(two * a.volume, bar.volume);
-                let mut by_slope = volumes2 * s;
-                if HEAT {
-                    let gamma = difference(if TRANSPORT { 2 * D } else { D });
-                    heat::adjoint(&a, &b, gamma, slope, &mut by_slope, &mut bar);
-                }
-                let radial = by_slope * curvature;
-                for d in 0..D {
-                    bar.position[d] += radial.mul_add(dr[d], c * by_position[d]);
-                }
-            }
             // From the record's fields back to the operator's inputs, all of them particle i's own.
-            let density = self.records[i * stride(fields) + D + 1];
-            let volume = self.records[i * stride(fields) + D];
+            let (volume, density) = (record[D], record[D + 1]);
             let mut density_bar = bar.density.sum();
             let volume_bar = bar.volume.sum();
             density_bar -= volume_bar * volume / density;
@@ -341,9 +398,9 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     if TRANSPORT {
                         // transport = rho w / 2
                         let t = bar.transport[d].sum();
-                        let transport = self.records[i * stride(fields) + 2 * D + 2 + d];
-                        density_bar += t * transport / density;
-                        self.primitives_bar.set((l.primitive_shift() + d) * n + i, t * density * R::of(0.5));
+                        let half = R::of(0.5) * t;
+                        density_bar += half * record[2 * D + 2 + d];
+                        self.primitives_bar.set((l.primitive_shift() + d) * n + i, half * density);
                     }
                 }
                 if HEAT {
@@ -360,12 +417,66 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     }
 }
 
-/// The adjoint, on plain numbers: adds nothing, overwrites the rows of particles in pairs; `moved_bar` and
-/// `primitives_bar` must be zero.
+/// Packs the cotangents, and starts the cotangent of the mass with the share of the factor 1/m_i.
+struct PackingBars<'a, R> {
+    step: &'a Step<R>,
+    moved: &'a [R],
+    rates: &'a [R],
+    rates_bar: &'a [R],
+    mass: Masses<'a, R>,
+    bars: Shared<'a, R>,
+    moved_bar: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let model = &*self.step.model;
+        let (n, l) = (model.particles(), model.layout);
+        let d = l.dimension;
+        let width = stride(bar_fields(d, l.transport, l.heat));
+        let vacuum = R::of(model.equation_of_state.at_vacuum());
+        let conduction = R::of(heat::factor(model));
+        for i in rows {
+            // SAFETY: each row writes its own record.
+            let bar = unsafe { self.bars.slice(i * width..(i + 1) * width) };
+            bar.fill(R::default());
+            if !model.is_fluid(i) {
+                continue;
+            }
+            let inverse_mass = R::of(1.0) / self.mass.of(i);
+            // Cotangent . (pair part of the rates).
+            let mut power = R::default();
+            for k in 0..d {
+                let a = self.rates_bar[k * n + i];
+                bar[k] = a * inverse_mass;
+                let given = if k == 0 { R::of(model.body_force.at(self.moved[n + i].f64())) } else { R::default() };
+                power += a * (self.rates[k * n + i] - given);
+                if l.transport {
+                    let b = self.rates_bar[(d + k) * n + i];
+                    bar[d + k] = vacuum * b * inverse_mass;
+                    power += b * self.rates[(d + k) * n + i];
+                }
+            }
+            if l.heat && heat::conducts(model, self.moved[i]) {
+                let t = self.rates_bar[l.rate_temperature() * n + i];
+                bar[if l.transport { 2 * d } else { d }] = conduction * t * inverse_mass;
+                power += t * self.rates[l.rate_temperature() * n + i];
+            }
+            if l.mass {
+                // SAFETY: each row writes its own particle.
+                unsafe { self.moved_bar.set(l.moved_mass() * n + i, -power * inverse_mass) };
+            }
+        }
+    }
+}
+
+/// The adjoint, on plain numbers: overwrites the rows of particles in pairs; `moved_bar` and `primitives_bar` must be
+/// zero.
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
-    primitives: &[R],
+    kept: &Kept<R>,
     rates: &[R],
     rates_bar: &[R],
     moved_bar: &mut [R],
@@ -373,47 +484,24 @@ pub fn backward<R: Real>(
 ) {
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
-    let d = l.dimension;
-    let width = stride(record_fields(d, l.transport, l.heat));
-    let mut records = model.scratch.take(width * n);
-    pack_records(step, moved, primitives, &mut records);
     let mass = Masses::new(model, moved);
-    let wide = bar_width(l.transport);
-    let mut bars = model.scratch.take(wide * n);
-    bars.fill(R::default());
-    let vacuum = R::of(model.equation_of_state.at_vacuum());
-    let conduction = R::of(heat::factor(model));
-    for &i in &step.list.fluid_rows {
-        let i = i as usize;
-        let m = mass.of(i);
-        let bar = &mut bars[i * wide..(i + 1) * wide];
-        let mut power = R::default(); // cotangent . (pair part of the rates): the factor 1/m_i's share
-        for k in 0..d {
-            let a = rates_bar[k * n + i];
-            bar[k] = a / m;
-            let given = if k == 0 { R::of(model.body_force.at(moved[n + i].f64())) } else { R::default() };
-            power += a * (rates[k * n + i] - given);
-            if l.transport {
-                let b = rates_bar[(d + k) * n + i];
-                bar[d + k] = vacuum * b / m;
-                power += b * rates[(d + k) * n + i];
-            }
-        }
-        if l.heat && heat::conducts(model, moved[i]) {
-            let t = rates_bar[l.rate_temperature() * n + i];
-            bar[if l.transport { 2 * d } else { d }] = conduction * t / m;
-            power += t * rates[l.rate_temperature() * n + i];
-        }
-        if l.mass {
-            moved_bar[l.moved_mass() * n + i] = -power / m;
-        }
-    }
+    let mut bars = model.scratch.take(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
+    let packing = PackingBars {
+        step,
+        moved,
+        rates,
+        rates_bar,
+        mass,
+        bars: Shared::new(&mut bars),
+        moved_bar: Shared::new(moved_bar),
+    };
+    run_rows(&packing, n);
     macro_rules! go {
         ($d:literal, $transport:literal, $heat:literal) => {
             run_rows(
                 &Backward::<R, $d, $transport, $heat> {
                     step,
-                    records: &records,
+                    kept,
                     bars: &bars,
                     mass,
                     moved_bar: Shared::new(moved_bar),
@@ -424,7 +512,6 @@ pub fn backward<R: Real>(
         };
     }
     dispatch!(l, go);
-    model.scratch.give_back(records);
     model.scratch.give_back(bars);
 }
 
@@ -433,28 +520,32 @@ impl<R: Real> CustomOp2 for Rates<R> {
         "rates"
     }
     fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (rows, n) = (self.0.model.layout.rate_rows(), self.0.model.particles());
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.rate_rows(), step.model.particles());
         let mut rates = vec![R::default(); rows * n];
-        forward(&self.0, input(s1, l1)?, input(s2, l2)?, &mut rates);
+        let (moved, primitives) = (input(s1, l1)?, input(s2, l2)?);
+        let mut kept = self.0.kept();
+        density::keep_pairs(step, moved, &mut kept);
+        keep_records(step, moved, primitives, &mut kept);
+        forward(step, moved, &kept, &mut rates);
         Ok(output(rates, (rows, n)))
     }
     fn bwd(
         &self,
         moved: &Tensor,
-        primitives: &Tensor,
+        _: &Tensor,
         rates: &Tensor,
         rates_bar: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (l, n) = (self.0.model.layout, self.0.model.particles());
+        let step = &self.0.step;
+        let (l, n) = (step.model.layout, step.model.particles());
         let mut moved_bar = vec![R::default(); l.moved_rows() * n];
         let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
         read(moved, |m| {
-            read(primitives, |p| {
-                read(rates, |a| {
-                    read(&rates_bar.contiguous()?, |bar| {
-                        backward(&self.0, m, p, a, bar, &mut moved_bar, &mut primitives_bar);
-                        Ok(())
-                    })
+            read(rates, |a| {
+                read(&rates_bar.contiguous()?, |bar| {
+                    backward(step, m, &self.0.kept(), a, bar, &mut moved_bar, &mut primitives_bar);
+                    Ok(())
                 })
             })
         })?;

@@ -6,12 +6,16 @@
 //!                    +------------------------------ advance -------------------------------+--> state
 //! ```
 
+use super::pairs::Kept;
 use super::{advance, density, primitives, rates};
-use crate::lanes::Real;
-use crate::neighbours::{list::NeighbourError, NeighbourList};
+use crate::lanes::{run_rows, Lanes, Real, RowKernel};
+use crate::neighbours::list::{NeighbourError, Workspace};
+use crate::neighbours::NeighbourList;
 use crate::sph::model::Model;
 use candle_core::{CpuStorage, Layout, Result, Shape, Storage, Tensor};
-use std::sync::Arc;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// What an operator knows besides its tensors: the scene's constants and the list of this step.
 #[derive(Debug, Clone)]
@@ -48,12 +52,37 @@ pub fn tensor<R: Real>(values: Vec<R>, rows: usize, n: usize) -> Result<Tensor> 
     Tensor::from_vec(values, (rows, n), &candle_core::Device::Cpu)
 }
 
+/// The operators of one step at one moved state, and what they keep for each other.
+#[derive(Debug)]
+pub struct Chain<R: Real> {
+    pub step: Arc<Step<R>>,
+    kept: Mutex<Kept<R>>,
+}
+
+impl<R: Real> Chain<R> {
+    /// For one chain of operators on one moved state: what the density pass keeps belongs to its positions.
+    pub fn new(step: Arc<Step<R>>) -> Arc<Self> {
+        let kept = Mutex::new(Kept::take(&step.model));
+        Arc::new(Self { step, kept })
+    }
+    pub fn kept(&self) -> MutexGuard<'_, Kept<R>> {
+        self.kept.lock().unwrap_or_else(|e| e.into_inner())
+    }
+}
+
+impl<R: Real> Drop for Chain<R> {
+    fn drop(&mut self) {
+        self.kept.get_mut().unwrap_or_else(|e| e.into_inner()).give_back(&self.step.model);
+    }
+}
+
 impl<R: Real> Step<R> {
-    /// Advances a state `[F, N]` by one step: the fused operators, chained by candle.
+    /// Advances a moved state `[M, N]` to the state `[F, N]` at the step's end: the fused operators, chained by candle.
     pub fn fused(self: &Arc<Self>, moved: &Tensor) -> Result<Tensor> {
-        let density = moved.apply_op1(density::Density(self.clone()))?;
-        let primitives = moved.apply_op2(&density, primitives::Primitives(self.clone()))?;
-        let rates = moved.apply_op2(&primitives, rates::Rates(self.clone()))?;
+        let chain = Chain::new(self.clone());
+        let density = moved.apply_op1(density::Density(chain.clone()))?;
+        let primitives = moved.apply_op2(&density, primitives::Primitives(chain.clone()))?;
+        let rates = moved.apply_op2(&primitives, rates::Rates(chain))?;
         moved.apply_op2(&rates, advance::Advance(self.clone()))
     }
 }
@@ -64,14 +93,34 @@ pub struct Neighbourhood<R> {
     pub list: Arc<NeighbourList>,
     /// `[D, N]`.
     pub reference: Arc<Vec<R>>,
+    workspace: Workspace<R>,
 }
 
 impl<R: Real> Neighbourhood<R> {
     /// Builds the list from positions `[D.., N]` (the leading rows of a state will do).
     pub fn build(model: &Model<R>, position: &[R], capacity_hint: usize) -> std::result::Result<Self, NeighbourError> {
-        let reference = position[..model.layout.dimension * model.particles()].to_vec();
-        let list = NeighbourList::build(&reference, &model.tags, &model.domain, model.reach(), capacity_hint)?;
-        Ok(Self { list: Arc::new(list), reference: Arc::new(reference) })
+        let list = NeighbourList { capacity: capacity_hint, ..NeighbourList::default() };
+        let mut new = Self { list: Arc::new(list), reference: Arc::new(Vec::new()), workspace: Workspace::default() };
+        new.rebuild(model, position)?;
+        Ok(new)
+    }
+
+    /// Builds the list anew, in the old one's memory unless somebody else still holds it.
+    fn rebuild(&mut self, model: &Model<R>, position: &[R]) -> std::result::Result<(), NeighbourError> {
+        let position = &position[..model.layout.dimension * model.particles()];
+        match Arc::get_mut(&mut self.reference) {
+            Some(reference) => {
+                reference.clear();
+                reference.extend_from_slice(position);
+            }
+            None => self.reference = Arc::new(position.to_vec()),
+        }
+        if Arc::get_mut(&mut self.list).is_none() {
+            let list = NeighbourList { capacity: self.list.capacity, ..NeighbourList::default() };
+            self.list = Arc::new(list);
+        }
+        let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
+        list.rebuild(&self.reference, &model.tags, &model.domain, model.reach(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
@@ -83,7 +132,7 @@ impl<R: Real> Neighbourhood<R> {
             return Err(NeighbourError::TooFast { distance: moved, spacing: model.kernel.smoothing_length });
         }
         if 2.0 * moved >= model.skin {
-            *self = Self::build(model, position, self.list.capacity)?;
+            self.rebuild(model, position)?;
         }
         Ok(())
     }
@@ -95,32 +144,55 @@ pub fn largest_move<R: Real>(
     position: &[R],
     reference: &[R],
 ) -> std::result::Result<f64, NeighbourError> {
-    let n = model.particles();
-    let dimension = model.domain.dimension;
-    let size = model.domain.size.map(R::of);
-    let inverse = model.domain.inverse_period().map(R::of);
-    let half = R::of(0.5);
-    let mut most = R::default();
-    let mut sane = true;
-    for i in 0..n {
-        let mut d2 = R::default();
-        for d in 0..dimension {
-            let mut dr = position[d * n + i] - reference[d * n + i];
-            dr -= size[d] * (dr * inverse[d] + half).floor();
-            d2 += dr * dr;
-        }
-        sane &= d2 < R::of(1e30);
-        most = if d2 > most { d2 } else { most };
-    }
-    if !sane {
+    let largest = LargestMove { model, position, reference, square: AtomicU64::new(0), lost: AtomicBool::new(false) };
+    run_rows(&largest, model.particles());
+    if largest.lost.into_inner() {
+        let n = model.particles();
         for i in 0..n {
-            for d in 0..dimension {
+            for d in 0..model.domain.dimension {
                 let value = position[d * n + i].f64();
                 if !value.is_finite() || value.abs() > 1e10 {
                     return Err(NeighbourError::LostParticle { particle: i, component: d, value });
                 }
             }
         }
+        return Ok(f64::INFINITY);
     }
-    Ok(most.f64().sqrt())
+    Ok(f64::from_bits(largest.square.into_inner()).sqrt())
+}
+
+struct LargestMove<'a, R> {
+    model: &'a Model<R>,
+    position: &'a [R],
+    reference: &'a [R],
+    /// Bits of the largest squared distance: those of numbers that are not negative compare like the numbers.
+    square: AtomicU64,
+    lost: AtomicBool,
+}
+
+impl<R: Real> RowKernel<R> for LargestMove<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (n, domain) = (self.model.particles(), &self.model.domain);
+        let inverse = domain.inverse_period();
+        let (mut most, mut sum) = (L::zero(), L::zero());
+        for from in rows.clone().step_by(L::COUNT) {
+            let mut r2 = L::zero();
+            for d in 0..domain.dimension {
+                let part = |values: &[R]| L::load_part(&values[d * n + from..d * n + rows.end.min(from + L::COUNT)]);
+                let raw = part(self.position) - part(self.reference);
+                let size = L::splat(R::of(domain.size[d]));
+                let dr = raw - size * (raw * L::splat(R::of(inverse[d]))).round();
+                r2 = dr.mul_add(dr, r2);
+            }
+            sum += r2;
+            most = r2.select_less(most, most, r2);
+        }
+        // A sum is not a number, or huge, if one of its terms is.
+        let sane = sum.sum() < R::of(1e30);
+        if !sane {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+        self.square.fetch_max(most.largest().f64().to_bits(), Ordering::Relaxed);
+    }
 }

@@ -1,0 +1,254 @@
+//! Options of `hydrograd bench`.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+
+use crate::cli::arguments::{at_least_one, check_writable, name_of};
+use crate::error::{BadInput, Error};
+use crate::scene::builtin;
+use crate::scene::config::{Config, Kernels, Precision};
+use crate::scene::layers::Setting;
+use crate::scene::load::Loaded;
+use crate::scene::memory_size::MemorySize;
+
+/// Most threads that can be asked for: beyond this it is a slip of the pen.
+const MOST_THREADS: usize = 1024;
+
+/// What is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Group {
+    /// A forward step of the heated channel.
+    Step,
+    /// Its gradient, with every way of keeping states.
+    Gradient,
+    /// Taylor-Green vortices in two and three dimensions, up to a million particles.
+    Scaling,
+    /// What is saved by skipping what a scene does not need.
+    Plan,
+    /// Run time against error.
+    Accuracy,
+}
+
+impl Group {
+    /// Those that run if none is named: `accuracy` takes long.
+    pub const DEFAULT: [Self; 4] = [Self::Step, Self::Gradient, Self::Scaling, Self::Plan];
+
+    pub fn name(self) -> String {
+        name_of(self)
+    }
+}
+
+/// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
+///
+/// Groups: step, gradient, scaling, plan (these four run if none is named) and accuracy. Variants that are compared
+/// take turns, so that a machine that gets slower hits all of them.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd bench --quick
+      all groups but accuracy in under a minute
+  hydrograd bench step gradient --threads 2 --precision f64
+      the heated channel only, one variant
+  hydrograd bench scaling --sizes 100^2,1000^2,40^3 --filter /f32/2/
+      Taylor-Green vortices of three sizes; rows whose label contains the text
+  hydrograd bench step my.toml --set time.steps=400 --repeats 9
+      a scene of your own
+  hydrograd bench step scaling --floor ../shared/reference/floor
+      beside the plain-C yardstick, compiled with gcc
+  hydrograd bench step --compare runs/before/bench.json --out runs/after
+      ratios against an earlier run
+  hydrograd bench accuracy --peers jax-sph.json
+      run time against error, with another code's points in the same pictures")]
+pub struct BenchArguments {
+    /// Groups (step, gradient, scaling, plan, accuracy) and at most one scene (name or TOML file) for step and
+    /// gradient [default: step gradient scaling plan].
+    #[arg(value_name = "GROUP|SCENE")]
+    pub words: Vec<String>,
+    /// Override a key of the heated channel, e.g. `--set time.steps=400`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Preset of the scene for step and gradient: report.
+    #[arg(long, value_name = "NAME")]
+    pub preset: Option<String>,
+    /// Folder for bench.json, accuracy.json and the pictures.
+    #[arg(long, value_name = "DIR", default_value = "runs/bench")]
+    pub out: PathBuf,
+    /// Floating-point types, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "f64,f32")]
+    pub precision: Vec<Precision>,
+    /// Numbers of threads, separated by commas; 0 for every core [default: 1,2].
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = threads)]
+    pub threads: Vec<usize>,
+    /// Implementation of the operators.
+    #[arg(long, value_enum, default_value = "fused")]
+    pub kernels: Kernels,
+    /// Repeats of each row, each in a new process [default: 3; with --quick 1].
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub repeats: Option<usize>,
+    /// Only rows whose label group/scene/particles/precision/threads/kind/mode contains this.
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
+    pub filter: String,
+    /// Fewer and shorter repeats, fewer sizes and variants: under a minute.
+    #[arg(long)]
+    pub quick: bool,
+    /// The bench.json of an earlier run: adds the ratio new/old.
+    #[arg(long, value_name = "FILE")]
+    pub compare: Option<PathBuf>,
+    /// Folder of the plain-C yardstick (floor.c): adds the ratio to it where it has the scene.
+    #[arg(long, value_name = "DIR")]
+    pub floor: Option<PathBuf>,
+    /// Taylor-Green sizes of `scaling`, particles per side ^ dimension, separated by commas, e.g. 100^2,20^3.
+    #[arg(long, value_name = "SIZES", value_delimiter = ',', value_parser = Size::parse)]
+    pub sizes: Vec<Size>,
+    /// A further row of `gradient`: the fastest schedule within this memory, such as 20MB.
+    #[arg(long, value_name = "SIZE")]
+    pub memory: Option<MemorySize>,
+    /// Leave out gradients predicted to take more than this.
+    #[arg(long, value_name = "SIZE", default_value = "4GB")]
+    pub memory_limit: MemorySize,
+    /// Other codes' points for `accuracy`: a JSON array of {code, scene, dx, cfl, precision, seconds, error, stable};
+    /// an earlier accuracy.json will do.
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
+    /// Runs one case, given as JSON, and prints what it measured as JSON: what the bench starts for each row.
+    #[arg(long, hide = true, value_name = "JSON", conflicts_with = "words")]
+    pub case: Option<String>,
+}
+
+/// Particles along each side of a Taylor-Green box.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Size {
+    pub per_side: usize,
+    pub dimension: usize,
+}
+
+impl Size {
+    /// Fewer do not fit: a box must be longer than twice the reach of a particle, about 6.4 spacings.
+    const LEAST: usize = 8;
+    /// Particle numbers are 32-bit in the neighbour list.
+    const MOST_PARTICLES: usize = 100_000_000;
+
+    pub fn particles(self) -> usize {
+        self.per_side.pow(self.dimension as u32)
+    }
+
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let size = text.split_once('^').and_then(|(side, dimension)| {
+            let size = Self { per_side: side.parse().ok()?, dimension: dimension.parse().ok()? };
+            let particles = size.per_side.checked_pow(size.dimension as u32)?;
+            let fits = size.per_side >= Self::LEAST && particles <= Self::MOST_PARTICLES;
+            ((2..=3).contains(&size.dimension) && fits).then_some(size)
+        });
+        size.ok_or_else(|| {
+            format!(
+                "allowed: N^2 or N^3 with N >= {} and at most {} particles, e.g. 100^2",
+                Self::LEAST,
+                Self::MOST_PARTICLES
+            )
+        })
+    }
+}
+
+/// A scene to measure: what [`Config::load_settings`] wants, to be passed on to another process.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    pub scene: Option<String>,
+    pub preset: Option<String>,
+    pub sets: Vec<String>,
+}
+
+impl Scene {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        let settings: Vec<Setting> = self.sets.iter().map(|text| Setting::set(text)).collect();
+        Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)
+    }
+
+    /// The same with settings below those that it has.
+    pub fn with_defaults(&self, sets: &[&str]) -> Self {
+        let sets = sets.iter().map(|s| s.to_string()).chain(self.sets.iter().cloned()).collect();
+        Self { sets, ..self.clone() }
+    }
+}
+
+impl BenchArguments {
+    /// The groups to run and the scene of step and gradient, if one is named among the words.
+    pub fn groups_and_scene(&self) -> Result<(Vec<Group>, Option<String>), BadInput> {
+        let (mut groups, mut scene) = (Vec::new(), None);
+        for word in &self.words {
+            if let Ok(group) = Group::from_str(word, false) {
+                if !groups.contains(&group) {
+                    groups.push(group);
+                }
+            } else if scene.is_some() {
+                return Err(BadInput::new(format!("`{word}` is a second scene"))
+                    .place(format!("bench {}", self.words.join(" ")))
+                    .allowed("groups and at most one scene"));
+            } else if builtin::scene(word).is_some() || Path::new(word).is_file() || word.ends_with(".toml") {
+                scene = Some(word.clone());
+            } else {
+                let groups: Vec<String> = Group::value_variants().iter().map(|group| group.name()).collect();
+                return Err(BadInput::new(format!("`{word}` is neither a group nor a scene"))
+                    .place(format!("bench {}", self.words.join(" ")))
+                    .allowed(format!("{}; a built-in scene or a TOML file", groups.join(", "))));
+            }
+        }
+        if groups.is_empty() {
+            groups.extend(Group::DEFAULT);
+        }
+        Ok((groups, scene))
+    }
+
+    /// The threads to measure with.
+    pub fn threads(&self) -> Vec<usize> {
+        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        let mut threads: Vec<usize> = match self.threads.is_empty() {
+            false => self.threads.iter().map(|&count| if count == 0 { cores } else { count }).collect(),
+            true if self.quick => vec![cores.min(2)],
+            true => vec![1, cores.min(2)],
+        };
+        let mut seen = Vec::new();
+        threads.retain(|count| !seen.contains(count) && (seen.push(*count), true).1);
+        threads
+    }
+
+    /// The floating-point types to measure, each once.
+    pub fn precisions(&self) -> Vec<Precision> {
+        let mut precisions = self.precision.clone();
+        let mut seen = Vec::new();
+        precisions.retain(|precision| !seen.contains(precision) && (seen.push(*precision), true).1);
+        precisions
+    }
+
+    pub fn repeats(&self) -> usize {
+        self.repeats.unwrap_or(if self.quick { 1 } else { 3 })
+    }
+
+    /// Checks that results can be written.
+    pub fn check_out(&self) -> Result<(), BadInput> {
+        check_writable(&self.out)
+    }
+}
+
+fn threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if count <= MOST_THREADS => Ok(count),
+        _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_a_side_and_a_dimension() {
+        assert_eq!(Size::parse("100^2").map(Size::particles), Ok(10_000));
+        assert_eq!(Size::parse("20^3").map(Size::particles), Ok(8_000));
+        for bad in ["100", "7^2", "100^4", "100^1", "x^2", "100000^2", "^2", "9999999999^3"] {
+            assert!(Size::parse(bad).is_err(), "{bad}");
+        }
+    }
+}

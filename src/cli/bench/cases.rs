@@ -1,0 +1,368 @@
+//! The cases of each group: what to build, how to run it, how often.
+
+use serde::{Deserialize, Serialize};
+
+use super::arguments::{BenchArguments, Group, Scene, Size};
+use super::plan::Lacking;
+use crate::error::Error;
+use crate::scene::config::{Config, Kernels, Precision};
+use crate::scene::memory_size::MemorySize;
+
+/// Modes of the rows of `plan`.
+pub const PLAN: &str = "plan";
+pub const EVERYTHING_ON: &str = "everything on";
+
+/// Steps of a Taylor-Green run before it is measured: the particles leave their lattice.
+fn warm_up(particles: usize, quick: bool) -> usize {
+    match particles {
+        _ if quick => 10,
+        0..=20_000 => 200,
+        20_001..=200_000 => 20,
+        _ => 5,
+    }
+}
+
+/// Forward or gradient.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    Forward,
+    Gradient,
+}
+
+impl Kind {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Forward => "forward",
+            Self::Gradient => "gradient",
+        }
+    }
+}
+
+/// What is run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Source {
+    Channel(Scene),
+    TaylorGreen(Size),
+    /// A scene that lacks something: with its own plan, or with every field forced on.
+    Plan {
+        scene: Scene,
+        lacking: Lacking,
+        forced: bool,
+    },
+}
+
+/// How the states of a gradient's run are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Keeping {
+    /// The state before each step.
+    EveryState,
+    /// The same, rounded to f32.
+    Rounded,
+    /// Segments of the length that needs the least.
+    LeastMemory,
+    /// The fastest schedule that keeps and tapes at most this share of what every state takes.
+    Share(f64),
+    /// The fastest schedule within so many bytes.
+    Within(MemorySize),
+    /// Revolve with so many states.
+    Binomial(usize),
+    /// Segments of 200, as the original report's accumulation.
+    Segments(usize),
+    /// Only the last `optimise.horizon` steps are differentiated.
+    Truncated(usize),
+    Taped,
+}
+
+impl Keeping {
+    pub fn name(self) -> String {
+        match self {
+            Self::EveryState => "every state".into(),
+            Self::Rounded => "every state in f32".into(),
+            Self::LeastMemory => "best segments".into(),
+            Self::Within(size) => format!("within {size}"),
+            Self::Binomial(states) => format!("binomial, {states} states"),
+            Self::Share(share) => format!("{:.0} % of every state", 100.0 * share),
+            Self::Segments(length) => format!("segments of {length}"),
+            Self::Truncated(horizon) => format!("truncated to {horizon}"),
+            Self::Taped => "taped".into(),
+        }
+    }
+}
+
+/// How many steps are timed as one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Length {
+    Steps(usize),
+    /// As many as fit into so many seconds, but at least so many steps (each repeat should rebuild the neighbour list).
+    Seconds {
+        seconds: f64,
+        least: usize,
+    },
+}
+
+/// One row of the result before it is measured; travels to its process as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Case {
+    pub group: Group,
+    pub scene: String,
+    pub particles: usize,
+    pub precision: Precision,
+    pub threads: usize,
+    pub kind: Kind,
+    /// Distinguishes rows that agree in all else: how states are kept, plan or everything.
+    pub mode: Option<String>,
+    pub source: Source,
+    pub kernels: Kernels,
+    pub keeping: Keeping,
+    /// Steps that are run first and not timed; what is timed begins at the state behind them.
+    pub warm_up: usize,
+    pub length: Length,
+    /// Timed runs in one process.
+    pub blocks: usize,
+    /// Leave the gradient out if it is predicted to take more bytes.
+    pub memory_limit: usize,
+}
+
+impl Case {
+    /// group/scene/particles/precision/threads/kind[/mode]: what `--filter` looks into and `--compare` matches.
+    pub fn label(&self) -> String {
+        let precision = precision_name(self.precision);
+        let Self { scene, particles, threads, .. } = self;
+        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
+        match &self.mode {
+            Some(mode) => format!("{label}/{mode}"),
+            None => label,
+        }
+    }
+}
+
+pub fn precision_name(precision: Precision) -> &'static str {
+    match precision {
+        Precision::F32 => "f32",
+        Precision::F64 => "f64",
+    }
+}
+
+/// What the bench asks of a process of its own.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Request {
+    Row(Box<Case>),
+    /// All points of run time against error.
+    Accuracy {
+        quick: bool,
+        threads: usize,
+    },
+}
+
+/// Cases that are compared with each other: their repeats take turns.
+pub type Family = Vec<Case>;
+
+/// Makes cases with what is common to all of a run.
+pub struct Cases<'a> {
+    arguments: &'a BenchArguments,
+    /// The scene of `step` and `gradient` where the user named one.
+    scene: Option<String>,
+}
+
+impl<'a> Cases<'a> {
+    pub fn new(arguments: &'a BenchArguments, scene: Option<String>) -> Self {
+        Self { arguments, scene }
+    }
+
+    /// The families of a group, without the rows that the filter drops.
+    pub fn of(&self, group: Group) -> Result<Vec<Family>, Error> {
+        let mut families = match group {
+            Group::Step => self.step()?,
+            Group::Gradient => self.gradient()?,
+            Group::Scaling => self.scaling(),
+            Group::Plan => self.plan()?,
+            Group::Accuracy => vec![],
+        };
+        for family in &mut families {
+            family.retain(|case| case.label().contains(&self.arguments.filter));
+        }
+        families.retain(|family| !family.is_empty());
+        Ok(families)
+    }
+
+    /// The heated channel(s) to measure, each with a name: what the user gave, or the report's and the default one.
+    fn channels(&self) -> Vec<(String, Scene)> {
+        let a = self.arguments;
+        let scene = |preset: Option<&str>| Scene {
+            scene: self.scene.clone(),
+            preset: preset.map(str::to_string),
+            sets: a.sets.clone(),
+        };
+        if self.scene.is_some() || a.preset.is_some() {
+            let given = scene(a.preset.as_deref());
+            let name = self.scene.as_deref().unwrap_or("heated-channel");
+            let stem = std::path::Path::new(name).file_stem().unwrap_or_default().to_string_lossy().to_string();
+            return vec![(a.preset.as_ref().map_or(stem.clone(), |preset| format!("{stem}-{preset}")), given)];
+        }
+        vec![("heated-channel-report".into(), scene(Some("report"))), ("heated-channel".into(), scene(None))]
+    }
+
+    /// One case per floating-point type and number of threads.
+    fn variants(&self, make: impl Fn(Precision, usize) -> Case) -> Family {
+        let threads = self.arguments.threads();
+        let precisions = self.arguments.precisions();
+        precisions.iter().flat_map(|&p| threads.iter().map(move |&t| (p, t))).map(|(p, t)| make(p, t)).collect()
+    }
+
+    fn case(&self, group: Group, scene: &str, particles: usize, source: Source) -> Case {
+        Case {
+            group,
+            scene: scene.into(),
+            particles,
+            precision: Precision::F64,
+            threads: 1,
+            kind: Kind::Forward,
+            mode: None,
+            source,
+            kernels: self.arguments.kernels,
+            keeping: Keeping::EveryState,
+            warm_up: 0,
+            length: Length::Steps(1),
+            blocks: 1,
+            memory_limit: self.arguments.memory_limit.bytes(),
+        }
+    }
+
+    fn step(&self) -> Result<Vec<Family>, Error> {
+        let mut families = vec![];
+        for (name, scene) in self.channels() {
+            let config = scene.load()?.config;
+            let quick = self.arguments.quick;
+            let base = Case {
+                // The whole run from its start.
+                length: Length::Steps(if quick { config.steps().min(1000) } else { config.steps() }),
+                blocks: if quick { 2 } else { 3 },
+                ..self.case(Group::Step, &name, particles(&config), Source::Channel(scene))
+            };
+            families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
+        }
+        Ok(families)
+    }
+
+    fn gradient(&self) -> Result<Vec<Family>, Error> {
+        let quick = self.arguments.quick;
+        let mut families = vec![];
+        // The report's channel alone, unless the user named a scene.
+        for (name, mut scene) in self.channels().into_iter().take(1) {
+            if quick {
+                scene = scene.with_defaults(&["time.steps=400", "objective.window=0"]);
+            }
+            let config = scene.load()?.config;
+            let (steps, n) = (config.steps(), particles(&config));
+            let horizon = config.optimise.horizon.min(steps);
+            let mut keepings = vec![
+                Keeping::EveryState,
+                Keeping::LeastMemory,
+                Keeping::Share(0.1),
+                Keeping::Truncated(horizon),
+                Keeping::Taped,
+            ];
+            if !quick && steps > 200 {
+                keepings.splice(3..3, [Keeping::Segments(200), Keeping::Binomial(20)]);
+            }
+            keepings.extend(self.arguments.memory.map(Keeping::Within));
+            let base = Case {
+                kind: Kind::Gradient,
+                length: Length::Steps(steps),
+                ..self.case(Group::Gradient, &name, n, Source::Channel(scene))
+            };
+            let modes = |precision, threads| {
+                let base = Case { precision, threads, ..base.clone() };
+                // In f32 a rounded state is the state.
+                let rounded = (precision == Precision::F64).then_some(Keeping::Rounded);
+                let keepings = keepings.iter().copied().chain(rounded);
+                keepings.map(move |k| Case { keeping: k, mode: Some(k.name()), ..base.clone() })
+            };
+            let variants = self.variants(|precision, threads| Case { precision, threads, ..base.clone() });
+            families.push(variants.iter().flat_map(|v| modes(v.precision, v.threads)).collect());
+        }
+        Ok(families)
+    }
+
+    /// The sizes of `scaling`: about 10^3 to 10^6 particles; 96^2 and 185^2 are JAX-SPH's 9 200 and 34 400 to within a
+    /// per cent, 50^2 is LagrangeBench's.
+    fn sizes(&self) -> Vec<Size> {
+        let given = &self.arguments.sizes;
+        if !given.is_empty() {
+            return given.clone();
+        }
+        let (plane, space): (&[usize], &[usize]) = match self.arguments.quick {
+            true => (&[31, 100, 316], &[20]),
+            false => (&[31, 50, 96, 100, 185, 316, 1000], &[20, 40, 80]),
+        };
+        let sizes = |sides: &[usize], dimension| sides.iter().map(move |&s| Size { per_side: s, dimension }).collect();
+        let plane: Vec<Size> = sizes(plane, 2);
+        [plane, sizes(space, 3)].concat()
+    }
+
+    fn scaling(&self) -> Vec<Family> {
+        let quick = self.arguments.quick;
+        let mut families = vec![];
+        for size in self.sizes() {
+            let n = size.particles();
+            let name = if size.dimension == 2 { "taylor-green" } else { "taylor-green-3d" };
+            let seconds = if quick { 0.2 } else { 1.0 };
+            let base = Case {
+                warm_up: warm_up(n, quick),
+                length: Length::Seconds { seconds, least: if quick { 4 } else { 16 } },
+                ..self.case(Group::Scaling, name, n, Source::TaylorGreen(size))
+            };
+            families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
+            let gradient = Case {
+                kind: Kind::Gradient,
+                mode: Some(Keeping::EveryState.name()),
+                length: Length::Seconds { seconds, least: if quick { 2 } else { 4 } },
+                ..base
+            };
+            families.push(self.variants(|precision, threads| Case { precision, threads, ..gradient.clone() }));
+        }
+        families
+    }
+
+    fn plan(&self) -> Result<Vec<Family>, Error> {
+        let quick = self.arguments.quick;
+        let mut families = vec![];
+        for lacking in Lacking::ALL {
+            let scene = Scene { preset: Some("report".into()), sets: self.arguments.sets.clone(), scene: None };
+            // 3200 particles: enough that the work shows beside the threads' meetings.
+            let dx = if quick { "resolution.dx=0.02" } else { "resolution.dx=0.01" };
+            let scene = scene.with_defaults(&[dx, "fluid.transport_velocity=1"]);
+            let n = lacking.particles(&scene.load()?.config);
+            for kind in [Kind::Forward, Kind::Gradient] {
+                let seconds = if quick { 0.1 } else { 0.5 };
+                let base = Case {
+                    kind,
+                    warm_up: if quick { 20 } else { 100 },
+                    length: Length::Seconds { seconds, least: 10 },
+                    blocks: 2,
+                    ..self.case(Group::Plan, lacking.name(), n, Source::TaylorGreen(Size { per_side: 8, dimension: 2 }))
+                };
+                let with = |forced: bool| Case {
+                    mode: Some(if forced { EVERYTHING_ON } else { PLAN }.into()),
+                    source: Source::Plan { scene: scene.clone(), lacking, forced },
+                    ..base.clone()
+                };
+                let both = [with(false), with(true)];
+                let (precision, threads) = (self.arguments.precisions()[0], self.arguments.threads());
+                let threads = threads.last().copied().unwrap_or(1);
+                families.push(both.map(|case| Case { precision, threads, ..case }).to_vec());
+            }
+        }
+        Ok(families)
+    }
+}
+
+/// Particles of the heated channel, dummy particles included.
+pub fn particles(config: &Config) -> usize {
+    config.columns() * (config.rows() + 2 * config.channel.wall_rows)
+}

@@ -1,0 +1,322 @@
+//! One case, measured in a process of its own: its number of threads is fixed, its peak memory is its alone.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use super::arguments::Size;
+use super::cases::{Case, Keeping, Kind, Length, Request, Source};
+use super::goal::Goal;
+use super::{pairs, plan};
+use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
+use crate::adjoint::segments::{gradient, Dynamics, Sph};
+use crate::cli::prepare::build;
+use crate::design::diagnostics::start;
+use crate::error::{BadInput, Error};
+use crate::lanes::{InstructionSet, Real};
+use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
+use crate::scene::accuracy::points;
+use crate::scene::config::Precision;
+use crate::scene::taylor_green::TaylorGreen;
+use crate::solver::{Snapshot, SolverError};
+use crate::sph::model::Model;
+use crate::sph::step;
+
+/// Steps after which a scene with everything on is compared with its plan.
+const COMPARED_STEPS: usize = 50;
+
+/// What one process measured.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Measured {
+    pub pairs: usize,
+    /// Steps of each timed run.
+    pub steps: usize,
+    /// Of each timed run.
+    pub seconds: Vec<f64>,
+    /// The forward part of each gradient.
+    pub forward_seconds: Vec<f64>,
+    pub peak_memory_bytes: u64,
+    /// What the schedule of a gradient was predicted to take.
+    pub predicted_bytes: Option<usize>,
+    pub instruction_set: String,
+    pub time_step: f64,
+    /// Largest relative difference between the scene's plan and everything on.
+    pub difference: Option<f64>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outcome {
+    Measured(Measured),
+    /// A gradient that does not fit into the memory that it is allowed, and why.
+    LeftOut(String),
+}
+
+/// Does what is asked and prints the answer as one line of JSON.
+pub fn run(request: &str) -> anyhow::Result<()> {
+    let request: Request =
+        serde_json::from_str(request).map_err(|error| BadInput::new(error.to_string()).place("--case"))?;
+    let wanted = match &request {
+        Request::Row(case) => case.threads,
+        Request::Accuracy { threads, .. } => *threads,
+    };
+    let threads = candle_core::utils::barrier_pool().n_workers() + 1;
+    if threads != wanted {
+        let problem = format!("candle has {threads} threads instead of {wanted}");
+        return Err(Error::run(problem, "CANDLE_NUM_THREADS sets their number").into());
+    }
+    let answer = match &request {
+        Request::Row(case) => serde_json::to_string(&match case.precision {
+            Precision::F32 => measure::<f32>(case),
+            Precision::F64 => measure::<f64>(case),
+        }?)?,
+        Request::Accuracy { quick, .. } => serde_json::to_string(&points(*quick, &mut |_| ())?)?,
+    };
+    println!("{answer}");
+    Ok(())
+}
+
+/// A scene ready to be measured.
+struct Ready<R> {
+    dynamics: Sph<R>,
+    start: Snapshot<R>,
+    goal: Goal,
+}
+
+impl<R: Real> Ready<R> {
+    fn new(case: &Case, source: &Source) -> Result<Self, Error> {
+        let (model, start, goal) = match source {
+            Source::Channel(scene) => {
+                let config = scene.load()?.config;
+                let (channel, shape) = build::<R>(&config)?;
+                (channel.model.clone(), start(&channel, &shape.offsets), Goal::Outflow(channel.objective))
+            }
+            Source::TaylorGreen(size) => {
+                let (model, state) = taylor_green(*size);
+                (Arc::new(model), at_rest(state), Goal::SquaredVelocity { steps: 0 })
+            }
+            Source::Plan { scene, lacking, forced } => {
+                let (mut model, mut state) = match lacking.size() {
+                    Some(size) => taylor_green(size),
+                    None => {
+                        let config = scene.load()?.config;
+                        let (channel, shape) = build::<R>(&config)?;
+                        let state = start(&channel, &shape.offsets).state;
+                        (plan::owned(channel.model), state)
+                    }
+                };
+                lacking.apply(&mut model, &mut state, *forced);
+                (Arc::new(model), at_rest(state), Goal::SquaredVelocity { steps: 0 })
+            }
+        };
+        let rows = model.layout.dimension * model.particles();
+        let start = Snapshot { reference: Arc::new(start.state[..rows].to_vec()), ..start };
+        Ok(Self { dynamics: Sph { model, kernels: case.kernels }, start, goal })
+    }
+
+    /// The state after some steps, as a start.
+    fn after(&self, steps: usize) -> Result<Snapshot<R>, SolverError> {
+        let mut solver = self.dynamics.start(&self.start)?;
+        for _ in 0..steps {
+            self.dynamics.advance(&mut solver)?;
+        }
+        solver.check_finite()?;
+        Ok(Snapshot { step: 0, ..solver.snapshot() })
+    }
+
+    /// The goal at the end of so many steps; the channel's own is tied to the scene's steps.
+    fn goal(&mut self, steps: usize) -> &Goal {
+        if let Goal::SquaredVelocity { steps: last } = &mut self.goal {
+            *last = steps;
+        }
+        &self.goal
+    }
+
+    /// What states and taped steps take, from the first neighbour list.
+    fn costs(&self) -> Result<Costs, SolverError> {
+        let list = self.dynamics.start(&self.start)?.neighbourhood.list;
+        Ok(self.dynamics.costs(list.bytes()))
+    }
+}
+
+fn taylor_green<R: Real>(size: Size) -> (Model<R>, Vec<R>) {
+    let Size { dimension, per_side } = size;
+    // A tenth of a spacing of disorder, as in the plain-C yardstick: a lattice would stay one for a while.
+    let flow = TaylorGreen { dimension, per_side, jitter: 0.1, ..TaylorGreen::default() }.build::<R>();
+    (plan::owned(flow.model), flow.state)
+}
+
+/// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
+fn at_rest<R>(state: Vec<R>) -> Snapshot<R> {
+    Snapshot { step: 0, state, reference: Arc::new(Vec::new()) }
+}
+
+impl Keeping {
+    /// The schedule for a run; an error if nothing is as small as asked for.
+    fn schedule(self, steps: usize, costs: Costs) -> Result<Schedule, TooSmall> {
+        let every = Schedule::every_state(steps, 0, false);
+        Ok(match self {
+            Self::EveryState => every,
+            Self::Rounded => Schedule::every_state(steps, 0, true),
+            Self::LeastMemory => Schedule::segments(steps, Schedule::least_memory(steps, costs)),
+            Self::Segments(length) => Schedule::segments(steps, length),
+            Self::Binomial(states) => Schedule::binomial(steps, 0, states),
+            Self::Truncated(horizon) => Schedule::every_state(steps, steps - horizon.min(steps), false),
+            Self::Taped => Schedule::taped(steps),
+            Self::Within(size) => Schedule::within(steps, 0, costs, size.bytes())?,
+            Self::Share(share) => {
+                let budget = costs.working + (share * every.storage(costs) as f64) as usize;
+                Schedule::within(steps, 0, costs, budget)?
+            }
+        })
+    }
+}
+
+fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
+    let failed = |e: SolverError| Error::run(format!("{}: {e}", case.label()), "a smaller time.cfl");
+    let mut ready = Ready::<R>::new(case, &case.source)?;
+    reset_peak_memory();
+    let begin = ready.after(case.warm_up).map_err(failed)?;
+    let pairs = pairs::count(&ready.dynamics.model, &begin.state);
+    let mut measured = Measured {
+        pairs,
+        steps: 0,
+        seconds: vec![],
+        forward_seconds: vec![],
+        peak_memory_bytes: 0,
+        predicted_bytes: None,
+        instruction_set: format!("{:?}", InstructionSet::detect()),
+        time_step: ready.dynamics.model.dt,
+        difference: None,
+    };
+    match case.kind {
+        Kind::Forward => forward(case, &ready, &begin, &mut measured).map_err(failed)?,
+        Kind::Gradient => {
+            let costs = ready.costs().map_err(failed)?;
+            let least = match case.length {
+                Length::Steps(steps) => steps,
+                Length::Seconds { least, .. } => least,
+            };
+            let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
+            match case.keeping.schedule(least, costs).map(|schedule| schedule.memory(costs)) {
+                Ok(bytes) if bytes <= case.memory_limit => {}
+                Ok(bytes) => {
+                    let reason = format!("predicted to take {}, above --memory-limit", megabytes(bytes));
+                    return Ok(Outcome::LeftOut(reason));
+                }
+                Err(TooSmall { least }) => {
+                    return Ok(Outcome::LeftOut(format!("no schedule takes less than {}", megabytes(least))));
+                }
+            }
+            backward(case, &mut ready, &begin, costs, &mut measured).map_err(failed)?;
+        }
+    }
+    measured.peak_memory_bytes = peak_memory_bytes();
+    if let Source::Plan { scene, lacking, forced: true } = &case.source {
+        let own = Source::Plan { scene: scene.clone(), lacking: *lacking, forced: false };
+        let own = Ready::<R>::new(case, &own)?;
+        let difference = difference(case.kind, own, ready).map_err(failed)?;
+        // JSON has no NaN: it would arrive as "not compared".
+        if !difference.is_finite() {
+            let problem = format!("{}: the difference from the plan is {difference}", case.label());
+            return Err(Error::run(problem, "a smaller time.cfl").into());
+        }
+        measured.difference = Some(difference);
+    }
+    Ok(Outcome::Measured(measured))
+}
+
+fn forward<R: Real>(
+    case: &Case,
+    ready: &Ready<R>,
+    begin: &Snapshot<R>,
+    measured: &mut Measured,
+) -> Result<(), SolverError> {
+    let dynamics = &ready.dynamics;
+    let mut solver = dynamics.start(begin)?;
+    let timed = |solver: &mut _, steps: usize| -> Result<f64, SolverError> {
+        let clock = Instant::now();
+        for _ in 0..steps {
+            dynamics.advance(solver)?;
+        }
+        Ok(clock.elapsed().as_secs_f64())
+    };
+    // Pages, caches and threads warm up.
+    let least = match case.length {
+        Length::Steps(steps) => steps.min(50),
+        Length::Seconds { least, .. } => least,
+    };
+    let first = timed(&mut solver, least)?;
+    measured.steps = match case.length {
+        Length::Steps(steps) => steps,
+        Length::Seconds { seconds, least } => least.max((seconds * least as f64 / first) as usize),
+    };
+    for _ in 0..case.blocks {
+        if let Length::Steps(_) = case.length {
+            solver = dynamics.start(begin)?;
+        }
+        measured.seconds.push(timed(&mut solver, measured.steps)?);
+    }
+    solver.check_finite()
+}
+
+fn backward<R: Real>(
+    case: &Case,
+    ready: &mut Ready<R>,
+    begin: &Snapshot<R>,
+    costs: Costs,
+    measured: &mut Measured,
+) -> Result<(), SolverError> {
+    let dynamics = ready.dynamics.clone();
+    let mut timed = |steps: usize, schedule: &Schedule| -> Result<(f64, f64), SolverError> {
+        let clock = Instant::now();
+        let found = gradient(&dynamics, begin, schedule, ready.goal(steps), &mut |_| ())?;
+        let seconds = clock.elapsed().as_secs_f64();
+        Ok((seconds, found.forward_seconds))
+    };
+    let steps = match case.length {
+        Length::Steps(steps) => steps,
+        Length::Seconds { seconds, least } => {
+            let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
+            let mut steps = least.max((seconds * least as f64 / first) as usize);
+            let fits = |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
+            while steps > least && !fits(steps) {
+                steps = (steps / 2).max(least);
+            }
+            steps
+        }
+    };
+    // `measure` has made sure that there is one; more steps never need less.
+    let schedule = case.keeping.schedule(steps, costs).unwrap_or(Schedule::every_state(steps, 0, false));
+    measured.steps = steps;
+    measured.predicted_bytes = Some(schedule.memory(costs));
+    // Pages, caches and threads warm up.
+    let few = steps.min(20);
+    timed(few, &Schedule::every_state(few, 0, false))?;
+    for _ in 0..case.blocks {
+        let (seconds, forward) = timed(steps, &schedule)?;
+        measured.seconds.push(seconds);
+        measured.forward_seconds.push(forward);
+    }
+    Ok(())
+}
+
+/// How far a scene with everything on is from its plan: states after some steps, or their gradients.
+fn difference<R: Real>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, SolverError> {
+    let (a, b) = (own.dynamics.model.layout, forced.dynamics.model.layout);
+    let n = own.dynamics.model.particles();
+    let result = |ready: &mut Ready<R>| -> Result<Vec<R>, SolverError> {
+        if kind == Kind::Forward {
+            return Ok(ready.after(COMPARED_STEPS)?.state);
+        }
+        let (dynamics, start) = (ready.dynamics.clone(), ready.start.clone());
+        let schedule = Schedule::segments(COMPARED_STEPS, 10);
+        let found = gradient(&dynamics, &start, &schedule, ready.goal(COMPARED_STEPS), &mut |_| ())?;
+        let contiguous = found.state.contiguous().map_err(|source| SolverError::Tensor { step: 0, source })?;
+        step::read(&contiguous, |values: &[R]| Ok(values.to_vec()))
+            .map_err(|source| SolverError::Tensor { step: 0, source })
+    };
+    let (own, forced) = (result(&mut own)?, result(&mut forced)?);
+    Ok(plan::difference(n, (&own, a), (&forced, b)))
+}

@@ -1,0 +1,35 @@
+//! Ratios against an earlier run.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::rows::{self, Row};
+use crate::error::BadInput;
+
+/// Milliseconds per step of an earlier run, by label.
+pub struct Earlier {
+    best: BTreeMap<String, f64>,
+}
+
+impl Earlier {
+    /// Reads the bench.json of an earlier run.
+    pub fn read(path: &Path) -> Result<Self, BadInput> {
+        let rows = rows::read("--compare", path)?;
+        Ok(Self { best: rows.iter().map(|row| (row.label(), row.ms_per_step)).collect() })
+    }
+
+    /// New time over old; `None` if the earlier run does not have the row.
+    pub fn ratio(&self, row: &Row) -> Option<f64> {
+        self.best.get(&row.label()).map(|old| row.ms_per_step / old)
+    }
+
+    /// One line: how many rows both runs have, the geometric mean of their ratios and the worst of them.
+    pub fn summary(&self, rows: &[Row]) -> String {
+        let ratios: Vec<(f64, String)> = rows.iter().filter_map(|row| Some((self.ratio(row)?, row.label()))).collect();
+        let (old, both) = (self.best.len(), ratios.len());
+        let counts = format!("{both} of {} rows are in the earlier run, which has {old}", rows.len());
+        let Some((worst, label)) = ratios.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return counts };
+        let mean = (ratios.iter().map(|(ratio, _)| ratio.ln()).sum::<f64>() / both as f64).exp();
+        format!("{counts}; new/old: geometric mean {mean:.3}, largest {worst:.3} ({label})")
+    }
+}

@@ -1,0 +1,141 @@
+//! `hydrograd bench`: how long steps and gradients take, and how much memory, in groups of comparable cases.
+
+mod accuracy;
+mod arguments;
+mod cases;
+mod child;
+mod compare;
+mod floor;
+mod goal;
+mod pairs;
+mod plan;
+mod plots;
+mod rows;
+mod runner;
+mod tables;
+
+pub use arguments::BenchArguments;
+
+use accuracy::Point;
+use arguments::Group;
+use cases::Cases;
+use compare::Earlier;
+use floor::Floor;
+use rows::Row;
+
+use crate::error::{BadInput, Error};
+use crate::io::atomic::prepare_output_folder;
+use crate::report::progress::Progress;
+use crate::scene::config::Precision;
+
+/// Largest difference that the plan of a scene may make: what it computes must agree to rounding.
+fn tolerance(precision: Precision) -> f64 {
+    match precision {
+        Precision::F64 => 1e-9,
+        Precision::F32 => 1e-3,
+    }
+}
+
+pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
+    if let Some(case) = &arguments.case {
+        return child::run(case);
+    }
+    let (groups, scene) = arguments.groups_and_scene()?;
+    arguments.check_out()?;
+    let earlier = arguments.compare.as_deref().map(Earlier::read).transpose()?;
+    let cases = Cases::new(&arguments, scene);
+    let mut work = vec![];
+    for &group in &groups {
+        work.push((group, cases.of(group)?));
+    }
+    let peers = match &arguments.peers {
+        Some(path) if !groups.contains(&Group::Accuracy) => {
+            return Err(BadInput::new("only the group accuracy draws other codes' points")
+                .place(format!("--peers {}", path.display()))
+                .advice("hydrograd bench accuracy --peers FILE")
+                .into());
+        }
+        Some(path) => accuracy::read(path)?,
+        None => vec![],
+    };
+    let runs: usize = work.iter().flat_map(|(_, families)| families).map(Vec::len).sum();
+    if runs == 0 && !groups.contains(&Group::Accuracy) {
+        return Err(BadInput::new("no row has a label that contains this")
+            .place(format!("--filter {}", arguments.filter))
+            .allowed("a part of group/scene/particles/precision/threads/kind/mode, e.g. step/heated-channel-report/950/f64/2/forward")
+            .into());
+    }
+    let floor = arguments.floor.as_deref().map(|folder| Floor::compile(folder, arguments.quick)).transpose()?;
+    prepare_output_folder(&arguments.out)?;
+    let file = arguments.out.join("bench.json");
+    let mut all: Vec<Row> = vec![];
+    let bar = Progress::new((runs * arguments.repeats()) as u64, "bench");
+    for (group, families) in &work {
+        if *group == Group::Accuracy {
+            run_accuracy(&arguments, &peers)?;
+            continue;
+        }
+        let (mut found, mut left_out) = (vec![], vec![]);
+        for family in families {
+            let results = runner::run(family, arguments.repeats(), floor.as_ref(), &bar)?;
+            found.extend(results.rows);
+            left_out.extend(results.left_out);
+        }
+        all.extend(found.iter().cloned());
+        // After each group, so that what was measured is kept if a later one fails.
+        rows::write(&file, &all)?;
+        let plots = plots::draw(&arguments.out, *group, &found)?;
+        if !found.is_empty() {
+            println!("\n{}", tables::text(*group, &found, earlier.as_ref()));
+        }
+        for (label, reason) in &left_out {
+            println!("left out: {label}: {reason}");
+        }
+        // Each as PNG and SVG.
+        for picture in plots.iter().step_by(2) {
+            println!("picture: {}", picture.display());
+        }
+        check_plans(&found)?;
+    }
+    bar.finish();
+    if let Some(earlier) = &earlier {
+        println!("{}", earlier.summary(&all));
+    }
+    if runs > 0 {
+        println!("rows: {}", file.display());
+    }
+    Ok(())
+}
+
+/// Measures run time against error, with as many threads as the last of `--threads`.
+fn run_accuracy(arguments: &BenchArguments, peers: &[Point]) -> anyhow::Result<()> {
+    let threads = arguments.threads().last().copied().unwrap_or(1);
+    let mut points = runner::accuracy(arguments.quick, threads)?;
+    points.retain(|point| point.label().contains(&arguments.filter));
+    points.retain(|point| arguments.precisions().contains(&point.precision));
+    let file = arguments.out.join("accuracy.json");
+    accuracy::write(&file, &points)?;
+    points.extend(peers.iter().cloned());
+    println!("{}", accuracy::text(&points));
+    for picture in accuracy::draw(&arguments.out, &points)?.iter().step_by(2) {
+        println!("picture: {}", picture.display());
+    }
+    println!("points: {}", file.display());
+    Ok(())
+}
+
+/// A plan that changes what is computed is wrong, however fast.
+fn check_plans(rows: &[Row]) -> Result<(), Error> {
+    for row in rows {
+        let precision = if row.precision == "f32" { Precision::F32 } else { Precision::F64 };
+        let limit = tolerance(precision);
+        match row.difference {
+            Some(difference) if difference.is_nan() || difference > limit => {
+                let problem = format!("{}: differs from the plan by {difference:.1e}, above {limit:.0e}", row.label());
+                return Err(Error::run(problem, "this is a bug in the plan or in an operator: please report it"));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}

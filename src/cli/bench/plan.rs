@@ -1,0 +1,146 @@
+//! Scenes that lack something, with their own plan and with every field forced on at zero effect.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::arguments::Size;
+use super::cases::particles;
+use crate::lanes::Real;
+use crate::scene::config::Config;
+use crate::sph::model::{Heat, Layout, Model};
+
+/// A viscosity that no rounding sees (and that does not underflow in f32): the viscous terms are computed, not felt.
+const NO_VISCOSITY: f64 = 1e-20;
+/// Particles along each side of the wall-free box.
+const WALL_FREE: Size = Size { per_side: 50, dimension: 2 };
+
+/// What a scene does without.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Lacking {
+    /// The channel without heat.
+    Heat,
+    /// Taylor-Green vortices: neither walls nor heat nor a mass of each particle's own.
+    Walls,
+    /// The channel without viscosity.
+    Viscosity,
+    /// The channel without transport velocity.
+    TransportVelocity,
+    /// The channel with one mass for all particles.
+    Masses,
+}
+
+impl Lacking {
+    pub const ALL: [Self; 5] = [Self::Heat, Self::Walls, Self::Viscosity, Self::TransportVelocity, Self::Masses];
+
+    /// Name of the scene.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Heat => "isothermal",
+            Self::Walls => "wall-free",
+            Self::Viscosity => "inviscid",
+            Self::TransportVelocity => "no-transport-velocity",
+            Self::Masses => "constant-mass",
+        }
+    }
+
+    /// The wall-free box; `None` for the channels.
+    pub fn size(self) -> Option<Size> {
+        (self == Self::Walls).then_some(WALL_FREE)
+    }
+
+    pub fn particles(self, config: &Config) -> usize {
+        self.size().map_or_else(|| particles(config), Size::particles)
+    }
+
+    /// The scene's own plan, or the one with everything on, from a scene as it was built.
+    pub fn apply<R: Real>(self, model: &mut Model<R>, state: &mut Vec<R>, forced: bool) {
+        let has = model.layout;
+        let own = match self {
+            Self::Heat => Layout { heat: false, ..has },
+            Self::Walls => Layout { heat: false, mass: false, ..has },
+            Self::Viscosity => has,
+            Self::TransportVelocity => Layout { transport: false, ..has },
+            Self::Masses => Layout { mass: false, ..has },
+        };
+        let layout = if forced { Layout { transport: true, heat: true, mass: true, ..has } } else { own };
+        *state = repacked(model, state, layout);
+        if layout.heat && (!own.heat || model.heat.is_none()) {
+            model.heat = Some(no_heat(model));
+            let (row, n) = (layout.temperature(), model.particles());
+            state[row * n..(row + 2) * n].fill(R::default());
+        }
+        if !layout.heat {
+            model.heat = None;
+        }
+        if !own.transport {
+            model.transport = 0.0;
+        }
+        if self == Self::Viscosity {
+            model.viscosity = if forced { NO_VISCOSITY } else { 0.0 };
+        }
+        model.layout = layout;
+    }
+}
+
+/// Conduction without any difference to conduct: every temperature is the reference's.
+fn no_heat<R: Real>(model: &Model<R>) -> Heat<R> {
+    let n = model.particles();
+    Heat {
+        conductivity: 1.0,
+        capacity: 100.0,
+        reference: 1.0,
+        // Nobody is in the strips at the ends.
+        inlet_below: f64::MIN,
+        outlet_above: f64::MAX,
+        wall_constant: vec![R::default(); n],
+        wall_factor: vec![R::of(1.0); n],
+    }
+}
+
+/// The state's rows in another layout: what it does not have begins with zero, masses with the model's.
+fn repacked<R: Real>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
+    let (from, n) = (model.layout, model.particles());
+    let mut packed = vec![R::default(); to.state_rows() * n];
+    let mut copy = |target: usize, source: usize, rows: usize| {
+        packed[target * n..(target + rows) * n].copy_from_slice(&state[source * n..(source + rows) * n]);
+    };
+    copy(0, 0, 3 * to.dimension);
+    if to.transport && from.transport {
+        copy(to.transport_acceleration(), from.transport_acceleration(), to.dimension);
+    }
+    if to.heat && from.heat {
+        copy(to.temperature(), from.temperature(), 2);
+    }
+    if to.mass && from.mass {
+        copy(to.state_mass(), from.state_mass(), 1);
+    }
+    if to.mass && !from.mass {
+        packed[to.state_mass() * n..][..n].fill(R::of(model.mass));
+    }
+    packed
+}
+
+/// Largest difference between two states in the rows that both layouts have, over each row's largest value.
+pub fn difference<R: Real>(n: usize, (a, from): (&[R], Layout), (b, to): (&[R], Layout)) -> f64 {
+    let d = from.dimension;
+    let mut fields = vec![(0, 0, d), (d, d, d)];
+    if from.heat && to.heat {
+        fields.push((from.temperature(), to.temperature(), 1));
+    }
+    let worst = |(x, y, rows): &(usize, usize, usize)| {
+        let (x, y) = (&a[x * n..(x + rows) * n], &b[y * n..(y + rows) * n]);
+        let largest = x.iter().chain(y).fold(0.0, |most: f64, v| most.max(v.f64().abs()));
+        let apart = x.iter().zip(y).map(|(x, y)| (x.f64() - y.f64()).abs());
+        // `max` would hide NaN.
+        let apart = apart.fold(0.0, |most: f64, v| if v <= most { most } else { v });
+        apart / largest.max(f64::MIN_POSITIVE)
+    };
+    fields.iter().map(worst).fold(0.0, |most: f64, v| if v <= most { most } else { v })
+}
+
+/// A model of one's own: nobody else holds it yet.
+pub fn owned<R>(model: Arc<Model<R>>) -> Model<R> {
+    Arc::into_inner(model).expect("the scene has just been built")
+}

@@ -1,0 +1,73 @@
+//! The bench's pictures.
+
+use std::path::{Path, PathBuf};
+
+use super::arguments::Group;
+use super::cases::Kind;
+use super::rows::Row;
+use crate::io::FileError;
+use crate::report::plots::compare;
+
+/// Draws what a group has to show, and says where.
+pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
+    let mut files = vec![];
+    let mut picture = |name: &str, title: &str, x: &str, y: &str, series: Series| -> Result<(), FileError> {
+        if !series.is_empty() {
+            files.extend(compare(&folder.join(name), title, x, y, &series, true, true)?);
+        }
+        Ok(())
+    };
+    match group {
+        Group::Scaling => {
+            for kind in [Kind::Forward, Kind::Gradient] {
+                let title = format!("Taylor-Green vortices, {}: time over the number of particles", kind.name());
+                let name = format!("scaling-{}", kind.name());
+                picture(&name, &title, "particles", "ns per particle and step", scaling(rows, kind))?;
+            }
+        }
+        Group::Gradient => {
+            let y = "ms per step, forward run included";
+            picture("gradient", "Gradient: time against memory", "peak memory, MB", y, gradient(rows))?;
+        }
+        _ => {}
+    }
+    Ok(files)
+}
+
+type Series = Vec<(String, Vec<(f64, f64)>)>;
+
+/// Adds a point to the series of that name.
+fn add(series: &mut Series, name: String, point: (f64, f64)) {
+    match series.iter_mut().find(|(other, _)| *other == name) {
+        Some((_, points)) => points.push(point),
+        None => series.push((name, vec![point])),
+    }
+}
+
+fn scaling(rows: &[Row], kind: Kind) -> Series {
+    let mut series = vec![];
+    for dimension in [2, 3] {
+        for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
+            let threads = if row.threads == 1 { "thread" } else { "threads" };
+            let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
+            let at = |ms: f64| (row.particles as f64, 1e6 * ms / row.particles as f64);
+            add(&mut series, variant.clone(), at(row.ms_per_step));
+            if let Some(floor) = row.floor_ms_per_step {
+                add(&mut series, format!("{variant}, plain C"), at(floor));
+            }
+        }
+    }
+    series.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
+    series
+}
+
+fn gradient(rows: &[Row]) -> Series {
+    let mut series = vec![];
+    for row in rows {
+        // A mode is a series of its own: its variants are connected, its name stands in the legend.
+        let mode = row.mode.clone().unwrap_or_default();
+        let point = (row.peak_memory_bytes as f64 / 1e6, row.ms_per_step);
+        add(&mut series, format!("{mode}, {}", row.precision), point);
+    }
+    series
+}

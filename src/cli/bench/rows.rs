@@ -1,0 +1,168 @@
+//! One row of the result, and bench.json.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::arguments::Group;
+use super::cases::{precision_name, Case, Kind, Source};
+use super::child::Measured;
+use crate::error::BadInput;
+use crate::io::atomic::write_bytes_atomically;
+use crate::io::FileError;
+
+/// A measured case. Times are of the best repeat unless they say otherwise; a gradient's include its forward run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    pub group: Group,
+    pub scene: String,
+    pub dimension: usize,
+    /// All particles, those of walls included.
+    pub particles: usize,
+    /// Directed pairs (i, j), i fluid, within the cut-off, when the timing began.
+    pub pairs: usize,
+    pub precision: String,
+    pub threads: usize,
+    pub kind: Kind,
+    pub steps: usize,
+    pub ms_per_step: f64,
+    pub ns_per_particle_step: f64,
+    pub ns_per_pair: f64,
+    /// Of the process that measured it, the program itself included; the largest of the repeats.
+    pub peak_memory_bytes: u64,
+    /// How states are kept, plan or everything on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mode: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ms_per_step_median: Option<f64>,
+    /// Timed runs that best and median are of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<usize>,
+    /// The backward part of the fastest gradient over its forward part.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adjoint_over_forward: Option<f64>,
+    /// What the schedule of a gradient was predicted to take, without the program itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub predicted_memory_bytes: Option<usize>,
+    /// Relative difference of what the scene computes with everything on from what it computes with its plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub difference: Option<f64>,
+    /// The plain-C yardstick's, measured in turns with this row; for a gradient its forward and adjoint steps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub floor_ms_per_step: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub floor_ms_per_step_median: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_step: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instruction_set: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub version: Option<String>,
+}
+
+impl Row {
+    /// From what the repeats of a case measured. Empty `all` is a bug.
+    pub fn new(case: &Case, all: &[Measured]) -> Self {
+        let first = &all[0];
+        // Repeats choose their own number of steps, so times are compared per step.
+        let runs = || {
+            all.iter().flat_map(|m| {
+                let forward = m.forward_seconds.iter().copied().map(Some).chain(std::iter::repeat(None));
+                m.seconds.iter().copied().zip(forward).map(|(seconds, forward)| (m.steps, seconds, forward))
+            })
+        };
+        let mut per_step: Vec<f64> = runs().map(|(steps, seconds, _)| 1e3 * seconds / steps as f64).collect();
+        per_step.sort_by(f64::total_cmp);
+        let speed = |(steps, seconds, _): &(usize, f64, Option<f64>)| seconds / *steps as f64;
+        let fastest = runs().min_by(|a, b| speed(a).total_cmp(&speed(b)));
+        let adjoint = fastest.and_then(|(_, seconds, forward)| forward.map(|forward| (seconds - forward) / forward));
+        let ms = per_step[0];
+        Self {
+            group: case.group,
+            scene: case.scene.clone(),
+            dimension: match &case.source {
+                Source::TaylorGreen(size) => size.dimension,
+                Source::Channel(_) | Source::Plan { .. } => 2,
+            },
+            particles: case.particles,
+            pairs: first.pairs,
+            precision: precision_name(case.precision).into(),
+            threads: case.threads,
+            kind: case.kind,
+            steps: fastest.map_or(first.steps, |(steps, ..)| steps),
+            ms_per_step: ms,
+            ns_per_particle_step: 1e6 * ms / case.particles as f64,
+            ns_per_pair: 1e6 * ms / first.pairs as f64,
+            peak_memory_bytes: all.iter().map(|m| m.peak_memory_bytes).max().unwrap_or(0),
+            mode: case.mode.clone(),
+            ms_per_step_median: Some(median(&per_step)),
+            repeats: Some(per_step.len()),
+            adjoint_over_forward: adjoint,
+            predicted_memory_bytes: first.predicted_bytes,
+            difference: first.difference,
+            floor_ms_per_step: None,
+            floor_ms_per_step_median: None,
+            time_step: Some(first.time_step),
+            instruction_set: Some(first.instruction_set.clone()),
+            version: Some(env!("CARGO_PKG_VERSION").into()),
+        }
+    }
+
+    /// As [`Case::label`].
+    pub fn label(&self) -> String {
+        let Self { scene, particles, precision, threads, .. } = self;
+        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
+        match &self.mode {
+            Some(mode) => format!("{label}/{mode}"),
+            None => label,
+        }
+    }
+}
+
+/// Of sorted values; the mean of the middle two if there is no middle one.
+pub fn median(sorted: &[f64]) -> f64 {
+    let (low, high) = (sorted[(sorted.len() - 1) / 2], sorted[sorted.len() / 2]);
+    0.5 * (low + high)
+}
+
+/// Writes the rows as a JSON array.
+pub fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(rows)?;
+    let written: Result<(), FileError> = write_bytes_atomically(path, format!("{text}\n").as_bytes());
+    Ok(written?)
+}
+
+/// Reads the rows of an earlier run; every mistake names the file, and the row and field where there is one.
+pub fn read(option: &str, path: &Path) -> Result<Vec<Row>, BadInput> {
+    let bad = |problem: String| {
+        BadInput::new(problem)
+            .place(format!("{option} {}", path.display()))
+            .allowed("the bench.json of an earlier `hydrograd bench`: an array of rows")
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
+    let values: Vec<serde_json::Value> =
+        serde_json::from_str(&text).map_err(|error| bad(format!("not an array of JSON: {error}")))?;
+    if values.is_empty() {
+        return Err(bad("it has no rows".into()));
+    }
+    let rows = values.into_iter().enumerate().map(|(number, value)| {
+        let row: Row = serde_json::from_value(value).map_err(|error| bad(format!("row {number}: {error}")))?;
+        if row.ms_per_step.is_nan() || row.ms_per_step <= 0.0 {
+            return Err(bad(format!("row {number}: ms_per_step = {} is not above 0", row.ms_per_step)));
+        }
+        Ok(row)
+    });
+    rows.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn median_of_even_and_odd_counts() {
+        assert_eq!(median(&[3.0]), 3.0);
+        assert_eq!(median(&[1.0, 2.0, 9.0]), 2.0);
+        assert_eq!(median(&[1.0, 2.0, 4.0, 9.0]), 3.0);
+    }
+}

@@ -1,0 +1,105 @@
+//! Runs the cases of a family in turns, each repeat in a process of its own.
+
+use std::process::{Command, Stdio};
+
+use serde::de::DeserializeOwned;
+
+use super::accuracy::Point;
+use super::cases::{Case, Family, Request};
+use super::child::{Measured, Outcome};
+use super::floor::{Floor, FloorRun};
+use super::rows::{median, Row};
+use crate::error::Error;
+use crate::report::progress::Progress;
+
+/// What a family gave: rows, and the cases that were left out and why.
+#[derive(Debug, Default)]
+pub struct Results {
+    pub rows: Vec<Row>,
+    pub left_out: Vec<(String, String)>,
+}
+
+/// Runs every case `repeats` times, A B C A B C, the floor among them.
+pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progress) -> anyhow::Result<Results> {
+    let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
+    let mut left_out: Vec<Option<String>> = vec![None; family.len()];
+    // Several cases (ways of keeping states) share a run of the floor.
+    let mut floors: Vec<(FloorRun, Vec<[f64; 2]>)> = vec![];
+    for case in family {
+        if let Some(run) = floor.and(FloorRun::of(case)?) {
+            if !floors.iter().any(|(other, _)| *other == run) {
+                floors.push((run, vec![]));
+            }
+        }
+    }
+    for _ in 0..repeats {
+        for (place, case) in family.iter().enumerate() {
+            bar.message(case.label());
+            if left_out[place].is_none() {
+                match measure(case)? {
+                    Outcome::Measured(one) => measured[place].push(one),
+                    Outcome::LeftOut(reason) => left_out[place] = Some(reason),
+                }
+            }
+            bar.advance(1);
+        }
+        if let Some(floor) = floor {
+            for (run, times) in &mut floors {
+                times.push(floor.measure(run)?);
+            }
+        }
+    }
+    let mut results = Results::default();
+    for (place, case) in family.iter().enumerate() {
+        if let Some(reason) = left_out[place].take() {
+            results.left_out.push((case.label(), reason));
+            continue;
+        }
+        let mut row = Row::new(case, &measured[place]);
+        let run = FloorRun::of(case)?;
+        if let Some((_, times)) = floors.iter().find(|(other, _)| Some(other) == run.as_ref()) {
+            let mut medians: Vec<f64> = times.iter().map(|time| time[1]).collect();
+            medians.sort_by(f64::total_cmp);
+            row.floor_ms_per_step = times.iter().map(|time| time[0]).min_by(f64::total_cmp);
+            row.floor_ms_per_step_median = Some(median(&medians));
+        }
+        results.rows.push(row);
+    }
+    Ok(results)
+}
+
+/// Runs one case in a process of its own.
+fn measure(case: &Case) -> anyhow::Result<Outcome> {
+    ask(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)
+}
+
+/// All points of run time against error, from a process of its own.
+pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<Point>> {
+    let mut points: Vec<Point> = ask("accuracy", &Request::Accuracy { quick, threads }, threads)?;
+    points.iter_mut().for_each(|point| point.threads = Some(threads));
+    Ok(points)
+}
+
+/// Starts this program again with a number of threads and a request, and reads the answer.
+fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> anyhow::Result<T> {
+    let failed = |problem: String| {
+        Error::run(format!("{name}: {problem}"), "leave it out with --filter, or change the scene with --set")
+    };
+    let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
+    let output = Command::new(program)
+        .args(["bench", "--case", &serde_json::to_string(request)?])
+        .env("CANDLE_NUM_THREADS", threads.to_string())
+        .env("RAYON_NUM_THREADS", threads.to_string())
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| failed(format!("can not start the program again: {error}")))?;
+    if !output.status.success() {
+        let message = String::from_utf8_lossy(&output.stderr);
+        // The process names the case itself, and its advice would be in the way of ours.
+        let message = message.lines().next().unwrap_or("it said nothing");
+        let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{name}: "));
+        return Err(failed(format!("{message} ({})", output.status)).into());
+    }
+    let text = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(text.trim()).map_err(|error| failed(format!("can not read `{}`: {error}", text.trim())).into())
+}

@@ -1,0 +1,86 @@
+//! The rows of a group as a table for the terminal, at most 120 columns wide.
+
+use super::arguments::Group;
+use super::cases::Kind;
+use super::compare::Earlier;
+use super::rows::Row;
+use crate::report::table::Table;
+
+/// A heading with what all rows have in common, the table, and what else there is to say.
+pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
+    type Cell = fn(&Row) -> String;
+    let words: [(&str, Cell); 5] = [
+        ("scene", |row| row.scene.clone()),
+        ("N", |row| row.particles.to_string()),
+        ("type", |row| row.precision.clone()),
+        ("thr", |row| row.threads.to_string()),
+        ("work", work),
+    ];
+    // What never changes goes into the heading.
+    let (constant, varying): (Vec<_>, Vec<_>) =
+        words.into_iter().partition(|(_, cell)| rows.len() > 1 && rows.iter().all(|row| cell(row) == cell(&rows[0])));
+    let common = constant.iter().map(|(name, cell)| match *name {
+        "N" => format!("{} particles", cell(&rows[0])),
+        "thr" => format!("{} thread{}", cell(&rows[0]), if rows[0].threads == 1 { "" } else { "s" }),
+        _ => cell(&rows[0]),
+    });
+    let mut heading = vec![group.name()];
+    heading.extend(common);
+    if rows.len() > 1 && rows.iter().all(|row| row.steps == rows[0].steps) {
+        heading.push(format!("{} steps", rows[0].steps));
+    }
+    if group == Group::Scaling && rows.iter().any(|row| row.kind == Kind::Gradient) {
+        heading.push("gradients keep every state".into());
+    }
+
+    let milliseconds = |ms: f64| format!("{ms:.*}", if ms < 10.0 { 4 } else { 1 });
+    let mut table: Vec<(String, Vec<String>)> = vec![];
+    let mut column = |name: &str, cell: &dyn Fn(&Row) -> Option<String>| {
+        if rows.iter().any(|row| cell(row).is_some()) {
+            table.push((name.into(), rows.iter().map(|row| cell(row).unwrap_or_default()).collect()));
+        }
+    };
+    for (name, cell) in varying {
+        column(name, &|row| Some(cell(row)));
+    }
+    column("ms/step", &|row| Some(milliseconds(row.ms_per_step)));
+    column("median", &|row| row.ms_per_step_median.map(milliseconds));
+    column("ns/part.", &|row| Some(format!("{:.0}", row.ns_per_particle_step)));
+    column("ns/pair", &|row| (group != Group::Plan).then(|| format!("{:.2}", row.ns_per_pair)));
+    column("MB", &|row| Some(format!("{:.0}", row.peak_memory_bytes as f64 / 1e6)));
+    if group == Group::Gradient {
+        column("adj/fwd", &|row| row.adjoint_over_forward.map(|ratio| format!("{ratio:.2}")));
+        column("seconds", &|row| Some(format!("{:.3}", 1e-3 * row.ms_per_step * row.steps as f64)));
+    }
+    if group == Group::Plan {
+        column("vs plan", &|row| against_plan(row, rows).map(|ratio| format!("{ratio:.2}x")));
+        column("differs", &|row| row.difference.map(|difference| format!("{difference:.1e}")));
+    }
+    column("floor", &|row| row.floor_ms_per_step.map(|floor| format!("{:.2}x", row.ms_per_step / floor)));
+    column("new/old", &|row| earlier?.ratio(row).map(|ratio| format!("{ratio:.3}")));
+
+    let mut lines = Table::new(table.iter().map(|(name, _)| name.clone()));
+    for place in 0..rows.len() {
+        lines.row(table.iter().map(|(_, cells)| cells[place].clone()));
+    }
+    format!("{}\n\n{}", heading.join(", "), lines.to_text())
+}
+
+/// Forward or gradient, and how.
+fn work(row: &Row) -> String {
+    let mode = row.mode.as_deref().unwrap_or_default();
+    match row.group {
+        Group::Gradient => mode.to_string(),
+        Group::Plan => format!("{} {mode}", row.kind.name()),
+        _ => row.kind.name().to_string(),
+    }
+}
+
+/// How many times the plan's time a row with everything on takes.
+fn against_plan(row: &Row, rows: &[Row]) -> Option<f64> {
+    if row.mode.as_deref() != Some(super::cases::EVERYTHING_ON) {
+        return None;
+    }
+    let plan = Row { mode: Some(super::cases::PLAN.into()), ..row.clone() }.label();
+    rows.iter().find(|other| other.label() == plan).map(|plan| row.ms_per_step / plan.ms_per_step)
+}

@@ -1,0 +1,227 @@
+//! Run time against error: scenes with a known answer over spacing, time step and precision.
+
+use super::config::{Config, Kernels, Precision};
+use super::flow::Flow;
+use super::heated_channel::HeatedChannel;
+use super::poiseuille::Poiseuille;
+use super::shape::Shape;
+use super::taylor_green::TaylorGreen;
+use crate::design::diagnostics::{simulate, start};
+use crate::lanes::Real;
+use crate::solver::{Solver, SolverError};
+use serde::Serialize;
+use std::f64::consts::{LN_2, PI};
+use std::time::Instant;
+
+/// Outflowing heat of the heated channel with a flat wall, by finite elements (data/reference/README.md).
+const HEATED_CHANNEL_Q: f64 = 0.0234764;
+/// When the channel is steady.
+const HEATED_CHANNEL_END: f64 = 2.5;
+/// Of the viscous time height^2/nu: the centre line has 86 % of its final velocity.
+const POISEUILLE_END: f64 = 0.2;
+
+/// One run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Point {
+    pub scene: &'static str,
+    /// Particle spacing.
+    pub dx: f64,
+    /// The time step as an acoustic number, dt (c + U)/dx. Far below 1 where diffusion limits it (Poiseuille).
+    pub cfl: f64,
+    pub precision: Precision,
+    pub particles: usize,
+    pub steps: usize,
+    pub time_step: f64,
+    /// Wall time of the steps.
+    pub seconds: f64,
+    /// Flows: root mean square of the particles' velocity errors over the exact amplitude, at the time when the
+    /// vortices have half of theirs, the channel at a fifth of its viscous time. Heated channel: |Q / Q_FEM - 1|.
+    /// None if the run did not get to its end.
+    pub error: Option<f64>,
+    /// Whether it did, with an error below 1.
+    pub stable: bool,
+}
+
+/// One run to do.
+enum Run {
+    TaylorGreen(TaylorGreen),
+    Poiseuille(Poiseuille),
+    HeatedChannel(Box<Config>),
+}
+
+/// Runs everything; `progress` is told the share done, by predicted work.
+///
+/// Taylor-Green 2D over particles per side and CFL, Poiseuille over rows and diffusion number, the heated channel over
+/// spacing and CFL, each in f64 and f32. `quick`: coarse ones only.
+pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<Point>> {
+    let runs = runs(quick)?;
+    let total: f64 = runs.iter().map(|run| 2.0 * run.work()).sum();
+    let mut done = 0.0;
+    let mut points = Vec::new();
+    for run in &runs {
+        for precision in [Precision::F64, Precision::F32] {
+            points.push(match precision {
+                Precision::F64 => run.point::<f64>(precision)?,
+                Precision::F32 => run.point::<f32>(precision)?,
+            });
+            done += run.work();
+            progress(done / total);
+        }
+    }
+    Ok(points)
+}
+
+fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
+    let mut runs = Vec::new();
+    let sides: &[usize] = if quick { &[20, 32, 50] } else { &[20, 32, 50, 64, 100] };
+    let courant: &[f64] = if quick { &[1.0] } else { &[0.25, 1.0, 2.0] };
+    for &per_side in sides {
+        for &cfl in courant {
+            runs.push(Run::TaylorGreen(TaylorGreen { per_side, cfl, ..Default::default() }));
+        }
+    }
+    let rows: &[usize] = if quick { &[10, 20] } else { &[10, 20, 30, 40, 60] };
+    let diffusion: &[f64] = if quick { &[0.25] } else { &[0.0625, 0.25] };
+    for &rows in rows {
+        for &diffusion_number in diffusion {
+            runs.push(Run::Poiseuille(Poiseuille { rows, diffusion_number, ..Default::default() }));
+        }
+    }
+    let spacings: &[f64] = if quick { &[0.02] } else { &[0.02, 0.01] };
+    let courant: &[f64] = if quick { &[2.0] } else { &[0.25, 1.0, 2.0] };
+    for dx in spacings {
+        for cfl in courant {
+            let sets =
+                [format!("resolution.dx={dx}"), format!("time.cfl={cfl}"), format!("time.end={HEATED_CHANNEL_END}")];
+            runs.push(Run::HeatedChannel(Box::new(Config::load(Some("heated-channel"), None, &sets)?.config)));
+        }
+    }
+    Ok(runs)
+}
+
+impl TaylorGreen {
+    /// When the exact amplitude of the plane vortices is half of what it was.
+    pub fn half_life(&self) -> f64 {
+        LN_2 * self.reynolds / (8.0 * PI * PI)
+    }
+}
+
+/// Steps of at most `limit` that end exactly at `end`.
+fn even_steps(end: f64, limit: f64) -> (usize, f64) {
+    let steps = (end / limit - 1e-9).ceil().max(1.0);
+    (steps as usize, end / steps)
+}
+
+impl Run {
+    /// The flow with a time step that divides the run, and the number of steps.
+    fn flow<R: Real>(&self) -> Option<(Flow<R>, usize)> {
+        match self {
+            Self::TaylorGreen(scene) => {
+                let (steps, dt) = even_steps(scene.half_life(), scene.time_step());
+                Some((TaylorGreen { time_step: Some(dt), ..*scene }.build(), steps))
+            }
+            Self::Poiseuille(scene) => {
+                let (steps, dt) = even_steps(POISEUILLE_END * scene.reynolds, scene.time_step());
+                Some((Poiseuille { time_step: Some(dt), ..*scene }.build(), steps))
+            }
+            Self::HeatedChannel(_) => None,
+        }
+    }
+
+    /// Particles times steps.
+    fn work(&self) -> f64 {
+        match self {
+            Self::HeatedChannel(config) => (config.columns() * config.rows() * config.steps()) as f64,
+            _ => self.flow::<f64>().map_or(0.0, |(flow, steps)| (flow.model.particles() * steps) as f64),
+        }
+    }
+
+    fn point<R: Real>(&self, precision: Precision) -> anyhow::Result<Point> {
+        let (scene, spacing, velocity_scale, particles, steps, dt, (seconds, error)) = match self {
+            Self::HeatedChannel(config) => {
+                let channel = HeatedChannel::<R>::new(config, &Shape::from_config(config)?);
+                let speed = config.sound_speed() + config.fluid.reference_velocity;
+                let (n, dt) = (channel.model.particles(), channel.model.dt);
+                ("heated-channel", channel.spacing, speed, n, channel.steps, dt, heated_channel(&channel)?)
+            }
+            _ => {
+                let Some((flow, steps)) = self.flow::<R>() else { anyhow::bail!("not a flow") };
+                let speed = flow.sound_speed() + flow.reference_velocity;
+                (flow.name, flow.spacing, speed, flow.model.particles(), steps, flow.model.dt, velocity(&flow, steps)?)
+            }
+        };
+        Ok(Point {
+            scene,
+            dx: spacing,
+            cfl: dt * velocity_scale / spacing,
+            precision,
+            particles,
+            steps,
+            time_step: dt,
+            seconds,
+            error,
+            stable: error.is_some_and(|error| error < 1.0),
+        })
+    }
+}
+
+/// Seconds and velocity error of a flow.
+fn velocity<R: Real>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Option<f64>)> {
+    let mut solver = Solver::new(flow.model.clone(), flow.state.clone())?;
+    let clock = Instant::now();
+    let result = (0..steps).try_for_each(|_| solver.advance()).and_then(|()| solver.check_finite());
+    let seconds = clock.elapsed().as_secs_f64();
+    match result {
+        Ok(()) => Ok((seconds, flow.figures(&solver.state, steps as f64 * flow.model.dt).velocity_error)),
+        Err(error) => diverged(error).map(|()| (seconds, None)),
+    }
+}
+
+/// Seconds and error of Q.
+fn heated_channel<R: Real>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, Option<f64>)> {
+    let offsets = vec![0.0; channel.deformation.variables];
+    let clock = Instant::now();
+    match simulate(channel, Kernels::Fused, start(channel, &offsets), |_| Ok(())) {
+        Ok(finished) => Ok((finished.seconds, Some((finished.diagnostics.q / HEATED_CHANNEL_Q - 1.0).abs()))),
+        Err(error) => {
+            let seconds = clock.elapsed().as_secs_f64();
+            diverged(error.downcast::<SolverError>()?).map(|()| (seconds, None))
+        }
+    }
+}
+
+/// A run that diverged is a result; anything else that went wrong is not.
+fn diverged(error: SolverError) -> anyhow::Result<()> {
+    use crate::neighbours::list::NeighbourError::BoxTooSmall;
+    match error {
+        SolverError::Tensor { .. } | SolverError::Neighbours { source: BoxTooSmall { .. }, .. } => Err(error.into()),
+        SolverError::Neighbours { .. } | SolverError::NotFinite { .. } => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_diverged_run_is_reported() {
+        // Ten times beyond the limit of stability.
+        let scene = TaylorGreen { per_side: 10, cfl: 20.0, diffusion_number: 100.0, ..Default::default() };
+        let point = Run::TaylorGreen(scene).point::<f64>(Precision::F64).unwrap();
+        assert!(!point.stable, "{point:?}");
+        assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
+        let stable = Run::TaylorGreen(TaylorGreen { cfl: 1.0, ..scene }).point::<f64>(Precision::F64).unwrap();
+        assert!(stable.stable && stable.cfl <= 1.0 && stable.cfl > 0.98, "{stable:?}");
+        assert!((stable.steps as f64 * stable.time_step - 0.8779).abs() < 1e-4);
+    }
+
+    #[test]
+    fn error_of_the_heated_channel_is_that_of_q() {
+        let sets = ["time.end=0.3".to_string(), "objective.window=0.05".into()];
+        let config = Config::load(None, None, &sets).unwrap().config;
+        let point = Run::HeatedChannel(Box::new(config)).point::<f32>(Precision::F32).unwrap();
+        // Far from steady: the outflow has just begun to warm.
+        assert!(point.stable && point.error.unwrap() > 0.1, "{point:?}");
+        assert_eq!(point.particles, 800);
+    }
+}

@@ -1,0 +1,250 @@
+//! Verification flows: scenes without a design whose solution is known.
+
+use crate::kernel::Quintic;
+use crate::lanes::Real;
+use crate::particles::{tag, Domain};
+use crate::random::{stream, Normal};
+use crate::sph::body_force::BodyForce;
+use crate::sph::equation_of_state::EquationOfState;
+use crate::sph::model::{Layout, Model, Scratch};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// A scene ready to run that has no design: model, initial state, and what is known about its exact solution.
+#[derive(Debug, Clone)]
+pub struct Flow<R> {
+    pub name: &'static str,
+    pub model: Arc<Model<R>>,
+    /// `[F, N]` rows, see [`Layout`].
+    pub state: Vec<R>,
+    /// Particle spacing.
+    pub spacing: f64,
+    pub reference_velocity: f64,
+    pub exact: Exact,
+}
+
+/// The exact solution of the incompressible Navier-Stokes equations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Exact {
+    /// The plane vortices of Taylor and Green (1937) in the unit box:
+    /// u = -U exp(-8 pi^2 nu t) cos(2 pi x) sin(2 pi y), v = U exp(-8 pi^2 nu t) sin(2 pi x) cos(2 pi y).
+    TaylorGreen { velocity: f64, kinematic_viscosity: f64 },
+    /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force
+    /// (Morris, Fox and Zhu 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
+    Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// No closed form.
+    Unknown,
+}
+
+impl Exact {
+    /// The velocity at a point, if it is known.
+    pub fn velocity(&self, position: [f64; 3], time: f64) -> Option<[f64; 3]> {
+        let [x, y, _] = position;
+        match *self {
+            Self::TaylorGreen { .. } => {
+                let amplitude = self.amplitude(time)?;
+                let ((sin_x, cos_x), (sin_y, cos_y)) = ((2.0 * PI * x).sin_cos(), (2.0 * PI * y).sin_cos());
+                Some([-amplitude * cos_x * sin_y, amplitude * sin_x * cos_y, 0.0])
+            }
+            Self::Poiseuille { velocity, kinematic_viscosity, height } => {
+                // In terms of the steady centre line U: 4 U y (H - y)/H^2 - sum over odd k of 32 U/(pi k)^3 ...
+                let s = y / height;
+                let mut u = 4.0 * velocity * s * (1.0 - s);
+                for k in (1..200).step_by(2).map(|k| PI * k as f64) {
+                    let decay = (-k * k * kinematic_viscosity * time / (height * height)).exp();
+                    u -= 32.0 * velocity / (k * k * k) * (k * s).sin() * decay;
+                }
+                Some([u, 0.0, 0.0])
+            }
+            Self::Unknown => None,
+        }
+    }
+
+    /// What velocity errors are measured against: the vortices' present amplitude, or the channel's steady centre line
+    /// (the flow there begins with zero).
+    pub fn amplitude(&self, time: f64) -> Option<f64> {
+        match *self {
+            Self::TaylorGreen { velocity, kinematic_viscosity } => {
+                Some(velocity * (-8.0 * PI * PI * kinematic_viscosity * time).exp())
+            }
+            Self::Poiseuille { velocity, .. } => Some(velocity),
+            Self::Unknown => None,
+        }
+    }
+}
+
+/// What the flow is like after a number of steps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FlowFigures {
+    pub time: f64,
+    /// Of all fluid particles, sum m u^2 / 2.
+    pub kinetic_energy: f64,
+    /// The same sum with the exact velocity at the particles' places.
+    pub exact_kinetic_energy: Option<f64>,
+    /// Of the fastest fluid particle.
+    pub largest_velocity: f64,
+    /// Root mean square over the fluid particles of |u - u_exact| at their places, over [`Exact::amplitude`].
+    pub velocity_error: Option<f64>,
+}
+
+impl<R: Real> Flow<R> {
+    /// c = sqrt(dp/drho).
+    pub fn sound_speed(&self) -> f64 {
+        let state = &self.model.equation_of_state;
+        state.slope(state.reference_density).sqrt()
+    }
+
+    /// Figures of a state of this flow at a time.
+    pub fn figures(&self, state: &[R], time: f64) -> FlowFigures {
+        let (model, n) = (&self.model, self.model.particles());
+        let vector = |row: usize, i: usize| -> [f64; 3] {
+            std::array::from_fn(|d| if d < model.layout.dimension { state[(row + d) * n + i].f64() } else { 0.0 })
+        };
+        let square = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>();
+        let (mut fluid, mut energy, mut exact_energy, mut error, mut largest) = (0, 0.0, 0.0, 0.0, 0.0_f64);
+        let mut known = true;
+        for i in (0..n).filter(|&i| model.is_fluid(i)) {
+            let u = vector(model.layout.velocity(), i);
+            let r = vector(0, i);
+            fluid += 1;
+            energy += 0.5 * model.mass * square(u);
+            // Not `max`: it would hide what is not a number.
+            largest = if square(u).sqrt() <= largest { largest } else { square(u).sqrt() };
+            match self.exact.velocity(r, time) {
+                Some(exact) => {
+                    exact_energy += 0.5 * model.mass * square(exact);
+                    error += square(std::array::from_fn(|d| u[d] - exact[d]));
+                }
+                None => known = false,
+            }
+        }
+        let amplitude = self.exact.amplitude(time).filter(|_| known);
+        FlowFigures {
+            time,
+            kinetic_energy: energy,
+            exact_kinetic_energy: known.then_some(exact_energy),
+            largest_velocity: largest,
+            velocity_error: amplitude.map(|amplitude| (error / fluid as f64).sqrt() / amplitude),
+        }
+    }
+}
+
+/// What a flow is built from: the lattice and the numbers of the fluid.
+pub(super) struct Parts {
+    pub name: &'static str,
+    pub dimension: usize,
+    /// Particles along each direction, walls included.
+    pub cells: [usize; 3],
+    /// Rows of dummy particles below and above the fluid.
+    pub wall_rows: usize,
+    pub spacing: f64,
+    pub velocity: f64,
+    pub kinematic_viscosity: f64,
+    pub numerics: Numerics,
+    pub body_force: BodyForce,
+    pub exact: Exact,
+}
+
+/// Numbers of the method rather than of the flow. The flows' density is 1.
+pub(super) struct Numerics {
+    /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
+    pub cfl: f64,
+    /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
+    pub diffusion_number: f64,
+    /// The time step itself, instead of the limits.
+    pub time_step: Option<f64>,
+    /// Sound speed c over reference velocity U.
+    pub sound_speed_factor: f64,
+    /// Background pressure over density c^2.
+    pub background_pressure_factor: f64,
+    /// 0 (off) ... 1 (Adami, Hu and Adams 2013, at the strength that it has at CFL 0.25).
+    pub transport_velocity: f64,
+    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
+    pub jitter: f64,
+    /// Extra reach of the neighbour list, in spacings.
+    pub skin: f64,
+    pub seed: u64,
+}
+
+impl Numerics {
+    /// The largest time step, or the given one.
+    pub fn step(&self, spacing: f64, velocity: f64, kinematic_viscosity: f64) -> f64 {
+        let acoustic = self.cfl * spacing / ((self.sound_speed_factor + 1.0) * velocity);
+        let diffusive = self.diffusion_number * spacing * spacing / kinematic_viscosity;
+        self.time_step.unwrap_or(acoustic.min(diffusive))
+    }
+}
+
+impl Parts {
+    /// Fills the model and the state: a lattice with the first particle half a spacing from the box's corner (from the
+    /// wall's surface in y), x fastest, and velocities from `velocity`.
+    pub fn build<R: Real>(self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Flow<R> {
+        let Self { dimension, cells, wall_rows, spacing, numerics, .. } = self;
+        let n: usize = cells[..dimension].iter().product();
+        let walls = wall_rows > 0;
+        let layout = Layout { dimension, transport: numerics.transport_velocity > 0.0, heat: false, mass: false };
+        let dt = numerics.step(spacing, self.velocity, self.kinematic_viscosity);
+        let sound_speed = numerics.sound_speed_factor * self.velocity;
+        let pressure = sound_speed * sound_speed;
+        let place = |i: usize| [i % cells[0], i / cells[0] % cells[1], i / (cells[0] * cells[1])];
+        let is_wall = |i: usize| place(i)[1] < wall_rows || place(i)[1] >= cells[1] - wall_rows;
+        let tags: Vec<u8> = (0..n).map(|i| if is_wall(i) { tag::WALL } else { tag::FLUID }).collect();
+        let size = std::array::from_fn(|d| if d < dimension { cells[d] as f64 * spacing } else { 1.0 });
+        let periodic = std::array::from_fn(|d| d < dimension && !(walls && d == 1));
+
+        let mut state = vec![R::default(); layout.state_rows() * n];
+        let mut normal = Normal::new(stream(numerics.seed, "jitter"));
+        for i in 0..n {
+            let mut position = [0.0; 3];
+            for d in 0..dimension {
+                let below = if d == 1 { wall_rows as f64 } else { 0.0 };
+                position[d] = (place(i)[d] as f64 + 0.5 - below) * spacing;
+                if !is_wall(i) {
+                    position[d] += numerics.jitter * spacing * normal.next();
+                }
+                if periodic[d] {
+                    position[d] = position[d].rem_euclid(size[d]);
+                }
+            }
+            let u = if is_wall(i) { [0.0; 3] } else { velocity(position) };
+            for d in 0..dimension {
+                let mut x = R::of(position[d]);
+                // Rounded to f32, a place just below the box's end is the end itself.
+                if periodic[d] && x >= R::of(size[d]) {
+                    x = R::default();
+                }
+                state[d * n + i] = x;
+                state[(layout.velocity() + d) * n + i] = R::of(u[d]);
+            }
+        }
+        let model = Model {
+            domain: Domain { dimension, size, periodic },
+            layout,
+            kernel: Quintic::new(dimension, spacing),
+            tags,
+            skin: numerics.skin * spacing,
+            dt,
+            mass: spacing.powi(dimension as i32),
+            equation_of_state: EquationOfState {
+                reference_density: 1.0,
+                reference_pressure: pressure,
+                background_pressure: numerics.background_pressure_factor * pressure,
+                gamma: 1,
+            },
+            viscosity: self.kinematic_viscosity,
+            // Independent of the time step: the strength that dt at CFL 0.25 gives.
+            transport: numerics.transport_velocity * 0.25 * spacing / (sound_speed + self.velocity) / dt,
+            body_force: self.body_force,
+            heat: None,
+            scratch: Scratch::default(),
+        };
+        Flow {
+            name: self.name,
+            model: Arc::new(model),
+            state,
+            spacing,
+            reference_velocity: self.velocity,
+            exact: self.exact,
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! `hydrograd bench` through the program: rows, filter, comparison, pictures, bad input. Nothing is timed here.
+
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::{json, Value};
+use tempfile::TempDir;
+
+/// One short variant of everything.
+const SMALL: [&str; 8] = ["--quick", "--threads", "1", "--precision", "f64", "--sizes", "12^2,8^3", "--out"];
+
+fn bench(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::cargo_bin("hydrograd").unwrap();
+    command.current_dir(folder).arg("bench").args(arguments).output().unwrap()
+}
+
+/// Runs the bench into `out`, expects success, and returns what it printed and its rows.
+fn rows(folder: &Path, out: &str, arguments: &[&str]) -> (String, Vec<Value>) {
+    let arguments = [&SMALL[..], &[out], arguments].concat();
+    let output = bench(folder, &arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert!(output.status.success() && error.is_empty(), "{arguments:?}: {error}");
+    let text = std::fs::read_to_string(folder.join(out).join("bench.json")).unwrap();
+    let rows: Value = serde_json::from_str(&text).unwrap();
+    (String::from_utf8(output.stdout).unwrap(), rows.as_array().unwrap().clone())
+}
+
+fn refuses(folder: &Path, arguments: &[&str], expected: &[&str]) {
+    let output = bench(folder, arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+    assert_eq!(error.matches("error:").count(), 1, "{error}");
+    for part in expected {
+        assert!(error.contains(part), "{arguments:?}: no `{part}` in {error}");
+    }
+    assert!(!folder.join("unwritten").exists(), "something was written");
+}
+
+/// The keys that every row has, with the type and sense of their values.
+fn check_row(row: &Value) {
+    let text = |key: &str| row[key].as_str().unwrap_or_else(|| panic!("{key} of {row}")).to_string();
+    let count = |key: &str| row[key].as_u64().unwrap_or_else(|| panic!("{key} of {row}"));
+    let number = |key: &str| row[key].as_f64().unwrap_or_else(|| panic!("{key} of {row}"));
+    assert!(["step", "gradient", "scaling", "plan"].contains(&&*text("group")));
+    assert!(["forward", "gradient"].contains(&&*text("kind")));
+    assert!(["f32", "f64"].contains(&&*text("precision")));
+    assert!(!text("scene").is_empty());
+    assert!([2, 3].contains(&count("dimension")));
+    let (n, pairs, steps) = (count("particles") as f64, count("pairs") as f64, count("steps"));
+    // Fluid in the bulk has 26 to 28 neighbours in two dimensions, 110 to 122 in three; walls have no pairs of their own.
+    let neighbours = if count("dimension") == 2 { 10.0..30.0 } else { 100.0..130.0 };
+    assert!(neighbours.contains(&(pairs / n)), "{row}");
+    assert!(steps > 0 && count("threads") > 0);
+    // A program on candle takes more than a megabyte, a small case less than a gigabyte.
+    assert!((1 << 20..1 << 30).contains(&count("peak_memory_bytes")), "{row}");
+    let ms = number("ms_per_step");
+    assert!(ms > 0.0 && number("ms_per_step_median") >= ms);
+    assert!((number("ns_per_particle_step") / (1e6 * ms / n) - 1.0).abs() < 1e-12);
+    assert!((number("ns_per_pair") / (1e6 * ms / pairs) - 1.0).abs() < 1e-12);
+    assert_eq!(row.get("adjoint_over_forward").is_some(), text("kind") == "gradient");
+}
+
+#[test]
+fn every_group_gives_rows_of_the_schema() {
+    let folder = TempDir::new().unwrap();
+    let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=200", "--set", "objective.window=0"]);
+    rows.iter().for_each(check_row);
+    let of = |group: &str| rows.iter().filter(|row| row["group"] == group).collect::<Vec<_>>();
+    assert_eq!((of("step").len(), of("gradient").len(), of("scaling").len(), of("plan").len()), (2, 6, 4, 20));
+    for group in ["step, ", "gradient, ", "scaling, ", "plan, "] {
+        assert!(text.contains(group), "{text}");
+    }
+    assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    // 50 columns of 13 + 6 and 10 + 6 rows; 12 x 12 and 8 x 8 x 8.
+    assert_eq!(of("step").iter().map(|row| row["particles"].as_u64().unwrap()).collect::<Vec<_>>(), [950, 800]);
+    let sizes: Vec<_> = of("scaling").iter().map(|row| row["particles"].as_u64().unwrap()).collect();
+    assert_eq!(sizes, [144, 144, 512, 512]);
+    let steps = |row: &&Value| row["steps"] == 200;
+    assert!(of("step").iter().all(steps) && of("gradient").iter().all(steps));
+    // A plan leaves out what has no effect, so everything on gives the same result.
+    for row in of("plan") {
+        match row["mode"].as_str().unwrap() {
+            "plan" => assert!(row.get("difference").is_none()),
+            "everything on" => assert!(row["difference"].as_f64().unwrap() <= 1e-12, "{row}"),
+            other => panic!("{other}"),
+        }
+    }
+    for picture in ["scaling-forward.png", "scaling-gradient.svg", "gradient.png", "gradient.svg"] {
+        assert!(folder.path().join("all").join(picture).metadata().unwrap().len() > 1000, "{picture}");
+    }
+}
+
+#[test]
+fn filters_compares_and_varies_threads_and_types() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let (_, old) = rows(at, "old", &["scaling", "--filter", "/144/f64/1/forward"]);
+    assert_eq!(old.len(), 1);
+    check_row(&old[0]);
+
+    // An earlier run that took twice as long, and one row that this run does not have.
+    let mut slower = old[0].clone();
+    slower["ms_per_step"] = json!(1e9);
+    let mut other = slower.clone();
+    other["scene"] = json!("another");
+    std::fs::write(at.join("slower.json"), json!([slower, other]).to_string()).unwrap();
+    let arguments =
+        ["scaling", "--filter", "/144/", "--compare", "slower.json", "--threads", "1,2", "--precision", "f32,f64"];
+    let output = bench(at, &[&["--quick", "--sizes", "12^2", "--out", "new"], &arguments[..]].concat());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(text.contains("new/old") && text.contains("1 of 8 rows are in the earlier run, which has 2"), "{text}");
+    assert!(text.contains("0.000"), "{text}");
+    let new: Vec<Value> = serde_json::from_str(&std::fs::read_to_string(at.join("new/bench.json")).unwrap()).unwrap();
+    let mut variants: Vec<_> = new
+        .iter()
+        .map(|row| format!("{} {} {}", row["kind"], row["precision"], row["threads"]).replace('"', ""))
+        .collect();
+    variants.sort();
+    let expected = [
+        "forward f32 1",
+        "forward f32 2",
+        "forward f64 1",
+        "forward f64 2",
+        "gradient f32 1",
+        "gradient f32 2",
+        "gradient f64 1",
+        "gradient f64 2",
+    ];
+    assert_eq!(variants, expected);
+}
+
+#[test]
+fn a_gradient_that_does_not_fit_is_left_out_and_said() {
+    let folder = TempDir::new().unwrap();
+    let (text, rows) = rows(folder.path(), "out", &["scaling", "--memory-limit", "1KB"]);
+    assert!(rows.iter().all(|row| row["kind"] == "forward") && rows.len() == 2);
+    assert_eq!(text.matches("left out: scaling/").count(), 2, "{text}");
+}
+
+#[test]
+fn a_case_that_fails_is_named() {
+    let folder = TempDir::new().unwrap();
+    let sets = ["--set", "time.cfl=4", "--set", "time.diffusion_number=1"];
+    let output = bench(folder.path(), &[&["step", "--threads", "1", "--precision", "f64"], &sets[..]].concat());
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.starts_with("error: step/heated-channel-report/950/f64/1/forward: step "), "{error}");
+    assert!(error.contains("diverged"), "{error}");
+}
+
+#[test]
+fn accuracy_gives_points_and_draws_those_of_others() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let peer = |error: Value, stable: bool| {
+        json!({"code": "another", "scene": "poiseuille", "dx": 0.1, "cfl": 0.2, "precision": "f64", "seconds": 2.0,
+            "error": error, "stable": stable})
+    };
+    std::fs::write(at.join("peers.json"), json!([peer(json!(0.02), true), peer(json!(null), false)]).to_string())
+        .unwrap();
+    let arguments =
+        ["accuracy", "--quick", "--threads", "1", "--filter", "/poiseuille/", "--peers", "peers.json", "--out", "out"];
+    let output = bench(at, &arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(text.matches("another").count(), 2, "{text}");
+    assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    let points = std::fs::read_to_string(at.join("out/accuracy.json")).unwrap();
+    let points: Vec<Value> = serde_json::from_str(&points).unwrap();
+    // Two spacings in two types; a quarter of the error at half the spacing, in both.
+    assert_eq!(points.len(), 4);
+    for precision in ["f64", "f32"] {
+        let of = |dx: f64| points.iter().find(|p| p["precision"] == precision && p["dx"] == dx).unwrap();
+        let error = |dx: f64| of(dx)["error"].as_f64().unwrap();
+        assert!((3.0..5.0).contains(&(error(0.1) / error(0.05))), "{points:?}");
+        assert!(of(0.1)["stable"] == true && of(0.1)["code"] == "hydrograd");
+    }
+    // The other code is in the picture's legend; the scenes that the filter dropped have no picture.
+    let picture = std::fs::read_to_string(at.join("out/accuracy-poiseuille.svg")).unwrap();
+    assert!(picture.contains("another f64") && picture.contains("hydrograd f32"));
+    assert!(!at.join("out/accuracy-taylor-green.svg").exists());
+}
+
+#[test]
+fn bad_input_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let row = json!({"group": "step", "scene": "s", "dimension": 2, "particles": 1, "pairs": 1, "precision": "f64",
+        "threads": 1, "kind": "forward", "steps": 1, "ms_per_step": 1.0, "ns_per_particle_step": 1.0,
+        "ns_per_pair": 1.0, "peak_memory_bytes": 1});
+    let with = |key: &str, value: Value| {
+        let mut row = row.clone();
+        row[key] = value;
+        json!([row]).to_string()
+    };
+    let mut without = row.clone();
+    without.as_object_mut().unwrap().remove("pairs");
+    let files = [
+        ("text.json", "hello".to_string(), "not an array of JSON"),
+        ("object.json", row.to_string(), "not an array of JSON"),
+        ("empty.json", "[]".to_string(), "no rows"),
+        ("missing.json", json!([row, without]).to_string(), "row 1: missing field `pairs`"),
+        ("kind.json", with("kind", json!("sideways")), "row 0: unknown variant `sideways`"),
+        ("zero.json", with("ms_per_step", json!(0.0)), "row 0: ms_per_step = 0"),
+        ("type.json", with("ms_per_step", json!("fast")), "row 0: invalid type"),
+    ];
+    for (name, text, problem) in &files {
+        std::fs::write(at.join(name), text).unwrap();
+        refuses(at, &["--compare", name, "--out", "unwritten"], &[name, problem, "allowed:"]);
+    }
+    let point = json!({"code": "jax-sph", "scene": "taylor-green", "dx": 0.1, "cfl": 1.0, "precision": "f64",
+        "seconds": 1.0, "error": 0.1, "stable": true});
+    for (key, value, problem) in [
+        ("dx", json!(0.0), "point 0: dx = 0"),
+        ("seconds", json!("long"), "point 0: invalid type"),
+        ("precision", json!("f16"), "point 0: unknown variant `f16`"),
+        ("error", json!(-1.0), "point 0: error = -1"),
+        ("error", json!(null), "point 0: a stable run has an error"),
+    ] {
+        let mut point = point.clone();
+        point[key] = value;
+        std::fs::write(at.join("peers.json"), json!([point]).to_string()).unwrap();
+        refuses(at, &["accuracy", "--peers", "peers.json", "--out", "unwritten"], &["--peers peers.json", problem]);
+    }
+    refuses(at, &["step", "--peers", "peers.json", "--out", "unwritten"], &["--peers", "accuracy"]);
+    refuses(at, &["--compare", "nowhere.json", "--out", "unwritten"], &["--compare nowhere.json", "No such file"]);
+    refuses(at, &["stepp", "--out", "unwritten"], &["`stepp`", "gradient", "accuracy"]);
+    refuses(at, &["step", "mine.toml", "--out", "unwritten"], &["mine.toml"]);
+    refuses(at, &["heated-channel", "heated-channel", "--out", "unwritten"], &["a second scene"]);
+    refuses(at, &["--preset", "nothing", "--out", "unwritten"], &["nothing", "report"]);
+    refuses(at, &["--set", "time.cfl=9", "--out", "unwritten"], &["time.cfl"]);
+    refuses(at, &["--filter", "nothing", "--out", "unwritten"], &["--filter nothing", "group/scene/particles"]);
+    refuses(at, &["--floor", "nowhere", "--out", "unwritten"], &["--floor nowhere", "floor.c"]);
+    refuses(at, &["--sizes", "7^2", "--out", "unwritten"], &["7^2", "N >= 8"]);
+    refuses(at, &["--repeats", "0", "--out", "unwritten"], &["--repeats"]);
+    refuses(at, &["--threads", "1,x", "--out", "unwritten"], &["--threads"]);
+    refuses(at, &["--memory-limit", "0", "--out", "unwritten"], &["--memory-limit"]);
+    std::fs::write(at.join("file"), "").unwrap();
+    refuses(at, &["--out", "file"], &["--out file", "is a file"]);
+}
