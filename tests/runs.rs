@@ -243,9 +243,9 @@ fn explain_shows_the_plan_and_runs_nothing() {
     assert!(!text.contains("gradient of"), "{text}");
     let of = |more: &[&str]| succeeds(at, &[&["optimize", "--explain"], more].concat());
     assert!(of(&[]).contains("every state kept"));
-    assert!(of(&["--memory", "12MB"]).contains("on the tape at once"));
-    assert!(of(&["--memory", "3.6MB"]).contains("restored in turn"));
-    assert!(of(&["--memory", "2MB"]).contains("binomial"));
+    assert!(of(&["--memory", "16MB"]).contains("on the tape at once"));
+    assert!(of(&["--memory", "7MB"]).contains("restored in turn"));
+    assert!(of(&["--memory", "4MB"]).contains("binomial"));
     assert!(of(&["--store", "f32"]).contains("rounded to f32"));
     assert!(of(&["--segment", "7"]).contains("a state every 7 steps"));
     assert!(of(&["--gradient", "truncated"]).contains("steps 0 ... 349"));
@@ -262,8 +262,8 @@ fn a_small_budget_gives_the_same_gradient() {
         json(&at.join(name).join("gradient_check.json"))["gradient"].clone()
     };
     let every_state = gradient("large", &[]);
-    assert_eq!(gradient("small", &["--memory", "2MB"]), every_state);
-    assert_eq!(gradient("segments", &["--memory", "5MB"]), every_state);
+    assert_eq!(gradient("small", &["--memory", "4MB"]), every_state);
+    assert_eq!(gradient("segments", &["--memory", "6.5MB"]), every_state);
 }
 
 #[test]

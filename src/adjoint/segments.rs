@@ -9,12 +9,14 @@
 
 use super::schedule::{Action, Costs, Schedule};
 use crate::lanes::Real;
-use crate::neighbours::list::NeighbourError;
+use crate::neighbours::{list::NeighbourError, NeighbourList};
 use crate::scene::config::Kernels;
 use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::model::Model;
+use crate::sph::pairs::stride;
+use crate::sph::rates::record_fields;
 use crate::sph::step::Neighbourhood;
-use candle_core::{Device, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp1, Device, Layout, Shape, Tensor, Var};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
@@ -328,7 +330,7 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         }
         self.graph = Some(graph);
         if let Some(cotangent) = cotangent {
-            terms.push((state * cotangent).and_then(|t| t.sum_all()).map_err(failed)?);
+            terms.push(state.apply_op1(Seed(cotangent)).map_err(failed)?);
         }
         let mut terms = terms.into_iter();
         let found = match terms.next() {
@@ -346,6 +348,29 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         };
         taped.into_iter().for_each(|bytes| self.held.remove(bytes));
         Ok(found)
+    }
+}
+
+/// A scalar whose derivative by its argument is a given cotangent: the end of a segment, where candle's `backward`
+/// begins. (The scalar product of state and cotangent would do, with several more passes over the state; its value is of
+/// no use, so this one's is zero.)
+struct Seed(Tensor);
+
+impl CustomOp1 for Seed {
+    fn name(&self) -> &'static str {
+        "seed"
+    }
+    fn cpu_fwd(&self, storage: &CpuStorage, _: &Layout) -> candle_core::Result<(CpuStorage, Shape)> {
+        let zero = match storage {
+            CpuStorage::F32(_) => CpuStorage::F32(vec![0.0]),
+            CpuStorage::F64(_) => CpuStorage::F64(vec![0.0]),
+            _ => candle_core::bail!("a state is in f32 or f64"),
+        };
+        Ok((zero, Shape::from(())))
+    }
+    fn bwd(&self, _: &Tensor, _: &Tensor, _: &Tensor) -> candle_core::Result<Option<Tensor>> {
+        // The loss is a sum with this as a term, so the incoming derivative is 1.
+        Ok(Some(self.0.clone()))
     }
 }
 
@@ -457,7 +482,7 @@ impl<R: Real> Dynamics for Sph<R> {
     }
     fn taped_bytes(&self, run: &TensorSolver<R>) -> Bytes {
         let list = &run.neighbourhood.list;
-        Bytes { own: self.tape_bytes(), shared: list.bytes(), identity: Arc::as_ptr(list) as usize }
+        Bytes { own: self.tape_bytes(list.index.len()), shared: list.bytes(), identity: Arc::as_ptr(list) as usize }
     }
 }
 
@@ -489,10 +514,20 @@ impl<R: Real> Sph<R> {
         rows * self.model.particles() * std::mem::size_of::<R>()
     }
 
-    /// The tensors that a step leaves on the tape: moved state, density, primitives, rates, state.
-    fn tape_bytes(&self) -> usize {
+    /// What the operators of a step keep for each other, see [`crate::sph::pairs::Kept`]: positions and records, and a
+    /// number or two (to differentiate) for each place of the neighbour list.
+    fn operators_bytes(&self, places: usize, differentiate: bool) -> usize {
         let l = self.model.layout;
-        self.field(l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows())
+        let records = stride(record_fields(l.dimension, l.transport, l.heat));
+        self.field(4 + records) + places * (1 + differentiate as usize) * std::mem::size_of::<R>()
+    }
+
+    /// What a fused step leaves on the tape: the tensors moved state, density, primitives, rates and state, and what its
+    /// operators keep.
+    fn tape_bytes(&self, places: usize) -> usize {
+        let l = self.model.layout;
+        let rows = l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows();
+        self.field(rows) + self.operators_bytes(places, true)
     }
 
     /// What a kept state and a taped step take, in bytes, in a run that begins with `state`: its list, and its speed
@@ -503,33 +538,30 @@ impl<R: Real> Sph<R> {
         let component = |i: usize, d: usize| state[(l.velocity() + d) * n + i].f64();
         let speed = |i: usize| (0..l.dimension).map(|d| component(i, d).powi(2)).sum::<f64>().sqrt();
         let fastest = (0..n).map(speed).fold(0.0, f64::max);
-        Ok(self.costs_at(list.bytes(), fastest))
+        Ok(self.costs_at(&list, fastest))
     }
 
-    /// The same without a state, for neighbour lists of a given size.
-    pub fn costs(&self, list_bytes: usize) -> Costs {
-        self.costs_at(list_bytes, 0.0)
-    }
-
-    fn costs_at(&self, list_bytes: usize, fastest: f64) -> Costs {
+    fn costs_at(&self, list: &NeighbourList, fastest: f64) -> Costs {
         // A list serves until a particle has moved half the skin.
         let speed = fastest.max(0.1 * crate::sph::plan::sound_speed(&self.model.equation_of_state));
         let steps_per_list = ((0.5 * self.model.skin / (speed * self.model.dt)).ceil() as usize).max(1);
-        let (l, n) = (self.model.layout, self.model.particles());
+        let (l, n, places) = (self.model.layout, self.model.particles(), list.index.len());
         let reference = self.field(l.dimension);
         // The plain run's fields and list, and a list in the making.
-        let run = self.field(l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows()) + 2 * list_bytes;
-        // The variable, the cotangents of a state, of its parts and of its product; what the objective tapes of a step.
-        let cotangents = self.field(4 * l.state_rows() + 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows());
-        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows());
+        let fields = l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
+        let run = self.field(fields) + self.operators_bytes(places, false) + reference + 2 * list.bytes();
+        // The variable, the cotangents of a state and of its parts, and their records.
+        let cotangents = self.field(3 * l.state_rows() + 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows());
+        // What the objective tapes of a step.
+        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows()) + self.operators_bytes(places, true);
         Costs {
             state: self.field(l.state_rows()),
             rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
             shared: reference,
             shared_steps: steps_per_list,
-            tape_step: self.tape_bytes(),
-            tape_shared: list_bytes,
-            working: run + reference + cotangents + objective,
+            tape_step: self.tape_bytes(places),
+            tape_shared: list.bytes(),
+            working: run + cotangents + objective,
         }
     }
 }

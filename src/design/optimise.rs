@@ -71,7 +71,7 @@ pub fn costs<R: Real>(config: &Config, channel: &HeatedChannel<R>) -> Result<Cos
     dynamics.costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
 }
 
-/// The schedule that a configuration asks for: the fastest that fits into `optimise.memory`, or segments of a given
+/// The schedule that a configuration asks for: what fits into `optimise.memory`, or segments of a given
 /// length.
 ///
 /// Errors: a schedule that would not fit, and a budget that is too small for any.

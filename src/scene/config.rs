@@ -239,7 +239,7 @@ pub struct Optimise {
     /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
     pub smoothing: f64,
     pub gradient: GradientMode,
-    /// Memory the gradient may use: the fastest schedule that fits is taken (see [`crate::adjoint::schedule`]).
+    /// Memory the gradient may use: the schedule follows from it (see [`crate::adjoint::schedule`]).
     pub memory: MemorySize,
     /// Precision of kept states; single is for schedules that keep every state only.
     pub store: Precision,

@@ -46,7 +46,7 @@ impl std::str::FromStr for MemorySize {
             return Err(bad(&format!("has the unknown unit `{unit}`")));
         };
         let bytes = (value * *factor as f64).round();
-        if !(bytes >= 1.0 && bytes <= 1e18) {
+        if !(1.0..=1e18).contains(&bytes) {
             return Err(bad("is out of range"));
         }
         Ok(Self(bytes as u64))

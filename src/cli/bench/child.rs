@@ -135,8 +135,7 @@ impl<R: Real> Ready<R> {
 
     /// What states and taped steps take, from the first neighbour list.
     fn costs(&self) -> Result<Costs, SolverError> {
-        let list = self.dynamics.start(&self.start)?.neighbourhood.list;
-        Ok(self.dynamics.costs(list.bytes()))
+        self.dynamics.costs_from(&self.start.state).map_err(|source| SolverError::Neighbours { step: 0, source })
     }
 }
 
