@@ -229,6 +229,7 @@ fn bad_input_is_refused() {
     refuses(at, &["stepp", "--out", "unwritten"], &["`stepp`", "gradient", "accuracy"]);
     refuses(at, &["step", "mine.toml", "--out", "unwritten"], &["mine.toml"]);
     refuses(at, &["heated-channel", "heated-channel", "--out", "unwritten"], &["a second scene"]);
+    refuses(at, &["step", "taylor-green", "--out", "unwritten"], &["taylor-green has no design", "heated-channel"]);
     refuses(at, &["--preset", "nothing", "--out", "unwritten"], &["nothing", "report"]);
     refuses(at, &["--set", "time.cfl=9", "--out", "unwritten"], &["time.cfl"]);
     refuses(at, &["--filter", "nothing", "--out", "unwritten"], &["--filter nothing", "group/scene/particles"]);

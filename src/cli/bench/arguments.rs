@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
 use crate::cli::arguments::{at_least_one, check_writable, name_of};
+use crate::cli::prepare::require_design;
 use crate::error::{BadInput, Error};
 use crate::scene::builtin;
 use crate::scene::config::{Config, Kernels, Precision};
@@ -163,7 +164,10 @@ pub struct Scene {
 impl Scene {
     pub fn load(&self) -> Result<Loaded, Error> {
         let settings: Vec<Setting> = self.sets.iter().map(|text| Setting::set(text)).collect();
-        Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)
+        let loaded = Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)?;
+        // Flows without a design are measured by `scaling` and `accuracy`.
+        require_design(&loaded.config)?;
+        Ok(loaded)
     }
 
     /// The same with settings below those that it has.
