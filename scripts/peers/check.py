@@ -8,11 +8,9 @@ Starts them from the states of data/reference/jax-sph-states.h5, which JAX-SPH i
 """
 import os
 import sys
-import warnings
 
 import jax
 
-warnings.filterwarnings("ignore", message="scatter inputs have incompatible types")
 jax.config.update("jax_enable_x64", True)
 
 import h5py

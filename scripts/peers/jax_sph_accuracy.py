@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """JAX-SPH's points of the picture of run time against error; run.sh calls it. Writes an array of
-{code, scene, dx, cfl, precision, particles, steps, time_step, seconds, error, stable}.
+{code, scene, dx, cfl, precision, particles, steps, time_step, threads, seconds, error, stable}.
 
 The same flows, starts, end times and errors as `hydrograd bench accuracy` (src/scene/accuracy.rs), at JAX-SPH's time step:
 Taylor-Green at the half life of its vortices and Poiseuille at a fifth of its viscous time (root mean square of the particles'
@@ -100,7 +100,8 @@ def one(scene_name, size, precision):
     speed = 11.0  # sound speed 10, reference velocity 1
     return {"code": "jax-sph", "scene": scene_name, "dx": scene.dx, "cfl": dt * speed / scene.dx, "precision": precision,
             "particles": scene.particles, "steps": steps, "time_step": dt, "seconds": seconds,
-            "error": float(error) if finite else None, "stable": finite and bool(error < 1), "neighbour_skin": skin}
+            "error": float(error) if finite else None, "stable": finite and bool(error < 1),
+            "threads": len(os.sched_getaffinity(0)), "neighbour_skin": skin}
 
 
 def cases(quick):
