@@ -44,7 +44,7 @@ fn report_preset() {
     assert_eq!(config.channel.height, 0.26);
     assert_eq!(config.columns() * (config.rows() + 2 * config.channel.wall_rows), 950);
     assert_eq!((config.time.steps, config.time.cfl, config.time.start), (Some(2000), 0.25, Start::Rest));
-    assert_eq!((config.objective.window, config.optimise.segment), (0.0, 200));
+    assert_eq!((config.objective.window, config.optimise.segment), (0.0, 0));
     assert_eq!((config.optimise.learning_rate, config.optimise.smoothing), (2e-2, 5e-2));
     assert_eq!(config.optimise.epochs, 10);
     for preset in PRESETS {

@@ -157,8 +157,11 @@ impl Schedule {
         // Memory falls with the length up to about sqrt(n state/tape) and rises behind it; no gain beyond sqrt(n).
         let lengths = 1..=most.isqrt() + 1;
         let segments = lengths.clone().map(|length| Self::new(steps, first, Kind::Segments { length }));
-        let two_level = lengths.map(|interval| Self::two_level(steps, first, interval));
-        if let Some(found) = segments.chain(two_level).find(fits) {
+        // All but the steps at the start of an interval, and none of the last interval, whose states are still there.
+        let again = |k: usize| (most.div_ceil(k) - 1) * (k - 1);
+        let two_level = lengths.map(|k| (again(k), Self::two_level(steps, first, k)));
+        let least_again = two_level.filter(|(_, s)| fits(s)).min_by_key(|(again, _)| *again).map(|(_, s)| s);
+        if let Some(found) = { segments }.find(fits).or(least_again) {
             return Ok(found);
         }
         let least = Self::binomial(steps, first, 1).bound(costs);

@@ -42,7 +42,8 @@ impl Geometry {
             reach,
             size: domain.size,
             narrow: [false; 3],
-            periodic: domain.periodic,
+            // What is said of a direction that the scene does not have must not wrap its one layer of cells around.
+            periodic: std::array::from_fn(|d| d < domain.dimension && domain.periodic[d]),
             cells: [1; 3],
             origin: [0.0; 3],
             scale: [0.0; 3],
