@@ -6,6 +6,7 @@
 
 use candle_core::WithDType;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Range, Sub, SubAssign};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A scalar of the simulation: `f32` or `f64`.
 pub trait Real:
@@ -777,16 +778,50 @@ fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     kernel.rows::<R::Avx2>(rows);
 }
 
+/// Most threads that share a sweep; more would have nothing to do in the sizes that this program is for.
+const MOST_THREADS: usize = 64;
+/// Pieces that a thread's share is cut into, so that others can help it out.
+const PIECES: usize = 8;
+
+/// Where a thread's share of the rows has got to. Alone on its cache lines.
+#[repr(align(128))]
+struct Cursor(AtomicUsize);
+
 /// Runs a kernel over `count` rows on candle's own spinning thread pool, with the best instruction set.
+///
+/// Every thread begins with the same share of the rows in every sweep, so what it wrote in the last one is still in its
+/// core's cache; who is done takes pieces of the others' shares. (The pool's own `execute_chunked` gives rows to whoever
+/// comes first: in a step of 950 particles the second thread then gains nothing.)
 pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     let set = InstructionSet::detect();
-    candle_core::utils::barrier_pool().execute_chunked(count, |rows| match set {
+    let run = |rows: Range<usize>| match set {
         // SAFETY: `detect` found these features on this CPU.
         #[cfg(target_arch = "x86_64")]
         InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
         #[cfg(target_arch = "x86_64")]
         InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
         _ => kernel.rows::<R::Portable>(rows),
+    };
+    let pool = candle_core::utils::barrier_pool();
+    let threads = (pool.n_workers() + 1).min(MOST_THREADS);
+    if threads == 1 {
+        return run(0..count);
+    }
+    let piece = count.div_ceil(threads * PIECES).max(1);
+    let share = piece * PIECES;
+    let cursors: [Cursor; MOST_THREADS] = std::array::from_fn(|_| Cursor(AtomicUsize::new(0)));
+    pool.execute(|thread| {
+        for k in 0..threads {
+            let owner = (thread + k) % threads;
+            let end = count.min((owner + 1) * share);
+            loop {
+                let from = owner * share + cursors[owner].0.fetch_add(piece, Ordering::Relaxed);
+                if from >= end {
+                    break;
+                }
+                run(from..end.min(from + piece));
+            }
+        }
     });
 }
 

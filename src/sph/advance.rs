@@ -3,54 +3,98 @@
 //! The reset cuts the gradient, which is right: what the fluid carried before the inlet does not matter behind it.
 
 use super::heat;
+use super::model::Model;
 use super::step::{input, output, read, tensor, Step};
-use crate::lanes::Real;
+use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]`, rates `[A, N]` -> state `[F, N]`.
 pub struct Advance<R>(pub Arc<Step<R>>);
 
-/// The forward pass, on plain numbers.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], rates: &[R], state: &mut [R]) {
-    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
-    let d = l.dimension;
-    state[..2 * d * n].copy_from_slice(&moved[..2 * d * n]);
-    let accelerations = l.rate_temperature() * n;
-    let from = l.acceleration() * n;
-    state[from..from + accelerations].copy_from_slice(&rates[..accelerations]);
-    if l.heat {
-        for i in 0..n {
-            let reset = model.is_fluid(i) && heat::is_inlet(model, moved[i]);
-            let t = moved[l.moved_temperature() * n + i];
-            state[l.temperature() * n + i] = if reset { R::default() } else { t };
-            state[l.temperature_rate() * n + i] = rates[l.rate_temperature() * n + i];
+struct Forward<'a, R> {
+    model: &'a Model<R>,
+    moved: &'a [R],
+    rates: &'a [R],
+    state: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Forward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, n, l) = (self.model, self.model.particles(), self.model.layout);
+        let moved = |k: usize| &self.moved[k * n + rows.start..k * n + rows.end];
+        let rates = |k: usize| &self.rates[k * n + rows.start..k * n + rows.end];
+        // SAFETY (all): each range of rows writes its own particles, and each field is borrowed once at a time.
+        let to = |k: usize| unsafe { self.state.slice(k * n + rows.start..k * n + rows.end) };
+        for k in 0..2 * l.dimension {
+            to(k).copy_from_slice(moved(k));
         }
-    }
-    if l.mass {
-        state[l.state_mass() * n..].copy_from_slice(&moved[l.moved_mass() * n..]);
+        for k in 0..l.rate_temperature() {
+            to(l.acceleration() + k).copy_from_slice(rates(k));
+        }
+        if l.heat {
+            let (x, after, t) = (moved(0), moved(l.moved_temperature()), to(l.temperature()));
+            for (at, i) in rows.clone().enumerate() {
+                let reset = heat::is_inlet(model, x[at]) && model.is_fluid(i);
+                t[at] = if reset { R::default() } else { after[at] };
+            }
+            to(l.temperature_rate()).copy_from_slice(rates(l.rate_temperature()));
+        }
+        if l.mass {
+            to(l.state_mass()).copy_from_slice(moved(l.moved_mass()));
+        }
     }
 }
 
-/// The adjoint, on plain numbers; the outputs must be zero.
-pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
-    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
-    let d = l.dimension;
-    moved_bar[..2 * d * n].copy_from_slice(&state_bar[..2 * d * n]);
-    let accelerations = l.rate_temperature() * n;
-    let from = l.acceleration() * n;
-    rates_bar[..accelerations].copy_from_slice(&state_bar[from..from + accelerations]);
-    if l.heat {
-        for i in 0..n {
-            let reset = model.is_fluid(i) && heat::is_inlet(model, moved[i]);
-            let bar = if reset { R::default() } else { state_bar[l.temperature() * n + i] };
-            moved_bar[l.moved_temperature() * n + i] = bar;
-            rates_bar[l.rate_temperature() * n + i] = state_bar[l.temperature_rate() * n + i];
+/// The forward pass, on plain numbers.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], rates: &[R], state: &mut [R]) {
+    let model = &*step.model;
+    run_rows(&Forward { model, moved, rates, state: Shared::new(state) }, model.particles());
+}
+
+struct Backward<'a, R> {
+    model: &'a Model<R>,
+    moved: &'a [R],
+    state_bar: &'a [R],
+    moved_bar: Shared<'a, R>,
+    rates_bar: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Backward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, n, l) = (self.model, self.model.particles(), self.model.layout);
+        let from = |k: usize| &self.state_bar[k * n + rows.start..k * n + rows.end];
+        // SAFETY (all): as in the forward pass.
+        let moved_bar = |k: usize| unsafe { self.moved_bar.slice(k * n + rows.start..k * n + rows.end) };
+        let rates_bar = |k: usize| unsafe { self.rates_bar.slice(k * n + rows.start..k * n + rows.end) };
+        for k in 0..2 * l.dimension {
+            moved_bar(k).copy_from_slice(from(k));
+        }
+        for k in 0..l.rate_temperature() {
+            rates_bar(k).copy_from_slice(from(l.acceleration() + k));
+        }
+        if l.heat {
+            let (x, bar) = (&self.moved[rows.clone()], from(l.temperature()));
+            let t = moved_bar(l.moved_temperature());
+            for (at, i) in rows.clone().enumerate() {
+                let reset = heat::is_inlet(model, x[at]) && model.is_fluid(i);
+                t[at] = if reset { R::default() } else { bar[at] };
+            }
+            rates_bar(l.rate_temperature()).copy_from_slice(from(l.temperature_rate()));
+        }
+        if l.mass {
+            moved_bar(l.moved_mass()).copy_from_slice(from(l.state_mass()));
         }
     }
-    if l.mass {
-        moved_bar[l.moved_mass() * n..].copy_from_slice(&state_bar[l.state_mass() * n..]);
-    }
+}
+
+/// The adjoint, on plain numbers; `moved_bar` must be zero.
+pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
+    let (model, moved_bar, rates_bar) = (&*step.model, Shared::new(moved_bar), Shared::new(rates_bar));
+    run_rows(&Backward { model, moved, state_bar, moved_bar, rates_bar }, model.particles());
 }
 
 impl<R: Real> CustomOp2 for Advance<R> {

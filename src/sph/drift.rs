@@ -6,85 +6,124 @@
 
 use super::model::Model;
 use super::step::{self, output};
-use crate::lanes::Real;
+use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// state `[F, N]` -> moved `[M, N]`.
 pub struct Drift<R>(pub Arc<Model<R>>, pub f64);
 
+struct Forward<'a, R> {
+    model: &'a Model<R>,
+    dt: f64,
+    state: &'a [R],
+    moved: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Forward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, step) = (self.model, R::of(self.dt));
+        let (n, l, count) = (model.particles(), model.layout, rows.len());
+        let shift = R::of(model.transport * 0.5 * model.dt);
+        let from = |k: usize| &self.state[k * n + rows.start..k * n + rows.end];
+        // SAFETY (all): each range of rows writes its own particles, and each field is borrowed once at a time.
+        let to = |k: usize| unsafe { self.moved.slice(k * n + rows.start..k * n + rows.end) };
+        for d in 0..l.dimension {
+            let (r, u, a) = (from(d), from(l.velocity() + d), from(l.acceleration() + d));
+            let (position, velocity) = (to(d), to(l.dimension + d));
+            for i in 0..count {
+                velocity[i] = u[i] + step * a[i];
+            }
+            if l.transport {
+                let (b, w) = (from(l.transport_acceleration() + d), to(l.moved_shift() + d));
+                for i in 0..count {
+                    w[i] = shift * b[i];
+                    position[i] = r[i] + step * (velocity[i] + w[i]);
+                }
+            } else {
+                for i in 0..count {
+                    position[i] = r[i] + step * velocity[i];
+                }
+            }
+            if model.domain.periodic[d] {
+                let size = R::of(model.domain.size[d]);
+                for x in position.iter_mut() {
+                    let up = if *x < R::default() { *x + size } else { *x };
+                    // Not `else`: a tiny negative x plus the size rounds to the size itself.
+                    *x = if up >= size { up - size } else { up };
+                }
+            }
+        }
+        if l.heat {
+            let (t, rate) = (from(l.temperature()), from(l.temperature_rate()));
+            to(l.moved_old_temperature()).copy_from_slice(t);
+            let after = to(l.moved_temperature());
+            for i in 0..count {
+                after[i] = t[i] + step * rate[i];
+            }
+        }
+        if l.mass {
+            to(l.moved_mass()).copy_from_slice(from(l.state_mass()));
+        }
+    }
+}
+
 /// The forward pass, on plain numbers.
 pub fn forward<R: Real>(model: &Model<R>, dt: f64, state: &[R], moved: &mut [R]) {
-    let (n, l) = (model.particles(), model.layout);
-    let (dimension, step) = (l.dimension, R::of(dt));
-    let shift = R::of(model.transport * 0.5 * model.dt);
-    let row = |k: usize| &state[k * n..(k + 1) * n];
-    for d in 0..dimension {
-        let (r, u, a) = (row(d), row(l.velocity() + d), row(l.acceleration() + d));
-        let size = R::of(model.domain.size[d]);
-        let periodic = model.domain.periodic[d];
-        for i in 0..n {
-            let velocity = u[i] + step * a[i];
-            let mut drift = velocity;
+    run_rows(&Forward { model, dt, state, moved: Shared::new(moved) }, model.particles());
+}
+
+struct Backward<'a, R> {
+    model: &'a Model<R>,
+    dt: f64,
+    moved_bar: &'a [R],
+    state_bar: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Backward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, step) = (self.model, R::of(self.dt));
+        let (n, l, count) = (model.particles(), model.layout, rows.len());
+        let shift = R::of(model.transport * 0.5 * model.dt);
+        let from = |k: usize| &self.moved_bar[k * n + rows.start..k * n + rows.end];
+        // SAFETY (all): as in the forward pass.
+        let to = |k: usize| unsafe { self.state_bar.slice(k * n + rows.start..k * n + rows.end) };
+        for d in 0..l.dimension {
+            let (r, u) = (from(d), from(l.dimension + d));
+            let (position, velocity, acceleration) = (to(d), to(l.velocity() + d), to(l.acceleration() + d));
+            for i in 0..count {
+                let u = u[i] + step * r[i];
+                position[i] = r[i];
+                velocity[i] = u;
+                acceleration[i] = step * u;
+            }
             if l.transport {
-                let w = shift * row(l.transport_acceleration() + d)[i];
-                moved[(l.moved_shift() + d) * n + i] = w;
-                drift += w;
-            }
-            let mut x = r[i] + step * drift;
-            if periodic {
-                if x < R::default() {
-                    x += size;
-                }
-                // Not `else`: a tiny negative x plus the size rounds to the size itself.
-                if x >= size {
-                    x -= size;
+                let (w, b) = (from(l.moved_shift() + d), to(l.transport_acceleration() + d));
+                for i in 0..count {
+                    b[i] = shift * (w[i] + step * r[i]);
                 }
             }
-            moved[d * n + i] = x;
-            moved[(dimension + d) * n + i] = velocity;
         }
-    }
-    if l.heat {
-        let (t, rate) = (row(l.temperature()), row(l.temperature_rate()));
-        for i in 0..n {
-            moved[l.moved_old_temperature() * n + i] = t[i];
-            moved[l.moved_temperature() * n + i] = t[i] + step * rate[i];
+        if l.heat {
+            let (before, after) = (from(l.moved_old_temperature()), from(l.moved_temperature()));
+            let (t, rate) = (to(l.temperature()), to(l.temperature_rate()));
+            for i in 0..count {
+                t[i] = after[i] + before[i];
+                rate[i] = step * after[i];
+            }
         }
-    }
-    if l.mass {
-        moved[l.moved_mass() * n..].copy_from_slice(row(l.state_mass()));
+        if l.mass {
+            to(l.state_mass()).copy_from_slice(from(l.moved_mass()));
+        }
     }
 }
 
 /// The adjoint: cotangent of `moved` -> cotangent of `state`.
 pub fn backward<R: Real>(model: &Model<R>, dt: f64, moved_bar: &[R], state_bar: &mut [R]) {
-    let (n, l) = (model.particles(), model.layout);
-    let (dimension, step) = (l.dimension, R::of(dt));
-    let shift = R::of(model.transport * 0.5 * model.dt);
-    for d in 0..dimension {
-        for i in 0..n {
-            let r = moved_bar[d * n + i];
-            let u = moved_bar[(dimension + d) * n + i] + step * r;
-            state_bar[d * n + i] = r;
-            state_bar[(l.velocity() + d) * n + i] = u;
-            state_bar[(l.acceleration() + d) * n + i] = step * u;
-            if l.transport {
-                state_bar[(l.transport_acceleration() + d) * n + i] =
-                    shift * (moved_bar[(l.moved_shift() + d) * n + i] + step * r);
-            }
-        }
-    }
-    if l.heat {
-        for i in 0..n {
-            let t = moved_bar[l.moved_temperature() * n + i];
-            state_bar[l.temperature() * n + i] = t + moved_bar[l.moved_old_temperature() * n + i];
-            state_bar[l.temperature_rate() * n + i] = step * t;
-        }
-    }
-    if l.mass {
-        state_bar[l.state_mass() * n..].copy_from_slice(&moved_bar[l.moved_mass() * n..]);
-    }
+    run_rows(&Backward { model, dt, moved_bar, state_bar: Shared::new(state_bar) }, model.particles());
 }
 
 impl<R: Real> CustomOp1 for Drift<R> {
