@@ -10,7 +10,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A scalar of the simulation: `f32` or `f64`.
 pub trait Real:
-    WithDType + Default + PartialOrd + Neg<Output = Self> + AddAssign + SubAssign + Sync + Send + std::iter::Sum
+    WithDType
+    + bytemuck::Pod
+    // Not a property of a number, but of the two that the kernels are compiled for.
+    + crate::sph::sweeps::Sweeps
+    + Default
+    + PartialOrd
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + Sync
+    + Send
+    + std::iter::Sum
 {
     type Portable: Lanes<Real = Self>;
     #[cfg(target_arch = "x86_64")]
@@ -466,7 +477,7 @@ mod x86 {
         pub fn Avx2F32(a: super::Avx2F32) -> super::Avx2F32 {
             super::Avx2F32::splat(1.0) / a.sqrt()
         }
-        /// One Newton step y + y/2 (1 - a y^2) doubles the 14 binary digits of the machine's estimate.
+        /// One Newton step y + y/2 e, e = 1 - a y^2, doubles the 14 binary digits of the machine's estimate.
         #[inline(always)]
         fn newton<L: Lanes>(a: L, y: L) -> L {
             let number = |x: f64| L::splat(L::Real::of(x));
@@ -477,7 +488,12 @@ mod x86 {
         pub fn Avx512F64(a: super::Avx512F64) -> super::Avx512F64 {
             // SAFETY: as for every lane type, only reached on a checked CPU.
             let y = super::Avx512F64(unsafe { _mm512_rsqrt14_pd(a.0) });
-            newton(a, newton(a, y))
+            // The series of 1/sqrt(1 - e) to its fourth term takes 14 digits to 56 at once, in fewer operations than two
+            // Newton steps.
+            let number = |x: f64| super::Avx512F64::splat(x);
+            let error = (a * y).mul_add(-y, number(1.0));
+            let series = error.mul_add(number(0.3125), number(0.375)).mul_add(error, number(0.5));
+            (y * error).mul_add(series, y)
         }
         #[inline(always)]
         pub fn Avx512F32(a: super::Avx512F32) -> super::Avx512F32 {
@@ -863,6 +879,19 @@ impl<'a, T: Copy> Shared<'a, T> {
         assert!(place < self.length);
         // SAFETY: in bounds, and not written by others by the contract.
         unsafe { *self.pointer.add(place) }
+    }
+    /// Adds to one place.
+    ///
+    /// # Safety
+    /// No other thread may access `place` during the sweep.
+    #[inline(always)]
+    pub unsafe fn add(&self, place: usize, value: T)
+    where
+        T: std::ops::AddAssign,
+    {
+        assert!(place < self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { *self.pointer.add(place) += value }
     }
     /// Stores COUNT numbers from `place` on.
     ///

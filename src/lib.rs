@@ -1,6 +1,7 @@
 //! hydrograd: differentiable particle flow on candle tensors.
 
 pub mod adjoint;
+pub mod blocks;
 pub mod cli;
 pub mod design;
 pub mod error;

@@ -6,7 +6,6 @@ use crate::scene::config::Kernels;
 use crate::sph::model::Model;
 use crate::sph::pairs::Kept;
 use crate::sph::step::{self, Neighbourhood, Step};
-use crate::sph::{advance, density, drift, primitives, rates};
 use candle_core::Tensor;
 use std::sync::Arc;
 
@@ -84,15 +83,15 @@ impl<R: Real> Solver<R> {
     /// One time step.
     pub fn advance(&mut self) -> Result<(), SolverError> {
         let dt = self.model.dt;
-        drift::forward(&self.model, dt, &self.state, &mut self.moved);
+        R::drift(&self.model, dt, &self.state, &mut self.moved);
         self.neighbourhood
             .update(&self.model, &self.moved)
             .map_err(|source| SolverError::Neighbours { step: self.step, source })?;
         let step = self.step_now();
-        density::forward(&step, &self.moved, &mut self.kept, false, &mut self.density);
-        primitives::forward(&step, &self.moved, &self.density, &mut self.kept, None);
-        rates::forward(&step, &self.moved, &self.kept, &mut self.rates);
-        advance::forward(&step, &self.moved, &self.rates, &mut self.state);
+        R::density(&step, &self.moved, &mut self.kept, false, &mut self.density);
+        R::primitives(&step, &self.moved, &self.density, &mut self.kept, None);
+        R::rates(&step, &self.moved, &self.kept, &mut self.rates);
+        R::advance(&step, &self.moved, &self.rates, &mut self.state);
         self.step += 1;
         Ok(())
     }
@@ -104,11 +103,11 @@ impl<R: Real> Solver<R> {
 
     /// Fills [`Self::primitives`] for the present state without advancing it.
     pub fn look(&mut self) {
-        drift::forward(&self.model, 0.0, &self.state, &mut self.moved);
+        R::drift(&self.model, 0.0, &self.state, &mut self.moved);
         let step = self.step_now();
-        density::forward(&step, &self.moved, &mut self.kept, false, &mut self.density);
+        R::density(&step, &self.moved, &mut self.kept, false, &mut self.density);
         self.primitives.resize(self.model.layout.primitive_rows() * self.model.particles(), R::default());
-        primitives::forward(&step, &self.moved, &self.density, &mut self.kept, Some(&mut self.primitives));
+        R::primitives(&step, &self.moved, &self.density, &mut self.kept, Some(&mut self.primitives));
     }
 
     /// The moved state of the last [`Self::advance`] or [`Self::look`], `[M, N]`.
@@ -159,6 +158,12 @@ impl<R: Real> TensorSolver<R> {
 
     /// One time step: state `[F, N]` -> state `[F, N]`, on the graph.
     pub fn advance(&mut self, state: &Tensor) -> Result<Tensor, SolverError> {
+        self.advance_to(state, None)
+    }
+
+    /// The same; `after` is the state that it leads to, if that is known to the bit: the fused operators then leave out
+    /// what the adjoint does not read.
+    pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, SolverError> {
         let at = self.step;
         let failed = |source| SolverError::Tensor { step: at, source };
         let fused = self.kernels == Kernels::Fused;
@@ -173,7 +178,7 @@ impl<R: Real> TensorSolver<R> {
         updated.map_err(|source| SolverError::Neighbours { step: at, source })?;
         let step = self.step_now();
         self.step += 1;
-        if fused { step.fused(&moved) } else { step.composed(&moved) }.map_err(failed)
+        if fused { step.fused(&moved, after) } else { step.composed(&moved) }.map_err(failed)
     }
 
     /// The operators' context at the present list.

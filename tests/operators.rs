@@ -112,7 +112,7 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "advance",
         &[&moved, &rates],
-        Box::new(move |t| t[0].apply_op2(&t[1], advance::Advance(s.clone()))),
+        Box::new(move |t| t[0].apply_op2(&t[1], advance::Advance(Chain::new(s.clone())))),
         Box::new(move |t| advance::composed(&s2, &t[0], &t[1])),
     );
     for (name, mode) in [
@@ -132,7 +132,7 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "step",
         &[&state],
-        Box::new(move |t| s.fused(&Step::drift(&s.model, s.model.dt, &t[0], true)?)),
+        Box::new(move |t| s.fused(&Step::drift(&s.model, s.model.dt, &t[0], true)?, None)),
         Box::new(move |t| s2.composed(&Step::drift(&s2.model, s2.model.dt, &t[0], false)?)),
     );
     all

@@ -154,8 +154,7 @@ impl Schedule {
     pub fn within(steps: usize, first: usize, costs: Costs, budget: usize) -> Result<Self, TooSmall> {
         let most = steps.saturating_sub(first).max(1);
         let fits = |schedule: &Self| schedule.bound(costs) <= budget;
-        // Memory falls with the length up to about sqrt(n state/tape) and rises behind it; no gain beyond sqrt(n).
-        let lengths = 1..=most.isqrt() + 1;
+        let lengths = 1..=most;
         let segments = lengths.clone().map(|length| Self::new(steps, first, Kind::Segments { length }));
         // All but the steps at the start of an interval, and none of the last interval, whose states are still there.
         let again = |k: usize| (most.div_ceil(k) - 1) * (k - 1);

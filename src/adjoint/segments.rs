@@ -8,6 +8,7 @@
 //! to one tape.
 
 use super::schedule::{Action, Costs, Schedule};
+use crate::blocks::Block;
 use crate::lanes::Real;
 use crate::neighbours::{list::NeighbourError, NeighbourList};
 use crate::scene::config::Kernels;
@@ -35,10 +36,16 @@ pub trait Dynamics {
     fn advance(&self, run: &mut Self::Plain) -> Result<(), SolverError>;
     /// The snapshot's state as a tensor of its own.
     fn tensor(&self, snapshot: &Self::Snapshot) -> Result<Tensor, SolverError>;
-    fn advance_graph(&self, run: &mut Self::Graph, state: &Tensor) -> Result<Tensor, SolverError>;
+    /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.
+    fn advance_graph(
+        &self,
+        run: &mut Self::Graph,
+        state: &Tensor,
+        after: Option<&Tensor>,
+    ) -> Result<Tensor, SolverError>;
 
     /// Keeps the present state, `rounded` to single precision or exactly.
-    fn keep(&self, run: &Self::Plain, rounded: bool) -> Self::Kept;
+    fn keep(&self, run: &Self::Plain, rounded: bool) -> Result<Self::Kept, SolverError>;
     /// `run` has made the step behind the kept state: what was found in it need not be found again.
     fn settle(&self, kept: &mut Self::Kept, run: &Self::Plain);
     /// Takes `run` back to a kept state.
@@ -173,6 +180,10 @@ struct Executor<'a, D: Dynamics, O> {
     seen: usize,
     value: f64,
     plain_steps: usize,
+    /// Where the last segment began, and the state there: where the one before it ends.
+    began: Option<(usize, Tensor)>,
+    /// Whether every kept state is a state of the run, not a rounded one.
+    exact: bool,
 }
 
 fn run<D: Dynamics, O: Objective<D>>(
@@ -196,6 +207,8 @@ fn run<D: Dynamics, O: Objective<D>>(
         seen: 0,
         value: 0.0,
         plain_steps: 0,
+        began: None,
+        exact: true,
     };
     let mut cotangent: Option<Tensor> = None;
     let mut forward_seconds = None;
@@ -215,14 +228,14 @@ fn run<D: Dynamics, O: Objective<D>>(
                     }
                 }
             }
-            Action::Store { step } => executor.store(step, schedule.is_rounded()),
+            Action::Store { step } => executor.store(step, schedule.is_rounded())?,
             Action::Restore { step } => present = Some(step),
             Action::Discard { step } => executor.discard(step),
             Action::Tape { from, to } => {
                 forward_seconds.get_or_insert_with(|| clock.elapsed().as_secs_f64());
                 let transient = match present.take() {
                     Some(_) => None,
-                    None => Some(dynamics.keep(&executor.plain, false)),
+                    None => Some(dynamics.keep(&executor.plain, false)?),
                 };
                 cotangent = Some(executor.tape(from, to, transient, cotangent)?);
                 differentiated_steps += to - from;
@@ -273,10 +286,12 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         })
     }
 
-    fn store(&mut self, step: usize, rounded: bool) {
-        let kept = self.dynamics.keep(&self.plain, rounded);
+    fn store(&mut self, step: usize, rounded: bool) -> Result<(), SolverError> {
+        let kept = self.dynamics.keep(&self.plain, rounded)?;
         self.held.add(self.dynamics.kept_bytes(&kept));
         self.kept.insert(step, kept);
+        self.exact &= !rounded;
+        Ok(())
     }
 
     fn discard(&mut self, step: usize) {
@@ -315,12 +330,15 @@ impl<D: Dynamics, O: Objective<D>> Executor<'_, D, O> {
         };
         let (mut graph, tensor) = self.dynamics.start_graph(begin, last, &self.plain)?;
         let variable = Var::from_tensor(&tensor).map_err(failed)?;
-        drop((tensor, transient));
+        drop(transient);
+        let end = self.began.replace((from, tensor)).filter(|(step, _)| *step == to && self.exact);
+        let end = end.map(|(_, state)| state);
         let mut state = variable.as_tensor().clone();
         let mut terms: Vec<Tensor> = Vec::new();
         let mut taped = Vec::with_capacity(to - from);
         for step in from..to {
-            state = self.dynamics.advance_graph(&mut graph, &state)?;
+            let after = if step + 1 == to { end.as_ref() } else { None };
+            state = self.dynamics.advance_graph(&mut graph, &state, after)?;
             let bytes = self.dynamics.taped_bytes(&graph);
             self.held.add(bytes);
             taped.push(bytes);
@@ -382,19 +400,15 @@ pub struct Sph<R> {
 }
 
 /// A state that a schedule keeps.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Kept<R> {
     step: usize,
-    numbers: Numbers<R>,
+    /// In R, or in f32.
+    numbers: Block,
+    rounded: bool,
     /// Positions that the neighbour list of the step behind this state is built from; shared between states of the
     /// same list. Never rounded: the list must be the same one.
     reference: Arc<Vec<R>>,
-}
-
-#[derive(Debug, Clone)]
-enum Numbers<R> {
-    Exact(Vec<R>),
-    Rounded(Vec<f32>),
 }
 
 impl<R: Real> Dynamics for Sph<R> {
@@ -429,28 +443,43 @@ impl<R: Real> Dynamics for Sph<R> {
     fn tensor(&self, snapshot: &Snapshot<R>) -> Result<Tensor, SolverError> {
         self.state_tensor(snapshot.step, &snapshot.state)
     }
-    fn advance_graph(&self, run: &mut TensorSolver<R>, state: &Tensor) -> Result<Tensor, SolverError> {
-        run.advance(state)
+    fn advance_graph(
+        &self,
+        run: &mut TensorSolver<R>,
+        state: &Tensor,
+        after: Option<&Tensor>,
+    ) -> Result<Tensor, SolverError> {
+        run.advance_to(state, after)
     }
 
-    fn keep(&self, run: &Solver<R>, rounded: bool) -> Kept<R> {
-        let numbers = match rounded {
-            true => Numbers::Rounded(run.state.iter().map(|x| x.f64() as f32).collect()),
-            false => Numbers::Exact(run.state.clone()),
+    fn keep(&self, run: &Solver<R>, rounded: bool) -> Result<Kept<R>, SolverError> {
+        let (scratch, state) = (&self.model.scratch, &run.state);
+        let numbers = if rounded {
+            let round = |(to, from): (&mut f32, &R)| *to = from.f64() as f32;
+            scratch.rounded_states.keep(state.len(), |kept: &mut [f32]| kept.iter_mut().zip(state).for_each(round))
+        } else {
+            scratch.states.keep(state.len(), |kept: &mut [R]| kept.copy_from_slice(state))
         };
-        Kept { step: run.step, numbers, reference: run.neighbourhood.reference.clone() }
+        let numbers = numbers.map_err(|e| SolverError::Tensor { step: run.step, source: candle_core::Error::Io(e) })?;
+        Ok(Kept { step: run.step, numbers, rounded, reference: run.neighbourhood.reference.clone() })
     }
     fn settle(&self, kept: &mut Kept<R>, run: &Solver<R>) {
         // If the step built a new list, a replay would build the old one first and then find that it is outdated.
         kept.reference = run.neighbourhood.reference.clone();
     }
     fn resume(&self, run: &mut Solver<R>, kept: &Kept<R>) -> Result<(), SolverError> {
-        match &kept.numbers {
-            Numbers::Exact(state) => run.state.copy_from_slice(state),
-            Numbers::Rounded(state) => run.state.iter_mut().zip(state).for_each(|(x, y)| *x = R::of(*y as f64)),
+        if kept.rounded {
+            let widen = |(to, from): (&mut R, &f32)| *to = R::of(*from as f64);
+            kept.numbers.read(|state: &[f32]| run.state.iter_mut().zip(state).for_each(widen));
+        } else {
+            kept.numbers.read(|state: &[R]| run.state.copy_from_slice(state));
         }
         run.step = kept.step;
-        run.neighbourhood = self.neighbourhood(kept, [Some(&run.neighbourhood), None])?;
+        if !Arc::ptr_eq(&run.neighbourhood.reference, &kept.reference) {
+            run.neighbourhood
+                .rebuild_at(&self.model, &kept.reference)
+                .map_err(|source| SolverError::Neighbours { step: kept.step, source })?;
+        }
         Ok(())
     }
     fn start_graph(
@@ -459,24 +488,19 @@ impl<R: Real> Dynamics for Sph<R> {
         last: Option<TensorSolver<R>>,
         plain: &Solver<R>,
     ) -> Result<(TensorSolver<R>, Tensor), SolverError> {
-        let known = [last.as_ref().map(|run| &run.neighbourhood), Some(&plain.neighbourhood)];
-        let neighbourhood = self.neighbourhood(kept, known)?;
+        let neighbourhood = self.neighbourhood(kept, last, plain)?;
         let run = TensorSolver { model: self.model.clone(), neighbourhood, step: kept.step, kernels: self.kernels };
-        let tensor = match &kept.numbers {
-            Numbers::Exact(state) => self.state_tensor(kept.step, state)?,
-            Numbers::Rounded(state) => {
-                let state: Vec<R> = state.iter().map(|&x| R::of(x as f64)).collect();
-                self.state_tensor(kept.step, &state)?
-            }
+        let tensor = if kept.rounded {
+            let state: Vec<R> = kept.numbers.read(|state: &[f32]| state.iter().map(|&x| R::of(x as f64)).collect());
+            self.state_tensor(kept.step, &state)?
+        } else {
+            kept.numbers.read(|state: &[R]| self.state_tensor(kept.step, state))?
         };
         Ok((run, tensor))
     }
 
     fn kept_bytes(&self, kept: &Kept<R>) -> Bytes {
-        let own = match &kept.numbers {
-            Numbers::Exact(state) => std::mem::size_of_val(state.as_slice()),
-            Numbers::Rounded(state) => std::mem::size_of_val(state.as_slice()),
-        };
+        let own = kept.numbers.bytes();
         let shared = std::mem::size_of_val(kept.reference.as_slice());
         Bytes { own, shared, identity: Arc::as_ptr(&kept.reference) as usize }
     }
@@ -493,20 +517,24 @@ impl<R: Real> Sph<R> {
             .map_err(|source| SolverError::Tensor { step, source })
     }
 
-    /// The list of a kept state: one of the known ones if it is theirs, else built anew.
+    /// The list of a kept state: one of the known ones if it is theirs, else built anew, in the last run's memory.
     fn neighbourhood(
         &self,
         kept: &Kept<R>,
-        known: [Option<&Neighbourhood<R>>; 2],
+        last: Option<TensorSolver<R>>,
+        plain: &Solver<R>,
     ) -> Result<Neighbourhood<R>, SolverError> {
-        if let Some(same) = known.into_iter().flatten().find(|n| Arc::ptr_eq(&n.reference, &kept.reference)) {
-            return Ok(same.clone());
+        let is_its = |one: &Neighbourhood<R>| Arc::ptr_eq(&one.reference, &kept.reference);
+        let mut last = last.map_or_else(Neighbourhood::empty, |run| run.neighbourhood);
+        if is_its(&last) {
+            return Ok(last);
         }
-        let mut new = Neighbourhood::build(&self.model, &kept.reference, 0)
+        if is_its(&plain.neighbourhood) {
+            return Ok(plain.neighbourhood.clone());
+        }
+        last.rebuild_at(&self.model, &kept.reference)
             .map_err(|source| SolverError::Neighbours { step: kept.step, source })?;
-        // The same positions, and the same place in memory: states of one list are known by it.
-        new.reference = kept.reference.clone();
-        Ok(new)
+        Ok(last)
     }
 
     /// Bytes of a number in every row of a field with `rows` rows.

@@ -4,14 +4,14 @@
 
 use super::heat;
 use super::model::Model;
-use super::step::{input, output, read, tensor, Step};
+use super::step::{input, output, read, tensor, Chain, Step};
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]`, rates `[A, N]` -> state `[F, N]`.
-pub struct Advance<R>(pub Arc<Step<R>>);
+pub struct Advance<R: Real>(pub Arc<Chain<R>>);
 
 struct Forward<'a, R> {
     model: &'a Model<R>,
@@ -102,9 +102,10 @@ impl<R: Real> CustomOp2 for Advance<R> {
         "advance"
     }
     fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (rows, n) = (self.0.model.layout.state_rows(), self.0.model.particles());
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
         let mut state = vec![R::default(); rows * n];
-        forward(&self.0, input(s1, l1)?, input(s2, l2)?, &mut state);
+        R::advance(step, input(s1, l1)?, input(s2, l2)?, &mut state);
         Ok(output(state, (rows, n)))
     }
     fn bwd(
@@ -114,16 +115,17 @@ impl<R: Real> CustomOp2 for Advance<R> {
         _: &Tensor,
         state_bar: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (l, n) = (self.0.model.layout, self.0.model.particles());
-        let mut moved_bar = vec![R::default(); l.moved_rows() * n];
+        let step = &self.0.step;
+        let (l, n) = (step.model.layout, step.model.particles());
+        let mut moved_bar = self.0.moved_bar();
         let mut rates_bar = vec![R::default(); l.rate_rows() * n];
         read(moved, |m| {
             read(&state_bar.contiguous()?, |bar| {
-                backward(&self.0, m, bar, &mut moved_bar, &mut rates_bar);
+                R::advance_bar(step, m, bar, &mut moved_bar, &mut rates_bar);
                 Ok(())
             })
         })?;
-        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(rates_bar, l.rate_rows(), n)?)))
+        Ok((self.0.pass_on(moved_bar)?, Some(tensor(rates_bar, l.rate_rows(), n)?)))
     }
 }
 

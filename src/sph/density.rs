@@ -115,7 +115,7 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>, differe
 pub fn keep_pairs<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>) {
     if !kept.has_pairs {
         let mut density = step.model.scratch.take(step.model.particles());
-        forward(step, moved, kept, true, &mut density);
+        R::density(step, moved, kept, true, &mut density);
         step.model.scratch.give_back(density);
     }
 }
@@ -166,13 +166,13 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
             };
             for d in 0..D {
                 // SAFETY: each row writes its own particle.
-                unsafe { self.moved_bar.set(d * n + i, sum[d].sum()) };
+                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
             }
         }
     }
 }
 
-/// The adjoint, on plain numbers: overwrites the position and mass rows of `moved_bar`, which must be zero elsewhere.
+/// The adjoint, on plain numbers: adds to `moved_bar`.
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
@@ -204,7 +204,7 @@ pub fn backward<R: Real>(
     if l.mass {
         for i in 0..n {
             if model.is_fluid(i) {
-                moved_bar[l.moved_mass() * n + i] = density_bar[i] * density[i] / mass.of(i);
+                moved_bar[l.moved_mass() * n + i] += density_bar[i] * density[i] / mass.of(i);
             }
         }
     }
@@ -218,17 +218,17 @@ impl<R: Real> CustomOp1 for Density<R> {
         let step = &self.0.step;
         let n = step.model.particles();
         let mut density = vec![R::default(); n];
-        forward(step, input(s, l)?, &mut self.0.kept(), true, &mut density);
+        R::density(step, input(s, l)?, &mut self.0.kept(), true, &mut density);
         Ok(output(density, (1, n)))
     }
     fn bwd(&self, moved: &Tensor, density: &Tensor, density_bar: &Tensor) -> Result<Option<Tensor>> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.moved_rows(), step.model.particles());
-        let mut moved_bar = vec![R::default(); rows * n];
+        let mut moved_bar = self.0.moved_bar();
         read(moved, |m| {
             read(density, |rho| {
                 read(&density_bar.contiguous()?, |bar| {
-                    backward(step, m, &self.0.kept(), rho, bar, &mut moved_bar);
+                    R::density_bar(step, m, &self.0.kept(), rho, bar, &mut moved_bar);
                     Ok(())
                 })
             })

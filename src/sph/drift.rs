@@ -133,14 +133,14 @@ impl<R: Real> CustomOp1 for Drift<R> {
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
         let (rows, n) = (self.0.layout.moved_rows(), self.0.particles());
         let mut moved = vec![R::default(); rows * n];
-        forward(&self.0, self.1, step::input(s, l)?, &mut moved);
+        R::drift(&self.0, self.1, step::input(s, l)?, &mut moved);
         Ok(output(moved, (rows, n)))
     }
     fn bwd(&self, _: &Tensor, _: &Tensor, moved_bar: &Tensor) -> Result<Option<Tensor>> {
         let (rows, n) = (self.0.layout.state_rows(), self.0.particles());
         let mut state_bar = vec![R::default(); rows * n];
         step::read(&moved_bar.contiguous()?, |bar| {
-            backward(&self.0, self.1, bar, &mut state_bar);
+            R::drift_bar(&self.0, self.1, bar, &mut state_bar);
             Ok(())
         })?;
         Ok(Some(step::tensor(state_bar, rows, n)?))

@@ -14,5 +14,6 @@ pub mod pressure;
 pub mod primitives;
 pub mod rates;
 pub mod step;
+pub mod sweeps;
 pub mod transport_velocity;
 pub mod viscosity;

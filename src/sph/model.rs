@@ -2,6 +2,8 @@
 
 use super::body_force::BodyForce;
 use super::equation_of_state::EquationOfState;
+use super::pairs::Kept;
+use crate::blocks::Blocks;
 use crate::kernel::Quintic;
 use crate::lanes::Real;
 use crate::particles::Domain;
@@ -156,16 +158,34 @@ impl<R: Real> Model<R> {
 
 /// A pool of buffers.
 #[derive(Debug, Default)]
-pub struct Scratch<R>(Mutex<Vec<Vec<R>>>);
+pub struct Scratch<R> {
+    buffers: Mutex<Vec<Vec<R>>>,
+    kept: Mutex<Vec<Kept<R>>>,
+    /// States that a gradient keeps, and such rounded to single precision.
+    pub states: Blocks,
+    pub rounded_states: Blocks,
+}
 
 impl<R: Real> Scratch<R> {
     /// A buffer of this length with arbitrary content.
     pub fn take(&self, length: usize) -> Vec<R> {
-        let mut buffer = self.0.lock().unwrap_or_else(|e| e.into_inner()).pop().unwrap_or_default();
+        let mut buffers = self.buffers.lock().unwrap_or_else(|e| e.into_inner());
+        // The same operator comes again and again: a buffer of its own length needs no clearing.
+        let same = buffers.iter().rposition(|buffer| buffer.len() == length);
+        let mut buffer = same.map(|place| buffers.swap_remove(place)).or_else(|| buffers.pop()).unwrap_or_default();
         buffer.resize(length, R::default());
         buffer
     }
     pub fn give_back(&self, buffer: Vec<R>) {
-        self.0.lock().unwrap_or_else(|e| e.into_inner()).push(buffer);
+        self.buffers.lock().unwrap_or_else(|e| e.into_inner()).push(buffer);
+    }
+
+    /// For a chain of operators, with arbitrary content that is not marked as such.
+    pub fn take_kept(&self) -> Kept<R> {
+        let kept = self.kept.lock().unwrap_or_else(|e| e.into_inner()).pop().unwrap_or_default();
+        Kept { has_pairs: false, has_records: false, ..kept }
+    }
+    pub fn give_back_kept(&self, kept: Kept<R>) {
+        self.kept.lock().unwrap_or_else(|e| e.into_inner()).push(kept);
     }
 }

@@ -209,18 +209,6 @@ pub struct Kept<R> {
     pub has_records: bool,
 }
 
-impl<R: Real> Kept<R> {
-    pub fn take(model: &Model<R>) -> Self {
-        let [position, slope, curvature, records] = std::array::from_fn(|_| model.scratch.take(0));
-        Self { position, slope, curvature, records, has_pairs: false, has_records: false }
-    }
-    pub fn give_back(&mut self, model: &Model<R>) {
-        for buffer in [&mut self.position, &mut self.slope, &mut self.curvature, &mut self.records] {
-            model.scratch.give_back(std::mem::take(buffer));
-        }
-    }
-}
-
 struct Packing<'a, R> {
     model: &'a Model<R>,
     moved: &'a [R],

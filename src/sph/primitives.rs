@@ -404,7 +404,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             }
             for d in 0..D {
                 // SAFETY: each wall row writes its own particle.
-                unsafe { self.moved_bar.set(d * n + i, sum[d].sum()) };
+                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
             }
         }
     }
@@ -475,10 +475,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             }
             // SAFETY: each fluid row writes its own particle, on top of what the copies gave.
             unsafe {
-                let add = |field: usize, value: R| {
-                    let place = field * n + j;
-                    self.moved_bar.set(place, self.moved_bar.get(place) + value);
-                };
+                let add = |field: usize, value: R| self.moved_bar.add(field * n + j, value);
                 for d in 0..D {
                     add(d, position[d].sum());
                     add(l.velocity() + d, sums.velocity[d].sum());
@@ -490,13 +487,13 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     add(l.moved_old_temperature(), sums.temperature.sum());
                 }
                 let slope = model.equation_of_state.slope(record[D + 1]);
-                self.density_bar.set(j, self.density_bar.get(j) + sums.pressure.sum() * slope);
+                self.density_bar.add(j, sums.pressure.sum() * slope);
             }
         }
     }
 }
 
-/// The adjoint, on plain numbers; `moved_bar` and `density_bar` must be zero.
+/// The adjoint, on plain numbers: adds to `moved_bar`; `density_bar` must be zero.
 pub fn backward<R: Real>(
     step: &Step<R>,
     kept: &Kept<R>,
@@ -511,12 +508,14 @@ pub fn backward<R: Real>(
     let two = R::of(2.0);
     let mut copy = |to: usize, from: usize, count: usize, wall: R| {
         for k in 0..count {
-            let (to, from) = ((to + k) * n, (from + k) * n);
-            moved_bar[to..to + n].copy_from_slice(&primitives_bar[from..from + n]);
+            let from = &primitives_bar[(from + k) * n..(from + k + 1) * n];
+            let to = &mut moved_bar[(to + k) * n..(to + k + 1) * n];
             if list.fluid_rows.len() < n {
-                for i in (0..n).filter(|&i| !model.is_fluid(i)) {
-                    moved_bar[to + i] = wall * moved_bar[to + i];
+                for i in 0..n {
+                    to[i] += if model.is_fluid(i) { from[i] } else { wall * from[i] };
                 }
+            } else {
+                to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
             }
         }
     };
@@ -571,7 +570,7 @@ impl<R: Real> CustomOp2 for Primitives<R> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.primitive_rows(), step.model.particles());
         let mut primitives = vec![R::default(); rows * n];
-        forward(step, input(s1, l1)?, input(s2, l2)?, &mut self.0.kept(), Some(&mut primitives));
+        R::primitives(step, input(s1, l1)?, input(s2, l2)?, &mut self.0.kept(), Some(&mut primitives));
         Ok(output(primitives, (rows, n)))
     }
     fn bwd(
@@ -582,14 +581,14 @@ impl<R: Real> CustomOp2 for Primitives<R> {
         primitives_bar: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let step = &self.0.step;
-        let (l, n) = (step.model.layout, step.model.particles());
-        let mut moved_bar = vec![R::default(); l.moved_rows() * n];
+        let n = step.model.particles();
+        let mut moved_bar = self.0.moved_bar();
         let mut density_bar = vec![R::default(); n];
         read(&primitives_bar.contiguous()?, |bar| {
-            backward(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
+            R::primitives_bar(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
             Ok(())
         })?;
-        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(density_bar, 1, n)?)))
+        Ok((self.0.pass_on(moved_bar)?, Some(tensor(density_bar, 1, n)?)))
     }
 }
 

@@ -104,7 +104,7 @@ impl<R: Real> RowKernel<R> for Packing<'_, R> {
 }
 
 /// [`Kept`]'s records for an operator that is used without the primitives in front of it.
-fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut Kept<R>) {
+pub fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut Kept<R>) {
     if !kept.has_records {
         let (n, l) = (step.model.particles(), step.model.layout);
         kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
@@ -275,6 +275,16 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &Kept<R>, rates: &mut
     dispatch!(l, go);
 }
 
+/// The rates from the state at the step's end, which has them.
+fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
+    let (n, l) = (step.model.particles(), step.model.layout);
+    let accelerations = l.rate_temperature() * n;
+    rates[..accelerations].copy_from_slice(&state[l.acceleration() * n..][..accelerations]);
+    if l.heat {
+        rates[accelerations..].copy_from_slice(&state[l.temperature_rate() * n..][..n]);
+    }
+}
+
 struct Backward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
     kept: &'a Kept<R>,
@@ -391,7 +401,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             // SAFETY (all writes): each row writes its own particle.
             unsafe {
                 for d in 0..D {
-                    self.moved_bar.set(d * n + i, bar.position[d].sum());
+                    self.moved_bar.add(d * n + i, bar.position[d].sum());
                     self.primitives_bar.set((l.primitive_velocity() + d) * n + i, bar.velocity[d].sum());
                     if TRANSPORT {
                         // transport = rho w / 2
@@ -406,16 +416,14 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 }
                 self.primitives_bar.set(i, density_bar);
                 if l.mass {
-                    let place = l.moved_mass() * n + i;
-                    // Already there: the share of the factor 1/m_i.
-                    self.moved_bar.set(place, self.moved_bar.get(place) + volume_bar * volume / self.mass.of(i));
+                    self.moved_bar.add(l.moved_mass() * n + i, volume_bar * volume / self.mass.of(i));
                 }
             }
         }
     }
 }
 
-/// Packs the cotangents, and starts the cotangent of the mass with the share of the factor 1/m_i.
+/// Packs the cotangents, and adds the share of the factor 1/m_i to the cotangent of the mass.
 struct PackingBars<'a, R> {
     step: &'a Step<R>,
     moved: &'a [R],
@@ -463,14 +471,13 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             }
             if l.mass {
                 // SAFETY: each row writes its own particle.
-                unsafe { self.moved_bar.set(l.moved_mass() * n + i, -power * inverse_mass) };
+                unsafe { self.moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass) };
             }
         }
     }
 }
 
-/// The adjoint, on plain numbers: overwrites the rows of particles in pairs; `moved_bar` and `primitives_bar` must be
-/// zero.
+/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero.
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
@@ -524,8 +531,14 @@ impl<R: Real> CustomOp2 for Rates<R> {
         let (moved, primitives) = (input(s1, l1)?, input(s2, l2)?);
         let mut kept = self.0.kept();
         density::keep_pairs(step, moved, &mut kept);
-        keep_records(step, moved, primitives, &mut kept);
-        forward(step, moved, &kept, &mut rates);
+        R::keep_records(step, moved, primitives, &mut kept);
+        match self.0.after() {
+            Some(after) => read(after, |state| {
+                known(step, state, &mut rates);
+                Ok(())
+            })?,
+            None => R::rates(step, moved, &kept, &mut rates),
+        }
         Ok(output(rates, (rows, n)))
     }
     fn bwd(
@@ -537,17 +550,17 @@ impl<R: Real> CustomOp2 for Rates<R> {
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let step = &self.0.step;
         let (l, n) = (step.model.layout, step.model.particles());
-        let mut moved_bar = vec![R::default(); l.moved_rows() * n];
+        let mut moved_bar = self.0.moved_bar();
         let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
         read(moved, |m| {
             read(rates, |a| {
                 read(&rates_bar.contiguous()?, |bar| {
-                    backward(step, m, &self.0.kept(), a, bar, &mut moved_bar, &mut primitives_bar);
+                    R::rates_bar(step, m, &self.0.kept(), a, bar, &mut moved_bar, &mut primitives_bar);
                     Ok(())
                 })
             })
         })?;
-        Ok((Some(tensor(moved_bar, l.moved_rows(), n)?), Some(tensor(primitives_bar, l.primitive_rows(), n)?)))
+        Ok((self.0.pass_on(moved_bar)?, Some(tensor(primitives_bar, l.primitive_rows(), n)?)))
     }
 }
 

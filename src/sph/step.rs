@@ -57,14 +57,56 @@ pub fn tensor<R: Real>(values: Vec<R>, rows: usize, n: usize) -> Result<Tensor> 
 pub struct Chain<R: Real> {
     pub step: Arc<Step<R>>,
     kept: Mutex<Kept<R>>,
+    /// The state behind this step, if it is known: a replay need not compute the rates again.
+    after: Option<Tensor>,
+    /// Whether the cotangent of the moved state is passed on from operator to operator.
+    carries: bool,
+    moved_bar: Mutex<Option<Vec<R>>>,
 }
 
 impl<R: Real> Chain<R> {
     /// For one chain of operators on one moved state: what the density pass keeps belongs to its positions.
     pub fn new(step: Arc<Step<R>>) -> Arc<Self> {
-        let kept = Mutex::new(Kept::take(&step.model));
-        Arc::new(Self { step, kept })
+        Self::with(step, None, false)
     }
+
+    /// [`Self::new`] for operators that stand in one line, [`super::density`] first. All of them read the moved state,
+    /// and for each candle would allocate, clear and add up a cotangent of its full size: a fifth of a gradient step
+    /// of 950 particles. Here only the density's operator has the moved state as its variable, the others get it
+    /// detached and add their shares to one cotangent, which that first (in the backward pass: last) one returns.
+    pub fn carrying(step: Arc<Step<R>>, after: Option<Tensor>) -> Arc<Self> {
+        Self::with(step, after, true)
+    }
+
+    /// The state behind this step `[F, N]`, if it is known.
+    pub fn after(&self) -> Option<&Tensor> {
+        self.after.as_ref()
+    }
+
+    fn with(step: Arc<Step<R>>, after: Option<Tensor>, carries: bool) -> Arc<Self> {
+        let kept = Mutex::new(step.model.scratch.take_kept());
+        Arc::new(Self { step, kept, after, carries, moved_bar: Mutex::new(None) })
+    }
+
+    /// The cotangent of the moved state so far: what operators behind this one have added, else zero.
+    pub fn moved_bar(&self) -> Vec<R> {
+        let so_far = self.moved_bar.lock().unwrap_or_else(|e| e.into_inner()).take();
+        so_far.unwrap_or_else(|| {
+            let model = &*self.step.model;
+            vec![R::default(); model.layout.moved_rows() * model.particles()]
+        })
+    }
+
+    /// That cotangent with an operator's share: passed on, or returned to candle.
+    pub fn pass_on(&self, moved_bar: Vec<R>) -> Result<Option<Tensor>> {
+        if self.carries {
+            *self.moved_bar.lock().unwrap_or_else(|e| e.into_inner()) = Some(moved_bar);
+            return Ok(None);
+        }
+        let model = &*self.step.model;
+        tensor(moved_bar, model.layout.moved_rows(), model.particles()).map(Some)
+    }
+
     pub fn kept(&self) -> MutexGuard<'_, Kept<R>> {
         self.kept.lock().unwrap_or_else(|e| e.into_inner())
     }
@@ -72,18 +114,22 @@ impl<R: Real> Chain<R> {
 
 impl<R: Real> Drop for Chain<R> {
     fn drop(&mut self) {
-        self.kept.get_mut().unwrap_or_else(|e| e.into_inner()).give_back(&self.step.model);
+        let kept = std::mem::take(self.kept.get_mut().unwrap_or_else(|e| e.into_inner()));
+        self.step.model.scratch.give_back_kept(kept);
     }
 }
 
 impl<R: Real> Step<R> {
     /// Advances a moved state `[M, N]` to the state `[F, N]` at the step's end: the fused operators, chained by candle.
-    pub fn fused(self: &Arc<Self>, moved: &Tensor) -> Result<Tensor> {
-        let chain = Chain::new(self.clone());
+    /// `after`: that state, if it is known from a run without a graph, of which nothing need be computed then that the
+    /// adjoint does not read.
+    pub fn fused(self: &Arc<Self>, moved: &Tensor, after: Option<&Tensor>) -> Result<Tensor> {
+        let chain = Chain::carrying(self.clone(), after.map(Tensor::detach));
         let density = moved.apply_op1(density::Density(chain.clone()))?;
+        let moved = moved.detach();
         let primitives = moved.apply_op2(&density, primitives::Primitives(chain.clone()))?;
-        let rates = moved.apply_op2(&primitives, rates::Rates(chain))?;
-        moved.apply_op2(&rates, advance::Advance(self.clone()))
+        let rates = moved.apply_op2(&primitives, rates::Rates(chain.clone()))?;
+        moved.apply_op2(&rates, advance::Advance(chain))
     }
 }
 
@@ -100,12 +146,26 @@ impl<R: Real> Neighbourhood<R> {
     /// Builds the list from positions `[D.., N]` (the leading rows of a state will do).
     pub fn build(model: &Model<R>, position: &[R], capacity_hint: usize) -> std::result::Result<Self, NeighbourError> {
         let list = NeighbourList { capacity: capacity_hint, ..NeighbourList::default() };
-        let mut new = Self { list: Arc::new(list), reference: Arc::new(Vec::new()), workspace: Workspace::default() };
+        let mut new = Self { list: Arc::new(list), ..Self::empty() };
         new.rebuild(model, position)?;
         Ok(new)
     }
 
-    /// Builds the list anew, in the old one's memory unless somebody else still holds it.
+    /// A list that [`Self::rebuild_at`] has still to build.
+    pub fn empty() -> Self {
+        let list = Arc::new(NeighbourList::default());
+        Self { list, reference: Arc::new(Vec::new()), workspace: Workspace::default() }
+    }
+
+    /// Builds the list of another run's or an earlier reference, in the old list's memory unless somebody else still
+    /// holds it.
+    pub fn rebuild_at(&mut self, model: &Model<R>, reference: &Arc<Vec<R>>) -> std::result::Result<(), NeighbourError> {
+        // The same place in memory: states of one list are known by it.
+        self.reference = reference.clone();
+        self.rebuild_list(model)
+    }
+
+    /// Builds the list anew, likewise.
     fn rebuild(&mut self, model: &Model<R>, position: &[R]) -> std::result::Result<(), NeighbourError> {
         let position = &position[..model.layout.dimension * model.particles()];
         match Arc::get_mut(&mut self.reference) {
@@ -115,18 +175,22 @@ impl<R: Real> Neighbourhood<R> {
             }
             None => self.reference = Arc::new(position.to_vec()),
         }
+        self.rebuild_list(model)
+    }
+
+    fn rebuild_list(&mut self, model: &Model<R>) -> std::result::Result<(), NeighbourError> {
         if Arc::get_mut(&mut self.list).is_none() {
             let list = NeighbourList { capacity: self.list.capacity, ..NeighbourList::default() };
             self.list = Arc::new(list);
         }
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        list.rebuild(&self.reference, &model.tags, &model.domain, model.reach(), &mut self.workspace)
+        R::rebuild(list, &self.reference, &model.tags, &model.domain, model.reach(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
     /// positions and the reference only, so a replay does the same.
     pub fn update(&mut self, model: &Model<R>, position: &[R]) -> std::result::Result<(), NeighbourError> {
-        let moved = largest_move(model, position, &self.reference)?;
+        let moved = R::largest_move(model, position, &self.reference)?;
         // One step never moves a particle that far unless the run has diverged.
         if moved > 0.5 * model.kernel.cutoff() {
             return Err(NeighbourError::TooFast { distance: moved, spacing: model.kernel.smoothing_length });
