@@ -274,6 +274,9 @@ impl<'a> Cases<'a> {
             let base = Case {
                 kind: Kind::Gradient,
                 length: Length::Steps(steps),
+                // The first gradient of a process also pays for fresh pages of memory (on a virtual machine up to a
+                // quarter of its time); an optimisation does so once.
+                blocks: 2,
                 ..self.case(Group::Gradient, &name, n, Source::Channel(scene))
             };
             let modes = |precision, threads| {
