@@ -78,8 +78,9 @@ def hydrograd(program, options, quick):
 
 
 def key(row):
-    names = ("scene", "dimension", "particles", "precision", "kind")
-    return tuple(row[name] for name in names)
+    # JAX-SPH's rows say the dimension only in its column.
+    names = ("dimension", "particles", "precision", "kind")
+    return (row["scene"].removesuffix("-3d"), *(row[name] for name in names))
 
 
 def merged(turns):
