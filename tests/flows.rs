@@ -63,7 +63,9 @@ fn exact_solutions_solve_the_equations() {
 
 #[test]
 fn taylor_green_decays_as_it_should() {
-    let flow = TaylorGreen { cfl: 1.0, ..Default::default() }.build::<f64>();
+    let mut scene = TaylorGreen::default();
+    scene.numerics.cfl = 1.0;
+    let flow = scene.build::<f64>();
     let all = run(&flow, 0.9);
     let (rate, exact) = (decay_rate(&all), 8.0 * std::f64::consts::PI.powi(2) * 0.01);
     let last = all.last().unwrap();
@@ -78,7 +80,9 @@ fn taylor_green_decays_as_it_should() {
 #[test]
 fn taylor_green_converges() {
     let error = |per_side| {
-        let flow = TaylorGreen { per_side, cfl: 1.0, ..Default::default() }.build::<f64>();
+        let mut scene = TaylorGreen { per_side, ..Default::default() };
+        scene.numerics.cfl = 1.0;
+        let flow = scene.build::<f64>();
         run(&flow, 0.9).last().unwrap().velocity_error.unwrap()
     };
     let (coarse, middle, fine) = (error(20), error(32), error(50));
@@ -92,7 +96,8 @@ fn taylor_green_converges() {
 #[test]
 fn taylor_green_in_three_dimensions_begins_to_decay_as_it_should() {
     // Without disorder, whose pressure waves would dissipate energy of their own; with it the lattice holds for a while.
-    let flow = TaylorGreen { dimension: 3, per_side: 20, reynolds: 50.0, jitter: 0.0, ..Default::default() };
+    let mut flow = TaylorGreen { dimension: 3, per_side: 20, reynolds: 50.0, ..Default::default() };
+    flow.numerics.jitter = 0.0;
     let all = run(&flow.build::<f64>(), 0.6);
     let (rate, exact) = (decay_rate(&all), 3.0 / 50.0);
     println!("3D: rate {rate:.5} of {exact:.5}");

@@ -47,13 +47,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
         Some(from) => read_checkpoint::<R>(&from.join("checkpoint.safetensors"), config, &channel.model)?,
         None => start(&channel, &shape.offsets),
     };
-    if first.step >= channel.steps {
-        return Err(BadInput::new(format!("the run has its {} steps already", first.step))
-            .place("--resume")
-            .allowed("a run that was interrupted")
-            .advice("a new run with a longer time.end")
-            .into());
-    }
+    check_unfinished(first.step, channel.steps)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     files::write_shape(folder, &shape.nodes, &[("offset", &shape.offsets)])?;
@@ -173,6 +167,17 @@ pub fn diverged(error: anyhow::Error) -> anyhow::Error {
         return Error::run(error.to_string(), advice).into();
     }
     error
+}
+
+/// An error if a resumed run has nothing left to do.
+pub fn check_unfinished(step: usize, steps: usize) -> Result<(), BadInput> {
+    if step < steps {
+        return Ok(());
+    }
+    Err(BadInput::new(format!("the run has its {step} steps already"))
+        .place("--resume")
+        .allowed("a run that was interrupted")
+        .advice("a new run with a longer time.end"))
 }
 
 /// Keys that may change between a simulation and its continuation.

@@ -1,7 +1,7 @@
 //! `hydrograd simulate` of a verification flow: one run forward, against the exact solution where there is one.
 
 use super::files::{self, Fields, VERSION};
-use super::simulate::{earlier_history, read_checkpoint, write_checkpoint, CHECKPOINTS, HISTORY};
+use super::simulate::{check_unfinished, earlier_history, read_checkpoint, write_checkpoint, CHECKPOINTS, HISTORY};
 use crate::adjoint::segments::{Dynamics, Sph};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
@@ -34,13 +34,7 @@ pub fn run<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> an
         },
     };
     let resumed = first.step;
-    if resumed >= steps {
-        return Err(BadInput::new(format!("the run has its {resumed} steps already"))
-            .place("--resume")
-            .allowed("a run that was interrupted")
-            .advice("a new run with a longer time.end")
-            .into());
-    }
+    check_unfinished(resumed, steps)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     let bar = Progress::new(steps as u64, "simulate");

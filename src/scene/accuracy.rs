@@ -1,7 +1,7 @@
 //! Run time against error: scenes with a known answer over spacing, time step and precision.
 
 use super::config::{Config, Kernels, Precision};
-use super::flow::Flow;
+use super::flow::{Flow, Numerics};
 use super::heated_channel::HeatedChannel;
 use super::poiseuille::Poiseuille;
 use super::shape::Shape;
@@ -77,14 +77,18 @@ fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
     let courant: &[f64] = if quick { &[1.0] } else { &[0.25, 1.0, 2.0] };
     for &per_side in sides {
         for &cfl in courant {
-            runs.push(Run::TaylorGreen(TaylorGreen { per_side, cfl, ..Default::default() }));
+            let mut scene = TaylorGreen { per_side, ..Default::default() };
+            scene.numerics.cfl = cfl;
+            runs.push(Run::TaylorGreen(scene));
         }
     }
     let rows: &[usize] = if quick { &[10, 20] } else { &[10, 20, 30, 40, 60] };
     let diffusion: &[f64] = if quick { &[0.25] } else { &[0.0625, 0.25] };
     for &rows in rows {
         for &diffusion_number in diffusion {
-            runs.push(Run::Poiseuille(Poiseuille { rows, diffusion_number, ..Default::default() }));
+            let mut scene = Poiseuille { rows, ..Default::default() };
+            scene.numerics.diffusion_number = diffusion_number;
+            runs.push(Run::Poiseuille(scene));
         }
     }
     let spacings: &[f64] = if quick { &[0.02] } else { &[0.02, 0.01] };
@@ -118,11 +122,13 @@ impl Run {
         match self {
             Self::TaylorGreen(scene) => {
                 let (steps, dt) = even_steps(scene.half_life(), scene.time_step());
-                Some((TaylorGreen { time_step: Some(dt), ..*scene }.build(), steps))
+                let numerics = Numerics { time_step: Some(dt), ..scene.numerics };
+                Some((TaylorGreen { numerics, ..*scene }.build(), steps))
             }
             Self::Poiseuille(scene) => {
                 let (steps, dt) = even_steps(POISEUILLE_END * scene.reynolds, scene.time_step());
-                Some((Poiseuille { time_step: Some(dt), ..*scene }.build(), steps))
+                let numerics = Numerics { time_step: Some(dt), ..scene.numerics };
+                Some((Poiseuille { numerics, ..*scene }.build(), steps))
             }
             Self::HeatedChannel(_) => None,
         }
@@ -206,11 +212,13 @@ mod tests {
     #[test]
     fn a_diverged_run_is_reported() {
         // Ten times beyond the limit of stability.
-        let scene = TaylorGreen { per_side: 10, cfl: 20.0, diffusion_number: 100.0, ..Default::default() };
+        let mut scene = TaylorGreen { per_side: 10, ..Default::default() };
+        scene.numerics = Numerics { cfl: 20.0, diffusion_number: 100.0, ..scene.numerics };
         let point = Run::TaylorGreen(scene).point::<f64>(Precision::F64).unwrap();
         assert!(!point.stable, "{point:?}");
         assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
-        let stable = Run::TaylorGreen(TaylorGreen { cfl: 1.0, ..scene }).point::<f64>(Precision::F64).unwrap();
+        scene.numerics.cfl = 1.0;
+        let stable = Run::TaylorGreen(scene).point::<f64>(Precision::F64).unwrap();
         assert!(stable.stable && stable.cfl <= 1.0 && stable.cfl > 0.98, "{stable:?}");
         assert!((stable.steps as f64 * stable.time_step - 0.8779).abs() < 1e-4);
     }

@@ -94,15 +94,15 @@ impl<R: Real> Flow<R> {
         };
         let reynolds = config.flow.reynolds;
         let vortices = |dimension: usize| {
-            let scene = TaylorGreen { dimension, reynolds, ..Default::default() };
-            TaylorGreen { per_side: count(scene.size()), ..scene }.build_with(numerics)
+            let scene = TaylorGreen { dimension, reynolds, numerics, ..Default::default() };
+            TaylorGreen { per_side: count(scene.size()), ..scene }.build()
         };
         match config.scene {
             Scene::HeatedChannel => None,
             Scene::TaylorGreen => Some(vortices(2)),
             Scene::TaylorGreen3d => Some(vortices(3)),
             Scene::Poiseuille => {
-                Some(Poiseuille { rows: count(1.0), reynolds, ..Default::default() }.build_with(numerics))
+                Some(Poiseuille { rows: count(1.0), reynolds, numerics, ..Default::default() }.build())
             }
         }
     }
@@ -181,8 +181,8 @@ pub(super) struct Parts {
 }
 
 /// Numbers of the method rather than of the flow. The flows' density is 1.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Numerics {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Numerics {
     /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
     pub cfl: f64,
     /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
@@ -200,6 +200,22 @@ pub(super) struct Numerics {
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
     pub seed: u64,
+}
+
+impl Default for Numerics {
+    fn default() -> Self {
+        Self {
+            cfl: 0.25,
+            diffusion_number: 0.25,
+            time_step: None,
+            sound_speed_factor: 10.0,
+            background_pressure_factor: 0.0,
+            transport_velocity: 1.0,
+            jitter: 0.0,
+            skin: 0.2,
+            seed: 0,
+        }
+    }
 }
 
 impl Numerics {

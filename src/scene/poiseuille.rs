@@ -19,70 +19,22 @@ pub struct Poiseuille {
     pub columns: usize,
     /// Steady velocity of the centre line * height / kinematic viscosity.
     pub reynolds: f64,
-    /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
-    pub cfl: f64,
-    /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
-    pub diffusion_number: f64,
-    /// The time step itself, instead of the limits.
-    pub time_step: Option<f64>,
-    /// Sound speed c over reference velocity U.
-    pub sound_speed_factor: f64,
-    /// Background pressure over density c^2.
-    pub background_pressure_factor: f64,
-    /// 0 (off) ... 1 (Adami, Hu and Adams 2013, at the strength that it has at CFL 0.25).
-    pub transport_velocity: f64,
-    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
-    pub jitter: f64,
-    /// Extra reach of the neighbour list, in spacings.
-    pub skin: f64,
-    pub seed: u64,
+    pub numerics: Numerics,
 }
 
 impl Default for Poiseuille {
     fn default() -> Self {
-        Self {
-            rows: 30,
-            columns: 12,
-            reynolds: 0.0125,
-            cfl: 0.25,
-            diffusion_number: 0.25,
-            time_step: None,
-            sound_speed_factor: 10.0,
-            background_pressure_factor: 0.0,
-            transport_velocity: 1.0,
-            jitter: 0.0,
-            skin: 0.2,
-            seed: 0,
-        }
+        Self { rows: 30, columns: 12, reynolds: 0.0125, numerics: Numerics::default() }
     }
 }
 
 impl Poiseuille {
     /// The largest time step, or the given one.
     pub fn time_step(&self) -> f64 {
-        self.numerics().step(1.0 / self.rows as f64, 1.0, 1.0 / self.reynolds)
-    }
-
-    fn numerics(&self) -> Numerics {
-        Numerics {
-            cfl: self.cfl,
-            diffusion_number: self.diffusion_number,
-            time_step: self.time_step,
-            sound_speed_factor: self.sound_speed_factor,
-            background_pressure_factor: self.background_pressure_factor,
-            transport_velocity: self.transport_velocity,
-            jitter: self.jitter,
-            skin: self.skin,
-            seed: self.seed,
-        }
+        self.numerics.step(1.0 / self.rows as f64, 1.0, 1.0 / self.reynolds)
     }
 
     pub fn build<R: Real>(&self) -> Flow<R> {
-        self.build_with(self.numerics())
-    }
-
-    /// With these numerics instead of its own.
-    pub(super) fn build_with<R: Real>(&self, numerics: Numerics) -> Flow<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
             name: "poiseuille",
@@ -92,7 +44,7 @@ impl Poiseuille {
             spacing: 1.0 / self.rows as f64,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics,
+            numerics: self.numerics,
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity, height: 1.0 },
         }

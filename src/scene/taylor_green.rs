@@ -21,41 +21,12 @@ pub struct TaylorGreen {
     pub per_side: usize,
     /// Reference velocity * length 1 / kinematic viscosity.
     pub reynolds: f64,
-    /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
-    pub cfl: f64,
-    /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
-    pub diffusion_number: f64,
-    /// The time step itself, instead of the limits.
-    pub time_step: Option<f64>,
-    /// Sound speed c over reference velocity U.
-    pub sound_speed_factor: f64,
-    /// Background pressure over density c^2.
-    pub background_pressure_factor: f64,
-    /// 0 (off) ... 1 (Adami, Hu and Adams 2013, at the strength that it has at CFL 0.25).
-    pub transport_velocity: f64,
-    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
-    pub jitter: f64,
-    /// Extra reach of the neighbour list, in spacings.
-    pub skin: f64,
-    pub seed: u64,
+    pub numerics: Numerics,
 }
 
 impl Default for TaylorGreen {
     fn default() -> Self {
-        Self {
-            dimension: 2,
-            per_side: 50,
-            reynolds: 100.0,
-            cfl: 0.25,
-            diffusion_number: 0.25,
-            time_step: None,
-            sound_speed_factor: 10.0,
-            background_pressure_factor: 0.0,
-            transport_velocity: 1.0,
-            jitter: 0.1,
-            skin: 0.2,
-            seed: 0,
-        }
+        Self { dimension: 2, per_side: 50, reynolds: 100.0, numerics: Numerics { jitter: 0.1, ..Default::default() } }
     }
 }
 
@@ -71,29 +42,10 @@ impl TaylorGreen {
 
     /// The largest time step, or the given one.
     pub fn time_step(&self) -> f64 {
-        self.numerics().step(self.size() / self.per_side as f64, 1.0, 1.0 / self.reynolds)
-    }
-
-    fn numerics(&self) -> Numerics {
-        Numerics {
-            cfl: self.cfl,
-            diffusion_number: self.diffusion_number,
-            time_step: self.time_step,
-            sound_speed_factor: self.sound_speed_factor,
-            background_pressure_factor: self.background_pressure_factor,
-            transport_velocity: self.transport_velocity,
-            jitter: self.jitter,
-            skin: self.skin,
-            seed: self.seed,
-        }
+        self.numerics.step(self.size() / self.per_side as f64, 1.0, 1.0 / self.reynolds)
     }
 
     pub fn build<R: Real>(&self) -> Flow<R> {
-        self.build_with(self.numerics())
-    }
-
-    /// With these numerics instead of its own.
-    pub(super) fn build_with<R: Real>(&self, numerics: Numerics) -> Flow<R> {
         assert!((2..=3).contains(&self.dimension), "Taylor and Green's vortices have 2 or 3 dimensions");
         let (spacing, kinematic_viscosity) = (self.size() / self.per_side as f64, 1.0 / self.reynolds);
         Parts {
@@ -104,7 +56,7 @@ impl TaylorGreen {
             spacing,
             velocity: 1.0,
             kinematic_viscosity,
-            numerics,
+            numerics: self.numerics,
             body_force: BodyForce::None,
             exact: match self.dimension {
                 2 => Exact::TaylorGreen { velocity: 1.0, kinematic_viscosity },

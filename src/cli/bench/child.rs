@@ -142,7 +142,9 @@ impl<R: Real> Ready<R> {
 fn taylor_green<R: Real>(size: Size) -> (Model<R>, Vec<R>) {
     let Size { dimension, per_side } = size;
     // A tenth of a spacing of disorder, as in the plain-C yardstick: a lattice would stay one for a while.
-    let flow = TaylorGreen { dimension, per_side, jitter: 0.1, ..TaylorGreen::default() }.build::<R>();
+    let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
+    scene.numerics.jitter = 0.1;
+    let flow = scene.build::<R>();
     (plan::owned(flow.model), flow.state)
 }
 

@@ -92,7 +92,9 @@ mod tests {
     #[test]
     fn as_many_as_all_against_all() {
         for (dimension, per_side) in [(2, 8), (2, 13), (3, 8)] {
-            let flow = TaylorGreen { dimension, per_side, jitter: 0.2, ..TaylorGreen::default() }.build::<f64>();
+            let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
+            scene.numerics.jitter = 0.2;
+            let flow = scene.build::<f64>();
             let (model, n) = (&flow.model, flow.model.particles());
             let mut expected = 0;
             for i in 0..n {
