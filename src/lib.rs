@@ -3,6 +3,7 @@
 pub mod adjoint;
 pub mod blocks;
 pub mod cli;
+pub mod dataset;
 pub mod design;
 pub mod error;
 pub mod io;
@@ -15,3 +16,4 @@ pub mod report;
 pub mod scene;
 pub mod solver;
 pub mod sph;
+pub mod surrogate;

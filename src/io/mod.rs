@@ -3,6 +3,7 @@
 pub mod atomic;
 pub mod csv;
 mod error;
+pub mod hdf5_file;
 pub mod state_file;
 pub mod tensor_file;
 pub mod vtk;

@@ -5,14 +5,12 @@
 //! `configuration` (TOML text), `version`, `seed`.
 
 use super::atomic::write_path_atomically;
+use super::hdf5_file::{
+    failed, mismatch, missing, open, read_attribute, read_dataset, read_number, read_text, write_attribute,
+    write_dataset, write_text,
+};
 use super::FileError;
-use hdf5::types::VarLenUnicode;
-use hdf5::H5Type;
 use std::path::Path;
-
-const HINT: &str = "the file may come from another program or version; write it again with this one";
-/// Particles per compressed chunk: large enough to compress, small enough to read a part.
-const CHUNK: usize = 16_384;
 
 /// One state. Vectors are component-major [D, N] in memory (all x first), [N, D] in the file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -110,12 +108,8 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
         write_attribute(path, &file, "box_size", &[state.dimension], &state.box_size)?;
         write_attribute(path, &file, "dx", &[], &[state.dx])?;
         write_attribute(path, &file, "seed", &[], &[state.seed])?;
-        for (name, text) in [("configuration", &state.configuration), ("version", &state.version)] {
-            let text: VarLenUnicode = text
-                .parse()
-                .map_err(|_| FileError::input(path, format!("{name} holds a NUL character"), "text without NUL"))?;
-            write_attribute(path, &file, name, &[], &[text])?;
-        }
+        write_text(path, &file, "configuration", &state.configuration)?;
+        write_text(path, &file, "version", &state.version)?;
         file.close().map_err(fail("the end of the file"))
     })
 }
@@ -126,14 +120,7 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
 /// # Errors
 /// The file is missing, cut short or of another format; a dataset or attribute is missing or of wrong shape.
 pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
-    // HDF5's own message for a missing file is a page long.
-    std::fs::File::open(path).map_err(|source| FileError::read(path, source))?;
-    let file = hdf5::File::open(path).map_err(|error| FileError::Damaged {
-        path: path.to_owned(),
-        format: "HDF5 state",
-        what: error.to_string(),
-        hint: "take another state, or write it again",
-    })?;
+    let file = open(path, "HDF5 state")?;
     let present = file.member_names().map_err(failed(path, "read")("the list of datasets"))?;
     for name in required.iter().chain(&["position"]) {
         if !present.iter().any(|other| other == name) {
@@ -167,94 +154,6 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
         version: read_text(path, &file, "version")?,
         seed: read_number(path, &file, "seed")?,
     })
-}
-
-/// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
-fn failed<'a>(path: &'a Path, action: &'a str) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
-    move |what| {
-        Box::new(move |source| FileError::Hdf5 { path: path.to_owned(), action: format!("{action} {what}"), source })
-    }
-}
-
-fn missing(path: &Path, kind: &'static str, name: &str, present: Vec<String>) -> FileError {
-    FileError::Missing { path: path.to_owned(), kind, name: name.to_owned(), present, hint: HINT }
-}
-
-fn mismatch(path: &Path, name: &str, found: String, allowed: &str) -> FileError {
-    FileError::Mismatch { path: path.to_owned(), name: name.to_owned(), found, allowed: allowed.to_owned(), hint: HINT }
-}
-
-fn write_dataset<T: H5Type>(
-    path: &Path,
-    file: &hdf5::File,
-    name: &str,
-    shape: &[usize],
-    values: &[T],
-) -> Result<(), FileError> {
-    let builder = file.new_dataset::<T>().shape(shape);
-    let builder = if values.is_empty() {
-        // A chunk of no particles is not allowed.
-        builder
-    } else {
-        let mut chunk = shape.to_vec();
-        chunk[0] = chunk[0].min(CHUNK);
-        // Shuffle before deflate: HDF5 refuses the other order.
-        builder.chunk(chunk).shuffle().deflate(4)
-    };
-    builder.create(name).and_then(|dataset| dataset.write_raw(values)).map_err(failed(path, "write")(name))
-}
-
-fn read_dataset<T: H5Type>(
-    path: &Path,
-    file: &hdf5::File,
-    present: &[String],
-    name: &str,
-    shape: &[usize],
-) -> Result<Option<Vec<T>>, FileError> {
-    if !present.iter().any(|other| other == name) {
-        return Ok(None);
-    }
-    let dataset = file.dataset(name).map_err(failed(path, "open")(name))?;
-    let found = dataset.shape();
-    if found != shape {
-        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
-    }
-    dataset.read_raw().map(Some).map_err(failed(path, "read")(name))
-}
-
-fn write_attribute<T: H5Type>(
-    path: &Path,
-    file: &hdf5::File,
-    name: &str,
-    shape: &[usize],
-    values: &[T],
-) -> Result<(), FileError> {
-    file.new_attr::<T>()
-        .shape(shape)
-        .create(name)
-        .and_then(|attribute| attribute.write_raw(values))
-        .map_err(failed(path, "write")(name))
-}
-
-fn read_attribute<T: H5Type>(path: &Path, file: &hdf5::File, name: &str, shape: &[usize]) -> Result<Vec<T>, FileError> {
-    let present = file.attr_names().map_err(failed(path, "read")("the list of attributes"))?;
-    if !present.iter().any(|other| other == name) {
-        return Err(missing(path, "attribute", name, present));
-    }
-    let attribute = file.attr(name).map_err(failed(path, "open")(name))?;
-    let found = attribute.shape();
-    if found != shape {
-        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
-    }
-    attribute.read_raw().map_err(failed(path, "read")(name))
-}
-
-fn read_number<T: H5Type + Copy>(path: &Path, file: &hdf5::File, name: &str) -> Result<T, FileError> {
-    Ok(read_attribute::<T>(path, file, name, &[])?[0])
-}
-
-fn read_text(path: &Path, file: &hdf5::File, name: &str) -> Result<String, FileError> {
-    Ok(read_attribute::<VarLenUnicode>(path, file, name, &[])?[0].to_string())
 }
 
 /// [D, N] to [N, D].

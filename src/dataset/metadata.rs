@@ -1,0 +1,113 @@
+//! `metadata.json`: what a data set's numbers mean, and their statistics over the training split.
+
+use crate::io::atomic::write_bytes_atomically;
+use crate::io::FileError;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// LagrangeBench's keys, and ours. Unknown keys are kept: other programs write their own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metadata {
+    /// D.
+    pub dim: usize,
+    /// Particle spacing.
+    pub dx: f64,
+    /// Time step of the simulation; frames are `write_every` of them apart.
+    pub dt: f64,
+    pub write_every: usize,
+    pub num_particles_max: usize,
+    pub periodic_boundary_conditions: Vec<bool>,
+    /// `[D][2]`: lower and upper end of the box.
+    pub bounds: Vec<[f64; 2]>,
+    pub default_connectivity_radius: f64,
+    /// `[D]`, per frame (dt = 1), fluid particles of the training split only; as are the following.
+    pub vel_mean: Vec<f64>,
+    pub vel_std: Vec<f64>,
+    pub acc_mean: Vec<f64>,
+    pub acc_std: Vec<f64>,
+    /// Only data with temperature have it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heat: Option<Heat>,
+    #[serde(flatten)]
+    pub other: serde_json::Map<String, serde_json::Value>,
+}
+
+/// What is known of the temperature, in the units of the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Heat {
+    /// Of the fluid's temperature, training split.
+    pub temperature_mean: f64,
+    pub temperature_std: f64,
+    /// Of its change from frame to frame, without particles that the inlet reset.
+    pub change_mean: f64,
+    pub change_std: f64,
+    /// Fluid at x < `inlet_length` is held at `inlet_temperature`.
+    pub inlet_length: f64,
+    pub inlet_temperature: f64,
+    /// Where the outflowing heat is measured.
+    pub target_x: f64,
+    /// Thermal diffusivity, conductivity/(density heat capacity).
+    pub diffusivity: f64,
+    pub conductivity: f64,
+    pub heat_capacity: f64,
+    /// Fluid at x > length - `outlet_length` does not conduct.
+    pub outlet_length: f64,
+}
+
+impl Metadata {
+    /// Reads `metadata.json` of a data set's folder.
+    ///
+    /// # Errors
+    /// The file is missing, not JSON, or lacks a key.
+    pub fn read(folder: &Path) -> Result<Self, FileError> {
+        let path = folder.join("metadata.json");
+        let text = std::fs::read_to_string(&path).map_err(|source| FileError::read(&path, source))?;
+        let damaged = |what: String| FileError::Damaged {
+            path: path.clone(),
+            format: "metadata.json of a data set",
+            what,
+            hint: "it must be LagrangeBench's, or written by `hydrograd generate`",
+        };
+        let metadata: Self = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+        let d = metadata.dim;
+        let lengths = [
+            ("periodic_boundary_conditions", metadata.periodic_boundary_conditions.len()),
+            ("bounds", metadata.bounds.len()),
+            ("vel_mean", metadata.vel_mean.len()),
+            ("vel_std", metadata.vel_std.len()),
+            ("acc_mean", metadata.acc_mean.len()),
+            ("acc_std", metadata.acc_std.len()),
+        ];
+        if d != 2 && d != 3 {
+            return Err(damaged(format!("dim is {d}, must be 2 or 3")));
+        }
+        for (name, length) in lengths {
+            if length < d {
+                return Err(damaged(format!("{name} has {length} entries, must have {d}")));
+            }
+        }
+        Ok(metadata)
+    }
+
+    /// Writes `metadata.json` into a folder.
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn write(&self, folder: &Path) -> Result<(), FileError> {
+        let path = folder.join("metadata.json");
+        let mut text = serde_json::to_string_pretty(self)
+            .map_err(|error| FileError::input(&path, error.to_string(), "finite numbers"))?;
+        text.push('\n');
+        write_bytes_atomically(&path, text.as_bytes())
+    }
+
+    /// Length of the box in each direction.
+    pub fn size(&self) -> [f64; 3] {
+        std::array::from_fn(|d| self.bounds.get(d).map_or(1.0, |b| b[1] - b[0]))
+    }
+
+    /// Which of the D directions are periodic.
+    pub fn periodic(&self) -> [bool; 3] {
+        std::array::from_fn(|d| d < self.dim && self.periodic_boundary_conditions[d])
+    }
+}

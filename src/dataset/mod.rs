@@ -1,0 +1,10 @@
+//! Data sets of trajectories in LagrangeBench's layout, with temperature beside the positions.
+//!
+//! A folder with `train.h5`, `valid.h5`, `test.h5` and `metadata.json`. Each file has one group per trajectory
+//! ("00000", "00001", ...): see [`trajectory`].
+
+pub mod metadata;
+pub mod trajectory;
+
+pub use metadata::{Heat, Metadata};
+pub use trajectory::{kind, read_split, Split, Trajectory};

@@ -1,0 +1,140 @@
+//! One trajectory of a data set: frames of particles, and what belongs to the trajectory as a whole.
+//!
+//! Group "00000" holds `position` [T, N, D] f32 and `particle_type` [N] i32 as in LagrangeBench; ours add
+//! `temperature` [T, N] f32, `wall_temperature` [N] f32 (not-a-number where none is set), and `wall_x`, `wall_offset` [M]
+//! f64 (the shape of the wall).
+
+use super::metadata::Metadata;
+use crate::io::hdf5_file::{failed, missing, open, read_dataset};
+use crate::io::FileError;
+use std::path::{Path, PathBuf};
+
+/// LagrangeBench's particle types.
+pub mod kind {
+    pub const PADDING: i32 = -1;
+    pub const FLUID: i32 = 0;
+    pub const SOLID_WALL: i32 = 1;
+    pub const MOVING_WALL: i32 = 2;
+    pub const RIGID_BODY: i32 = 3;
+
+    /// Moved by others, not by the model: walls and padding.
+    pub fn is_kinematic(kind: i32) -> bool {
+        matches!(kind, SOLID_WALL | MOVING_WALL | PADDING)
+    }
+}
+
+/// Which file of a data set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    Train,
+    Valid,
+    Test,
+}
+
+impl Split {
+    pub const ALL: [Self; 3] = [Self::Train, Self::Valid, Self::Test];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Valid => "valid",
+            Self::Test => "test",
+        }
+    }
+
+    pub fn path(self, folder: &Path) -> PathBuf {
+        folder.join(format!("{}.h5", self.name()))
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trajectory {
+    /// The group's name.
+    pub name: String,
+    /// T.
+    pub frames: usize,
+    /// N, without padding.
+    pub particles: usize,
+    /// `[T, N, D]`.
+    pub position: Vec<f32>,
+    /// `[N]`, see [`kind`].
+    pub kind: Vec<i32>,
+    /// `[T, N]`.
+    pub temperature: Option<Vec<f32>>,
+    /// `[N]`, not-a-number where no temperature is set.
+    pub wall_temperature: Option<Vec<f32>>,
+    /// `[M]` each: the nodes of the wall's shape and its height there.
+    pub wall_x: Vec<f64>,
+    pub wall_offset: Vec<f64>,
+}
+
+impl Trajectory {
+    /// `[N, D]` of one frame.
+    pub fn position_of(&self, frame: usize) -> &[f32] {
+        let row = self.position.len() / self.frames;
+        &self.position[frame * row..(frame + 1) * row]
+    }
+
+    /// `[N]` of one frame.
+    pub fn temperature_of(&self, frame: usize) -> Option<&[f32]> {
+        self.temperature.as_deref().map(|t| &t[frame * self.particles..(frame + 1) * self.particles])
+    }
+}
+
+/// All trajectories of a split, in the order of their names.
+///
+/// # Errors
+/// The file is missing, damaged, or a dataset in it is missing or of the wrong shape.
+pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Vec<Trajectory>, FileError> {
+    let path = &split.path(folder);
+    let file = open(path, "data set")?;
+    let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
+    names.sort();
+    names.into_iter().map(|name| read_trajectory(path, &file, metadata, name)).collect()
+}
+
+fn read_trajectory(path: &Path, file: &hdf5::File, metadata: &Metadata, name: String) -> Result<Trajectory, FileError> {
+    let group = file.group(&name).map_err(failed(path, "open")(&name))?;
+    let present = group.member_names().map_err(failed(path, "read")(&name))?;
+    for needed in ["position", "particle_type"] {
+        if !present.iter().any(|other| other == needed) {
+            return Err(missing(path, "dataset", &format!("{name}/{needed}"), present));
+        }
+    }
+    let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
+    let &[frames, particles, dimension] = shape.as_slice() else {
+        return Err(crate::io::hdf5_file::mismatch(
+            path,
+            &format!("{name}/position"),
+            format!("of shape {shape:?}"),
+            "of shape [T, N, D]",
+        ));
+    };
+    if dimension != metadata.dim {
+        return Err(crate::io::hdf5_file::mismatch(
+            path,
+            &format!("{name}/position"),
+            format!("of shape {shape:?}"),
+            &format!("[T, N, {}] as metadata.json says", metadata.dim),
+        ));
+    }
+    let nodes = |name: &str| -> Result<Vec<f64>, FileError> {
+        if !present.iter().any(|other| other == name) {
+            return Ok(Vec::new());
+        }
+        let length = group.dataset(name).map_err(failed(path, "open")(name))?.shape();
+        Ok(read_dataset(path, &group, &present, name, &length)?.unwrap_or_default())
+    };
+    Ok(Trajectory {
+        frames,
+        particles,
+        position: read_dataset(path, &group, &present, "position", &shape)?.unwrap_or_default(),
+        kind: read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default(),
+        temperature: read_dataset(path, &group, &present, "temperature", &[frames, particles])?,
+        wall_temperature: read_dataset(path, &group, &present, "wall_temperature", &[particles])?,
+        wall_x: nodes("wall_x")?,
+        wall_offset: nodes("wall_offset")?,
+        name,
+    })
+}

@@ -1,0 +1,128 @@
+//! Reading and writing parts of an HDF5 file, with errors that name the file and the part.
+
+use super::FileError;
+use hdf5::types::VarLenUnicode;
+use hdf5::H5Type;
+use std::path::Path;
+
+const HINT: &str = "the file may come from another program or version; write it again with this one";
+/// Rows per compressed chunk: large enough to compress, small enough to read a part.
+const CHUNK: usize = 16_384;
+
+/// Opens a file for reading.
+///
+/// # Errors
+/// The file is missing or not HDF5.
+pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> {
+    // HDF5's own message for a missing file is a page long.
+    std::fs::File::open(path).map_err(|source| FileError::read(path, source))?;
+    hdf5::File::open(path).map_err(|error| FileError::Damaged {
+        path: path.to_owned(),
+        format,
+        what: error.to_string(),
+        hint: "take another file, or write it again",
+    })
+}
+
+/// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
+pub fn failed<'a>(
+    path: &'a Path,
+    action: &'a str,
+) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
+    move |what| {
+        Box::new(move |source| FileError::Hdf5 { path: path.to_owned(), action: format!("{action} {what}"), source })
+    }
+}
+
+pub fn missing(path: &Path, kind: &'static str, name: &str, present: Vec<String>) -> FileError {
+    FileError::Missing { path: path.to_owned(), kind, name: name.to_owned(), present, hint: HINT }
+}
+
+pub fn mismatch(path: &Path, name: &str, found: String, allowed: &str) -> FileError {
+    FileError::Mismatch { path: path.to_owned(), name: name.to_owned(), found, allowed: allowed.to_owned(), hint: HINT }
+}
+
+pub fn write_dataset<T: H5Type>(
+    path: &Path,
+    group: &hdf5::Group,
+    name: &str,
+    shape: &[usize],
+    values: &[T],
+) -> Result<(), FileError> {
+    let builder = group.new_dataset::<T>().shape(shape);
+    let builder = if values.is_empty() {
+        // A chunk of no particles is not allowed.
+        builder
+    } else {
+        let mut chunk = shape.to_vec();
+        chunk[0] = chunk[0].min(CHUNK);
+        // Shuffle before deflate: HDF5 refuses the other order.
+        builder.chunk(chunk).shuffle().deflate(4)
+    };
+    builder.create(name).and_then(|dataset| dataset.write_raw(values)).map_err(failed(path, "write")(name))
+}
+
+pub fn read_dataset<T: H5Type>(
+    path: &Path,
+    group: &hdf5::Group,
+    present: &[String],
+    name: &str,
+    shape: &[usize],
+) -> Result<Option<Vec<T>>, FileError> {
+    if !present.iter().any(|other| other == name) {
+        return Ok(None);
+    }
+    let dataset = group.dataset(name).map_err(failed(path, "open")(name))?;
+    let found = dataset.shape();
+    if found != shape {
+        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
+    }
+    dataset.read_raw().map(Some).map_err(failed(path, "read")(name))
+}
+
+pub fn write_attribute<T: H5Type>(
+    path: &Path,
+    group: &hdf5::Group,
+    name: &str,
+    shape: &[usize],
+    values: &[T],
+) -> Result<(), FileError> {
+    group.new_attr::<T>().shape(shape).create(name).and_then(|attribute| attribute.write_raw(values)).map_err(failed(
+        path, "write",
+    )(
+        name
+    ))
+}
+
+pub fn read_attribute<T: H5Type>(
+    path: &Path,
+    group: &hdf5::Group,
+    name: &str,
+    shape: &[usize],
+) -> Result<Vec<T>, FileError> {
+    let present = group.attr_names().map_err(failed(path, "read")("the list of attributes"))?;
+    if !present.iter().any(|other| other == name) {
+        return Err(missing(path, "attribute", name, present));
+    }
+    let attribute = group.attr(name).map_err(failed(path, "open")(name))?;
+    let found = attribute.shape();
+    if found != shape {
+        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
+    }
+    attribute.read_raw().map_err(failed(path, "read")(name))
+}
+
+pub fn read_number<T: H5Type + Copy>(path: &Path, group: &hdf5::Group, name: &str) -> Result<T, FileError> {
+    Ok(read_attribute::<T>(path, group, name, &[])?[0])
+}
+
+pub fn read_text(path: &Path, group: &hdf5::Group, name: &str) -> Result<String, FileError> {
+    Ok(read_attribute::<VarLenUnicode>(path, group, name, &[])?[0].to_string())
+}
+
+pub fn write_text(path: &Path, group: &hdf5::Group, name: &str, text: &str) -> Result<(), FileError> {
+    let text: VarLenUnicode = text
+        .parse()
+        .map_err(|_| FileError::input(path, format!("{name} holds a NUL character"), "text without NUL"))?;
+    write_attribute(path, group, name, &[], &[text])
+}

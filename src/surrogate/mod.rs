@@ -1,0 +1,5 @@
+//! Learned flow: models that advance particles by one (large) step, their training and evaluation.
+//!
+//! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
+
+pub mod predictor;
