@@ -20,6 +20,8 @@ pub enum Data {
     F64(Vec<f64>),
     F32(Vec<f32>),
     U64(Vec<u64>),
+    I64(Vec<i64>),
+    I32(Vec<i32>),
 }
 
 impl Data {
@@ -29,6 +31,8 @@ impl Data {
             Self::F64(values) => values.len(),
             Self::F32(values) => values.len(),
             Self::U64(values) => values.len(),
+            Self::I64(values) => values.len(),
+            Self::I32(values) => values.len(),
         }
     }
 
@@ -43,6 +47,8 @@ impl Data {
             Self::F64(_) => ("F64", 8),
             Self::F32(_) => ("F32", 4),
             Self::U64(_) => ("U64", 8),
+            Self::I64(_) => ("I64", 8),
+            Self::I32(_) => ("I32", 4),
         }
     }
 
@@ -51,6 +57,8 @@ impl Data {
             Self::F64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
             Self::F32(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
             Self::U64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::I64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::I32(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
         }
     }
 }
@@ -120,7 +128,7 @@ impl TensorFile {
     /// Reads a whole file.
     ///
     /// # Errors
-    /// The file is missing, cut short, damaged, or has tensors of types other than F64, F32, U64.
+    /// The file is missing, cut short, damaged, or has tensors of types other than F64, F32, U64, I64, I32.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
         let damaged = |error: safetensors::SafeTensorError| FileError::Damaged {
@@ -138,12 +146,14 @@ impl TensorFile {
                 Dtype::F64 => Data::F64(words(view.data(), f64::from_le_bytes)),
                 Dtype::F32 => Data::F32(words(view.data(), f32::from_le_bytes)),
                 Dtype::U64 => Data::U64(words(view.data(), u64::from_le_bytes)),
+                Dtype::I64 => Data::I64(words(view.data(), i64::from_le_bytes)),
+                Dtype::I32 => Data::I32(words(view.data(), i32::from_le_bytes)),
                 other => {
                     return Err(FileError::Mismatch {
                         path: path.to_owned(),
                         name: name.to_owned(),
                         found: format!("a tensor of {other:?}"),
-                        allowed: "of F64, F32 or U64".to_owned(),
+                        allowed: "of F64, F32, U64, I64 or I32".to_owned(),
                         hint: "convert it first",
                     })
                 }
@@ -184,6 +194,22 @@ impl TensorFile {
             Data::U64(values) => Ok(values),
             other => Err(self.wrong_type(name, other, "U64")),
         }
+    }
+
+    /// Elements of a tensor of any type as f64, row-major, with its shape.
+    ///
+    /// # Errors
+    /// [`FileError::Missing`], with the names that are there.
+    pub fn numbers(&self, name: &str) -> Result<(&[usize], Vec<f64>), FileError> {
+        let shape = self.shape(name)?;
+        let numbers = match &self.tensors[name].1 {
+            Data::F64(values) => values.clone(),
+            Data::F32(values) => values.iter().map(|&v| f64::from(v)).collect(),
+            Data::U64(values) => values.iter().map(|&v| v as f64).collect(),
+            Data::I64(values) => values.iter().map(|&v| v as f64).collect(),
+            Data::I32(values) => values.iter().map(|&v| f64::from(v)).collect(),
+        };
+        Ok((shape, numbers))
     }
 
     /// The metadata text `key`.

@@ -2,4 +2,19 @@
 //!
 //! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
 
+pub mod adamw;
+pub mod composed;
+pub mod features;
+pub mod gather;
+pub mod gns;
+pub mod graph;
+pub mod integrate;
+pub mod interaction;
+pub mod layer_norm;
+pub mod loss;
+pub mod matrix;
+pub mod memory;
+pub mod mlp;
+pub mod model;
+pub mod noise;
 pub mod predictor;

@@ -1,0 +1,254 @@
+//! What a model sees: features of nodes and edges from a window of frames.
+//!
+//! Node features in this order (reference: LagrangeBench, Toshev et al. 2023; ours after them):
+//! W - 1 velocities (v - mean)/s_v, oldest first; their norms if asked for; clip([p - lo, hi - p]/r_c, -1, 1) of the
+//! directions that are not periodic; the external force if any; with heat: W - 1 temperature changes (normalised), the
+//! temperature (normalised), the set temperature of a wall (normalised, 0 where none is set) and whether one is set, and
+//! the clipped distances to inlet and outlet. The embedding of the particle's type follows in the model.
+//! Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it is 0).
+//! s = sqrt(std^2 + noise^2) for velocity and acceleration.
+
+use super::gather::{gather, End};
+use super::graph::Graph;
+use super::predictor::Scenery;
+use crate::dataset::{kind, Heat, Metadata};
+use crate::particles::Domain;
+use candle_core::{DType, Device, Result, Tensor};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Types of particles that have an embedding, as LagrangeBench: -1 (padding) takes the last one, as numpy's index does.
+pub const KINDS: usize = 9;
+
+/// Means and deviations that a model was trained with; stored in its checkpoint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Normalisation {
+    /// `[D]`.
+    pub velocity_mean: Vec<f64>,
+    /// `[D]`, noise included.
+    pub velocity_scale: Vec<f64>,
+    pub acceleration_mean: Vec<f64>,
+    pub acceleration_scale: Vec<f64>,
+    /// r_c.
+    pub radius: f64,
+    /// With heat: (mean, deviation) of temperature and of its change per frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub change: Option<[f64; 2]>,
+}
+
+impl Normalisation {
+    /// Of a data set, for training with this noise. `radius` in units of length.
+    pub fn new(metadata: &Metadata, noise: f64, radius: f64, heat: Option<&Heat>) -> Self {
+        let scale = |std: &[f64]| std.iter().take(metadata.dim).map(|s| (s * s + noise * noise).sqrt()).collect();
+        let first = |values: &[f64]| values[..metadata.dim].to_vec();
+        Self {
+            velocity_mean: first(&metadata.vel_mean),
+            velocity_scale: scale(&metadata.vel_std),
+            acceleration_mean: first(&metadata.acc_mean),
+            acceleration_scale: scale(&metadata.acc_std),
+            radius,
+            temperature: heat.map(|h| [h.temperature_mean, h.temperature_std]),
+            change: heat.map(|h| [h.change_mean, h.change_std]),
+        }
+    }
+}
+
+/// Which features there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Features {
+    /// W.
+    pub frames: usize,
+    /// Norms of the velocities.
+    pub speed: bool,
+    /// Distances to the ends of the box in directions that are not periodic.
+    pub boundary: bool,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self { frames: 6, speed: false, boundary: true }
+    }
+}
+
+/// The inputs of one prediction.
+#[derive(Debug, Clone)]
+pub struct Inputs {
+    pub graph: Arc<Graph>,
+    /// `[N, F]` without the embedding.
+    pub nodes: Tensor,
+    /// `[E, D + 1]`.
+    pub edges: Tensor,
+    /// `[N]` u32: rows of the embedding.
+    pub kinds: Tensor,
+    /// The last velocities, `[N, D]`, in units of length per frame, not normalised.
+    pub velocity: Tensor,
+}
+
+/// Positions `[N, D]` (f64) and temperatures `[N]` of each frame of a window, oldest first.
+#[derive(Debug, Clone, Default)]
+pub struct Window {
+    pub position: Vec<Tensor>,
+    pub temperature: Vec<Tensor>,
+}
+
+impl Features {
+    /// Number of node features without the embedding. `force`: components of an external force.
+    pub fn count(&self, metadata: &Metadata, heat: bool, force: usize) -> usize {
+        let (steps, open) = (self.frames - 1, metadata.periodic().iter().take(metadata.dim).filter(|p| !**p).count());
+        steps * metadata.dim
+            + if self.speed { steps } else { 0 }
+            + if self.boundary { 2 * open } else { 0 }
+            + force
+            + if heat { steps + 5 } else { 0 }
+    }
+
+    /// Features from a window; `force` `[N, D]` if there is one. Everything is computed in f64 and rounded to `dtype` at the
+    /// end: differences of f32 positions would lose half their digits.
+    ///
+    /// # Errors
+    /// Lost or clumped particles, tensor errors.
+    pub fn inputs(
+        &self,
+        scenery: &Scenery,
+        normalisation: &Normalisation,
+        window: &Window,
+        force: Option<&Tensor>,
+        dtype: DType,
+    ) -> anyhow::Result<Inputs> {
+        let metadata = scenery.metadata;
+        let d = metadata.dim;
+        let frames = &window.position[window.position.len() - self.frames..];
+        let last = &frames[self.frames - 1];
+        let graph = Arc::new(Graph::build(
+            &relative_to_box(&last.detach().flatten_all()?.to_vec1::<f64>()?, metadata),
+            &domain(metadata),
+            normalisation.radius,
+        )?);
+
+        let row = |values: &[f64]| Tensor::from_slice(values, (1, d), &Device::Cpu);
+        let mean = row(&normalisation.velocity_mean)?;
+        let scale = row(&normalisation.velocity_scale)?;
+        let mut velocities = Vec::new();
+        let mut columns = Vec::new();
+        for pair in frames.windows(2) {
+            let velocity = displacement(&pair[1], &pair[0], metadata)?;
+            columns.push(velocity.broadcast_sub(&mean)?.broadcast_div(&scale)?);
+            velocities.push(velocity);
+        }
+        if self.speed {
+            let speeds: Vec<Tensor> = columns.iter().map(length).collect::<Result<_>>()?;
+            columns.extend(speeds);
+        }
+        let open: Vec<usize> = (0..d).filter(|&k| !metadata.periodic()[k]).collect();
+        let clipped = |x: Tensor| (x / normalisation.radius)?.clamp(-1.0, 1.0);
+        if self.boundary {
+            for low in [true, false] {
+                for &k in &open {
+                    let (x, [lo, hi]) = (last.narrow(1, k, 1)?, metadata.bounds[k]);
+                    columns.push(clipped(if low { (x - lo)? } else { x.affine(-1.0, hi)? })?);
+                }
+            }
+        }
+        columns.extend(force.cloned());
+        if let (Some([t_mean, t_scale]), Some([c_mean, c_scale])) = (normalisation.temperature, normalisation.change) {
+            let first = window.temperature.len() - self.frames;
+            let temperature = &window.temperature[first..];
+            for pair in temperature.windows(2) {
+                columns.push(((&pair[1] - &pair[0])?.affine(1.0 / c_scale, -c_mean / c_scale)?).unsqueeze(1)?);
+            }
+            let now = &temperature[self.frames - 1];
+            columns.push(now.affine(1.0 / t_scale, -t_mean / t_scale)?.unsqueeze(1)?);
+            let (mut set, mut is_set) = (vec![0.0; scenery.kind.len()], vec![0.0; scenery.kind.len()]);
+            for (i, &t) in scenery.wall_temperature.unwrap_or_default().iter().enumerate() {
+                if t.is_finite() {
+                    (set[i], is_set[i]) = ((f64::from(t) - t_mean) / t_scale, 1.0);
+                }
+            }
+            for column in [set, is_set] {
+                let n = column.len();
+                columns.push(Tensor::from_vec(column, (n, 1), &Device::Cpu)?);
+            }
+            // For heat the two ends of the channel are boundaries, though the flow is periodic there.
+            let (x, [lo, hi]) = (last.narrow(1, 0, 1)?, metadata.bounds[0]);
+            columns.push(clipped((&x - lo)?)?);
+            columns.push(clipped(x.affine(-1.0, hi)?)?);
+        }
+        let nodes = Tensor::cat(&columns, 1)?.to_dtype(dtype)?;
+
+        let (to, from) = (gather(last, &graph, End::Receiver)?, gather(last, &graph, End::Sender)?);
+        let relative = (displacement(&to, &from, metadata)? / normalisation.radius)?;
+        let edges = Tensor::cat(&[&relative, &length(&relative)?], 1)?.to_dtype(dtype)?;
+        let kinds: Vec<u32> = scenery.kind.iter().map(|&k| if k == kind::PADDING { 8 } else { k as u32 }).collect();
+        Ok(Inputs {
+            graph,
+            nodes,
+            edges,
+            kinds: Tensor::new(kinds, &Device::Cpu)?,
+            velocity: velocities.pop().unwrap_or_else(|| last.clone()),
+        })
+    }
+}
+
+/// Norm of each row, `[rows, 1]`; its gradient at 0 is 0.
+fn length(x: &Tensor) -> Result<Tensor> {
+    let square = x.sqr()?.sum_keepdim(1)?;
+    let zero = square.eq(0.0)?;
+    // 1 under the root where the row is 0, so that its derivative is finite, and taken out again.
+    let one = zero.to_dtype(square.dtype())?;
+    ((square + &one)?.sqrt()? - one)?.contiguous()
+}
+
+/// a - b, the nearest image of it in periodic directions; `[N, D]`.
+pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tensor> {
+    let difference = (a - b)?;
+    if !metadata.periodic().contains(&true) {
+        return Ok(difference);
+    }
+    let (size, periodic) = (metadata.size(), metadata.periodic());
+    let sizes: Vec<f64> = (0..metadata.dim).map(|d| if periodic[d] { size[d] } else { 0.0 }).collect();
+    let inverse: Vec<f64> = sizes.iter().map(|&s| if s > 0.0 { 1.0 / s } else { 0.0 }).collect();
+    let row = |values: Vec<f64>| Tensor::from_vec(values, (1, metadata.dim), &Device::Cpu);
+    // Which image it is does not change with an infinitesimal step: a constant as far as derivatives go.
+    let turns = difference.detach().broadcast_mul(&row(inverse)?)?.round()?;
+    difference - turns.broadcast_mul(&row(sizes)?)?
+}
+
+/// Positions wrapped into the box in periodic directions; `[N, D]`.
+pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
+    let (size, periodic) = (metadata.size(), metadata.periodic());
+    let n = position.dim(0)?;
+    let mut shift = position.detach().flatten_all()?.to_vec1::<f64>()?;
+    for (at, x) in shift.iter_mut().enumerate() {
+        let d = at % metadata.dim;
+        let lo = metadata.bounds[d][0];
+        let turns = if periodic[d] { ((*x - lo) / size[d]).floor() } else { 0.0 };
+        *x = -turns * size[d];
+    }
+    position + Tensor::from_vec(shift, (n, metadata.dim), &Device::Cpu)?
+}
+
+/// The neighbour search's box begins at 0.
+fn relative_to_box(position: &[f64], metadata: &Metadata) -> Vec<f64> {
+    let (d, periodic, size) = (metadata.dim, metadata.periodic(), metadata.size());
+    let inside = |at: usize, x: f64| {
+        let x = x - metadata.bounds[at % d][0];
+        if !periodic[at % d] {
+            return x;
+        }
+        let wrapped = x.rem_euclid(size[at % d]);
+        // A tiny negative x comes out as the size itself.
+        if wrapped >= size[at % d] {
+            0.0
+        } else {
+            wrapped
+        }
+    };
+    position.iter().enumerate().map(|(at, &x)| inside(at, x)).collect()
+}
+
+fn domain(metadata: &Metadata) -> Domain {
+    Domain { dimension: metadata.dim, size: metadata.size(), periodic: metadata.periodic() }
+}

@@ -1,0 +1,518 @@
+//! Multilayer perceptron on blocks of rows: linear, ReLU, ..., linear, and layer normalisation behind it.
+//!
+//! y = LN(relu(... relu(x W0 + b0) ...) W + b), LN(z) = (z - mean z)/sqrt(var z + 1e-5) * scale + offset over each row (Ba,
+//! Kiros and Hinton 2016, with the biased variance). Weights are stored `[in, out]`. Rows go through in blocks that
+//! stay in a core's cache; what the adjoint needs again (activations behind each ReLU, normalised rows) is kept.
+
+use super::matrix;
+use super::memory::{Memory, Owned};
+use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::step;
+use candle_core::{CpuStorage, CustomOp2, Layout, Result, Tensor};
+use std::ops::Range;
+use std::sync::Mutex;
+
+/// Of the layer normalisation, as haiku's and PyTorch's.
+const EPSILON: f64 = 1e-5;
+/// Bytes of one matrix of a block: half a dozen of them stay in a second-level cache of 1 MB.
+const BLOCK_BYTES: usize = 1 << 17;
+
+/// Sizes of a perceptron, and where its parameters stand in its flat vector.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    pub inputs: usize,
+    pub hidden: usize,
+    pub outputs: usize,
+    /// Linear layers, at least 2.
+    pub linears: usize,
+    /// Whether a layer normalisation follows.
+    pub norm: bool,
+}
+
+impl Shape {
+    fn size(&self, k: usize) -> (usize, usize) {
+        let inputs = if k == 0 { self.inputs } else { self.hidden };
+        (inputs, if k + 1 == self.linears { self.outputs } else { self.hidden })
+    }
+
+    /// Where layer k begins.
+    fn layer(&self, k: usize) -> usize {
+        (0..k).map(|k| self.size(k)).map(|(inputs, outputs)| (inputs + 1) * outputs).sum()
+    }
+
+    /// Weight `[in, out]` of layer k.
+    pub fn weight(&self, k: usize) -> Range<usize> {
+        let (inputs, outputs) = self.size(k);
+        let at = self.layer(k);
+        at..at + inputs * outputs
+    }
+
+    pub fn bias(&self, k: usize) -> Range<usize> {
+        let at = self.weight(k).end;
+        at..at + self.size(k).1
+    }
+
+    /// Scale of the normalisation; empty without one.
+    pub fn scale(&self) -> Range<usize> {
+        let at = self.layer(self.linears);
+        at..at + if self.norm { self.outputs } else { 0 }
+    }
+
+    pub fn offset(&self) -> Range<usize> {
+        let at = self.scale().end;
+        at..at + self.scale().len()
+    }
+
+    /// Length of the parameter vector.
+    pub fn parameters(&self) -> usize {
+        self.offset().end
+    }
+
+    /// Names (behind a prefix), places and shapes of the parameters, as PyTorch or haiku would list them.
+    pub fn names(&self) -> Vec<(String, Range<usize>, Vec<usize>)> {
+        let mut names = Vec::new();
+        for k in 0..self.linears {
+            let (inputs, outputs) = self.size(k);
+            names.push((format!("{k}.weight"), self.weight(k), vec![inputs, outputs]));
+            names.push((format!("{k}.bias"), self.bias(k), vec![outputs]));
+        }
+        if self.norm {
+            names.push(("ln.scale".to_owned(), self.scale(), vec![self.outputs]));
+            names.push(("ln.offset".to_owned(), self.offset(), vec![self.outputs]));
+        }
+        names
+    }
+
+    /// Rows that go through together.
+    pub fn block<R>(&self) -> usize {
+        (BLOCK_BYTES / (self.hidden * std::mem::size_of::<R>())).clamp(32, 1024)
+    }
+
+    /// Matrices of hidden activations per row.
+    pub fn kept_hidden(&self) -> usize {
+        (self.linears - 1) * self.hidden
+    }
+}
+
+/// What the forward pass leaves for the adjoint.
+#[derive(Debug)]
+pub struct Kept<R: Real> {
+    /// `[linears - 1, rows, hidden]`: behind each ReLU.
+    hidden: Owned<R>,
+    /// `[rows, outputs]`: normalised, before scale and offset; without normalisation the output.
+    normalised: Owned<R>,
+    /// `[rows]`: 1/sqrt(var + epsilon).
+    inverse: Owned<R>,
+    rows: usize,
+}
+
+impl<R: Real> Kept<R> {
+    pub fn new(memory: &Memory<R>, shape: &Shape, rows: usize) -> Self {
+        Self {
+            hidden: memory.take(rows * shape.kept_hidden()),
+            normalised: memory.take(rows * shape.outputs),
+            inverse: memory.take(if shape.norm { rows } else { 0 }),
+            rows,
+        }
+    }
+
+    pub fn shared(&mut self) -> Layers<'_, R> {
+        Layers {
+            hidden: Shared::new(&mut self.hidden),
+            normalised: Shared::new(&mut self.normalised),
+            inverse: Shared::new(&mut self.inverse),
+            rows: self.rows,
+        }
+    }
+}
+
+/// [`Kept`], written and read by several threads, each its own rows.
+pub struct Layers<'a, R> {
+    hidden: Shared<'a, R>,
+    normalised: Shared<'a, R>,
+    inverse: Shared<'a, R>,
+    rows: usize,
+}
+
+impl<R: Real> Layers<'_, R> {
+    /// Hidden activations of layer k of some rows.
+    ///
+    /// # Safety
+    /// No other thread may access these rows, and no other slice of them may be alive.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    pub unsafe fn hidden(&self, shape: &Shape, k: usize, rows: Range<usize>) -> &mut [R] {
+        let at = k * self.rows;
+        // SAFETY: by the contract.
+        unsafe { self.hidden.slice((at + rows.start) * shape.hidden..(at + rows.end) * shape.hidden) }
+    }
+
+    /// Normalised rows.
+    ///
+    /// # Safety
+    /// As for `hidden`.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    pub unsafe fn normalised(&self, shape: &Shape, rows: Range<usize>) -> &mut [R] {
+        // SAFETY: by the contract.
+        unsafe { self.normalised.slice(rows.start * shape.outputs..rows.end * shape.outputs) }
+    }
+
+    /// # Safety
+    /// As for `hidden`.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    unsafe fn inverse(&self, shape: &Shape, rows: Range<usize>) -> &mut [R] {
+        // SAFETY: by the contract.
+        unsafe { self.inverse.slice(if shape.norm { rows } else { 0..0 }) }
+    }
+}
+
+/// Sum over a row of f(its numbers, those of another row).
+#[inline(always)]
+fn row_sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::Real {
+    let mut sum = L::zero();
+    let whole = a.len() / L::COUNT * L::COUNT;
+    assert!(b.len() >= a.len());
+    for at in (0..whole).step_by(L::COUNT) {
+        // SAFETY: COUNT numbers are there in both.
+        sum += unsafe { f(L::load(a.as_ptr().add(at)), L::load(b.as_ptr().add(at))) };
+    }
+    if whole < a.len() {
+        // Lanes behind the end are taken out again: f need not be 0 there.
+        let mut lanes = [L::Real::default(); crate::lanes::WIDEST];
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { f(L::load_part(&a[whole..]), L::load_part(&b[whole..a.len()])).store(lanes.as_mut_ptr()) };
+        lanes[a.len() - whole..].fill(L::Real::default());
+        sum += L::load_part(&lanes);
+    }
+    sum.sum()
+}
+
+/// rows <- relu(rows + bias).
+#[inline(always)]
+pub fn activate<R: Real>(rows: &mut [R], bias: &[R]) {
+    let zero = R::default();
+    for row in rows.chunks_exact_mut(bias.len()) {
+        for (x, &b) in row.iter_mut().zip(bias) {
+            let sum = *x + b;
+            *x = if sum > zero { sum } else { zero };
+        }
+    }
+}
+
+/// From the activations of the first hidden layer on: fills the further ones and the normalised rows.
+///
+/// # Safety
+/// No other thread may access these rows of `layers`.
+#[inline(always)]
+pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Layers<L::Real>, rows: Range<usize>) {
+    let count = rows.len();
+    for k in 1..shape.linears - 1 {
+        // SAFETY: by the contract; the layers k - 1 and k are different places.
+        let (before, after) =
+            unsafe { (layers.hidden(shape, k - 1, rows.clone()), layers.hidden(shape, k, rows.clone())) };
+        matrix::multiply(after, before, &p[shape.weight(k)], (count, shape.hidden, shape.hidden), false);
+        activate(after, &p[shape.bias(k)]);
+    }
+    let last = shape.linears - 1;
+    // SAFETY: by the contract.
+    let (hidden, z, inverse) = unsafe {
+        (
+            layers.hidden(shape, last - 1, rows.clone()),
+            layers.normalised(shape, rows.clone()),
+            layers.inverse(shape, rows.clone()),
+        )
+    };
+    matrix::multiply(z, hidden, &p[shape.weight(last)], (count, shape.hidden, shape.outputs), false);
+    let bias = &p[shape.bias(last)];
+    let width = L::Real::of(1.0 / shape.outputs as f64);
+    for (r, z) in z.chunks_exact_mut(shape.outputs).enumerate() {
+        for (z, &b) in z.iter_mut().zip(bias) {
+            *z = *z + b;
+        }
+        if shape.norm {
+            let mean = row_sum::<L>(z, z, |z, _| z) * width;
+            let middle = L::splat(mean);
+            let variance = row_sum::<L>(z, z, |z, _| (z - middle) * (z - middle)) * width;
+            let scale = L::Real::of(1.0) / (variance + L::Real::of(EPSILON)).sqrt();
+            inverse[r] = scale;
+            for z in z.iter_mut() {
+                *z = (*z - mean) * scale;
+            }
+        }
+    }
+}
+
+/// Room for the cotangents of a block's hidden layers.
+pub struct Cotangents<R> {
+    pub first: Vec<R>,
+    other: Vec<R>,
+}
+
+impl<R: Real> Cotangents<R> {
+    pub fn new(shape: &Shape, rows: usize) -> Self {
+        let length = rows * shape.hidden;
+        let other = if shape.linears > 2 { length } else { 0 };
+        Self { first: vec![R::default(); length], other: vec![R::default(); other] }
+    }
+}
+
+/// From the cotangent `z_bar` of the output (which is overwritten) back to that of the first layer's sums, which is left in
+/// `room.first`; adds to the gradient `g` of all parameters but the first weight.
+///
+/// # Safety
+/// No other thread may access these rows of `layers`.
+#[inline(always)]
+pub unsafe fn backward_block<L: Lanes>(
+    shape: &Shape,
+    p: &[L::Real],
+    layers: &Layers<L::Real>,
+    rows: Range<usize>,
+    z_bar: &mut [L::Real],
+    g: &mut [L::Real],
+    room: &mut Cotangents<L::Real>,
+) {
+    let count = rows.len();
+    let last = shape.linears - 1;
+    let width = L::Real::of(1.0 / shape.outputs as f64);
+    // SAFETY: by the contract.
+    let (normalised, inverse) =
+        unsafe { (&*layers.normalised(shape, rows.clone()), &*layers.inverse(shape, rows.clone())) };
+    if shape.norm {
+        let scale = &p[shape.scale()];
+        let (scale_bar, offset_bar) = g[shape.scale().start..shape.offset().end].split_at_mut(shape.outputs);
+        for r in 0..count {
+            let row = r * shape.outputs..(r + 1) * shape.outputs;
+            let (y_bar, x) = (&mut z_bar[row.clone()], &normalised[row]);
+            for c in 0..shape.outputs {
+                scale_bar[c] += y_bar[c] * x[c];
+                offset_bar[c] += y_bar[c];
+                y_bar[c] = y_bar[c] * scale[c];
+            }
+            let mean = row_sum::<L>(y_bar, y_bar, |y, _| y) * width;
+            let along = row_sum::<L>(y_bar, x, |y, x| y * x) * width;
+            let inverse = inverse[r];
+            for (y, &x) in y_bar.iter_mut().zip(x) {
+                *y = (*y - mean - x * along) * inverse;
+            }
+        }
+    }
+    add_rows(&mut g[shape.bias(last)], z_bar);
+    for k in (1..=last).rev() {
+        // SAFETY: by the contract.
+        let hidden = unsafe { &*layers.hidden(shape, k - 1, rows.clone()) };
+        let outputs = shape.size(k).1;
+        let length = count * shape.hidden;
+        if k < last {
+            std::mem::swap(&mut room.first, &mut room.other);
+        }
+        let (to, from) = if k == last {
+            (&mut room.first[..length], &*z_bar)
+        } else {
+            (&mut room.first[..length], &room.other[..length])
+        };
+        matrix::add_transposed(&mut g[shape.weight(k)], hidden, from, (shape.hidden, count, outputs));
+        matrix::multiply_by_transposed(to, from, &p[shape.weight(k)], (count, outputs, shape.hidden), false);
+        let zero = L::Real::default();
+        let bias_bar = &mut g[shape.bias(k - 1)];
+        for (to, hidden) in to.chunks_exact_mut(shape.hidden).zip(hidden.chunks_exact(shape.hidden)) {
+            for c in 0..shape.hidden {
+                let bar = if hidden[c] > zero { to[c] } else { zero };
+                to[c] = bar;
+                bias_bar[c] += bar;
+            }
+        }
+    }
+}
+
+/// sum += every row.
+#[inline(always)]
+pub fn add_rows<R: Real>(sum: &mut [R], rows: &[R]) {
+    for row in rows.chunks_exact(sum.len()) {
+        for (sum, &x) in sum.iter_mut().zip(row) {
+            *sum += x;
+        }
+    }
+}
+
+/// How many parts the rows are dealt in: each has its own sum of the parameters' gradients, so the number must not depend
+/// on the threads.
+pub fn parts(rows: usize) -> usize {
+    (rows / 512).clamp(1, 16)
+}
+
+/// Part `k` of `parts` of some rows.
+pub fn part(rows: usize, parts: usize, k: usize) -> Range<usize> {
+    rows * k / parts..rows * (k + 1) / parts
+}
+
+/// Adds up the gradients of the parts, in their order.
+pub fn sum_of_parts<R: Real>(parts: &[R], length: usize) -> Vec<R> {
+    let mut sum = parts[..length].to_vec();
+    for part in parts[length..].chunks_exact(length) {
+        for (sum, &x) in sum.iter_mut().zip(part) {
+            *sum += x;
+        }
+    }
+    sum
+}
+
+/// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
+pub struct Mlp<R: Real> {
+    pub shape: Shape,
+    memory: Memory<R>,
+    kept: Mutex<Option<Kept<R>>>,
+}
+
+impl<R: Real> Mlp<R> {
+    pub fn new(shape: Shape, memory: &Memory<R>) -> Self {
+        Self { shape, memory: memory.clone(), kept: Mutex::new(None) }
+    }
+}
+
+struct Forward<'a, R: Real> {
+    shape: &'a Shape,
+    x: &'a [R],
+    p: &'a [R],
+    layers: Layers<'a, R>,
+    y: Shared<'a, R>,
+    rows: usize,
+    parts: usize,
+}
+
+impl<R: Real> RowKernel<R> for Forward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+        let (shape, p) = (self.shape, self.p);
+        for rows in range.flat_map(|k| blocks(part(self.rows, self.parts, k), shape.block::<R>())) {
+            let size = (rows.len(), shape.inputs, shape.hidden);
+            // SAFETY: each part's rows belong to one iteration.
+            unsafe {
+                let hidden = self.layers.hidden(shape, 0, rows.clone());
+                let x = &self.x[rows.start * shape.inputs..rows.end * shape.inputs];
+                matrix::multiply(hidden, x, &p[shape.weight(0)], size, false);
+                activate(hidden, &p[shape.bias(0)]);
+                forward_block::<L>(shape, p, &self.layers, rows.clone());
+                let y = self.y.slice(rows.start * shape.outputs..rows.end * shape.outputs);
+                let z = &*self.layers.normalised(shape, rows);
+                if shape.norm {
+                    let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
+                    for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
+                        for c in 0..shape.outputs {
+                            y[c] = z[c] * scale[c] + offset[c];
+                        }
+                    }
+                } else {
+                    y.copy_from_slice(z);
+                }
+            }
+        }
+    }
+}
+
+/// A range in blocks.
+#[inline(always)]
+pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<usize>> {
+    let end = range.end;
+    range.step_by(block).map(move |at| at..end.min(at + block))
+}
+
+struct Backward<'a, R: Real> {
+    shape: &'a Shape,
+    x: &'a [R],
+    p: &'a [R],
+    layers: Layers<'a, R>,
+    y_bar: &'a [R],
+    /// Empty if nobody asks for it.
+    x_bar: Shared<'a, R>,
+    wants_x: bool,
+    /// `[parts, P]`.
+    p_bar: Shared<'a, R>,
+    rows: usize,
+    parts: usize,
+}
+
+impl<R: Real> RowKernel<R> for Backward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+        let (shape, p) = (self.shape, self.p);
+        let block = shape.block::<R>();
+        let mut room = Cotangents::new(shape, block);
+        let mut z_bar = vec![R::default(); block * shape.outputs];
+        for k in range {
+            // SAFETY: each part, its rows and its gradient belong to one iteration.
+            let g = unsafe { self.p_bar.slice(k * shape.parameters()..(k + 1) * shape.parameters()) };
+            for rows in blocks(part(self.rows, self.parts, k), block) {
+                let count = rows.len();
+                let bar = &mut z_bar[..count * shape.outputs];
+                bar.copy_from_slice(&self.y_bar[rows.start * shape.outputs..rows.end * shape.outputs]);
+                // SAFETY: as above.
+                unsafe { backward_block::<L>(shape, p, &self.layers, rows.clone(), bar, g, &mut room) };
+                let first = &room.first[..count * shape.hidden];
+                let inputs = rows.start * shape.inputs..rows.end * shape.inputs;
+                let x = &self.x[inputs.clone()];
+                matrix::add_transposed(&mut g[shape.weight(0)], x, first, (shape.inputs, count, shape.hidden));
+                if self.wants_x {
+                    // SAFETY: as above.
+                    let x_bar = unsafe { self.x_bar.slice(inputs) };
+                    let size = (count, shape.hidden, shape.inputs);
+                    matrix::multiply_by_transposed(x_bar, first, &p[shape.weight(0)], size, false);
+                }
+            }
+        }
+    }
+}
+
+impl<R: Real> CustomOp2 for Mlp<R> {
+    fn name(&self) -> &'static str {
+        "mlp"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &CpuStorage,
+        lx: &Layout,
+        p: &CpuStorage,
+        lp: &Layout,
+    ) -> Result<(CpuStorage, candle_core::Shape)> {
+        let shape = &self.shape;
+        let (x, p) = (step::input::<R>(x, lx)?, step::input::<R>(p, lp)?);
+        let rows = x.len() / shape.inputs;
+        let mut kept = Kept::new(&self.memory, shape, rows);
+        let mut y = vec![R::default(); rows * shape.outputs];
+        let parts = parts(rows);
+        let layers = kept.shared();
+        run_rows(&Forward { shape, x, p, layers, y: Shared::new(&mut y), rows, parts }, parts);
+        *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = Some(kept);
+        Ok(step::output(y, (rows, shape.outputs)))
+    }
+
+    fn bwd(&self, x: &Tensor, p: &Tensor, _: &Tensor, y_bar: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let shape = &self.shape;
+        let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
+        let Some(kept) = kept.as_mut() else {
+            candle_core::bail!("mlp: the gradient was asked for without a forward pass")
+        };
+        let rows = kept.rows;
+        let parts = parts(rows);
+        // Features are data more often than not: nobody asks for their gradient then.
+        let wants_x = x.track_op();
+        let mut x_bar = vec![R::default(); if wants_x { rows * shape.inputs } else { 0 }];
+        let mut p_bar = vec![R::default(); parts * shape.parameters()];
+        step::read(&y_bar.contiguous()?, |y_bar| {
+            step::read(x, |x| {
+                step::read(p, |p| {
+                    let (x_bar, p_bar) = (Shared::new(&mut x_bar), Shared::new(&mut p_bar));
+                    let layers = kept.shared();
+                    let pass = Backward { shape, x, p, layers, y_bar, x_bar, wants_x, p_bar, rows, parts };
+                    run_rows(&pass, parts);
+                    Ok(())
+                })
+            })
+        })?;
+        let p_bar = Tensor::from_vec(sum_of_parts(&p_bar, shape.parameters()), shape.parameters(), x.device())?;
+        let x_bar = if wants_x { Some(Tensor::from_vec(x_bar, (rows, shape.inputs), x.device())?) } else { None };
+        Ok((x_bar, Some(p_bar)))
+    }
+}
