@@ -2,4 +2,14 @@
 //!
 //! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
 
+pub mod displacement;
+pub mod evaluate;
+pub mod linear;
+mod load;
+pub mod metrics;
 pub mod predictor;
+pub mod rollout;
+pub mod sinkhorn;
+pub mod still;
+
+pub use load::load_predictor;
