@@ -4,6 +4,8 @@
 
 pub mod adamw;
 pub mod composed;
+pub mod displacement;
+pub mod evaluate;
 pub mod features;
 pub mod gather;
 pub mod gns;
@@ -11,10 +13,18 @@ pub mod graph;
 pub mod integrate;
 pub mod interaction;
 pub mod layer_norm;
+pub mod linear;
+mod load;
 pub mod loss;
 pub mod matrix;
 pub mod memory;
+pub mod metrics;
 pub mod mlp;
 pub mod model;
 pub mod noise;
 pub mod predictor;
+pub mod rollout;
+pub mod sinkhorn;
+pub mod still;
+
+pub use load::load_predictor;

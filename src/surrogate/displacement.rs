@@ -1,0 +1,48 @@
+//! Differences of positions in a box that is periodic in some directions.
+
+use crate::dataset::Metadata;
+
+/// The box of a data set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    /// D.
+    pub dimension: usize,
+    pub low: [f64; 3],
+    pub size: [f64; 3],
+    pub periodic: [bool; 3],
+}
+
+impl Extent {
+    pub fn of(metadata: &Metadata) -> Self {
+        Self {
+            dimension: metadata.dim,
+            low: std::array::from_fn(|d| metadata.bounds.get(d).map_or(0.0, |bounds| bounds[0])),
+            size: metadata.size(),
+            periodic: metadata.periodic(),
+        }
+    }
+
+    /// A difference of coordinates in direction `d`: the shortest one of all images.
+    pub fn shortest(&self, d: usize, difference: f64) -> f64 {
+        match self.periodic[d] {
+            true => difference - self.size[d] * (difference / self.size[d]).round(),
+            false => difference,
+        }
+    }
+
+    /// `to - from`, `[N, D]`.
+    pub fn displacement(&self, to: &[f64], from: &[f64]) -> Vec<f64> {
+        let pairs = to.iter().zip(from).enumerate();
+        pairs.map(|(index, (to, from))| self.shortest(index % self.dimension, to - from)).collect()
+    }
+
+    /// The image of a coordinate that lies in the box, where it is periodic in direction `d`.
+    pub fn wrapped(&self, d: usize, coordinate: f64) -> f64 {
+        if !self.periodic[d] {
+            return coordinate;
+        }
+        let inside = (coordinate - self.low[d]).rem_euclid(self.size[d]);
+        // Just below 0, the remainder rounds to the box's length itself.
+        self.low[d] + if inside < self.size[d] { inside } else { 0.0 }
+    }
+}
