@@ -14,6 +14,23 @@ pub fn stream(seed: u64, purpose: &str) -> ChaCha8Rng {
     rng
 }
 
+/// The stream of one of many: at most 4 bytes of purpose, and its number.
+pub fn numbered(seed: u64, purpose: &str, number: u32) -> ChaCha8Rng {
+    let mut stream = [0; 8];
+    for (to, from) in stream[..4].iter_mut().zip(purpose.bytes()) {
+        *to = from;
+    }
+    stream[4..].copy_from_slice(&number.to_le_bytes());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(u64::from_le_bytes(stream));
+    rng
+}
+
+/// A seed that TOML can hold: 63 bits.
+pub fn new_seed(rng: &mut ChaCha8Rng) -> u64 {
+    rng.next_u64() >> 1
+}
+
 /// Uniform in [0, 1) with 53 bits.
 pub fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64

@@ -5,6 +5,7 @@ mod bench;
 mod check_gradient;
 mod explain;
 mod files;
+mod generate;
 mod guard;
 mod optimize;
 mod prepare;
@@ -13,8 +14,8 @@ mod simulate;
 mod simulate_flow;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments, MemoryArgument,
-    OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GenerateArguments, GradientArguments,
+    MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
 };
 pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};
@@ -26,6 +27,8 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
         Command::Bench(arguments) => bench::run(arguments),
+        Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
+        Command::Merge(arguments) => generate::merge(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }

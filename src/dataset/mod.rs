@@ -2,9 +2,15 @@
 //!
 //! A folder with `train.h5`, `valid.h5`, `test.h5` and `metadata.json`. Each file has one group per trajectory
 //! ("00000", "00001", ...): see [`trajectory`].
+//! `hydrograd generate` makes them: a [`recipe`] says what, [`record`] runs it, [`store`] keeps it.
 
 pub mod metadata;
+pub mod recipe;
+pub mod record;
+pub mod statistics;
+pub mod store;
 pub mod trajectory;
+pub mod walls;
 
 pub use metadata::{Heat, Metadata};
 pub use trajectory::{kind, read_split, Split, Trajectory};

@@ -91,10 +91,16 @@ pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Ve
     let file = open(path, "data set")?;
     let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
     names.sort();
-    names.into_iter().map(|name| read_trajectory(path, &file, metadata, name)).collect()
+    names.into_iter().map(|name| read_trajectory(path, &file, metadata.dim, name)).collect()
 }
 
-fn read_trajectory(path: &Path, file: &hdf5::File, metadata: &Metadata, name: String) -> Result<Trajectory, FileError> {
+/// One trajectory of an open file; `dim` is D.
+pub(super) fn read_trajectory(
+    path: &Path,
+    file: &hdf5::File,
+    dim: usize,
+    name: String,
+) -> Result<Trajectory, FileError> {
     let group = file.group(&name).map_err(failed(path, "open")(&name))?;
     let present = group.member_names().map_err(failed(path, "read")(&name))?;
     for needed in ["position", "particle_type"] {
@@ -111,12 +117,12 @@ fn read_trajectory(path: &Path, file: &hdf5::File, metadata: &Metadata, name: St
             "of shape [T, N, D]",
         ));
     };
-    if dimension != metadata.dim {
+    if dimension != dim {
         return Err(crate::io::hdf5_file::mismatch(
             path,
             &format!("{name}/position"),
             format!("of shape {shape:?}"),
-            &format!("[T, N, {}] as metadata.json says", metadata.dim),
+            &format!("[T, N, {dim}] as metadata.json says"),
         ));
     }
     let nodes = |name: &str| -> Result<Vec<f64>, FileError> {

@@ -49,16 +49,23 @@ pub fn write_dataset<T: H5Type>(
     shape: &[usize],
     values: &[T],
 ) -> Result<(), FileError> {
-    let builder = group.new_dataset::<T>().shape(shape);
-    let builder = if values.is_empty() {
-        // A chunk of no particles is not allowed.
-        builder
-    } else {
-        let mut chunk = shape.to_vec();
-        chunk[0] = chunk[0].min(CHUNK);
-        // Shuffle before deflate: HDF5 refuses the other order.
-        builder.chunk(chunk).shuffle().deflate(4)
-    };
+    let mut chunk = shape.to_vec();
+    chunk[0] = chunk[0].min(CHUNK);
+    write_chunked(path, group, name, shape, &chunk, values)
+}
+
+/// The same in chunks of a shape. No time of writing is stored: equal values give equal bytes.
+pub fn write_chunked<T: H5Type>(
+    path: &Path,
+    group: &hdf5::Group,
+    name: &str,
+    shape: &[usize],
+    chunk: &[usize],
+    values: &[T],
+) -> Result<(), FileError> {
+    let builder = group.new_dataset::<T>().shape(shape).obj_track_times(false);
+    // A chunk of no particles is not allowed. Shuffle before deflate: HDF5 refuses the other order.
+    let builder = if values.is_empty() { builder } else { builder.chunk(chunk).shuffle().deflate(4) };
     builder.create(name).and_then(|dataset| dataset.write_raw(values)).map_err(failed(path, "write")(name))
 }
 

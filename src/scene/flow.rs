@@ -108,6 +108,17 @@ impl<R: Real> Flow<R> {
     }
 }
 
+impl<R: Real> Flow<R> {
+    /// The same particles with nothing that moves them but their disorder.
+    pub fn at_rest(config: &Config) -> Option<Self> {
+        let mut flow = Self::from_config(config)?;
+        let (n, d) = (flow.model.particles(), flow.model.layout.dimension);
+        flow.state[d * n..2 * d * n].fill(R::default());
+        Arc::get_mut(&mut flow.model)?.body_force = BodyForce::None;
+        Some(flow)
+    }
+}
+
 /// What the flow is like after a number of steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlowFigures {

@@ -75,6 +75,11 @@ impl Config {
 }
 
 impl Loaded {
+    /// Where a key was set; none if it has its default.
+    pub fn place(&self, key: &str) -> Option<&str> {
+        self.places.get(key).map(String::as_str)
+    }
+
     /// The same configuration with more settings on top, e.g. each start of `--start all`.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = Merged::new(&self.text, self.places.clone());

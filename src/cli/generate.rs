@@ -1,0 +1,237 @@
+//! `hydrograd generate` and `hydrograd merge`: data sets of trajectories for the surrogate.
+
+use super::files::VERSION;
+use super::prepare::difference;
+use super::{GenerateArguments, MergeArguments};
+use crate::dataset::recipe::{Job, Recipe};
+use crate::dataset::record::record;
+use crate::dataset::store::{Begun, Provenance, Store};
+use crate::dataset::trajectory::Split;
+use crate::error::{BadInput, Error};
+use crate::io::FileError;
+use crate::report::progress::Progress;
+use crate::scene::config::{Config, Precision};
+use crate::scene::load::Loaded;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::Mutex;
+use std::time::Instant;
+
+/// Keys that do not change what is in a data set.
+const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
+
+/// A share of the trajectories: those whose number is `index` modulo `count`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// From 0.
+    pub index: usize,
+    pub count: usize,
+}
+
+pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
+    let recipe = arguments.recipe(&loaded)?;
+    recipe.check(&loaded)?;
+    let shard = arguments.shard()?;
+    // What is wrong with one trajectory's configuration is wrong before anything is written.
+    recipe.ready(&loaded, Job { split: Split::Train, index: 0 })?;
+    let folder = arguments.folder(&loaded)?;
+    let store = Store::new(&folder);
+    check_same(&store, &loaded, &recipe)?;
+    let jobs = recipe.jobs();
+    if store.is_complete() {
+        println!("{} is complete: {} trajectories", folder.display(), jobs.len());
+        return Ok(());
+    }
+    if store.begun()?.is_none() {
+        store.begin(&loaded.text, &Begun { recipe: recipe.clone(), version: VERSION.into() })?;
+    }
+    std::fs::create_dir_all(store.parts()).map_err(|source| FileError::write(&store.parts(), source))?;
+    let mine: Vec<Job> =
+        jobs.iter().enumerate().filter(|(k, _)| k % shard.count == shard.index).map(|(_, job)| *job).collect();
+    let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
+    let clock = Instant::now();
+    let workers = make(&store, &loaded, &recipe, &todo)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    println!(
+        "{} trajectories made in {seconds:.1} s by {workers} workers ({:.2} s of a worker each), {} kept from before",
+        todo.len(),
+        seconds * workers as f64 / todo.len().max(1) as f64,
+        mine.len() - todo.len(),
+    );
+    let pace = recipe.pace(&loaded.config);
+    println!(
+        "{} frames each, {:.5} apart: {} steps of {:.3e} ({} reference steps of {:.3e})",
+        recipe.frames,
+        pace.every as f64 * pace.dt,
+        pace.every,
+        pace.dt,
+        recipe.every,
+        pace.reference
+    );
+    let missing = store.missing(&recipe).len();
+    if missing > 0 && !store.is_complete() {
+        println!("{missing} of {} trajectories are left to other shards; the last one merges", jobs.len());
+        println!("next: hydrograd merge {}    if none does", folder.display());
+        return Ok(());
+    }
+    finish(&store, &loaded.config, &recipe)
+}
+
+/// `hydrograd merge DIR`.
+pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
+    let store = Store::new(&arguments.folder);
+    let Some(begun) = store.begun()? else {
+        return Err(BadInput::new(format!("no file {}", store.begun_path().display()))
+            .place(arguments.folder.display().to_string())
+            .allowed("the --out of `hydrograd generate`")
+            .into());
+    };
+    let config = Config::load(Some(&store.config_path().to_string_lossy()), None, &[])?.config;
+    finish(&store, &config, &begun.recipe)
+}
+
+fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()> {
+    store.merge(config, recipe)?;
+    let size = |split: Split| std::fs::metadata(split.path(&store.folder)).map_or(0, |file| file.len());
+    let sizes: Vec<String> =
+        Split::ALL.iter().map(|&s| format!("{} {:.1} MB", s.name(), size(s) as f64 / 1e6)).collect();
+    println!("files in {}: train.h5, valid.h5, test.h5, metadata.json ({})", store.folder.display(), sizes.join(", "));
+    println!("next: hydrograd dataset inspect {}", store.folder.display());
+    Ok(())
+}
+
+/// An error if the folder was begun with something else, or holds something else.
+fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Error> {
+    let folder = store.folder.display();
+    let place = format!("--out {folder}");
+    let other = |what: String| {
+        BadInput::new(format!("the folder was begun with {what}"))
+            .place(&place)
+            .allowed("the same scene, settings, seed, trajectories, frames, every, skip, relax and walls; shards and threads may differ")
+            .advice("another --out, or remove the folder")
+    };
+    let Some(begun) = store.begun()? else {
+        if Split::ALL.iter().any(|split| split.path(&store.folder).exists()) {
+            return Err(BadInput::new("the folder holds a data set that `hydrograd generate` did not make")
+                .place(&place)
+                .allowed("a new folder, or one that `hydrograd generate` began")
+                .advice("another --out")
+                .into());
+        }
+        return Ok(());
+    };
+    let theirs = Config::load(Some(&store.config_path().to_string_lossy()), None, &[])?.config;
+    if let Some(what) = difference(&theirs, &loaded.config, &FREE) {
+        return Err(other(what).into());
+    }
+    let object = |recipe: &Recipe| serde_json::to_value(recipe).unwrap_or_default();
+    let (before, now) = (object(&begun.recipe), object(recipe));
+    for (key, value) in before.as_object().into_iter().flatten() {
+        if now.get(key) != Some(value) {
+            return Err(other(format!("{key} = {value}, not {}", now.get(key).unwrap_or_default())).into());
+        }
+    }
+    if begun.version != VERSION {
+        return Err(other(format!("version {}, not {VERSION}", begun.version)).into());
+    }
+    Ok(())
+}
+
+/// Makes trajectories, each by one of as many workers as there are threads; returns their number.
+fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow::Result<usize> {
+    // Workers share nothing; operators that shared them would only wait for each other.
+    for pool in ["CANDLE_NUM_THREADS", "RAYON_NUM_THREADS"] {
+        std::env::set_var(pool, "1");
+    }
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let workers = if loaded.config.run.threads > 0 { loaded.config.run.threads } else { cores };
+    let workers = workers.min(jobs.len()).max(1);
+    let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
+    let (next, stop, error) = (AtomicUsize::new(0), AtomicBool::new(false), Mutex::new(None));
+    let work = || {
+        while !stop.load(Ordering::Relaxed) {
+            let Some(&job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+            if let Err(problem) = one(store, loaded, recipe, job, &bar) {
+                stop.store(true, Ordering::Relaxed);
+                error.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(problem);
+            }
+        }
+    };
+    std::thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
+    bar.finish();
+    match error.into_inner().unwrap_or_else(|e| e.into_inner()) {
+        Some(problem) => Err(problem),
+        None => Ok(workers),
+    }
+}
+
+fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress) -> anyhow::Result<()> {
+    let ready = recipe.ready(loaded, job)?;
+    let progress = || bar.advance(1);
+    let trajectory = match ready.config.run.precision {
+        Precision::F32 => record::<f32>(&ready, &progress)?,
+        Precision::F64 => record::<f64>(&ready, &progress)?,
+    };
+    let provenance = Provenance {
+        configuration: toml::to_string(&ready.config)?,
+        seed: ready.config.run.seed,
+        version: VERSION.into(),
+        wall: ready.wall,
+    };
+    store.write_part(job, &trajectory, &provenance)?;
+    bar.message(job.to_string());
+    Ok(())
+}
+
+impl Shard {
+    pub const ALL: Self = Self { index: 0, count: 1 };
+
+    /// `i/n`, i from 0.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let allowed = || "allowed: I/N with I = 0 ... N - 1, for example 0/4".to_string();
+        let (index, count) = text.split_once('/').ok_or_else(allowed)?;
+        let (index, count) = (index.parse().map_err(|_| allowed())?, count.parse().map_err(|_| allowed())?);
+        if index < count {
+            Ok(Self { index, count })
+        } else {
+            Err(allowed())
+        }
+    }
+
+    /// From Slurm's job array, if the process is in one: `variable` reads an environment variable.
+    pub fn from_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Option<Self>, BadInput> {
+        let Some(task) = variable("SLURM_ARRAY_TASK_ID") else { return Ok(None) };
+        let number = |name: &str, text: Option<String>| -> Result<usize, BadInput> {
+            let shown = text.clone().unwrap_or_else(|| "nothing".into());
+            text.and_then(|text| text.parse().ok()).ok_or_else(|| {
+                BadInput::new(format!("{name} is {shown}"))
+                    .place("environment")
+                    .allowed("a whole number, as Slurm sets it in a job array (sbatch --array=0-9)")
+                    .advice("--shard I/N")
+            })
+        };
+        let optional = |name: &str, usual: usize| variable(name).map_or(Ok(usual), |text| number(name, Some(text)));
+        let count = number("SLURM_ARRAY_TASK_COUNT", variable("SLURM_ARRAY_TASK_COUNT"))?;
+        let task = number("SLURM_ARRAY_TASK_ID", Some(task))?;
+        let (first, step) = (optional("SLURM_ARRAY_TASK_MIN", 0)?, optional("SLURM_ARRAY_TASK_STEP", 1)?);
+        let index = task.saturating_sub(first) / step.max(1);
+        if task < first || index >= count {
+            return Err(BadInput::new(format!(
+                "task {task} of a job array of {count} tasks from {first} in steps of {step}"
+            ))
+            .place("environment")
+            .allowed("an array of evenly spaced tasks (sbatch --array=0-9)")
+            .advice("--shard I/N"));
+        }
+        Ok(Some(Self { index, count }))
+    }
+}
+
+/// `train/valid/test`.
+pub fn parse_trajectories(text: &str) -> Result<[usize; 3], String> {
+    let counts: Vec<usize> = text.split('/').map_while(|part| part.parse().ok()).collect();
+    counts
+        .try_into()
+        .ok()
+        .filter(|_| text.matches('/').count() == 2)
+        .ok_or_else(|| "allowed: TRAIN/VALID/TEST, three whole numbers, for example 100/50/50".to_string())
+}

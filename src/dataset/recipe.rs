@@ -1,0 +1,209 @@
+//! What a data set is made from: a scene, which trajectories of it, and which of their steps are kept.
+//!
+//! `every` and `skip` count reference steps: those of JAX-SPH at its Courant number (0.25 for the heated channel, 0.22
+//! for LagrangeBench's flows), dt_ref = C min(dx/(c + U), dx^2/max(nu, alpha)). The run itself takes the largest steps
+//! that `time.cfl` and `time.diffusion_number` allow and that divide the time between two frames. So frames are the same
+//! physical time apart whatever the time step.
+
+use super::trajectory::Split;
+use super::walls::{wall, Section, Walls};
+use crate::error::{BadInput, Error};
+use crate::random::{new_seed, numbered};
+use crate::scene::config::{Config, Scene};
+use crate::scene::layers::Setting;
+use crate::scene::load::Loaded;
+use crate::scene::shape::default_nodes;
+use serde::{Deserialize, Serialize};
+
+/// Fluid particles' standard deviation from the lattice, in spacings, where a relaxation follows (as LagrangeBench).
+const RELAXED_JITTER: f64 = 0.25;
+
+/// Everything besides the scene's configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Training, validation, test.
+    pub trajectories: [usize; 3],
+    /// T, per trajectory.
+    pub frames: usize,
+    /// Reference steps from frame to frame.
+    pub every: usize,
+    /// Reference steps before the first frame.
+    pub skip: usize,
+    /// Reference steps from a random start to a relaxed one, before time 0; flows only.
+    pub relax: usize,
+    pub walls: Walls,
+}
+
+/// One trajectory of a data set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Job {
+    pub split: Split,
+    /// In its split, from 0.
+    pub index: usize,
+}
+
+/// Steps of a run and what is kept of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Time of a reference step.
+    pub reference: f64,
+    /// Time of a step of the run.
+    pub dt: f64,
+    /// Steps of the run from frame to frame.
+    pub every: usize,
+    /// Steps of the run before the first frame.
+    pub skip: usize,
+    /// All steps.
+    pub total: usize,
+}
+
+/// A trajectory ready to run.
+#[derive(Debug, Clone)]
+pub struct Ready {
+    pub job: Job,
+    /// Its own seed, wall and number of steps.
+    pub config: Config,
+    /// What its wall is called; empty for flows.
+    pub wall: String,
+    /// The configuration that the relaxation runs with, and its steps; none where there is no relaxation.
+    pub relaxation: Option<(Config, usize)>,
+    pub pace: Pace,
+}
+
+impl Recipe {
+    /// What a scene's data set is like unless told otherwise. The heated channel's is the report's; the flows' are
+    /// LagrangeBench's with fewer (and for those that it cuts from one long run, more and shorter) trajectories.
+    pub fn of(scene: Scene) -> Self {
+        let (trajectories, frames, skip, relax) = match scene {
+            Scene::HeatedChannel => ([100, 50, 50], 147, 300, 0),
+            Scene::TaylorGreen => ([20, 10, 10], 126, 0, 5000),
+            Scene::TaylorGreen3d => ([4, 2, 2], 61, 0, 5000),
+            Scene::Poiseuille => ([4, 2, 2], 147, 0, 0),
+        };
+        Self { trajectories, frames, every: 100, skip, relax, walls: Walls::default() }
+    }
+
+    /// An error if the numbers cannot be used with the scene.
+    pub fn check(&self, loaded: &Loaded) -> Result<(), BadInput> {
+        let config = &loaded.config;
+        let bad = |place: &str, problem: String| BadInput::new(problem).place(place);
+        if self.trajectories[0] == 0 {
+            return Err(bad("--trajectories", "there is no training trajectory".into())
+                .allowed("TRAIN/VALID/TEST, at least one for training")
+                .advice("--trajectories 4/2/2"));
+        }
+        let most = 99_999;
+        if let Some(many) = self.trajectories.iter().find(|count| **count > most) {
+            return Err(
+                bad("--trajectories", format!("{many} trajectories")).allowed(format!("at most {most} per split"))
+            );
+        }
+        if self.frames < 3 {
+            return Err(bad("--frames", format!("--frames {} is too few", self.frames))
+                .allowed("at least 3: an acceleration takes three frames"));
+        }
+        if self.every == 0 {
+            return Err(bad("--every", "--every 0: frames would not differ".into()).allowed("at least 1"));
+        }
+        if config.scene.has_design() && self.relax > 0 {
+            return Err(bad("--relax", format!("--relax {}: the heated channel has no relaxation", self.relax))
+                .allowed("0")
+                .advice("a longer --skip"));
+        }
+        if !config.scene.has_design() && self.walls != Walls::default() {
+            let scene = config.scene.built_in().name;
+            return Err(bad("--walls", format!("scene {scene} has no walls to shape"))
+                .allowed("--walls with scene heated-channel only"));
+        }
+        let usual = config.scene.defaults().time;
+        // A preset's length is that of its own runs.
+        let wish = |key: &str| loaded.place(key).is_some_and(|place| !place.starts_with("preset "));
+        if (config.time.steps != usual.steps && wish("time.steps"))
+            || (config.time.end != usual.end && wish("time.end"))
+        {
+            return Err(bad("time.end or time.steps", "the length of a trajectory is given in frames".into())
+                .allowed("--frames, --every, --skip")
+                .advice("leave time.end and time.steps out"));
+        }
+        let steps = self.pace(config).total as f64;
+        if steps > 1e9 {
+            return Err(bad("--frames", format!("a trajectory of {steps:.1e} steps")).allowed("at most 1e9 steps"));
+        }
+        Ok(())
+    }
+
+    /// The steps of a run.
+    pub fn pace(&self, config: &Config) -> Pace {
+        let limits = config.time_step_limits();
+        let courant = match config.scene {
+            Scene::HeatedChannel | Scene::Poiseuille => 0.25,
+            Scene::TaylorGreen => 0.22,
+            // 5e-3 at a spacing of 2 pi/20.
+            Scene::TaylorGreen3d => 0.175,
+        };
+        let longest = (limits.acoustic / config.time.cfl).min(limits.diffusive / config.time.diffusion_number);
+        let reference = courant * longest;
+        let frame = self.every as f64 * reference;
+        let every = (frame / config.time_step_limit() - 1e-9).ceil().max(1.0);
+        let dt = frame / every;
+        let skip = (self.skip as f64 * reference / dt).round();
+        let total = skip + every * (self.frames.max(1) - 1) as f64;
+        Pace { reference, dt, every: every as usize, skip: skip as usize, total: total as usize }
+    }
+
+    /// Every trajectory, split by split.
+    pub fn jobs(&self) -> Vec<Job> {
+        let of = |(split, count): (Split, usize)| (0..count).map(move |index| Job { split, index });
+        Split::ALL.into_iter().zip(self.trajectories).flat_map(of).collect()
+    }
+
+    /// The configuration of one trajectory: it depends on the seed, the split and the index alone.
+    pub fn ready(&self, loaded: &Loaded, job: Job) -> Result<Ready, Error> {
+        let pace = self.pace(&loaded.config);
+        let mut rng = numbered(loaded.config.run.seed, job.split.name(), job.index as u32);
+        let config = &loaded.config;
+        let option = |key: &str, value: String| Setting::option(&format!("trajectory {job}"), key, value);
+        let mut settings = vec![
+            option("run.seed", new_seed(&mut rng).to_string()),
+            // The time step itself.
+            option("time.cfl", format!("{:?}", pace.dt / config.time_step_limits().acoustic * config.time.cfl)),
+            option("time.steps", pace.total.max(1).to_string()),
+        ];
+        let mut name = String::new();
+        if config.scene.has_design() {
+            let (channel, design) = (&config.channel, &config.design);
+            let default = || default_nodes(channel.hot_from, channel.hot_to, config.resolution.dx);
+            let nodes = design.nodes.clone().unwrap_or_else(default);
+            let (hot_from, hot_to, bound) = (channel.hot_from, channel.hot_to, design.bound);
+            let section = Section { nodes: &nodes, hot_from, hot_to, bound };
+            name = "the scene's".into();
+            if let Some((wall, offsets)) = wall(self.walls, job.split, job.index, &mut rng, section) {
+                settings.push(option("design.offsets", format!("{offsets:?}")));
+                name = wall;
+            }
+        }
+        let mut ready = loaded.with(&settings)?.config;
+        // Not part of the result: it must not be part of the file either.
+        ready.run.threads = 0;
+        let relaxation = (self.relax > 0).then(|| {
+            let mut rest = ready.clone();
+            rest.fluid.transport_velocity = 1.0;
+            rest.time.jitter = RELAXED_JITTER;
+            (rest, (self.relax as f64 * pace.reference / pace.dt).ceil() as usize)
+        });
+        Ok(Ready { job, config: ready, wall: name, relaxation, pace })
+    }
+}
+
+impl Job {
+    /// The trajectory's group in its file.
+    pub fn group(&self) -> String {
+        format!("{:05}", self.index)
+    }
+}
+
+impl std::fmt::Display for Job {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "{}-{:05}", self.split.name(), self.index)
+    }
+}

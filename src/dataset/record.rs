@@ -1,0 +1,237 @@
+//! Runs one trajectory of a data set and keeps its frames.
+//!
+//! Positions are written from the lower corner of [`Frame`]'s box, so that they are all within 0 ... size as
+//! LagrangeBench's readers want them; `origin` is where that corner is in the scene.
+
+use super::recipe::Ready;
+use super::trajectory::{kind, Trajectory};
+use crate::adjoint::segments::{Dynamics, Sph};
+use crate::design::diagnostics::start;
+use crate::error::Error;
+use crate::lanes::Real;
+use crate::particles::tag;
+use crate::scene::config::{Config, Scene};
+use crate::scene::flow::Flow;
+use crate::scene::heated_channel::HeatedChannel;
+use crate::scene::shape::Shape;
+use crate::scene::taylor_green::TaylorGreen;
+use crate::solver::{Snapshot, Solver, SolverError};
+use crate::sph::model::Model;
+use std::sync::Arc;
+
+/// The box that holds every particle of a data set, walls included.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    pub dimension: usize,
+    /// Its lower corner in the scene's coordinates.
+    pub origin: [f64; 3],
+    pub size: [f64; 3],
+    pub periodic: [bool; 3],
+    /// Particles written.
+    pub particles: usize,
+}
+
+/// A scene ready to run.
+struct Stage<R> {
+    model: Arc<Model<R>>,
+    start: Snapshot<R>,
+    frame: Frame,
+    /// Particles that are written.
+    kept: Vec<usize>,
+    shape: Option<Shape>,
+}
+
+impl Frame {
+    /// The box of a scene.
+    pub fn of(config: &Config) -> Result<Self, Error> {
+        Ok(stage::<f32>(config)?.frame)
+    }
+}
+
+fn stage<R: Real>(config: &Config) -> Result<Stage<R>, Error> {
+    let dx = config.resolution.dx;
+    if let Some(flow) = Flow::<R>::from_config(config) {
+        let model = flow.model;
+        let mut origin = [0.0; 3];
+        if config.scene == Scene::Poiseuille {
+            origin[1] = flow.state[model.particles()].f64() - 0.5 * dx;
+        }
+        let start = snapshot(&model, flow.state);
+        let kept: Vec<usize> = (0..model.particles()).collect();
+        let (size, periodic, dimension) = (model.domain.size, model.domain.periodic, model.layout.dimension);
+        let frame = Frame { dimension, origin, size, periodic, particles: kept.len() };
+        return Ok(Stage { model, start, frame, kept, shape: None });
+    }
+    let shape = Shape::from_config(config)?;
+    let channel = HeatedChannel::<R>::new(config, &shape);
+    let model = channel.model.clone();
+    // Below the lowest wall's dummy rows.
+    let below = config.channel.wall_rows as f64 * dx + config.design.bound;
+    let size = [model.domain.size[0], model.domain.size[1] + config.design.bound, 1.0];
+    let kept: Vec<usize> = (0..model.particles()).collect();
+    let frame = Frame {
+        dimension: 2,
+        origin: [0.0, -below, 0.0],
+        size,
+        periodic: model.domain.periodic,
+        particles: kept.len(),
+    };
+    Ok(Stage { start: start(&channel, &shape.offsets), model, frame, kept, shape: Some(shape) })
+}
+
+fn snapshot<R: Real>(model: &Model<R>, state: Vec<R>) -> Snapshot<R> {
+    let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
+    Snapshot { step: 0, state, reference }
+}
+
+/// Runs a trajectory; `progress` is called after each frame.
+///
+/// # Errors
+/// The run diverges, or a particle leaves the box.
+pub fn record<R: Real>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<Trajectory> {
+    let config = &ready.config;
+    let mut stage = stage::<R>(config)?;
+    if let Some((rest, steps)) = &ready.relaxation {
+        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, error))?;
+        restart(config, &stage.model, &mut stage.start, &relaxed);
+    }
+    let model = stage.model.clone();
+    let dynamics = Sph { model: model.clone(), kernels: config.run.kernels };
+    let mut solver = dynamics.start(&stage.start).map_err(|error| failed(ready, error))?;
+    let (frames, dimension, n) = (frames(ready), stage.frame.dimension, stage.kept.len());
+    let mut trajectory = Trajectory {
+        name: ready.job.group(),
+        frames,
+        particles: n,
+        position: Vec::with_capacity(frames * n * dimension),
+        kind: stage.kept.iter().map(|&i| kind_of(model.tags[i])).collect(),
+        ..Default::default()
+    };
+    if let Some(shape) = &stage.shape {
+        (trajectory.wall_x, trajectory.wall_offset) = (shape.nodes.clone(), shape.offsets.clone());
+    }
+    let mut temperatures = model.heat.as_ref().map(|heat| {
+        let hot = config.wall.hot_temperature;
+        let set = |&i: &usize| if model.tags[i] == tag::HOT_WALL { hot as f32 } else { f32::NAN };
+        trajectory.wall_temperature = Some(stage.kept.iter().map(set).collect());
+        (vec![heat.reference; model.particles()], Vec::with_capacity(frames * n))
+    });
+    for frame in 0..frames {
+        let until = ready.pace.skip + frame * ready.pace.every;
+        while solver.step < until {
+            dynamics.advance(&mut solver).map_err(|error| failed(ready, error))?;
+        }
+        solver.check_finite().map_err(|error| failed(ready, error))?;
+        write_positions(ready, &stage, &solver, &mut trajectory.position)?;
+        if let Some((last, all)) = &mut temperatures {
+            look_at_temperatures(config, &mut solver, last);
+            all.extend(stage.kept.iter().map(|&i| last[i] as f32));
+        }
+        progress();
+    }
+    trajectory.temperature = temperatures.map(|(_, all)| all);
+    Ok(trajectory)
+}
+
+fn frames(ready: &Ready) -> usize {
+    (ready.pace.total - ready.pace.skip) / ready.pace.every + 1
+}
+
+fn kind_of(tag: u8) -> i32 {
+    match tag {
+        tag::FLUID => kind::FLUID,
+        tag::MOVING_WALL => kind::MOVING_WALL,
+        // A hot wall too: what LagrangeBench does not know it would take for a rigid body.
+        _ => kind::SOLID_WALL,
+    }
+}
+
+/// Appends the positions `[N, D]` of a frame.
+fn write_positions<R: Real>(
+    ready: &Ready,
+    stage: &Stage<R>,
+    solver: &Solver<R>,
+    to: &mut Vec<f32>,
+) -> Result<(), Error> {
+    let (n, frame) = (stage.model.particles(), &stage.frame);
+    for &i in &stage.kept {
+        for d in 0..frame.dimension {
+            let x = solver.state[d * n + i].f64() - frame.origin[d];
+            if !(0.0..=frame.size[d]).contains(&x) {
+                return Err(Error::run(
+                    format!(
+                        "{}: particle {i} left the box in step {}: {:?} = {x}",
+                        ready.job,
+                        solver.step,
+                        ["x", "y", "z"][d]
+                    ),
+                    "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)",
+                ));
+            }
+            // Rounded to f32, a place just below a period's end is the end itself.
+            let x = x as f32;
+            to.push(if frame.periodic[d] && x >= frame.size[d] as f32 { 0.0 } else { x });
+        }
+    }
+    Ok(())
+}
+
+/// Temperatures `[N]` of the present state. Walls of set temperature have that one; others what the solver extrapolates
+/// to them, and where no fluid is in reach the last that they had.
+fn look_at_temperatures<R: Real>(config: &Config, solver: &mut Solver<R>, last: &mut [f64]) {
+    solver.look();
+    let model = solver.model.clone();
+    let (n, Some(heat)) = (model.particles(), &model.heat) else { return };
+    let row = model.layout.primitive_temperature() * n;
+    let now = |i: usize| solver.primitives[row + i].f64() + heat.reference;
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for i in (0..n).filter(|&i| model.is_fluid(i)) {
+        last[i] = now(i);
+        (low, high) = (low.min(last[i]), high.max(last[i]));
+    }
+    // Averages are between the fluid's temperatures; an average of nothing is not.
+    let slack = 1e-5 * (high - low);
+    for i in (0..n).filter(|&i| !model.is_fluid(i)) {
+        if model.tags[i] == tag::HOT_WALL {
+            last[i] = config.wall.hot_temperature;
+        } else if (low - slack..=high + slack).contains(&now(i)) {
+            last[i] = now(i);
+        }
+    }
+}
+
+/// Positions `[D, N]` after a run from rest without forces: disordered and evenly spread.
+fn relaxed<R: Real>(config: &Config, steps: usize) -> Result<Vec<R>, SolverError> {
+    let Some(flow) = Flow::<R>::at_rest(config) else { return Ok(Vec::new()) };
+    let dynamics = Sph { model: flow.model.clone(), kernels: config.run.kernels };
+    let mut solver = dynamics.start(&snapshot(&flow.model, flow.state))?;
+    for _ in 0..steps {
+        dynamics.advance(&mut solver)?;
+    }
+    solver.check_finite()?;
+    Ok(solver.state[..flow.model.layout.dimension * flow.model.particles()].to_vec())
+}
+
+/// The start of a flow with the fluid at other places, and the velocity that it starts with there.
+fn restart<R: Real>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, position: &[R]) {
+    let (n, l) = (model.particles(), model.layout);
+    let vortices = TaylorGreen { dimension: l.dimension, ..Default::default() };
+    for i in (0..n).filter(|&i| model.is_fluid(i)) {
+        for d in 0..l.dimension {
+            start.state[d * n + i] = position[d * n + i];
+        }
+        if matches!(config.scene, Scene::TaylorGreen | Scene::TaylorGreen3d) {
+            let place = std::array::from_fn(|d| if d < l.dimension { position[d * n + i].f64() } else { 0.0 });
+            let velocity = vortices.start(place);
+            for d in 0..l.dimension {
+                start.state[(l.velocity() + d) * n + i] = R::of(velocity[d]);
+            }
+        }
+    }
+    start.reference = Arc::new(start.state[..l.dimension * n].to_vec());
+}
+
+fn failed(ready: &Ready, error: SolverError) -> anyhow::Error {
+    let advice = "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)";
+    Error::run(format!("{}: {error}", ready.job), advice).into()
+}

@@ -1,0 +1,259 @@
+//! The files of a data set while it is made: one per finished trajectory in `parts/`, and the merge of them.
+
+use super::metadata::{Heat, Metadata};
+use super::recipe::{Job, Recipe};
+use super::record::Frame;
+use super::statistics::Statistics;
+use super::trajectory::{read_trajectory, Split, Trajectory};
+use crate::error::{BadInput, Error};
+use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
+use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
+use crate::io::FileError;
+use crate::scene::config::{BodyForceRegion, Config};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Frames per compressed chunk: a window of a few frames is read without the rest.
+const CHUNK: usize = 8;
+
+/// Where a trajectory comes from, as attributes of its group.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Provenance {
+    /// TOML: `hydrograd simulate` runs it again.
+    pub configuration: String,
+    pub seed: u64,
+    /// Of this program.
+    pub version: String,
+    /// What the wall is called; empty where there is none to shape.
+    pub wall: String,
+}
+
+/// `generate.json`: what a folder was begun with, beside `config.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Begun {
+    #[serde(flatten)]
+    pub recipe: Recipe,
+    pub version: String,
+}
+
+/// A folder with a data set, finished or not.
+#[derive(Debug, Clone)]
+pub struct Store {
+    pub folder: PathBuf,
+}
+
+impl Store {
+    pub fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_path_buf() }
+    }
+
+    pub fn config_path(&self) -> PathBuf {
+        self.folder.join("config.toml")
+    }
+
+    pub fn begun_path(&self) -> PathBuf {
+        self.folder.join("generate.json")
+    }
+
+    pub fn parts(&self) -> PathBuf {
+        self.folder.join("parts")
+    }
+
+    pub fn part(&self, job: Job) -> PathBuf {
+        self.parts().join(format!("{job}.h5"))
+    }
+
+    /// Whether the data set is merged. `metadata.json` is written last.
+    pub fn is_complete(&self) -> bool {
+        self.folder.join("metadata.json").is_file() && Split::ALL.iter().all(|split| split.path(&self.folder).is_file())
+    }
+
+    /// What the folder was begun with, if it was.
+    pub fn begun(&self) -> Result<Option<Begun>, BadInput> {
+        let path = self.begun_path();
+        let Ok(text) = std::fs::read_to_string(&path) else { return Ok(None) };
+        serde_json::from_str(&text).map(Some).map_err(|error| {
+            BadInput::new(format!("{} does not load: {error}", path.display()))
+                .allowed("as `hydrograd generate` of this version wrote it")
+                .advice("another --out")
+        })
+    }
+
+    /// Writes what the folder is begun with: `config.toml`, `generate.json`.
+    pub fn begin(&self, configuration: &str, begun: &Begun) -> anyhow::Result<()> {
+        std::fs::create_dir_all(self.parts()).map_err(|source| FileError::write(&self.parts(), source))?;
+        write_bytes_atomically(&self.config_path(), configuration.as_bytes())?;
+        let text = serde_json::to_string_pretty(begun)? + "\n";
+        Ok(write_bytes_atomically(&self.begun_path(), text.as_bytes())?)
+    }
+
+    /// Writes a finished trajectory.
+    pub fn write_part(&self, job: Job, trajectory: &Trajectory, provenance: &Provenance) -> Result<(), FileError> {
+        let path = &self.part(job);
+        write_path_atomically(path, |temporary| {
+            let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
+            write_trajectory(path, &file, trajectory, provenance)?;
+            file.close().map_err(failed(path, "write")("the end of the file"))
+        })
+    }
+
+    fn read_part(&self, job: Job, dimension: usize) -> Result<(Trajectory, Provenance), FileError> {
+        let path = &self.part(job);
+        let file = open(path, "trajectory")?;
+        let name = job.group();
+        let provenance = read_provenance(path, &file.group(&name).map_err(failed(path, "open")("the trajectory"))?)?;
+        Ok((read_trajectory(path, &file, dimension, name)?, provenance))
+    }
+
+    /// Trajectories without a file yet.
+    pub fn missing(&self, recipe: &Recipe) -> Vec<Job> {
+        recipe.jobs().into_iter().filter(|&job| !self.part(job).is_file()).collect()
+    }
+
+    /// Puts the trajectories together: `train.h5`, `valid.h5`, `test.h5`, then `metadata.json`; removes `parts/`.
+    ///
+    /// # Errors
+    /// Trajectories that are missing or damaged; system errors.
+    pub fn merge(&self, config: &Config, recipe: &Recipe) -> anyhow::Result<()> {
+        // Shards that finish together: one merges, the others find it done.
+        let lock_path = self.folder.join("merge.lock");
+        let lock = std::fs::File::create(&lock_path).map_err(|source| FileError::write(&lock_path, source))?;
+        // Where the file system has no locks, shards that finish together write the same bytes.
+        let _ = lock.lock();
+        if !self.is_complete() {
+            let missing = self.missing(recipe);
+            if let Some(first) = missing.first() {
+                return Err(Error::run(
+                    format!("{} of {} trajectories are missing, {first} first", missing.len(), recipe.jobs().len()),
+                    format!("hydrograd generate ... --out {} makes them", self.folder.display()),
+                )
+                .into());
+            }
+            let frame = Frame::of(config)?;
+            let mut metadata = metadata(config, recipe, &frame);
+            let mut statistics = Statistics::default();
+            for split in Split::ALL {
+                let path = &split.path(&self.folder);
+                write_path_atomically(path, |temporary| {
+                    let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
+                    for job in recipe.jobs().into_iter().filter(|job| job.split == split) {
+                        let (trajectory, provenance) = self.read_part(job, frame.dimension)?;
+                        if split == Split::Train {
+                            statistics.add(&metadata, &trajectory);
+                        }
+                        write_trajectory(path, &file, &trajectory, &provenance)?;
+                    }
+                    file.close().map_err(failed(path, "write")("the end of the file"))
+                })?;
+            }
+            statistics.write_to(&mut metadata);
+            metadata.write(&self.folder)?;
+        }
+        // Best effort: the data set is there; what cannot be removed is only in the way.
+        let _ = std::fs::remove_dir_all(self.parts());
+        let _ = std::fs::remove_file(&lock_path);
+        Ok(())
+    }
+}
+
+fn write_trajectory(
+    path: &Path,
+    file: &hdf5::File,
+    trajectory: &Trajectory,
+    provenance: &Provenance,
+) -> Result<(), FileError> {
+    let group = file.create_group(&trajectory.name).map_err(failed(path, "create")(&trajectory.name))?;
+    let (t, n) = (trajectory.frames, trajectory.particles);
+    let (d, frames) = (trajectory.position.len() / (t * n), t.min(CHUNK));
+    write_chunked(path, &group, "position", &[t, n, d], &[frames, n, d], &trajectory.position)?;
+    write_chunked(path, &group, "particle_type", &[n], &[n], &trajectory.kind)?;
+    if let Some(temperature) = &trajectory.temperature {
+        write_chunked(path, &group, "temperature", &[t, n], &[frames, n], temperature)?;
+    }
+    if let Some(temperature) = &trajectory.wall_temperature {
+        write_chunked(path, &group, "wall_temperature", &[n], &[n], temperature)?;
+    }
+    for (name, values) in [("wall_x", &trajectory.wall_x), ("wall_offset", &trajectory.wall_offset)] {
+        if !values.is_empty() {
+            write_chunked(path, &group, name, &[values.len()], &[values.len()], values)?;
+        }
+    }
+    write_text(path, &group, "configuration", &provenance.configuration)?;
+    write_attribute(path, &group, "seed", &[], &[provenance.seed])?;
+    write_text(path, &group, "version", &provenance.version)?;
+    write_text(path, &group, "wall", &provenance.wall)
+}
+
+/// The provenance of a trajectory's group.
+///
+/// # Errors
+/// An attribute is missing: the data set was not made by `hydrograd generate`.
+pub fn read_provenance(path: &Path, group: &hdf5::Group) -> Result<Provenance, FileError> {
+    Ok(Provenance {
+        configuration: read_text(path, group, "configuration")?,
+        seed: read_number(path, group, "seed")?,
+        version: read_text(path, group, "version")?,
+        wall: read_text(path, group, "wall")?,
+    })
+}
+
+/// Metadata without statistics.
+fn metadata(config: &Config, recipe: &Recipe, frame: &Frame) -> Metadata {
+    let (d, dx, pace) = (frame.dimension, config.resolution.dx, recipe.pace(config));
+    let (fluid, channel) = (&config.fluid, &config.channel);
+    let heated = config.scene.has_design();
+    let serde_json::Value::Object(other) = json!({
+        "case": config.scene.built_in().name,
+        "solver": "SPH",
+        "density_evolution": false,
+        "is_bc_trick": true,
+        "free_slip": false,
+        "artificial_alpha": 0.0,
+        "viscosity": if heated { fluid.viscosity } else { 1.0 / config.flow.reynolds },
+        "p_bg_factor": fluid.background_pressure_factor,
+        "t_end": pace.reference * (recipe.every * (recipe.frames - 1)) as f64,
+        "sequence_length_train": recipe.frames - 1,
+        "num_trajs_train": recipe.trajectories[0],
+        "sequence_length_test": recipe.frames - 1,
+        "num_trajs_test": recipe.trajectories[2],
+        "num_trajs_valid": recipe.trajectories[1],
+        "skipped_steps": recipe.skip,
+        "solver_dt": pace.dt,
+        "solver_steps_per_frame": pace.every,
+        "origin": frame.origin[..d],
+        "force_everywhere": fluid.body_force_region == BodyForceRegion::Fluid,
+        "seed": config.run.seed,
+        "version": env!("CARGO_PKG_VERSION"),
+    }) else {
+        unreachable!("a JSON object")
+    };
+    Metadata {
+        dim: d,
+        dx,
+        dt: pace.reference,
+        write_every: recipe.every,
+        num_particles_max: frame.particles,
+        periodic_boundary_conditions: frame.periodic[..d].to_vec(),
+        bounds: (0..d).map(|k| [0.0, frame.size[k]]).collect(),
+        default_connectivity_radius: 1.45 * dx,
+        vel_mean: vec![0.0; d],
+        vel_std: vec![1.0; d],
+        acc_mean: vec![0.0; d],
+        acc_std: vec![1.0; d],
+        heat: heated.then(|| Heat {
+            temperature_mean: 0.0,
+            temperature_std: 1.0,
+            change_mean: 0.0,
+            change_std: 1.0,
+            inlet_length: channel.inlet_length,
+            inlet_temperature: fluid.inlet_temperature,
+            target_x: config.objective.target_x,
+            diffusivity: config.thermal_diffusivity(),
+            conductivity: fluid.conductivity,
+            heat_capacity: fluid.heat_capacity,
+            outlet_length: channel.outlet_length,
+        }),
+        other,
+    }
+}

@@ -1,0 +1,195 @@
+//! Wall shapes of a data set of the heated channel: the report's ten functions and two random families.
+//!
+//! With s = (x - hot_from) / (hot_to - hot_from) and an amplitude A up to `design.bound`; all keep |offset| <= bound and
+//! the slope between nodes within [`MAX_SLOPE`] (functions that are steeper are scaled down).
+
+use super::trajectory::Split;
+use crate::random::{uniform, Normal};
+use crate::scene::shape::MAX_SLOPE;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+/// Which walls the trajectories get.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Walls {
+    /// A third each of report, columns and smooth, in turns.
+    #[default]
+    Mix,
+    /// The report's ten functions in turns: flat, uniform, four sines, three cosines, linear.
+    Report,
+    /// Random: every node uniform within the limits.
+    Columns,
+    /// Random: sums of a few waves.
+    Smooth,
+    /// The scene's own design: design.shape, design.offsets or design.file.
+    Scene,
+}
+
+/// One of the report's functions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Function {
+    Flat,
+    Uniform,
+    /// A sin(2 pi k s), k periods.
+    Sine(f64),
+    Cosine(f64),
+    /// From -A to A.
+    Linear,
+}
+
+const REPORT: [Function; 10] = [
+    Function::Flat,
+    Function::Uniform,
+    Function::Sine(0.5),
+    Function::Sine(1.0),
+    Function::Sine(2.0),
+    Function::Sine(4.0),
+    Function::Cosine(1.0),
+    Function::Cosine(2.0),
+    Function::Cosine(3.0),
+    Function::Linear,
+];
+
+/// Waves in a smooth random wall; the k-th has k half periods and a deviation of 1/k.
+const WAVES: usize = 6;
+
+/// The hot section and what a wall in it may be.
+#[derive(Debug, Clone, Copy)]
+pub struct Section<'a> {
+    /// Increasing, at least one.
+    pub nodes: &'a [f64],
+    pub hot_from: f64,
+    pub hot_to: f64,
+    /// |offset| <= bound.
+    pub bound: f64,
+}
+
+/// The wall of a trajectory: what it is called, and its offsets at the nodes. None for [`Walls::Scene`].
+pub fn wall(
+    walls: Walls,
+    split: Split,
+    index: usize,
+    rng: &mut ChaCha8Rng,
+    section: Section,
+) -> Option<(String, Vec<f64>)> {
+    let (family, turn) = match walls {
+        Walls::Mix => ([Walls::Report, Walls::Columns, Walls::Smooth][index % 3], index / 3),
+        one => (one, index),
+    };
+    let bound = section.bound;
+    match family {
+        Walls::Report => {
+            let function = REPORT[turn % REPORT.len()];
+            // The first ten of the training split are the report's own; others have an amplitude of their own.
+            let share = 0.25 + 0.75 * uniform(rng);
+            let sign = if uniform(rng) < 0.5 { -1.0 } else { 1.0 };
+            let own = split == Split::Train && turn < REPORT.len();
+            let amplitude = if own { bound } else { sign * share * bound };
+            Some(section.function(function, amplitude))
+        }
+        Walls::Columns => Some(("columns".into(), section.columns(rng))),
+        Walls::Smooth => {
+            let amplitude = (0.2 + 0.8 * uniform(rng)) * bound;
+            let mut normal = Normal::new(rng.clone());
+            let level = normal.next();
+            let waves: Vec<[f64; 2]> =
+                (1..=WAVES).map(|k| [normal.next() / k as f64, normal.next() / k as f64]).collect();
+            let mut offsets = section.sample(|s| {
+                let wave = |(k, [a, b]): (usize, &[f64; 2])| {
+                    let (sin, cos) = (PI * (k + 1) as f64 * s).sin_cos();
+                    a * sin + b * cos
+                };
+                level + waves.iter().enumerate().map(wave).sum::<f64>()
+            });
+            let highest = offsets.iter().fold(0.0_f64, |high, offset| high.max(offset.abs()));
+            if highest > 0.0 {
+                offsets.iter_mut().for_each(|offset| *offset = (*offset * amplitude / highest).clamp(-bound, bound));
+            }
+            Some((format!("smooth, amplitude {amplitude:.4}"), section.gentle(offsets)))
+        }
+        Walls::Mix | Walls::Scene => None,
+    }
+}
+
+impl Section<'_> {
+    fn sample(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        self.nodes.iter().map(|x| f((x - self.hot_from) / (self.hot_to - self.hot_from))).collect()
+    }
+
+    fn function(&self, function: Function, amplitude: f64) -> (String, Vec<f64>) {
+        let (name, offsets) = match function {
+            Function::Flat => return ("flat".into(), self.sample(|_| 0.0)),
+            Function::Uniform => ("uniform".into(), self.sample(|_| amplitude)),
+            Function::Sine(periods) => {
+                (format!("sine, {periods} periods"), self.sample(|s| amplitude * (TAU * periods * s).sin()))
+            }
+            Function::Cosine(periods) => {
+                (format!("cosine, {periods} periods"), self.sample(|s| amplitude * (TAU * periods * s).cos()))
+            }
+            Function::Linear => ("linear".into(), self.sample(|s| amplitude * (2.0 * s - 1.0))),
+        };
+        (format!("{name}, amplitude {amplitude:.4}"), self.gentle(offsets))
+    }
+
+    /// Scaled down until no step is too steep.
+    fn gentle(&self, mut offsets: Vec<f64>) -> Vec<f64> {
+        let steps = offsets.windows(2).zip(self.nodes.windows(2));
+        let steepness = |(o, x): (&[f64], &[f64])| (o[1] - o[0]).abs() / (MAX_SLOPE * (x[1] - x[0]));
+        let worst = steps.map(steepness).fold(1.0, f64::max);
+        offsets.iter_mut().for_each(|offset| *offset /= worst);
+        offsets
+    }
+
+    /// Node after node uniform in what the bound and the node before allow.
+    fn columns(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
+        let mut offsets: Vec<f64> = Vec::with_capacity(self.nodes.len());
+        for (i, x) in self.nodes.iter().enumerate() {
+            let (mut low, mut high) = (-self.bound, self.bound);
+            if i > 0 {
+                let reach = MAX_SLOPE * (x - self.nodes[i - 1]);
+                low = low.max(offsets[i - 1] - reach);
+                high = high.min(offsets[i - 1] + reach);
+            }
+            offsets.push(low + (high - low) * uniform(rng));
+        }
+        offsets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::numbered;
+    use crate::scene::shape::{default_nodes, Shape};
+
+    #[test]
+    fn every_wall_is_within_the_limits() {
+        for (bound, dx) in [(0.02, 0.02), (0.06, 0.02), (0.0, 0.02), (0.1, 0.01)] {
+            let nodes = default_nodes(0.25, 0.75, dx);
+            let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound };
+            for walls in [Walls::Mix, Walls::Report, Walls::Columns, Walls::Smooth] {
+                for index in 0..60 {
+                    let mut rng = numbered(3, "wall", index);
+                    let (name, offsets) = wall(walls, Split::Valid, index as usize, &mut rng, section).unwrap();
+                    let shape = Shape::new(nodes.clone(), offsets, 0.25, 0.75).unwrap();
+                    shape.check_bound(bound).unwrap_or_else(|bad| panic!("{name}: {bad}"));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_report_s_functions_are_ten() {
+        let nodes = default_nodes(0.25, 0.75, 0.02);
+        let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound: 0.02 };
+        let all: Vec<Vec<f64>> = (0..10)
+            .map(|i| wall(Walls::Report, Split::Train, i, &mut numbered(0, "wall", 0), section).unwrap().1)
+            .collect();
+        for (i, one) in all.iter().enumerate() {
+            assert!(all[..i].iter().all(|other| other != one), "function {i} comes twice");
+        }
+        assert!(all[0].iter().all(|o| *o == 0.0) && all[1].iter().all(|o| *o == 0.02));
+    }
+}
