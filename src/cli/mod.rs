@@ -12,10 +12,12 @@ mod prepare;
 mod scenes;
 mod simulate;
 mod simulate_flow;
+mod train;
 
 pub use arguments::{
     CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GenerateArguments, GradientArguments,
     MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+    TrainArguments,
 };
 pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};
@@ -26,6 +28,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
+        Command::Train(arguments) => train::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),

@@ -9,8 +9,13 @@ use crate::scene::shape::Shape;
 
 /// Sets the number of worker threads. Must come before the first operator: candle's pools read it once.
 pub fn set_threads(config: &Config) {
-    if config.run.threads > 0 {
-        let threads = config.run.threads.to_string();
+    use_threads(config.run.threads);
+}
+
+/// [`set_threads`] by number; 0 takes every core.
+pub fn use_threads(threads: usize) {
+    if threads > 0 {
+        let threads = threads.to_string();
         std::env::set_var("CANDLE_NUM_THREADS", &threads);
         std::env::set_var("RAYON_NUM_THREADS", &threads);
     }

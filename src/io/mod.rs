@@ -6,6 +6,7 @@ mod error;
 pub mod hdf5_file;
 pub mod state_file;
 pub mod tensor_file;
+pub mod tensorboard;
 pub mod vtk;
 
 pub use error::FileError;

@@ -55,6 +55,21 @@ impl Normalisation {
     }
 }
 
+impl Normalisation {
+    /// No means and one scale for all directions: a turned flow is then normalised to the turned numbers.
+    pub fn make_isotropic(&mut self) {
+        for (mean, scale) in [
+            (&mut self.velocity_mean, &mut self.velocity_scale),
+            (&mut self.acceleration_mean, &mut self.acceleration_scale),
+        ] {
+            let square: f64 = mean.iter().zip(scale.iter()).map(|(m, s)| m * m + s * s).sum();
+            let root = (square / mean.len() as f64).sqrt();
+            mean.fill(0.0);
+            scale.fill(root);
+        }
+    }
+}
+
 /// Which features there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

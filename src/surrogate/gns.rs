@@ -12,7 +12,7 @@ use candle_core::{DType, Result, Tensor};
 use std::sync::Arc;
 
 /// Sizes of a network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Sizes {
     /// Node features without the embedding.
     pub node_features: usize,

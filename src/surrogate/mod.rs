@@ -3,8 +3,11 @@
 //! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
 
 pub mod adamw;
+pub mod checkpoint;
 pub mod composed;
+pub mod conduction;
 pub mod displacement;
+pub mod egnn;
 pub mod evaluate;
 pub mod features;
 pub mod gather;
@@ -13,6 +16,7 @@ pub mod graph;
 pub mod integrate;
 pub mod interaction;
 pub mod layer_norm;
+pub mod learned;
 pub mod linear;
 mod load;
 pub mod loss;
@@ -24,7 +28,11 @@ pub mod model;
 pub mod noise;
 pub mod predictor;
 pub mod rollout;
+pub mod samples;
+pub mod settings;
+pub mod setup;
 pub mod sinkhorn;
 pub mod still;
+pub mod train;
 
 pub use load::load_predictor;

@@ -74,7 +74,7 @@ pub fn history(
 }
 
 /// A line with markers while these are few.
-fn curve(drawing: &mut Drawing, frame: &Frame, points: &[Point], series: usize) {
+pub(super) fn curve(drawing: &mut Drawing, frame: &Frame, points: &[Point], series: usize) {
     let marked = points.len() <= 60;
     for line in frame.map_lines(points) {
         drawing.line(line.clone(), colors::series(series), 2.0);
@@ -87,7 +87,7 @@ fn curve(drawing: &mut Drawing, frame: &Frame, points: &[Point], series: usize) 
 }
 
 /// Entries side by side above a panel, middle line at `y`.
-fn legend_row(drawing: &mut Drawing, (left, y): Point, entries: &[Entry]) {
+pub(super) fn legend_row(drawing: &mut Drawing, (left, y): Point, entries: &[Entry]) {
     let mut x = left;
     for entry in entries {
         let single = std::slice::from_ref(entry);

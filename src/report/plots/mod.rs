@@ -9,9 +9,11 @@ mod drawing;
 mod history;
 mod legend;
 mod temperature;
+mod training;
 mod wall_shapes;
 
 pub use compare::compare;
 pub use history::{history, HistoryPoint};
 pub use temperature::{temperature_particles, TemperaturePanel};
+pub use training::{training_curves, TrainingCurves};
 pub use wall_shapes::wall_shapes;

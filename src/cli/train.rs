@@ -1,0 +1,165 @@
+//! `hydrograd train`: a surrogate from a data set.
+
+use super::arguments::TrainArguments;
+use super::prepare::use_threads;
+use crate::dataset::{read_split, Metadata, Split};
+use crate::error::BadInput;
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::surrogate::settings::Settings;
+use crate::surrogate::setup::Setup;
+use crate::surrogate::train::{fresh, read_rows, Training};
+use crate::surrogate::{checkpoint, rollout};
+use candle_core::DType;
+use std::path::Path;
+use std::sync::Arc;
+
+pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
+    let mut sets = arguments.sets.clone();
+    sets.extend(arguments.steps.map(|steps| format!("steps={steps}")));
+    sets.extend(arguments.seed.map(|seed| format!("seed={seed}")));
+    let folder = arguments.out.clone();
+    let last = folder.join("last.safetensors");
+    let kept = folder.join("config.toml");
+    let config = match &arguments.config {
+        None if arguments.resume && kept.is_file() => Some(kept.as_path()),
+        given => given.as_deref(),
+    };
+    let settings = Settings::load(config, &sets)?;
+    if arguments.print_config {
+        print!("{}", settings.text());
+        return Ok(());
+    }
+    let Some(data) = &arguments.data else {
+        return Err(BadInput::new("--data is missing")
+            .allowed("the folder of a data set")
+            .advice("--data data/heated")
+            .into());
+    };
+    use_threads(arguments.threads.unwrap_or(0));
+    let metadata = Metadata::read(data).map_err(unreadable(data))?;
+    let setup = Setup::new(&settings, &metadata)?;
+    let header = match arguments.resume {
+        true => Some(checkpoint::read(&last).map_err(|bad| bad.advice("train without --resume to begin"))?),
+        false => None,
+    };
+    if let Some(header) = &header {
+        resumes(&header.settings, &settings, header.setup == setup)?;
+    } else if last.exists() {
+        return Err(BadInput::new(format!("{} holds a training already", folder.display()))
+            .place(format!("--out {}", folder.display()))
+            .allowed("a new folder")
+            .advice("--resume to go on with it, or another --out")
+            .into());
+    }
+    let train = read_split(data, &metadata, Split::Train).map_err(unreadable(data))?;
+    let valid = read_split(data, &metadata, Split::Valid).map_err(unreadable(data))?;
+    if let Some(longest) = valid.iter().max_by_key(|t| t.frames) {
+        rollout::check_length(longest, 0, settings.validation_steps)
+            .map_err(|bad| bad.advice("a smaller --set validation_steps"))?;
+    }
+    let model = setup.model(settings.seed, DType::F32)?;
+    let state = match &header {
+        Some(header) => {
+            header.load_into(&*model, false)?;
+            header.state(&*model)?
+        }
+        None => {
+            if let Some(from) = &arguments.init {
+                let header = checkpoint::read(from)?;
+                if header.setup.sizes != setup.sizes || header.setup.kind != setup.kind {
+                    return Err(BadInput::new(format!(
+                        "the model has sizes {:?}, wanted are {:?}",
+                        header.setup.sizes, setup.sizes
+                    ))
+                    .place(format!("--init {}", from.display()))
+                    .allowed("a model of the same kind and sizes")
+                    .advice("the same --set model.*; both data sets with heat, or --set model.heat=none")
+                    .into());
+                }
+                header.load_into(&*model, true)?;
+            }
+            fresh(&settings, &*model)?
+        }
+    };
+    prepare_output_folder(&folder)?;
+    write_bytes_atomically(&kept, settings.text().as_bytes())?;
+    let step = state.step;
+    let (history, validation) =
+        (read_rows(&folder.join("history.csv"), step)?, read_rows(&folder.join("validation.csv"), step)?);
+    let (history, validation) = if header.is_some() { (history, validation) } else { (Vec::new(), Vec::new()) };
+    let bar = Progress::new(settings.steps, "train");
+    let parameters: usize = model.parameters().iter().map(|p| p.count()).sum();
+    bar.line(&format!("{parameters} parameters, {} training trajectories of {} frames", train.len(), train[0].frames));
+    let mut training = Training {
+        settings: &settings,
+        setup: &setup,
+        metadata: &metadata,
+        train: &train,
+        valid: &valid,
+        model: Arc::from(model),
+        state,
+        folder: folder.clone(),
+        history,
+        validation,
+    };
+    let outcome = training.run(&bar)?;
+    bar.finish();
+
+    let mut table = Table::new(["", "MSE_1", "MSE_5", "MSE_20", "Sinkhorn", "E_kin", "temperature MSE"]);
+    let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3e}"));
+    for (name, scores) in [("last step", &outcome.scores), ("linear", &outcome.linear)] {
+        table.row([
+            name.to_owned(),
+            digits(scores.mse_1),
+            digits(scores.mse_5),
+            digits(scores.mse_20),
+            digits(scores.sinkhorn),
+            digits(scores.e_kin),
+            digits(scores.temperature_mse),
+        ]);
+    }
+    println!("validation, {} windows\n{}", outcome.scores.windows, table.to_text());
+    println!(
+        "{} steps, {:.1} s in all, {:.1} ms per update; best validation at step {}",
+        settings.steps,
+        training.state.seconds,
+        1e3 * outcome.seconds_per_step,
+        outcome.best_step
+    );
+    println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
+    println!(
+        "next: hydrograd evaluate --model {} --data {} --split test",
+        folder.join("best.safetensors").display(),
+        data.display()
+    );
+    Ok(())
+}
+
+/// A data set that cannot be read is bad input.
+fn unreadable(data: &Path) -> impl Fn(crate::io::FileError) -> BadInput + '_ {
+    move |error| {
+        BadInput::new(error.to_string())
+            .place(format!("--data {}", data.display()))
+            .allowed("a folder with train.h5, valid.h5 and metadata.json")
+            .advice("hydrograd generate makes one")
+    }
+}
+
+/// An error if the settings differ in more than how long to go on and how often to say so.
+fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), BadInput> {
+    let mut same = now.clone();
+    same.steps = before.steps;
+    same.log_every = before.log_every;
+    same.validate_every = before.validate_every;
+    same.store_every = before.store_every;
+    same.validation_windows = before.validation_windows;
+    same.validation_steps = before.validation_steps;
+    if same == *before && same_setup {
+        return Ok(());
+    }
+    Err(BadInput::new("the settings, or the data, differ from those that the training began with")
+        .allowed("the same but for steps, log_every, validate_every, store_every and validation_*")
+        .advice("begin anew in another --out; --init takes over the parameters"))
+}

@@ -1,0 +1,121 @@
+//! TensorBoard event files: scalars by step.
+//!
+//! The format (TensorFlow's tfevents): records of length (u64), masked CRC-32C of the length, data, masked CRC-32C of the
+//! data, all little-endian; data are protocol buffers `Event { wall_time: double = 1, step: int64 = 2, file_version:
+//! string = 3, summary: Summary = 5 }`, `Summary { value: repeated Value = 1 }`, `Value { tag: string = 1, simple_value:
+//! float = 2 }`. The crate that writes them drags in protobuf 2, for these fifty lines.
+
+use super::FileError;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// A file that grows by one record per call.
+pub struct EventFile {
+    path: PathBuf,
+    file: File,
+}
+
+impl EventFile {
+    /// A new event file in a folder; earlier ones stay, TensorBoard reads them all.
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn create(folder: &Path) -> Result<Self, FileError> {
+        let now = seconds();
+        let path =
+            folder.join(format!("events.out.tfevents.{:010}.{:09}.hydrograd", now as u64, (now.fract() * 1e9) as u64));
+        let file = File::create(&path).map_err(|source| FileError::write(&path, source))?;
+        let mut events = Self { path, file };
+        let mut event = field(1, 1);
+        event.extend(now.to_le_bytes());
+        event.extend(bytes(3, b"brain.Event:2"));
+        events.record(&event)?;
+        Ok(events)
+    }
+
+    /// Scalars of a step.
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn scalars(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), FileError> {
+        let mut summary = Vec::new();
+        for (tag, value) in values {
+            let mut entry = bytes(1, tag.as_bytes());
+            entry.extend(field(2, 5));
+            entry.extend((*value as f32).to_le_bytes());
+            summary.extend(bytes(1, &entry));
+        }
+        let mut event = field(1, 1);
+        event.extend(seconds().to_le_bytes());
+        event.extend(field(2, 0));
+        event.extend(varint(step));
+        event.extend(bytes(5, &summary));
+        self.record(&event)
+    }
+
+    fn record(&mut self, data: &[u8]) -> Result<(), FileError> {
+        let length = (data.len() as u64).to_le_bytes();
+        let mut record = length.to_vec();
+        record.extend(masked(&length).to_le_bytes());
+        record.extend(data);
+        record.extend(masked(data).to_le_bytes());
+        self.file.write_all(&record).map_err(|source| FileError::write(&self.path, source))
+    }
+}
+
+fn seconds() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
+
+fn masked(data: &[u8]) -> u32 {
+    crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8)
+}
+
+/// A field's key: wire type 0 varint, 1 eight bytes, 2 length and bytes, 5 four bytes.
+fn field(number: u64, wire: u64) -> Vec<u8> {
+    varint(number << 3 | wire)
+}
+
+fn bytes(number: u64, data: &[u8]) -> Vec<u8> {
+    let mut field = field(number, 2);
+    field.extend(varint(data.len() as u64));
+    field.extend(data);
+    field
+}
+
+fn varint(mut value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while value >= 0x80 {
+        bytes.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    bytes.push(value as u8);
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_by_hand() {
+        // CRC-32C of "123456789" is 0xe3069283 (the Castagnoli check value); the mask is TensorFlow's.
+        assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
+        assert_eq!(varint(300), [0xac, 0x02]);
+        assert_eq!(bytes(1, b"ab"), [0x0a, 2, b'a', b'b']);
+        let folder = tempfile::tempdir().unwrap();
+        let mut events = EventFile::create(folder.path()).unwrap();
+        events.scalars(300, &[("loss", 0.5)]).unwrap();
+        let file = std::fs::read(&events.path).unwrap();
+        let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
+        let second = &file[16 + length..];
+        let length = u64::from_le_bytes(second[..8].try_into().unwrap()) as usize;
+        let data = &second[12..12 + length];
+        assert_eq!(masked(data).to_le_bytes(), second[12 + length..]);
+        // Behind the time: step 300, then a summary of one value.
+        assert_eq!(data[9..12], [0x10, 0xac, 0x02]);
+        assert_eq!(data[12..], [&[0x2a, 13, 0x0a, 11, 0x0a, 4][..], b"loss", &[0x15], &0.5f32.to_le_bytes()].concat());
+    }
+}

@@ -1,0 +1,92 @@
+//! What a trained model needs besides its parameters: sizes, features, normalisation. Stored in its checkpoint.
+
+use super::egnn::Egnn;
+use super::features::{Features, Normalisation};
+use super::gns::{Gns, Sizes};
+use super::model::Model;
+use super::settings::{HeatModel, Kind, Settings};
+use crate::dataset::{Heat, Metadata};
+use crate::error::BadInput;
+use candle_core::DType;
+use serde::{Deserialize, Serialize};
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    pub kind: Kind,
+    pub sizes: Sizes,
+    pub features: Features,
+    pub normalisation: Normalisation,
+    pub heat: HeatModel,
+    /// Directions of the box that were periodic: the features depend on it.
+    pub periodic: Vec<bool>,
+}
+
+impl Setup {
+    /// For training on a data set.
+    ///
+    /// # Errors
+    /// Settings that do not fit the data.
+    pub fn new(settings: &Settings, metadata: &Metadata) -> Result<Self, BadInput> {
+        let model = &settings.model;
+        let heat: Option<&Heat> = metadata.heat.as_ref().filter(|_| model.heat != HeatModel::None);
+        if model.heat == HeatModel::Conduction && heat.is_none() {
+            return Err(BadInput::new("model.heat = \"conduction\", but the data have no temperature")
+                .allowed("data made by `hydrograd generate` from a scene with heat")
+                .advice("--set model.heat=none"));
+        }
+        let learned = heat.is_some() && model.heat == HeatModel::Learned;
+        let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
+        // Conduction is computed, so the network need not see temperatures.
+        let seen = heat.filter(|_| learned);
+        let sizes = Sizes {
+            node_features: settings.features.count(metadata, seen.is_some(), 0),
+            edge_features: metadata.dim + 1,
+            outputs: metadata.dim + usize::from(learned),
+            latent: model.latent,
+            rounds: model.rounds,
+            linears: model.linears,
+            embedding: model.embedding,
+        };
+        let mut normalisation = Normalisation::new(metadata, settings.noise, radius, seen);
+        if model.kind == Kind::Egnn {
+            normalisation.make_isotropic();
+        }
+        Ok(Self {
+            kind: model.kind,
+            sizes,
+            features: settings.features,
+            normalisation,
+            heat: if heat.is_some() { model.heat } else { HeatModel::None },
+            periodic: metadata.periodic()[..metadata.dim].to_vec(),
+        })
+    }
+
+    /// A network of these sizes.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn model(&self, seed: u64, dtype: DType) -> candle_core::Result<Box<dyn Model>> {
+        Ok(match self.kind {
+            Kind::Gns => Box::new(Gns::new(self.sizes, seed, dtype)?),
+            Kind::Egnn => Box::new(Egnn::new(self.sizes, self.features.frames, seed, dtype)?),
+        })
+    }
+
+    /// An error if a data set's frames are not what the model knows.
+    pub fn fits(&self, metadata: &Metadata) -> Result<(), BadInput> {
+        let periodic = &metadata.periodic()[..metadata.dim];
+        if self.periodic != periodic {
+            return Err(BadInput::new(format!(
+                "the model was trained on data with periodic directions {:?}, these have {periodic:?}",
+                self.periodic
+            ))
+            .allowed("data of the same dimension and boundaries"));
+        }
+        if self.heat != HeatModel::None && metadata.heat.is_none() {
+            return Err(BadInput::new("the model wants temperatures, but the data have none")
+                .allowed("data of a scene with heat")
+                .advice("train with --set model.heat=none for such data"));
+        }
+        Ok(())
+    }
+}
