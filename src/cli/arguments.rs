@@ -29,6 +29,9 @@ pub enum Command {
     #[command(visible_alias = "optimise")]
     Optimize(OptimizeArguments),
     CheckGradient(CheckGradientArguments),
+    Evaluate(super::EvaluateArguments),
+    Rollout(super::RolloutArguments),
+    Study(super::StudyArguments),
     Bench(BenchArguments),
     Scenes(ScenesArguments),
 }

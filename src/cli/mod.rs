@@ -3,21 +3,28 @@
 mod arguments;
 mod bench;
 mod check_gradient;
+mod evaluate;
 mod explain;
 mod files;
 mod guard;
+mod model_data;
 mod optimize;
 mod prepare;
+mod rollout;
 mod scenes;
 mod simulate;
 mod simulate_flow;
+mod study;
 
 pub use arguments::{
     CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GradientArguments, MemoryArgument,
     OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
 };
 pub use bench::BenchArguments;
+pub use evaluate::EvaluateArguments;
 pub use guard::{guarded, install_panic_hook};
+pub use rollout::RolloutArguments;
+pub use study::StudyArguments;
 
 /// Runs the parsed command line.
 pub fn run(cli: Cli) -> anyhow::Result<()> {
@@ -25,6 +32,9 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
+        Command::Evaluate(arguments) => evaluate::run(arguments),
+        Command::Rollout(arguments) => rollout::run(arguments),
+        Command::Study(arguments) => study::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }

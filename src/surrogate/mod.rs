@@ -11,5 +11,6 @@ pub mod predictor;
 pub mod rollout;
 pub mod sinkhorn;
 pub mod still;
+pub mod study;
 
 pub use load::load_predictor;
