@@ -74,7 +74,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
         println!("{} broke at step {} of {}: {}", model.name(), broken.step, arguments.steps, broken.reason);
     }
     println!(
-        "trajectory {}, frames {first} to {}, {:.3} s per step",
+        "trajectory {}, frames {first} to {}, {:.1e} s per step",
         trajectory.name,
         first + run.frames.len() - 1,
         run.seconds / run.frames.len() as f64

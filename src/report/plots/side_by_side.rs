@@ -33,7 +33,7 @@ pub fn side_by_side(
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     let pixels = f64::min(420.0 / x_span, 300.0 / y_span);
     let (width, height) = (pixels * x_span, pixels * y_span);
-    let (margin, top, gap_x, gap_y, bar) = (80.0, 40.0, 26.0, 44.0, 125.0);
+    let (margin, top, gap_x, gap_y, bar) = (80.0, 40.0, 44.0, 44.0, 140.0);
     let true_left = margin + width + gap_x;
     let bar_left = true_left + width + 16.0;
     let difference_left = bar_left + bar;
