@@ -236,6 +236,20 @@ fn a_rollout_that_breaks_ends_and_says_so() {
 }
 
 #[test]
+fn a_divergence_without_an_end_is_left_out_and_counted() {
+    // All in one place but one, which is predicted far away.
+    let mut t = trajectory("00000", 52, |_, _| [0.0; 2]);
+    t.position.fill(0.5);
+    let one_leaves = odd(|call, frame| {
+        frame.position[199] = if call == 1 { 0.99 } else { 0.5 };
+        Ok(())
+    });
+    let scores = evaluate_windows(&one_leaves, &metadata(true), &[t], &Options::default()).unwrap();
+    assert_eq!((scores.sinkhorn_failures, scores.broken.len()), (1, 0));
+    assert_eq!(scores.sinkhorn, Some(0.0), "of the others");
+}
+
+#[test]
 fn trajectories_that_are_too_short_are_bad_input() {
     let t = trajectory("00003", 20, |_, _| [0.0; 2]);
     let metadata = metadata(false);

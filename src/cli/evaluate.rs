@@ -106,6 +106,12 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
             first.reason
         );
     }
+    for scores in scores.iter().filter(|scores| scores.sinkhorn_failures > 0) {
+        println!(
+            "{}: {} Sinkhorn divergences did not converge and are left out",
+            scores.model, scores.sinkhorn_failures
+        );
+    }
     println!("files in {}: evaluation.json, {}", arguments.out.display(), pictures.join(", "));
     Ok(())
 }

@@ -234,7 +234,16 @@ impl Scene<'_> {
             }
         };
         let (name, unit) = if with_heat { ("temperature T", "|T - T true|") } else { ("speed |v|", "|v - v true|") };
-        let bounds = &self.metadata.bounds;
+        // Walls may lie outside of the box.
+        let bounds = |d: usize| {
+            let (low, high) = (self.metadata.bounds[d][0], self.metadata.bounds[d][1]);
+            let half = 0.5 * self.metadata.dx;
+            let places = truth.iter().flat_map(|frame| &frame.position[d * n..(d + 1) * n]);
+            places.fold((low, high), |(low, high), &x| match self.metadata.periodic()[d] {
+                true => (low, high),
+                false => (low.min(x - half), high.max(x + half)),
+            })
+        };
         side_by_side(
             stem,
             &panels,
@@ -243,8 +252,8 @@ impl Scene<'_> {
                 difference_label: unit,
                 range: range(&[0, 1]),
                 difference_range: (0.0, range(&[2]).1),
-                x_range: (bounds[0][0], bounds[0][1]),
-                y_range: (bounds[1][0], bounds[1][1]),
+                x_range: bounds(0),
+                y_range: bounds(1),
             },
         )?;
         Ok(())
