@@ -159,7 +159,7 @@ fn temperature_and_outflow_are_scored() {
     let metadata = heated_metadata();
     let mut t = trajectory("00000", 26, |_, _| [0.03, 0.0]);
     heat(&mut t, |_, x| 1.0 + 0.2 * x);
-    let still = evaluate_windows(&Still, &metadata, &[t.clone()], &Options::default()).unwrap();
+    let still = evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default()).unwrap();
     // Nothing moves: no heat flows out, all of it is missing.
     assert_eq!(still.outflow_error, Some(1.0));
     assert!(still.temperature_mse.unwrap() > 1e-4);
@@ -213,7 +213,7 @@ fn a_rollout_that_breaks_ends_and_says_so() {
         }
         Ok(())
     });
-    let scores = evaluate_windows(&model, &periodic, &[t.clone()], &Options::default()).unwrap();
+    let scores = evaluate_windows(&model, &periodic, std::slice::from_ref(&t), &Options::default()).unwrap();
     assert_eq!(scores.broken.len(), 1);
     let broken = &scores.broken[0];
     assert_eq!((broken.trajectory.as_str(), broken.start, broken.step), ("00000", 26, 5));
@@ -236,17 +236,31 @@ fn a_rollout_that_breaks_ends_and_says_so() {
 }
 
 #[test]
+fn a_divergence_without_an_end_is_left_out_and_counted() {
+    // All in one place but one, which is predicted far away.
+    let mut t = trajectory("00000", 52, |_, _| [0.0; 2]);
+    t.position.fill(0.5);
+    let one_leaves = odd(|call, frame| {
+        frame.position[199] = if call == 1 { 0.99 } else { 0.5 };
+        Ok(())
+    });
+    let scores = evaluate_windows(&one_leaves, &metadata(true), &[t], &Options::default()).unwrap();
+    assert_eq!((scores.sinkhorn_failures, scores.broken.len()), (1, 0));
+    assert_eq!(scores.sinkhorn, Some(0.0), "of the others");
+}
+
+#[test]
 fn trajectories_that_are_too_short_are_bad_input() {
     let t = trajectory("00003", 20, |_, _| [0.0; 2]);
     let metadata = metadata(false);
     let check = |error: anyhow::Error| {
         assert!(error.is::<BadInput>());
         let text = error.to_string();
-        for part in ["00003 has 20 frames", "6 true and 20 predicted", "--steps 13"] {
+        for part in ["00003 has 20 frames", "6 true and 20 predicted", "try: --steps 14"] {
             assert!(text.contains(part), "no `{part}` in {text}");
         }
     };
-    check(evaluate_windows(&Still, &metadata, &[t.clone()], &Options::default()).unwrap_err());
+    check(evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default()).unwrap_err());
     check(rollout(&Still, &metadata, &t, 0, 20).unwrap_err());
     assert!(evaluate_windows(&Still, &metadata, &[], &Options::default()).unwrap_err().is::<BadInput>());
 }

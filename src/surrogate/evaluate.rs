@@ -43,7 +43,10 @@ pub struct Scores {
     /// Over all steps.
     pub mse: f64,
     pub mae: f64,
+    /// Without those that did not converge; none if none did.
     pub sinkhorn: Option<f64>,
+    /// How many Sinkhorn divergences did not converge (particles gathered in a few places).
+    pub sinkhorn_failures: usize,
     /// Mean square of the error of E_kin.
     pub e_kin: Option<f64>,
     /// Over all steps; only data with temperature have it.
@@ -105,8 +108,7 @@ pub fn chosen_windows(trajectories: &[Trajectory], options: &Options) -> Result<
 /// Rolls the model out over windows that do not overlap, and averages its metrics.
 ///
 /// # Errors
-/// [`BadInput`] if trajectories are too short; a model that breaks in every window's first step; no convergence of the
-/// Sinkhorn divergence.
+/// [`BadInput`] if trajectories are too short; a model that breaks in every window's first step.
 pub fn evaluate_windows(
     predictor: &dyn Predictor,
     metadata: &Metadata,
@@ -144,7 +146,7 @@ pub fn evaluate_with(
                 reason: what.reason.clone(),
             });
         }
-        scored.push(score(metadata, trajectory, start, run, options)?);
+        scored.push(score(metadata, trajectory, start, run, options));
         done();
     }
     if broken.len() == windows.len() && broken.iter().all(|window| window.step == 1) {
@@ -162,17 +164,12 @@ pub fn evaluate_with(
 #[derive(Debug, Default)]
 struct Window {
     curves: Curves,
-    sinkhorn: Option<f64>,
+    /// None where it did not converge.
+    sinkhorn: Vec<Option<f64>>,
     e_kin: Option<f64>,
 }
 
-fn score(
-    metadata: &Metadata,
-    trajectory: &Trajectory,
-    start: usize,
-    run: Rollout,
-    options: &Options,
-) -> anyhow::Result<Window> {
+fn score(metadata: &Metadata, trajectory: &Trajectory, start: usize, run: Rollout, options: &Options) -> Window {
     let extent = Extent::of(metadata);
     let counted = options.counted.of(&trajectory.kind);
     let first = start + HISTORY;
@@ -207,14 +204,11 @@ fn score(
     let squares = at.iter().map(|&k| (curves.e_kin_predicted[k] - curves.e_kin_true[k]).powi(2));
     let e_kin = (!at.is_empty()).then(|| metrics::mean(squares));
     let sinkhorn = match options.sinkhorn {
-        false => None,
-        true => {
-            let at = (0..options.steps.max(2) - 1).step_by(options.stride);
-            let values = at
-                .map(|k| sinkhorn::divergence(&extent, &p[k], &t[k], sinkhorn::THRESHOLD))
-                .collect::<Result<Vec<f64>, _>>()?;
-            Some(metrics::mean(values.into_iter()))
-        }
+        false => vec![],
+        true => (0..options.steps.max(2) - 1)
+            .step_by(options.stride)
+            .map(|k| sinkhorn::divergence(&extent, &p[k], &t[k], sinkhorn::THRESHOLD).ok())
+            .collect(),
     };
     if let Some(heat) = &metadata.heat {
         let outflows = |frames: &[Frame]| -> Option<Vec<f64>> {
@@ -223,7 +217,7 @@ fn score(
         };
         (curves.outflow_predicted, curves.outflow_true) = (outflows(&predicted), outflows(&truth));
     }
-    Ok(Window { curves, sinkhorn, e_kin })
+    Window { curves, sinkhorn, e_kin }
 }
 
 fn averaged(
@@ -241,10 +235,9 @@ fn averaged(
         let all = windows.iter().all(|window| of(&window.curves).is_some());
         all.then(|| curve(&|curves| of(curves).clone().unwrap_or_default()))
     };
-    let mean_of = |of: fn(&Window) -> Option<f64>| -> Option<f64> {
-        let values: Option<Vec<f64>> = windows.iter().map(of).collect();
-        values.map(|values| metrics::mean(values.into_iter()))
-    };
+    let distances: Vec<Option<f64>> = windows.iter().flat_map(|window| window.sinkhorn.iter().copied()).collect();
+    let converged: Vec<f64> = distances.iter().copied().flatten().collect();
+    let e_kin: Option<Vec<f64>> = windows.iter().map(|window| window.e_kin).collect();
     let curves = Curves {
         mse: curve(&|c| c.mse.clone()),
         mae: curve(&|c| c.mae.clone()),
@@ -264,8 +257,9 @@ fn averaged(
         mse_20: metrics::first(&curves.mse, 20),
         mse: metrics::mean(curves.mse.iter().copied()),
         mae: metrics::mean(curves.mae.iter().copied()),
-        sinkhorn: mean_of(|window| window.sinkhorn),
-        e_kin: mean_of(|window| window.e_kin),
+        sinkhorn: (!converged.is_empty()).then(|| metrics::mean(converged.iter().copied())),
+        sinkhorn_failures: distances.len() - converged.len(),
+        e_kin: e_kin.map(|errors| metrics::mean(errors.into_iter())),
         temperature_mse: curves.temperature_mse.as_ref().map(|mse| metrics::mean(mse.iter().copied())),
         outflow_error: outflow_error(windows),
         seconds_per_step,

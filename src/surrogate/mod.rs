@@ -33,6 +33,7 @@ pub mod settings;
 pub mod setup;
 pub mod sinkhorn;
 pub mod still;
+pub mod study;
 pub mod train;
 
 pub use load::load_predictor;

@@ -139,8 +139,10 @@ pub fn check_length(trajectory: &Trajectory, start: usize, steps: usize) -> Resu
         trajectory.name, trajectory.frames
     ))
     .allowed(format!("start + {HISTORY} + steps <= {}", trajectory.frames))
-    .advice(match trajectory.frames.checked_sub(HISTORY + 1) {
-        Some(most) => format!("--steps {}, or an earlier --start", most.min(steps).max(1)),
-        None => "a data set with longer trajectories".into(),
+    .advice(match (trajectory.frames.saturating_sub(start + HISTORY), start) {
+        (0, 0) => "a data set with longer trajectories".to_string(),
+        (0, _) => "an earlier --start".to_string(),
+        (most, 0) => format!("--steps {most}"),
+        (most, _) => format!("--steps {most}, or an earlier --start"),
     }))
 }

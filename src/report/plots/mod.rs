@@ -8,12 +8,14 @@ mod compare;
 mod drawing;
 mod history;
 mod legend;
+mod side_by_side;
 mod temperature;
 mod training;
 mod wall_shapes;
 
 pub use compare::compare;
 pub use history::{history, HistoryPoint};
+pub use side_by_side::{side_by_side, SideBySide};
 pub use temperature::{temperature_particles, TemperaturePanel};
 pub use training::{training_curves, TrainingCurves};
 pub use wall_shapes::wall_shapes;

@@ -75,7 +75,8 @@ pub fn temperature_particles(
         draw_particles(&mut drawing, &frame, panel, (t_min, t_max), pixels);
         frame.outline(&mut drawing);
     }
-    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max));
+    let label = "temperature T (scene units)";
+    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     let mut x = left;
     for entry in &entries {
         let single = std::slice::from_ref(entry);
@@ -86,11 +87,11 @@ pub fn temperature_particles(
 }
 
 /// Low panels have room for few labels.
-fn ticks_for(height: f64) -> usize {
+pub(super) fn ticks_for(height: f64) -> usize {
     ((height / 60.0) as usize).clamp(2, 6)
 }
 
-fn draw_particles(
+pub(super) fn draw_particles(
     drawing: &mut Drawing,
     frame: &Frame,
     panel: &TemperaturePanel,
@@ -134,7 +135,13 @@ fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
         .collect()
 }
 
-fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_max): (f64, f64)) {
+pub(super) fn color_bar(
+    drawing: &mut Drawing,
+    (left, top): Point,
+    height: f64,
+    (t_min, t_max): (f64, f64),
+    label: &str,
+) {
     const STRIPES: usize = 200;
     const WIDTH: f64 = 22.0;
     let stripe = height / STRIPES as f64;
@@ -144,10 +151,10 @@ fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_m
     }
     let frame = Frame { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
     frame.outline(drawing);
-    frame.draw_right(drawing, &frame.y, "temperature T (scene units)", INK);
+    frame.draw_right(drawing, &frame.y, label, INK);
 }
 
-fn check(
+pub(super) fn check(
     path: &Path,
     panels: &[TemperaturePanel],
     t_range: (f64, f64),

@@ -1,0 +1,177 @@
+//! `hydrograd evaluate`: a model against the truth, and against two baselines.
+
+use super::arguments::{at_least_one, check_writable};
+use super::files::VERSION;
+use super::model_data::{ModelData, ModelDataArguments};
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::report::plots::compare;
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::surrogate::evaluate::{chosen_windows, evaluate_with, Curves, Options, Scores};
+use crate::surrogate::linear::Linear;
+use crate::surrogate::predictor::Predictor;
+use crate::surrogate::still::Still;
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Measure a model's rollouts against the truth, beside constant velocity and no change.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd evaluate --model runs/train/best.safetensors --data data/channel
+      20 steps from every window of the validation split
+  hydrograd evaluate --model runs/train/best.safetensors --data data/channel --split test --out runs/test
+      the test split
+  hydrograd evaluate --model linear --data data/channel --steps 5 --windows 10
+      how good constant velocity is, over 5 steps of 10 windows")]
+pub struct EvaluateArguments {
+    #[command(flatten)]
+    pub source: ModelDataArguments,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = "runs/evaluate")]
+    pub out: PathBuf,
+    /// Frames to predict.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = at_least_one)]
+    pub steps: usize,
+    /// At most so many windows, spread evenly [default: all].
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub windows: Option<usize>,
+}
+
+/// Of a figure in the table: its name, and where it stands.
+type Figure = (&'static str, fn(&Scores) -> Option<f64>);
+
+const FIGURES: [Figure; 10] = [
+    ("MSE_1", |s| s.mse_1),
+    ("MSE_5", |s| s.mse_5),
+    ("MSE_10", |s| s.mse_10),
+    ("MSE_20", |s| s.mse_20),
+    ("MSE over all steps", |s| Some(s.mse)),
+    ("Sinkhorn divergence", |s| s.sinkhorn),
+    ("E_kin, squared error", |s| s.e_kin),
+    ("temperature MSE", |s| s.temperature_mse),
+    ("outflow, relative error", |s| s.outflow_error),
+    ("seconds per step", |s| Some(s.seconds_per_step)),
+];
+
+pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
+    let ModelData { model, metadata, trajectories } = arguments.source.read()?;
+    let options = Options { steps: arguments.steps, windows: arguments.windows, ..Options::default() };
+    let windows = chosen_windows(&trajectories, &options)?;
+    check_writable(&arguments.out)?;
+    prepare_output_folder(&arguments.out)?;
+
+    let mut models = vec![model];
+    let baselines: [Box<dyn Predictor>; 2] = [Box::new(Linear), Box::new(Still)];
+    let first = models[0].name();
+    models.extend(baselines.into_iter().filter(|baseline| baseline.name() != first));
+    let bar = Progress::new((models.len() * windows.len()) as u64, "evaluate");
+    let mut scores = Vec::new();
+    for model in &models {
+        bar.message(model.name());
+        scores.push(evaluate_with(&**model, &metadata, &trajectories, &options, &mut || bar.advance(1))?);
+    }
+    bar.finish();
+
+    let file = json!({
+        "model": arguments.source.model,
+        "data": arguments.source.data,
+        "split": arguments.source.split,
+        "version": VERSION,
+        "scores": scores,
+    });
+    let text = serde_json::to_string_pretty(&file)? + "\n";
+    write_bytes_atomically(&arguments.out.join("evaluation.json"), text.as_bytes())?;
+    let pictures = plot(&arguments.out, &scores)?;
+
+    println!(
+        "{} windows of {} predicted frames, {} split of {}\n",
+        windows.len(),
+        options.steps,
+        arguments.source.split.name(),
+        arguments.source.data.display()
+    );
+    println!("{}", table(&scores));
+    for scores in scores.iter().filter(|scores| !scores.broken.is_empty()) {
+        let first = &scores.broken[0];
+        println!(
+            "{} broke in {} of {} windows (it stands still from there on); the first: trajectory {}, frame {}, step {}: {}",
+            scores.model,
+            scores.broken.len(),
+            scores.windows,
+            first.trajectory,
+            first.start,
+            first.step,
+            first.reason
+        );
+    }
+    for scores in scores.iter().filter(|scores| scores.sinkhorn_failures > 0) {
+        println!(
+            "{}: {} Sinkhorn divergences did not converge and are left out",
+            scores.model, scores.sinkhorn_failures
+        );
+    }
+    println!("files in {}: evaluation.json, {}", arguments.out.display(), pictures.join(", "));
+    Ok(())
+}
+
+/// Figures by model; behind them how many times better than constant velocity the model is.
+fn table(scores: &[Scores]) -> Table {
+    let names = scores.iter().map(|scores| scores.model.clone());
+    let compared = scores.len() > 1 && scores[1].model == Linear.name();
+    let last = compared.then(|| format!("linear / {}", scores[0].model));
+    let mut table = Table::new(std::iter::once(String::new()).chain(names).chain(last));
+    for (name, figure) in FIGURES {
+        let values: Vec<Option<f64>> = scores.iter().map(figure).collect();
+        if values.iter().all(Option::is_none) {
+            continue;
+        }
+        let mut row = vec![name.to_string()];
+        row.extend(values.iter().map(|value| value.map_or("-".into(), |value| format!("{value:.3e}"))));
+        if let (true, Some(model), Some(Some(linear))) = (compared, values[0], values.get(1)) {
+            row.push(if model > 0.0 { format!("{:.3}", linear / model) } else { "-".into() });
+        }
+        table.row(row);
+    }
+    table
+}
+
+/// Curves by step; returns the names of the pictures.
+fn plot(folder: &Path, scores: &[Scores]) -> anyhow::Result<Vec<String>> {
+    type Curve = fn(&Curves) -> Option<Vec<f64>>;
+    let pictures: [(&str, &str, &str, Curve, Curve, bool); 4] = [
+        ("mse", "Position error", "MSE (length²)", |c| Some(c.mse.clone()), |_| None, true),
+        ("temperature_mse", "Temperature error", "MSE (temperature²)", |c| c.temperature_mse.clone(), |_| None, true),
+        (
+            "kinetic_energy",
+            "Kinetic energy, mean over windows",
+            "E_kin",
+            |c| Some(c.e_kin_predicted.clone()),
+            |c| Some(c.e_kin_true.clone()),
+            false,
+        ),
+        (
+            "outflow",
+            "Outflowing heat, mean over windows",
+            "Q",
+            |c| c.outflow_predicted.clone(),
+            |c| c.outflow_true.clone(),
+            false,
+        ),
+    ];
+    let mut names = Vec::new();
+    for (stem, title, label, predicted, truth, log) in pictures {
+        let points =
+            |values: Vec<f64>| values.iter().enumerate().map(|(k, &y)| ((k + 1) as f64, y)).collect::<Vec<_>>();
+        let mut series: Vec<(String, Vec<(f64, f64)>)> =
+            truth(&scores[0].curves).map(|values| ("true".to_string(), points(values))).into_iter().collect();
+        series.extend(scores.iter().filter_map(|s| Some((s.model.clone(), points(predicted(&s.curves)?)))));
+        // A logarithmic axis has no place for a model without error.
+        if series.iter().any(|(_, points)| points.iter().any(|&(_, y)| !log || y > 0.0)) {
+            compare(&folder.join(stem), title, "step", label, &series, false, log)?;
+            names.push(format!("{stem}.png"));
+        }
+    }
+    Ok(names)
+}

@@ -1,0 +1,48 @@
+//! What `evaluate` and `rollout` begin with: a model and a split of a data set.
+
+use crate::dataset::{read_split, Metadata, Split, Trajectory};
+use crate::error::BadInput;
+use crate::surrogate::load_predictor;
+use crate::surrogate::predictor::Predictor;
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Clone, Args)]
+pub struct ModelDataArguments {
+    /// A model written by `hydrograd train`, or `linear` (constant velocity), or `still` (no change).
+    #[arg(long, value_name = "FILE")]
+    pub model: PathBuf,
+    /// Folder of the data set: metadata.json, valid.h5, test.h5.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Which of its files.
+    #[arg(long, value_enum, default_value = "valid")]
+    pub split: Split,
+}
+
+/// A model and what it is held against.
+pub struct ModelData {
+    pub model: Box<dyn Predictor>,
+    pub metadata: Metadata,
+    pub trajectories: Vec<Trajectory>,
+}
+
+impl ModelDataArguments {
+    /// Reads all of it; bad input is found here, before anything is written.
+    pub fn read(&self) -> anyhow::Result<ModelData> {
+        let (metadata, trajectories) = read_data(&self.data, self.split)?;
+        let model = load_predictor(&self.model, &metadata)?;
+        Ok(ModelData { model, metadata, trajectories })
+    }
+}
+
+fn read_data(folder: &Path, split: Split) -> Result<(Metadata, Vec<Trajectory>), BadInput> {
+    let bad = |error: crate::io::FileError| {
+        BadInput::new(error.to_string())
+            .place(format!("--data {}", folder.display()))
+            .allowed("the folder of a data set: metadata.json, train.h5, valid.h5, test.h5")
+    };
+    let metadata = Metadata::read(folder).map_err(bad)?;
+    let trajectories = read_split(folder, &metadata, split).map_err(bad)?;
+    Ok((metadata, trajectories))
+}

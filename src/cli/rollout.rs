@@ -1,0 +1,261 @@
+//! `hydrograd rollout`: what a model predicts, beside what happened, to look at.
+
+use super::arguments::{at_least_one, check_writable};
+use super::model_data::{ModelData, ModelDataArguments};
+use crate::dataset::{kind, Metadata, Trajectory};
+use crate::error::{BadInput, Error};
+use crate::io::atomic::prepare_output_folder;
+use crate::io::vtk::{ParticleFrame, VtkSeries};
+use crate::report::plots::{side_by_side, SideBySide, TemperaturePanel};
+use crate::report::table::Table;
+use crate::surrogate::displacement::Extent;
+use crate::surrogate::metrics::{mean_square, select, temperature_mean_square, Counted};
+use crate::surrogate::predictor::Frame;
+use crate::surrogate::rollout::{check_length, rollout, HISTORY};
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// Rows of the picture.
+const PICTURES: usize = 4;
+
+/// Predict a trajectory and write it beside the true one: ParaView series and pictures.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd rollout --model runs/train/best.safetensors --data data/channel
+      20 frames of the first trajectory of the validation split
+  hydrograd rollout --model runs/train/best.safetensors --data data/channel --split test --trajectory 00003 --start 40
+      another trajectory, from its 40th frame on
+  hydrograd rollout --model linear --data data/channel --steps 5 --out runs/linear
+      what constant velocity makes of it")]
+pub struct RolloutArguments {
+    #[command(flatten)]
+    pub source: ModelDataArguments,
+    /// Name of the trajectory [default: the first].
+    #[arg(long, value_name = "NAME")]
+    pub trajectory: Option<String>,
+    /// First of the six true frames that the model sees.
+    #[arg(long, value_name = "FRAME", default_value_t = 0)]
+    pub start: usize,
+    /// Frames to predict.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = at_least_one)]
+    pub steps: usize,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = "runs/rollout")]
+    pub out: PathBuf,
+}
+
+pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
+    let ModelData { model, metadata, trajectories } = arguments.source.read()?;
+    let trajectory = find(&trajectories, arguments.trajectory.as_deref())?;
+    check_length(trajectory, arguments.start, arguments.steps)?;
+    check_writable(&arguments.out)?;
+    let run = rollout(&*model, &metadata, trajectory, arguments.start, arguments.steps)?;
+    if let (true, Some(broken)) = (run.frames.is_empty(), &run.broken) {
+        let problem = format!("{} gives no usable frame: {}", model.name(), broken.reason);
+        return Err(Error::run(problem, "a model that was trained on such data, or another --start").into());
+    }
+    let first = arguments.start + HISTORY;
+    let last_seen = Frame::of(trajectory, first - 1);
+    let truth: Vec<Frame> = (first..first + run.frames.len()).map(|frame| Frame::of(trajectory, frame)).collect();
+
+    let folder = &arguments.out;
+    prepare_output_folder(folder)?;
+    let scene = Scene { metadata: &metadata, trajectory, tag: tags(trajectory) };
+    let predicted = scene.fields(&last_seen, &run.frames);
+    let truth_fields = scene.fields(&last_seen, &truth);
+    scene.write_series(folder, "predicted", &predicted)?;
+    scene.write_series(folder, "true", &truth_fields)?;
+    scene.picture(&folder.join("rollout"), &predicted, &truth_fields)?;
+
+    let shown = shown(run.frames.len());
+    println!("{}", errors(&scene, &run.frames, &truth, &shown));
+    if let Some(broken) = &run.broken {
+        println!("{} broke at step {} of {}: {}", model.name(), broken.step, arguments.steps, broken.reason);
+    }
+    println!(
+        "trajectory {}, frames {first} to {}, {:.1e} s per step",
+        trajectory.name,
+        first + run.frames.len() - 1,
+        run.seconds / run.frames.len() as f64
+    );
+    println!("files in {}: rollout.png, predicted/predicted.pvd and true/true.pvd (ParaView)", folder.display());
+    Ok(())
+}
+
+fn find<'a>(trajectories: &'a [Trajectory], name: Option<&str>) -> Result<&'a Trajectory, BadInput> {
+    let first = trajectories.first().ok_or_else(|| BadInput::new("the data set has no trajectory"))?;
+    let Some(name) = name else { return Ok(first) };
+    trajectories.iter().find(|t| t.name == name).ok_or_else(|| {
+        BadInput::new(format!("there is no trajectory `{name}`"))
+            .place(format!("--trajectory {name}"))
+            .allowed(format!("{} to {}", first.name, trajectories[trajectories.len() - 1].name))
+    })
+}
+
+/// Steps (from 1) that the picture shows: spread over all, the last among them.
+fn shown(steps: usize) -> Vec<usize> {
+    let rows = PICTURES.min(steps);
+    (1..=rows).map(|row| (row * steps).div_ceil(rows)).collect()
+}
+
+fn errors(scene: &Scene, predicted: &[Frame], truth: &[Frame], shown: &[usize]) -> Table {
+    let extent = Extent::of(scene.metadata);
+    let counted = Counted::Moving.of(&scene.trajectory.kind);
+    let mut table = Table::new(["step", "position MSE", "temperature MSE"]);
+    for &step in shown {
+        let (p, t) = (&predicted[step - 1], &truth[step - 1]);
+        let position = |frame: &Frame| select(&frame.position, extent.dimension, &counted);
+        let temperature = |frame: &Frame| frame.temperature.as_ref().map(|t| select(t, 1, &counted));
+        let hot = temperature(p).zip(temperature(t)).map(|(p, t)| temperature_mean_square(&p, &t));
+        table.row([
+            step.to_string(),
+            format!("{:.3e}", mean_square(&extent, &position(p), &position(t))),
+            hot.map_or("-".into(), |mse| format!("{mse:.3e}")),
+        ]);
+    }
+    table
+}
+
+/// 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as everywhere in hydrograd), 4 rigid body, 5 padding.
+fn tags(trajectory: &Trajectory) -> Vec<u8> {
+    let hot = |i: usize| trajectory.wall_temperature.as_ref().is_some_and(|t| t[i].is_finite());
+    let tag = |(i, &k): (usize, &i32)| match k {
+        kind::FLUID => 0,
+        kind::SOLID_WALL if hot(i) => 3,
+        kind::SOLID_WALL => 1,
+        kind::MOVING_WALL => 2,
+        kind::RIGID_BODY => 4,
+        _ => 5,
+    };
+    trajectory.kind.iter().enumerate().map(tag).collect()
+}
+
+struct Scene<'a> {
+    metadata: &'a Metadata,
+    trajectory: &'a Trajectory,
+    tag: Vec<u8>,
+}
+
+/// One frame, component-major as the writers want it.
+struct Fields {
+    position: Vec<f64>,
+    velocity: Vec<f64>,
+    temperature: Option<Vec<f64>>,
+}
+
+impl Scene<'_> {
+    /// The frame before the first predicted one, at rest, and the frames.
+    fn fields(&self, before: &Frame, frames: &[Frame]) -> Vec<Fields> {
+        let extent = Extent::of(self.metadata);
+        let (d, n) = (extent.dimension, self.trajectory.particles);
+        let time = self.metadata.dt * self.metadata.write_every as f64;
+        let by_component = |rows: &[f64]| (0..d * n).map(|k| rows[k % n * d + k / n]).collect::<Vec<f64>>();
+        let all: Vec<&Frame> = std::iter::once(before).chain(frames).collect();
+        (1..all.len())
+            .map(|k| {
+                let step = extent.displacement(&all[k].position, &all[k - 1].position);
+                Fields {
+                    position: by_component(&all[k].position),
+                    velocity: by_component(&step).iter().map(|step| step / time).collect(),
+                    temperature: all[k].temperature.clone(),
+                }
+            })
+            .collect()
+    }
+
+    fn write_series(&self, folder: &Path, name: &str, frames: &[Fields]) -> anyhow::Result<()> {
+        let mut series = VtkSeries::new(&folder.join(name), name)?;
+        for (step, frame) in frames.iter().enumerate() {
+            let scalars: Vec<(&str, &[f64])> =
+                frame.temperature.as_deref().map(|temperature| ("temperature", temperature)).into_iter().collect();
+            series.write(&ParticleFrame {
+                dimension: self.metadata.dim,
+                time: (step + 1) as f64 * self.metadata.dt * self.metadata.write_every as f64,
+                position: &frame.position,
+                velocity: &frame.velocity,
+                scalars: &scalars,
+                tag: &self.tag,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Predicted, true, difference, coloured by temperature, or by speed where there is none. 3D is seen along z.
+    fn picture(&self, stem: &Path, predicted: &[Fields], truth: &[Fields]) -> anyhow::Result<()> {
+        let n = self.trajectory.particles;
+        let speed = |velocity: &[f64]| -> Vec<f64> {
+            (0..n).map(|i| (i..velocity.len()).step_by(n).map(|k| velocity[k].powi(2)).sum::<f64>().sqrt()).collect()
+        };
+        let minus = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let with_heat = predicted.iter().chain(truth).all(|frame| frame.temperature.is_some());
+        let value = |frame: &Fields| match (&frame.temperature, with_heat) {
+            (Some(temperature), true) => temperature.clone(),
+            _ => speed(&frame.velocity),
+        };
+        let difference = |p: &Fields, t: &Fields| match with_heat {
+            true => minus(&value(p), &value(t)).into_iter().map(f64::abs).collect(),
+            false => speed(&minus(&p.velocity, &t.velocity)),
+        };
+        let rows: Vec<_> = shown(predicted.len())
+            .into_iter()
+            .map(|step| {
+                let (p, t) = (&predicted[step - 1], &truth[step - 1]);
+                (step, p, t, [value(p), value(t), difference(p, t)])
+            })
+            .collect();
+        let titles: Vec<[String; 3]> = rows
+            .iter()
+            .map(|(step, ..)| ["predicted", "true", "difference"].map(|name| format!("step {step}: {name}")))
+            .collect();
+        let panels: Vec<[TemperaturePanel; 3]> = rows
+            .iter()
+            .zip(&titles)
+            .map(|((_, p, t, values), titles)| {
+                let positions = [&p.position, &t.position, &t.position];
+                std::array::from_fn(|k| TemperaturePanel {
+                    title: &titles[k],
+                    position: &positions[k][..2 * n],
+                    temperature: &values[k],
+                    tag: &self.tag,
+                    diameter: self.metadata.dx,
+                })
+            })
+            .collect();
+        let range = |columns: &[usize]| {
+            let fluid = |values: &Vec<f64>| (0..n).filter(|&i| self.tag[i] == 0).map(|i| values[i]).collect::<Vec<_>>();
+            let values = rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k])));
+            let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+            // Equal values are no range of colours.
+            if high > low {
+                (low, high)
+            } else {
+                (low.min(0.0), low.max(0.0) + 1e-12)
+            }
+        };
+        let (name, unit) = if with_heat { ("temperature T", "|T - T true|") } else { ("speed |v|", "|v - v true|") };
+        // Walls may lie outside of the box.
+        let bounds = |d: usize| {
+            let (low, high) = (self.metadata.bounds[d][0], self.metadata.bounds[d][1]);
+            let half = 0.5 * self.metadata.dx;
+            let places = truth.iter().flat_map(|frame| &frame.position[d * n..(d + 1) * n]);
+            places.fold((low, high), |(low, high), &x| match self.metadata.periodic()[d] {
+                true => (low, high),
+                false => (low.min(x - half), high.max(x + half)),
+            })
+        };
+        side_by_side(
+            stem,
+            &panels,
+            &SideBySide {
+                label: name,
+                difference_label: unit,
+                range: range(&[0, 1]),
+                difference_range: (0.0, range(&[2]).1),
+                x_range: bounds(0),
+                y_range: bounds(1),
+            },
+        )?;
+        Ok(())
+    }
+}

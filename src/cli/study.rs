@@ -1,0 +1,197 @@
+//! `hydrograd study`: a grid over training settings, one table and plots.
+
+use super::arguments::{at_least_one, check_writable};
+use crate::dataset::Metadata;
+use crate::error::{BadInput, Error};
+use crate::io::atomic::prepare_output_folder;
+use crate::io::csv::{write_table, Cell};
+use crate::report::plots::compare;
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::surrogate::study::{points, GridKey, Outcome, Point, Study, Validation, METRICS};
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// Train models over a grid of settings and compare them; finished points are kept.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd study --data data/channel --grid noise=3e-5,3e-4,3e-3 --steps 2000 --out runs/noise
+      how much noise is best
+  hydrograd study --data data/channel --grid noise=3e-5,3e-4 --grid model.latent=32,64,128 --steps 2000 --out runs/grid
+      six models; run it again after a kill, or with more values, and only what is missing is trained
+  hydrograd study --data data/channel --grid seed=1,2,3 --set model.rounds=5 --steps 500 --out runs/seeds
+      the same training three times, with a setting of all")]
+pub struct StudyArguments {
+    /// Folder of the data set.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// A key of the training configuration and its values; repeated, every value with every other.
+    #[arg(long, value_name = "KEY=VALUE,...", required = true)]
+    pub grid: Vec<String>,
+    /// A setting of all points, as in `hydrograd train`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Training steps of each point.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub steps: usize,
+    /// Folder for the results, one below it for each point.
+    #[arg(long, value_name = "DIR", default_value = "runs/study")]
+    pub out: PathBuf,
+}
+
+pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
+    let grid = arguments.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let points = points(&grid)?;
+    if let Err(error) = Metadata::read(&arguments.data) {
+        let place = format!("--data {}", arguments.data.display());
+        return Err(BadInput::new(error.to_string()).place(place).allowed("the folder of a data set").into());
+    }
+    check_writable(&arguments.out)?;
+    let program = std::env::current_exe()?;
+    let StudyArguments { data, sets, steps, out, .. } = arguments;
+    let study = Study { program, data, steps, sets, out };
+    // Found out before hours of training, not after.
+    let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
+    let kept = known.iter().flatten().count();
+
+    let bar = Progress::new(points.len() as u64, "study");
+    let mut outcomes = Vec::new();
+    for (point, known) in points.iter().zip(known) {
+        bar.message(point.name());
+        let outcome = match known {
+            Some(outcome) => outcome,
+            None => study.train(point)?,
+        };
+        outcomes.push((point.clone(), outcome));
+        prepare_output_folder(&study.out)?;
+        // After every point: a study that is killed leaves a table.
+        write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
+        bar.advance(1);
+    }
+    bar.finish();
+    let pictures = plot(&study.out, &grid, &outcomes)?;
+    println!("{}", table(&grid, &outcomes));
+    println!("{} points, {kept} of them trained before", outcomes.len());
+    println!(
+        "files in {}: study.csv, {}, and a folder per point",
+        study.out.display(),
+        if pictures.is_empty() { "no plots".into() } else { pictures.join(", ") }
+    );
+    let failed: Vec<String> = outcomes
+        .iter()
+        .filter_map(|(point, outcome)| match outcome {
+            Outcome::Failed(message) => Some(format!("{}: {message}", point.name())),
+            Outcome::Trained { .. } => None,
+        })
+        .collect();
+    match failed.first() {
+        None => Ok(()),
+        Some(first) => {
+            let problem = format!("{} of {} points failed; the first: {first}", failed.len(), outcomes.len());
+            Err(Error::run(problem, "the same command again: only what is missing is trained").into())
+        }
+    }
+}
+
+fn table(grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> Table {
+    let names = grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best mse_5", "at step", "seconds"]);
+    let mut table = Table::new(names);
+    let number = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3e}"));
+    for (point, outcome) in outcomes {
+        let mut row: Vec<String> = point.0.iter().map(|(_, value)| value.clone()).collect();
+        if let Outcome::Trained { seconds, validation } = outcome {
+            row.extend(METRICS.map(|metric| number(validation.last(metric))));
+            let best = validation.best("mse_5");
+            row.push(number(best.map(|best| best.0)));
+            row.push(best.map_or("-".into(), |best| best.1.to_string()));
+            row.push(format!("{seconds:.0}"));
+        } else {
+            row.push("failed".into());
+        }
+        table.row(row);
+    }
+    table
+}
+
+fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> anyhow::Result<()> {
+    let header: Vec<&str> =
+        grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best_mse_5", "best_step", "seconds"]).collect();
+    // Empty where there is none.
+    let cell = |value: Option<f64>| value.map_or(Cell::Text(String::new()), Cell::Number);
+    let rows: Vec<Vec<Cell>> = outcomes
+        .iter()
+        .map(|(point, outcome)| {
+            let (validation, seconds) = match outcome {
+                Outcome::Trained { seconds, validation } => (validation.clone(), Some(*seconds)),
+                Outcome::Failed(_) => (Validation::default(), None),
+            };
+            let best = validation.best("mse_5");
+            let mut row: Vec<Cell> = point.0.iter().map(|(_, value)| Cell::Text(value.clone())).collect();
+            row.extend(METRICS.map(|metric| cell(validation.last(metric))));
+            row.extend([cell(best.map(|best| best.0)), cell(best.map(|best| best.1)), cell(seconds)]);
+            row
+        })
+        .collect();
+    Ok(write_table(path, &header, &rows)?)
+}
+
+/// Two plots for each key: the final error against its values, and the error by step for each value (with the best of the
+/// other keys). Returns the names of the pictures.
+fn plot(folder: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> anyhow::Result<Vec<String>> {
+    let trained: Vec<(&Point, &Validation)> = outcomes
+        .iter()
+        .filter_map(|(point, outcome)| match outcome {
+            Outcome::Trained { validation, .. } => Some((point, validation)),
+            Outcome::Failed(_) => None,
+        })
+        .collect();
+    // The longest horizon that every run has.
+    let all_have = |metric: &&str| trained.iter().all(|(_, validation)| validation.last(metric).is_some());
+    let Some(metric) = ["mse_20", "mse_10", "mse_5", "mse_1"].into_iter().find(all_have) else { return Ok(vec![]) };
+    if trained.is_empty() {
+        return Ok(vec![]);
+    }
+    let mut names = Vec::new();
+    for GridKey { key, values } in grid {
+        let numbers: Option<Vec<f64>> = values.iter().map(|value| value.parse().ok()).collect();
+        if let Some(numbers) = numbers.filter(|numbers| numbers.len() > 1) {
+            let low = numbers.iter().copied().fold(f64::INFINITY, f64::min);
+            let high = numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let mut series: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
+            for (point, validation) in &trained {
+                let others = Point(point.0.iter().filter(|(other, _)| other != key).cloned().collect()).name();
+                let others = if others.is_empty() { metric.to_string() } else { others };
+                let value = point.value(key).and_then(|value| value.parse().ok());
+                let Some(place) = value.zip(validation.last(metric)) else { continue };
+                match series.iter_mut().find(|(name, _)| *name == others) {
+                    Some((_, points)) => points.push(place),
+                    None => series.push((others, vec![place])),
+                }
+            }
+            series.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
+            let title = format!("Validation {metric} at the end of training");
+            let log = low > 0.0 && high >= 5.0 * low;
+            compare(&folder.join(format!("final-{key}")), &title, key, metric, &series, log, true)?;
+            names.push(format!("final-{key}.png"));
+        }
+        let best_of = |value: &str| {
+            let with = trained.iter().filter(|(point, _)| point.value(key) == Some(value));
+            with.filter_map(|(_, validation)| Some((validation.last(metric)?, *validation)))
+                .min_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let series: Vec<(String, Vec<(f64, f64)>)> = values
+            .iter()
+            .filter_map(|value| {
+                let (_, validation) = best_of(value)?;
+                let curve = validation.step.iter().copied().zip(validation.curve(metric).iter().copied());
+                Some((format!("{key} = {value}"), curve.collect()))
+            })
+            .collect();
+        let others = if grid.len() > 1 { ", with the best of the other keys" } else { "" };
+        let title = format!("Validation {metric} by {key}{others}");
+        compare(&folder.join(format!("curves-{key}")), &title, "training step", metric, &series, false, true)?;
+        names.push(format!("curves-{key}.png"));
+    }
+    Ok(names)
+}
