@@ -3,6 +3,7 @@
 mod arguments;
 mod bench;
 mod check_gradient;
+mod dataset;
 mod explain;
 mod files;
 mod generate;
@@ -14,8 +15,9 @@ mod simulate;
 mod simulate_flow;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GenerateArguments, GradientArguments,
-    MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
+    CheckGradientArguments, Cli, Command, CommonArguments, DatasetCommand, ExplainArgument, GenerateArguments,
+    GradientArguments, InspectArguments, MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument,
+    ScenesArguments, SimulateArguments, StartName,
 };
 pub use bench::BenchArguments;
 pub use guard::{guarded, install_panic_hook};
@@ -29,6 +31,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),
+        Command::Dataset { command: DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }

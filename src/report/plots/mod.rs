@@ -13,5 +13,5 @@ mod wall_shapes;
 
 pub use compare::compare;
 pub use history::{history, HistoryPoint};
-pub use temperature::{temperature_particles, TemperaturePanel};
+pub use temperature::{colored_particles, temperature_particles, TemperaturePanel};
 pub use wall_shapes::wall_shapes;

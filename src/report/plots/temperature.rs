@@ -45,6 +45,21 @@ pub fn temperature_particles(
     x_range: (f64, f64),
     y_range: (f64, f64),
 ) -> Result<[PathBuf; 2], FileError> {
+    colored_particles(path_stem, "temperature T (scene units)", panels, (t_min, t_max), x_range, y_range)
+}
+
+/// The same for another quantity in the place of the temperature; `label` names it and its unit.
+///
+/// # Errors
+/// As [`temperature_particles`].
+pub fn colored_particles(
+    path_stem: &Path,
+    label: &str,
+    panels: &[TemperaturePanel],
+    (t_min, t_max): (f64, f64),
+    x_range: (f64, f64),
+    y_range: (f64, f64),
+) -> Result<[PathBuf; 2], FileError> {
     check(path_stem, panels, (t_min, t_max), x_range, y_range)?;
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     // Wide scenes fill the width; tall ones are limited by height.
@@ -75,7 +90,7 @@ pub fn temperature_particles(
         draw_particles(&mut drawing, &frame, panel, (t_min, t_max), pixels);
         frame.outline(&mut drawing);
     }
-    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max));
+    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     let mut x = left;
     for entry in &entries {
         let single = std::slice::from_ref(entry);
@@ -134,7 +149,7 @@ fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
         .collect()
 }
 
-fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_max): (f64, f64)) {
+fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_max): (f64, f64), label: &str) {
     const STRIPES: usize = 200;
     const WIDTH: f64 = 22.0;
     let stripe = height / STRIPES as f64;
@@ -144,7 +159,7 @@ fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (t_min, t_m
     }
     let frame = Frame { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
     frame.outline(drawing);
-    frame.draw_right(drawing, &frame.y, "temperature T (scene units)", INK);
+    frame.draw_right(drawing, &frame.y, label, INK);
 }
 
 fn check(
