@@ -2,7 +2,9 @@
 
 use hydrograd::lanes::Real;
 use hydrograd::scene::flow::{Flow, FlowFigures};
+use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
 use hydrograd::scene::poiseuille::Poiseuille;
+use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
 use hydrograd::scene::taylor_green::TaylorGreen;
 use hydrograd::solver::Solver;
 
@@ -171,5 +173,54 @@ fn starts_as_jax_sph_does() {
                 assert!((ours[d] - u[d]).abs() < 1e-14, "{name} at {r:?}: {ours:?}, {u:?}");
             }
         }
+    }
+}
+
+#[test]
+fn opposite_streams_follow_the_exact_solution() {
+    let mut scene = ReversePoiseuille { per_height: 20, ..Default::default() };
+    scene.numerics.cfl = 1.0;
+    let all = run(&scene.build::<f64>(), 1.0);
+    let last = all[all.len() - 1];
+    // Measured: 0.5 % of the steady centre line, which is 1.25.
+    assert!(last.velocity_error.unwrap() < 0.01, "{last:?}");
+    assert!((last.kinetic_energy / last.exact_kinetic_energy.unwrap() - 1.0).abs() < 0.01, "{last:?}");
+    let exact = scene.build::<f64>().exact;
+    for y in [0.2, 0.5, 0.9] {
+        let [below, above] = [y, y + 1.0].map(|y| exact.velocity([0.0, y, 0.0], 50.0).unwrap()[0]);
+        assert!((below - 4.0 * 1.25 * y * (1.0 - y)).abs() < 1e-9 && below == -above);
+    }
+}
+
+#[test]
+fn the_cavity_is_that_of_ghia() {
+    // Ghia, Ghia and Shin (1982), Re = 100: u at x = 1/2, y = 0.4531; v at y = 1/2, x = 0.2344 and 0.8047.
+    let mut scene = LidDrivenCavity { per_side: 25, ..Default::default() };
+    scene.numerics.cfl = 1.0;
+    let flow = scene.build::<f64>();
+    let (n, l) = (flow.model.particles(), flow.model.layout);
+    assert_eq!(n, 31 * 31);
+    let mut solver = Solver::new(flow.model.clone(), flow.state.clone()).unwrap();
+    while (solver.step as f64) < 10.0 / flow.model.dt {
+        solver.advance().unwrap();
+    }
+    solver.check_finite().unwrap();
+    let dx = flow.spacing;
+    let near = |x: f64, y: f64, component: usize| {
+        let (mut weight, mut sum) = (0.0, 0.0);
+        for i in (0..n).filter(|&i| flow.model.is_fluid(i)) {
+            let [a, b] = [0, 1].map(|d| solver.state[d * n + i] - 3.0 * dx);
+            let w = (-((a - x).powi(2) + (b - y).powi(2)) / (dx * dx)).exp();
+            weight += w;
+            sum += w * solver.state[(l.velocity() + component) * n + i];
+        }
+        sum / weight
+    };
+    // Measured at this spacing: -0.163, 0.163, -0.180; at half of it -0.196, 0.172, -0.229.
+    for (x, y, component, ghia, tolerance) in
+        [(0.5, 0.4531, 0, -0.21090, 0.06), (0.2344, 0.5, 1, 0.17527, 0.025), (0.8047, 0.5, 1, -0.24533, 0.08)]
+    {
+        let found = near(x, y, component);
+        assert!((found - ghia).abs() < tolerance, "{found} for {ghia}");
     }
 }

@@ -8,6 +8,7 @@ use super::generate::{parse_trajectories, Shard};
 use super::prepare::require_design;
 use crate::cli::bench::BenchArguments;
 use crate::dataset::recipe::Recipe;
+use crate::dataset::trajectory::Split;
 use crate::dataset::walls::Walls;
 use crate::error::{BadInput, Error};
 use crate::scene::config::{Config, GradientMode, Kernels, Precision, ShapeName};
@@ -39,6 +40,11 @@ pub enum Command {
     Bench(BenchArguments),
     Generate(GenerateArguments),
     Merge(MergeArguments),
+    /// Look at a data set.
+    Dataset {
+        #[command(subcommand)]
+        command: DatasetCommand,
+    },
     Scenes(ScenesArguments),
 }
 
@@ -235,6 +241,38 @@ pub struct TrainArguments {
     /// Print the settings and stop.
     #[arg(long)]
     pub print_config: bool,
+}
+
+/// What to do with a data set.
+#[derive(Debug, Clone, Subcommand)]
+pub enum DatasetCommand {
+    Inspect(InspectArguments),
+}
+
+/// Print what a data set holds (trajectories, particles, statistics, heat, walls) and plot a few frames.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd dataset inspect data/heated
+      a summary, and three frames of the first trajectory in data/heated/frames.png
+  hydrograd dataset inspect 2D_TGV_2500_10kevery100 --split test --trajectory 3 --out pictures
+      LagrangeBench's own data sets too")]
+pub struct InspectArguments {
+    /// A folder with train.h5, valid.h5, test.h5 and metadata.json.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// The file that the plotted trajectory is in.
+    #[arg(long, value_enum, default_value = "train")]
+    pub split: Split,
+    /// Its number in the file.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub trajectory: usize,
+    /// Frames to plot, evenly spaced.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = at_least_one)]
+    pub frames: usize,
+    /// Folder for frames.png and frames.svg [default: DIR].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 /// List the built-in scenes and presets, or print a scene as TOML.

@@ -3,6 +3,7 @@
 mod arguments;
 mod bench;
 mod check_gradient;
+mod dataset;
 mod evaluate;
 mod explain;
 mod files;
@@ -19,9 +20,9 @@ mod study;
 mod train;
 
 pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, ExplainArgument, GenerateArguments, GradientArguments,
-    MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument, ScenesArguments, SimulateArguments, StartName,
-    TrainArguments,
+    CheckGradientArguments, Cli, Command, CommonArguments, DatasetCommand, ExplainArgument, GenerateArguments,
+    GradientArguments, InspectArguments, MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument,
+    ScenesArguments, SimulateArguments, StartName, TrainArguments,
 };
 pub use bench::BenchArguments;
 pub use evaluate::EvaluateArguments;
@@ -42,6 +43,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),
+        Command::Dataset { command: DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }

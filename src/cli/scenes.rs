@@ -26,7 +26,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
 
 fn list() -> String {
     let lines = |items: &[BuiltIn]| -> String {
-        let line = |item: &BuiltIn| format!("  {:<16} {}\n", item.name, item.description);
+        let line = |item: &BuiltIn| format!("  {:<18} {}\n", item.name, item.description);
         items.iter().map(line).collect()
     };
     format!(

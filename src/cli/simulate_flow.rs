@@ -82,10 +82,11 @@ pub fn run<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> an
     fields.write(folder, loaded)?;
     let found = flow.figures(&solver.state, steps as f64 * dt);
     plot_energy(folder, &history)?;
-    let profile = matches!(flow.exact, Exact::Poiseuille { .. });
-    if profile {
-        plot_profile(folder, &flow, &fields)?;
+    let profile = flow.exact.profile_height();
+    if let Some(height) = profile {
+        plot_profile(folder, &flow, &fields, height)?;
     }
+    let profile = profile.is_some();
     files::write_summary(folder, summary(loaded, &found, n, steps, seconds))?;
 
     let done = steps - resumed;
@@ -151,12 +152,12 @@ fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
 }
 
 /// `profile.png` and `.svg`: the velocity along the channel over the height.
-fn plot_profile<R: Real>(folder: &Path, flow: &Flow<R>, fields: &Fields) -> anyhow::Result<()> {
+fn plot_profile<R: Real>(folder: &Path, flow: &Flow<R>, fields: &Fields, highest: f64) -> anyhow::Result<()> {
     let n = flow.model.particles();
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
     let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], fields.velocity[i])).collect();
     simulated.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let height = |k: usize| k as f64 / PROFILE as f64;
+    let height = |k: usize| highest * k as f64 / PROFILE as f64;
     let exact = (0..=PROFILE)
         .filter_map(|k| Some((height(k), flow.exact.velocity([0.0, height(k), 0.0], fields.time)?[0])))
         .collect();

@@ -9,7 +9,7 @@ use crate::error::{BadInput, Error};
 use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
 use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
 use crate::io::FileError;
-use crate::scene::config::{BodyForceRegion, Config};
+use crate::scene::config::{Config, Scene};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -212,6 +212,11 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Frame) -> Metadata {
         "artificial_alpha": 0.0,
         "viscosity": if heated { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
+        "g_ext_magnitude": match config.scene {
+            Scene::HeatedChannel | Scene::ReversePoiseuille => fluid.body_force,
+            Scene::Poiseuille => 8.0 / config.flow.reynolds,
+            _ => 0.0,
+        },
         "t_end": pace.reference * (recipe.every * (recipe.frames - 1)) as f64,
         "sequence_length_train": recipe.frames - 1,
         "num_trajs_train": recipe.trajectories[0],
@@ -222,7 +227,6 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Frame) -> Metadata {
         "solver_dt": pace.dt,
         "solver_steps_per_frame": pace.every,
         "origin": frame.origin[..d],
-        "force_everywhere": fluid.body_force_region == BodyForceRegion::Fluid,
         "seed": config.run.seed,
         "version": env!("CARGO_PKG_VERSION"),
     }) else {

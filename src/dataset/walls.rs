@@ -123,10 +123,10 @@ impl Section<'_> {
             Function::Flat => return ("flat".into(), self.sample(|_| 0.0)),
             Function::Uniform => ("uniform".into(), self.sample(|_| amplitude)),
             Function::Sine(periods) => {
-                (format!("sine, {periods} periods"), self.sample(|s| amplitude * (TAU * periods * s).sin()))
+                (format!("sine ({periods} periods)"), self.sample(|s| amplitude * (TAU * periods * s).sin()))
             }
             Function::Cosine(periods) => {
-                (format!("cosine, {periods} periods"), self.sample(|s| amplitude * (TAU * periods * s).cos()))
+                (format!("cosine ({periods} periods)"), self.sample(|s| amplitude * (TAU * periods * s).cos()))
             }
             Function::Linear => ("linear".into(), self.sample(|s| amplitude * (2.0 * s - 1.0))),
         };

@@ -43,6 +43,16 @@ pub const SCENES: &[BuiltIn] = &[
         description: "2D flow between plane walls from rest, against its exact solution (no design)",
         text: include_str!("../../data/scenes/poiseuille.toml"),
     },
+    BuiltIn {
+        name: "reverse-poiseuille",
+        description: "2D opposite streams in a periodic box, against their exact solution (no design)",
+        text: include_str!("../../data/scenes/reverse-poiseuille.toml"),
+    },
+    BuiltIn {
+        name: "lid-driven-cavity",
+        description: "2D vortex in a box whose upper wall moves, without a closed form (no design)",
+        text: include_str!("../../data/scenes/lid-driven-cavity.toml"),
+    },
 ];
 
 /// Sets of keys laid over a scene with `--preset`.

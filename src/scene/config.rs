@@ -35,6 +35,8 @@ pub enum Scene {
     #[serde(rename = "taylor-green-3d")]
     TaylorGreen3d,
     Poiseuille,
+    ReversePoiseuille,
+    LidDrivenCavity,
 }
 
 impl Scene {
@@ -83,7 +85,7 @@ pub struct Fluid {
     pub density: f64,
     /// Dynamic viscosity.
     pub viscosity: f64,
-    /// Acceleration along x.
+    /// Acceleration along x; reverse Poiseuille flow: its size.
     pub body_force: f64,
     /// Where it acts: everywhere in the fluid, or only above the undeformed wall (as JAX-SPH).
     pub body_force_region: BodyForceRegion,

@@ -26,7 +26,7 @@ impl Config {
         let dx = self.resolution.dx;
         let diffusivity = match self.scene {
             Scene::HeatedChannel => (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity()),
-            Scene::TaylorGreen | Scene::TaylorGreen3d | Scene::Poiseuille => 1.0 / self.flow.reynolds,
+            _ => 1.0 / self.flow.reynolds,
         };
         TimeStepLimits {
             acoustic: self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity),

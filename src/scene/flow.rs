@@ -1,7 +1,9 @@
 //! Verification flows: scenes without a design whose solution is known.
 
 use super::config::{Config, Scene};
+use super::lid_driven_cavity::LidDrivenCavity;
 use super::poiseuille::Poiseuille;
+use super::reverse_poiseuille::ReversePoiseuille;
 use super::taylor_green::TaylorGreen;
 use crate::kernel::Quintic;
 use crate::lanes::Real;
@@ -22,6 +24,8 @@ pub struct Flow<R> {
     pub state: Vec<R>,
     /// Particle spacing.
     pub spacing: f64,
+    /// The lower corner of the box, in front of the walls.
+    pub corner: [f64; 3],
     pub reference_velocity: f64,
     pub exact: Exact,
 }
@@ -35,6 +39,8 @@ pub enum Exact {
     /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force
     /// (Morris, Fox and Zhu 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
     Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// Two such channels, at 0 < y < height and with the opposite sign at height < y < 2 height.
+    ReversePoiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
     /// No closed form.
     Unknown,
 }
@@ -59,7 +65,24 @@ impl Exact {
                 }
                 Some([u, 0.0, 0.0])
             }
+            Self::ReversePoiseuille { velocity, kinematic_viscosity, height } => {
+                let half = Self::Poiseuille { velocity, kinematic_viscosity, height };
+                if y < height {
+                    half.velocity(position, time)
+                } else {
+                    half.velocity([x, y - height, 0.0], time).map(|u| u.map(|u| -u))
+                }
+            }
             Self::Unknown => None,
+        }
+    }
+
+    /// The height of the profile, if the velocity depends on y alone.
+    pub fn profile_height(&self) -> Option<f64> {
+        match *self {
+            Self::Poiseuille { height, .. } => Some(height),
+            Self::ReversePoiseuille { height, .. } => Some(2.0 * height),
+            Self::TaylorGreen { .. } | Self::Unknown => None,
         }
     }
 
@@ -70,7 +93,7 @@ impl Exact {
             Self::TaylorGreen { velocity, kinematic_viscosity } => {
                 Some(velocity * (-8.0 * PI * PI * kinematic_viscosity * time).exp())
             }
-            Self::Poiseuille { velocity, .. } => Some(velocity),
+            Self::Poiseuille { velocity, .. } | Self::ReversePoiseuille { velocity, .. } => Some(velocity),
             Self::Unknown => None,
         }
     }
@@ -104,6 +127,11 @@ impl<R: Real> Flow<R> {
             Scene::Poiseuille => {
                 Some(Poiseuille { rows: count(1.0), reynolds, numerics, ..Default::default() }.build())
             }
+            Scene::ReversePoiseuille => {
+                let force = config.fluid.body_force;
+                Some(ReversePoiseuille { per_height: count(1.0), reynolds, force, numerics }.build())
+            }
+            Scene::LidDrivenCavity => Some(LidDrivenCavity { per_side: count(1.0), reynolds, numerics }.build()),
         }
     }
 }
@@ -114,7 +142,7 @@ impl<R: Real> Flow<R> {
         let mut flow = Self::from_config(config)?;
         let (n, d) = (flow.model.particles(), flow.model.layout.dimension);
         flow.state[d * n..2 * d * n].fill(R::default());
-        Arc::get_mut(&mut flow.model)?.body_force = BodyForce::None;
+        Arc::get_mut(&mut flow.model).expect("a new flow has one owner").body_force = BodyForce::None;
         Some(flow)
     }
 }
@@ -181,8 +209,13 @@ pub(super) struct Parts {
     pub dimension: usize,
     /// Particles along each direction, walls included.
     pub cells: [usize; 3],
-    /// Rows of dummy particles below and above the fluid.
-    pub wall_rows: usize,
+    /// Rows of dummy particles at both ends of each direction.
+    pub wall_rows: [usize; 3],
+    pub periodic: [bool; 3],
+    /// The lower corner of the box, in front of the walls.
+    pub corner: [f64; 3],
+    /// Velocity along x of the walls above the fluid.
+    pub lid: f64,
     pub spacing: f64,
     pub velocity: f64,
     pub kinematic_viscosity: f64,
@@ -239,29 +272,34 @@ impl Numerics {
 }
 
 impl Parts {
-    /// Fills the model and the state: a lattice with the first particle half a spacing from the box's corner (from the
-    /// wall's surface in y), x fastest, and velocities from `velocity`.
+    /// Fills the model and the state: a lattice with the first particle half a spacing from the box's corner, x fastest,
+    /// and velocities from `velocity`.
     pub fn build<R: Real>(self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Flow<R> {
-        let Self { dimension, cells, wall_rows, spacing, numerics, .. } = self;
+        let Self { dimension, cells, wall_rows, spacing, numerics, corner, lid, .. } = self;
         let n: usize = cells[..dimension].iter().product();
-        let walls = wall_rows > 0;
         let layout = Layout { dimension, transport: numerics.transport_velocity > 0.0, heat: false, mass: false };
         let dt = numerics.step(spacing, self.velocity, self.kinematic_viscosity);
         let sound_speed = numerics.sound_speed_factor * self.velocity;
         let pressure = sound_speed * sound_speed;
         let place = |i: usize| [i % cells[0], i / cells[0] % cells[1], i / (cells[0] * cells[1])];
-        let is_wall = |i: usize| place(i)[1] < wall_rows || place(i)[1] >= cells[1] - wall_rows;
-        let tags: Vec<u8> = (0..n).map(|i| if is_wall(i) { tag::WALL } else { tag::FLUID }).collect();
+        let behind = |i: usize, d: usize| place(i)[d] + wall_rows[d] >= cells[d];
+        let is_wall = |i: usize| (0..dimension).any(|d| place(i)[d] < wall_rows[d] || behind(i, d));
+        let is_lid = |i: usize| lid != 0.0 && behind(i, 1);
+        let tag_of = |i: usize| match is_wall(i) {
+            true if is_lid(i) => tag::MOVING_WALL,
+            true => tag::WALL,
+            false => tag::FLUID,
+        };
+        let tags: Vec<u8> = (0..n).map(tag_of).collect();
         let size = std::array::from_fn(|d| if d < dimension { cells[d] as f64 * spacing } else { 1.0 });
-        let periodic = std::array::from_fn(|d| d < dimension && !(walls && d == 1));
+        let periodic = std::array::from_fn(|d| d < dimension && self.periodic[d]);
 
         let mut state = vec![R::default(); layout.state_rows() * n];
         let mut normal = Normal::new(stream(numerics.seed, "jitter"));
         for i in 0..n {
             let mut position = [0.0; 3];
             for d in 0..dimension {
-                let below = if d == 1 { wall_rows as f64 } else { 0.0 };
-                position[d] = (place(i)[d] as f64 + 0.5 - below) * spacing;
+                position[d] = (place(i)[d] as f64 + 0.5) * spacing + corner[d];
                 if !is_wall(i) {
                     position[d] += numerics.jitter * spacing * normal.next();
                 }
@@ -269,7 +307,11 @@ impl Parts {
                     position[d] = position[d].rem_euclid(size[d]);
                 }
             }
-            let u = if is_wall(i) { [0.0; 3] } else { velocity(position) };
+            let u = match is_wall(i) {
+                true if is_lid(i) => [lid, 0.0, 0.0],
+                true => [0.0; 3],
+                false => velocity(position),
+            };
             for d in 0..dimension {
                 let mut x = R::of(position[d]);
                 // Rounded to f32, a place just below the box's end is the end itself.
@@ -306,6 +348,7 @@ impl Parts {
             model: Arc::new(model),
             state,
             spacing,
+            corner,
             reference_velocity: self.velocity,
             exact: self.exact,
         }

@@ -8,7 +8,7 @@ use crate::lanes::Real;
 use crate::sph::body_force::BodyForce;
 
 /// Rows of dummy particles in each wall: the kernel reaches three spacings.
-const WALL_ROWS: usize = 3;
+pub(super) const WALL_ROWS: usize = 3;
 
 /// The channel and how it is resolved. Defaults: JAX-SPH's case (height 30 spacings, length 12, Re = 0.0125).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,7 +40,10 @@ impl Poiseuille {
             name: "poiseuille",
             dimension: 2,
             cells: [self.columns, self.rows + 2 * WALL_ROWS, 1],
-            wall_rows: WALL_ROWS,
+            wall_rows: [0, WALL_ROWS, 0],
+            periodic: [true, false, false],
+            corner: [0.0, -(WALL_ROWS as f64) / self.rows as f64, 0.0],
+            lid: 0.0,
             spacing: 1.0 / self.rows as f64,
             velocity: 1.0,
             kinematic_viscosity,

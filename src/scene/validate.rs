@@ -222,14 +222,16 @@ impl Config {
     /// dx divides the box of a verification flow, which is large enough for it.
     fn check_box(&self) -> Result<(), BadInput> {
         let dx = self.resolution.dx;
-        let walls = self.scene == Scene::Poiseuille;
+        let walls = matches!(self.scene, Scene::Poiseuille | Scene::LidDrivenCavity);
         let (size, text, dimension) = match self.scene {
             Scene::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
-            Scene::Poiseuille => (1.0, "1, the height of the channel", 2),
+            Scene::Poiseuille => (1.0, "1, the height of the channel", 1),
+            Scene::ReversePoiseuille => (1.0, "1, the length of the box", 2),
+            Scene::LidDrivenCavity => (1.0, "1, the side of the cavity", 2),
             _ => (1.0, "1, the side of the box", 2),
         };
         let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
-        let particles = (size / dx).powi(if walls { 1 } else { dimension });
+        let particles = (size / dx).powi(dimension);
         if particles > MAX_PARTICLES {
             return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
                 .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));

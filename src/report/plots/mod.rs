@@ -16,6 +16,6 @@ mod wall_shapes;
 pub use compare::compare;
 pub use history::{history, HistoryPoint};
 pub use side_by_side::{side_by_side, SideBySide};
-pub use temperature::{temperature_particles, TemperaturePanel};
+pub use temperature::{colored_particles, temperature_particles, TemperaturePanel};
 pub use training::{training_curves, TrainingCurves};
 pub use wall_shapes::wall_shapes;

@@ -45,6 +45,21 @@ pub fn temperature_particles(
     x_range: (f64, f64),
     y_range: (f64, f64),
 ) -> Result<[PathBuf; 2], FileError> {
+    colored_particles(path_stem, "temperature T (scene units)", panels, (t_min, t_max), x_range, y_range)
+}
+
+/// The same for another quantity in the place of the temperature; `label` names it and its unit.
+///
+/// # Errors
+/// As [`temperature_particles`].
+pub fn colored_particles(
+    path_stem: &Path,
+    label: &str,
+    panels: &[TemperaturePanel],
+    (t_min, t_max): (f64, f64),
+    x_range: (f64, f64),
+    y_range: (f64, f64),
+) -> Result<[PathBuf; 2], FileError> {
     check(path_stem, panels, (t_min, t_max), x_range, y_range)?;
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     // Wide scenes fill the width; tall ones are limited by height.
@@ -75,7 +90,6 @@ pub fn temperature_particles(
         draw_particles(&mut drawing, &frame, panel, (t_min, t_max), pixels);
         frame.outline(&mut drawing);
     }
-    let label = "temperature T (scene units)";
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     let mut x = left;
     for entry in &entries {

@@ -1,0 +1,228 @@
+//! `hydrograd dataset inspect`: what a data set holds.
+
+use super::arguments::check_writable;
+use super::InspectArguments;
+use crate::dataset::store::{read_provenance, Store};
+use crate::dataset::{kind, read_split, Metadata, Split, Trajectory};
+use crate::error::BadInput;
+use crate::io::atomic::prepare_output_folder;
+use crate::io::hdf5_file::{failed, open};
+use crate::particles::tag;
+use crate::report::plots::{colored_particles, TemperaturePanel};
+use crate::report::table::Table;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Particle types and their names.
+const KINDS: [(i32, &str); 5] = [
+    (kind::FLUID, "fluid"),
+    (kind::SOLID_WALL, "solid wall"),
+    (kind::MOVING_WALL, "moving wall"),
+    (kind::RIGID_BODY, "rigid body"),
+    (kind::PADDING, "padding"),
+];
+
+pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
+    let folder = &arguments.folder;
+    let metadata = load_metadata(folder)?;
+    let out = arguments.out.as_deref().unwrap_or(folder);
+    check_writable(out)?;
+    print_metadata(folder, &metadata);
+    let mut table = Table::new(["split", "trajectories", "frames", "particles", "temperature", "MB"]);
+    let mut walls: BTreeMap<String, usize> = BTreeMap::new();
+    let mut plotted = None;
+    for split in Split::ALL {
+        let path = split.path(folder);
+        let mut trajectories = read_split(folder, &metadata, split).map_err(|e| BadInput::new(e.to_string()))?;
+        let range = |values: Vec<usize>| match (values.iter().min(), values.iter().max()) {
+            (Some(low), Some(high)) if low == high => low.to_string(),
+            (Some(low), Some(high)) => format!("{low} ... {high}"),
+            _ => "-".into(),
+        };
+        let temperatures = trajectories.iter().filter_map(|t| t.temperature.as_deref()).flatten();
+        let (low, high) = temperatures.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), &t| (l.min(t), h.max(t)));
+        table.row(vec![
+            split.name().into(),
+            trajectories.len().to_string(),
+            range(trajectories.iter().map(|t| t.frames).collect()),
+            range(trajectories.iter().map(|t| t.particles).collect()),
+            if low <= high { format!("{low:.3} ... {high:.3}") } else { "-".into() },
+            format!("{:.1}", std::fs::metadata(&path).map_or(0, |file| file.len()) as f64 / 1e6),
+        ]);
+        for name in wall_names(&path, &trajectories)? {
+            *walls.entry(name).or_default() += 1;
+        }
+        if split == arguments.split {
+            if arguments.trajectory >= trajectories.len() {
+                return Err(BadInput::new(format!("{} has no trajectory {}", path.display(), arguments.trajectory))
+                    .place(format!("--trajectory {}", arguments.trajectory))
+                    .allowed(format!("0 ... {}", trajectories.len().saturating_sub(1)))
+                    .into());
+            }
+            plotted = Some(trajectories.swap_remove(arguments.trajectory));
+        }
+    }
+    print!("\n{table}");
+    let Some(trajectory) = plotted else { return Ok(()) };
+    let count = |kind: i32| trajectory.kind.iter().filter(|other| **other == kind).count();
+    let kinds = KINDS.iter().filter(|(kind, _)| count(*kind) > 0);
+    let kinds: Vec<String> = kinds.map(|(kind, name)| format!("{} {name} ({kind})", count(*kind))).collect();
+    println!("\nparticles           {}", kinds.join(", "));
+    if let Some(set) = &trajectory.wall_temperature {
+        println!("hot wall            {} particles of set temperature", set.iter().filter(|t| t.is_finite()).count());
+    }
+    if !walls.is_empty() {
+        let walls: Vec<String> = walls.iter().map(|(name, count)| format!("{count} {name}")).collect();
+        println!("walls               {}", walls.join(", "));
+    }
+    prepare_output_folder(out)?;
+    let picture = plot(out, &metadata, &trajectory, arguments.frames)?;
+    println!("{picture} of {}/{} in {}", arguments.split.name(), trajectory.name, out.join("frames.png").display());
+    Ok(())
+}
+
+fn load_metadata(folder: &Path) -> Result<Metadata, BadInput> {
+    let store = Store::new(folder);
+    if let (false, Some(begun)) = (store.is_complete(), store.begun()?) {
+        let (missing, all) = (store.missing(&begun.recipe).len(), begun.recipe.jobs().len());
+        return Err(BadInput::new(format!("{} of {all} trajectories are there, not merged", all - missing))
+            .place(folder.display().to_string())
+            .allowed("a finished data set")
+            .advice(match missing {
+                0 => format!("hydrograd merge {}", folder.display()),
+                _ => "the same `hydrograd generate` command again: it goes on where it was".into(),
+            }));
+    }
+    Metadata::read(folder).map_err(|error| {
+        BadInput::new(error.to_string())
+            .place(folder.display().to_string())
+            .allowed("a folder with metadata.json, train.h5, valid.h5 and test.h5")
+            .advice("hydrograd generate makes one")
+    })
+}
+
+fn print_metadata(folder: &Path, metadata: &Metadata) {
+    let d = metadata.dim;
+    let text = |key: &str| metadata.other.get(key).map(|value| value.to_string().trim_matches('"').to_string());
+    let list = |values: &[f64]| values[..d].iter().map(|x| format!("{x:.4e}")).collect::<Vec<_>>().join(", ");
+    println!("{}: {}", folder.display(), text("case").unwrap_or_else(|| "a data set".into()));
+    let bounds: Vec<String> = metadata.bounds[..d].iter().map(|[low, high]| format!("{low} ... {high:.4}")).collect();
+    let periodic: Vec<&str> = (0..d).map(|k| if metadata.periodic()[k] { "periodic" } else { "open" }).collect();
+    println!("box                 {} ({})", bounds.join(" x "), periodic.join(", "));
+    println!(
+        "frames              {:.5} apart: {} steps of {:.4e}",
+        metadata.dt * metadata.write_every as f64,
+        metadata.write_every,
+        metadata.dt
+    );
+    if let (Some(steps), Some(dt)) = (text("solver_steps_per_frame"), text("solver_dt")) {
+        println!("                    run with {steps} steps of {dt}");
+    }
+    println!("spacing             {}   connectivity radius {:.4}", metadata.dx, metadata.default_connectivity_radius);
+    println!(
+        "velocity            mean {}   deviation {}   per frame",
+        list(&metadata.vel_mean),
+        list(&metadata.vel_std)
+    );
+    println!("acceleration        mean {}   deviation {}", list(&metadata.acc_mean), list(&metadata.acc_std));
+    if let Some(heat) = &metadata.heat {
+        println!("temperature         mean {:.4}   deviation {:.4}", heat.temperature_mean, heat.temperature_std);
+        println!("temperature change  mean {:.4e}   deviation {:.4e}   per frame", heat.change_mean, heat.change_std);
+        println!(
+            "heat                inlet {} at x < {}, measured at x = {}, diffusivity {:.5}",
+            heat.inlet_temperature, heat.inlet_length, heat.target_x, heat.diffusivity
+        );
+    }
+    if let (Some(seed), Some(version)) = (text("seed"), text("version")) {
+        println!("made by             hydrograd {version}, seed {seed}");
+    }
+}
+
+/// Names of the trajectories' walls without amplitudes; none if the data set is not ours.
+fn wall_names(path: &Path, trajectories: &[Trajectory]) -> anyhow::Result<Vec<String>> {
+    let file = open(path, "data set")?;
+    let mut names = Vec::new();
+    for trajectory in trajectories {
+        let group = file.group(&trajectory.name).map_err(failed(path, "open")(&trajectory.name))?;
+        let Ok(provenance) = read_provenance(path, &group) else { continue };
+        let name = provenance.wall.split(", amplitude").next().unwrap_or_default();
+        names.extend((!name.is_empty()).then(|| name.to_string()));
+    }
+    Ok(names)
+}
+
+/// Writes `frames.png` and `frames.svg`; returns what they show.
+fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) -> anyhow::Result<&'static str> {
+    let (d, n, last) = (metadata.dim, trajectory.particles, trajectory.frames - 1);
+    let count = count.min(trajectory.frames);
+    let chosen: Vec<usize> = (0..count).map(|k| if count == 1 { last } else { k * last / (count - 1) }).collect();
+    // Of a cube, a slice one spacing thick.
+    let shown: Vec<usize> = (0..n)
+        .filter(|&i| d == 2 || f64::from(trajectory.position[i * d + 2]) - metadata.bounds[2][0] < metadata.dx)
+        .collect();
+    let hot = |i: usize| trajectory.wall_temperature.as_ref().is_some_and(|set| set[i].is_finite());
+    let tags: Vec<u8> = shown
+        .iter()
+        .map(|&i| match trajectory.kind[i] {
+            kind::FLUID => tag::FLUID,
+            kind::MOVING_WALL => tag::MOVING_WALL,
+            _ if hot(i) => tag::HOT_WALL,
+            _ => tag::WALL,
+        })
+        .collect();
+    let heated = trajectory.temperature.is_some();
+    let values = |frame: usize| -> Vec<f64> {
+        match trajectory.temperature_of(frame) {
+            Some(temperature) => shown.iter().map(|&i| f64::from(temperature[i])).collect(),
+            None => speeds(metadata, trajectory, frame, &shown),
+        }
+    };
+    let frames: Vec<(String, Vec<f64>, Vec<f64>)> = chosen
+        .iter()
+        .map(|&frame| {
+            let position = trajectory.position_of(frame);
+            let all = [0, 1].map(|k| shown.iter().map(|&i| f64::from(position[i * d + k])).collect::<Vec<f64>>());
+            (format!("frame {frame} of {}", trajectory.frames), all.concat(), values(frame))
+        })
+        .collect();
+    let fluid = |values: &[f64]| -> Vec<f64> {
+        values.iter().zip(&tags).filter(|(_, t)| **t == tag::FLUID).map(|(v, _)| *v).collect()
+    };
+    let all: Vec<f64> = frames.iter().flat_map(|(_, _, values)| fluid(values)).collect();
+    let low = all.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (low, high) = if low < high { (low, high) } else { (0.0, 1.0) };
+    let panels: Vec<TemperaturePanel> = frames
+        .iter()
+        .map(|(title, position, temperature)| TemperaturePanel {
+            title,
+            position,
+            temperature,
+            tag: &tags,
+            diameter: metadata.dx,
+        })
+        .collect();
+    let label = if heated { "temperature T (scene units)" } else { "distance to the neighbouring frame / dx" };
+    let range = |k: usize| (metadata.bounds[k][0], metadata.bounds[k][1]);
+    colored_particles(&out.join("frames"), label, &panels, (low, high), range(0), range(1))?;
+    Ok(if heated { "temperatures" } else { "speeds" })
+}
+
+/// Distances to the next frame (of the last one, from the one before), in spacings.
+fn speeds(metadata: &Metadata, trajectory: &Trajectory, frame: usize, shown: &[usize]) -> Vec<f64> {
+    let d = metadata.dim;
+    let (from, to) = match frame + 1 < trajectory.frames {
+        true => (frame, frame + 1),
+        false => (frame.saturating_sub(1), frame),
+    };
+    let (from, to) = (trajectory.position_of(from), trajectory.position_of(to));
+    let (size, periodic) = (metadata.size(), metadata.periodic());
+    let square = |i: usize, k: usize| {
+        let mut step = f64::from(to[i * d + k]) - f64::from(from[i * d + k]);
+        if periodic[k] {
+            step -= size[k] * (step / size[k]).round();
+        }
+        step * step
+    };
+    shown.iter().map(|&i| (0..d).map(|k| square(i, k)).sum::<f64>().sqrt() / metadata.dx).collect()
+}

@@ -1,0 +1,51 @@
+//! Reverse Poiseuille flow (Backer et al. 2005): opposite forces in the two halves of a periodic box.
+//!
+//! Length, height of a half, density and reference velocity are 1. The streams hold each other: at y = 0, 1, 2 the fluid
+//! is at rest, and each half is plane Poiseuille flow with a steady centre line of force Re / 8.
+
+use super::flow::{Exact, Flow, Numerics, Parts};
+use crate::lanes::Real;
+use crate::sph::body_force::BodyForce;
+
+/// The flow and how it is resolved. Defaults: LagrangeBench's 2D data set (3200 particles, viscosity 0.1).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReversePoiseuille {
+    /// Particles across a half, and along the box.
+    pub per_height: usize,
+    /// Reference velocity * length 1 / kinematic viscosity.
+    pub reynolds: f64,
+    /// Acceleration along x in the lower half, against it in the upper one.
+    pub force: f64,
+    pub numerics: Numerics,
+}
+
+impl Default for ReversePoiseuille {
+    fn default() -> Self {
+        let numerics =
+            Numerics { background_pressure_factor: 0.05, transport_velocity: 0.0, jitter: 0.1, ..Default::default() };
+        Self { per_height: 40, reynolds: 10.0, force: 1.0, numerics }
+    }
+}
+
+impl ReversePoiseuille {
+    pub fn build<R: Real>(&self) -> Flow<R> {
+        let kinematic_viscosity = 1.0 / self.reynolds;
+        let velocity = self.force * self.reynolds / 8.0;
+        Parts {
+            name: "reverse-poiseuille",
+            dimension: 2,
+            cells: [self.per_height, 2 * self.per_height, 1],
+            wall_rows: [0; 3],
+            periodic: [true; 3],
+            corner: [0.0; 3],
+            lid: 0.0,
+            spacing: 1.0 / self.per_height as f64,
+            velocity: 1.0,
+            kinematic_viscosity,
+            numerics: self.numerics,
+            body_force: BodyForce::Reversing { strength: self.force, turn: 1.0 },
+            exact: Exact::ReversePoiseuille { velocity, kinematic_viscosity, height: 1.0 },
+        }
+        .build(|_| [0.0; 3])
+    }
+}
