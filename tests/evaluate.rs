@@ -132,9 +132,9 @@ fn bad_input() {
         let with = |model: &str, data: &str, more: &[&str], parts: &[&str]| {
             refuses(path, &[&[command, "--model", model, "--data", data], more].concat(), parts)
         };
-        with("nowhere.safetensors", "plain", &[], &["--model nowhere.safetensors", "cannot read", "`linear`"]);
-        with("text.safetensors", "plain", &[], &["--model text.safetensors", "not a readable safetensors", "allowed:"]);
-        with("other.safetensors", "plain", &[], &["not a model of hydrograd", "hydrograd simulation", "allowed:"]);
+        with("nowhere.safetensors", "plain", &[], &["nowhere.safetensors", "cannot read", "`linear`"]);
+        with("text.safetensors", "plain", &[], &["text.safetensors", "not a readable safetensors", "allowed:"]);
+        with("other.safetensors", "plain", &[], &["other.safetensors", "not a model of hydrograd", "allowed:"]);
         with("linear", "nowhere", &[], &["--data nowhere", "metadata.json", "cannot read", "allowed:"]);
         with("linear", "empty", &[], &["metadata.json", "cannot read"]);
         with("linear", "broken", &[], &["metadata.json", "missing field"]);

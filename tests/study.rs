@@ -69,7 +69,7 @@ fn points_are_trained_once() {
     let all = points(&grid(&["noise=3e-5,3e-4"])).unwrap();
     assert_eq!(study.finished(&all[0]).unwrap(), None);
     let Outcome::Trained { seconds, validation } = study.train(&all[0]).unwrap() else { panic!("failed") };
-    assert!(seconds > 0.0);
+    assert_eq!(seconds, 3.0);
     assert_eq!((validation.last("mse_20"), validation.best("mse_5")), (Some(1e-3), Some((2e-5, 50.0))));
     assert_eq!(validation.last("temperature_mse"), None);
     let trained = std::fs::read_to_string(folder.path().join("trained")).unwrap();
@@ -86,6 +86,12 @@ fn points_are_trained_once() {
     std::fs::create_dir_all(&half).unwrap();
     std::fs::copy(study.folder(&all[0]).join("validation.csv"), half.join("validation.csv")).unwrap();
     assert_eq!(study.finished(&all[1]).unwrap(), None);
+
+    std::fs::write(half.join("last.safetensors"), "").unwrap();
+    study.train(&all[1]).unwrap();
+    let trained = std::fs::read_to_string(folder.path().join("trained")).unwrap();
+    assert!(trained.ends_with("out/noise=3e-4 --steps 100 --resume --set seed=3 --set noise=3e-4\n"), "{trained}");
+    assert!(study.finished(&all[1]).unwrap().is_some());
 
     // Points of another study are not taken for this one's.
     let refuses = |study: &Study, parts: &[&str]| {
@@ -134,7 +140,7 @@ fn broken_tables_are_errors() {
     assert!(Validation::read(folder.path()).is_err());
     std::fs::write(&path, "step,seconds\n1,2\n").unwrap();
     assert!(Validation::read(folder.path()).unwrap_err().to_string().contains("mse_1"));
-    std::fs::write(&path, "step,mse_1\n1,NaN\n").unwrap();
+    std::fs::write(&path, "step,seconds,mse_1\n1,2,NaN\n").unwrap();
     assert!(Validation::read(folder.path()).is_err());
 }
 

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Instant;
 
 /// Metrics that training writes to `validation.csv`, beside `step` and `seconds`.
 pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
@@ -137,6 +136,7 @@ pub enum Outcome {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Validation {
     pub step: Vec<f64>,
+    pub seconds: Vec<f64>,
     /// As [`METRICS`]; empty where the file has none or not everywhere.
     pub metrics: [Vec<f64>; METRICS.len()],
 }
@@ -149,10 +149,10 @@ impl Validation {
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
         let path = folder.join("validation.csv");
         let column = |name| read_columns(&path, &[name]).map(|mut columns| columns.remove(0));
-        let step = column("step")?;
+        let (step, seconds) = (column("step")?, column("seconds")?);
         column(METRICS[0])?;
         // The others may be left out: no temperature, fewer steps.
-        Ok(Self { step, metrics: METRICS.map(|name| column(name).unwrap_or_default()) })
+        Ok(Self { step, seconds, metrics: METRICS.map(|name| column(name).unwrap_or_default()) })
     }
 
     /// The curve of a metric.
@@ -214,12 +214,15 @@ impl Study {
     /// system errors. A training run that fails is [`Outcome::Failed`].
     pub fn train(&self, point: &Point) -> anyhow::Result<Outcome> {
         let folder = self.folder(point);
-        let clock = Instant::now();
         // Not into the folder: that is training's to create, once it knows that its input is good.
         let mut log = tempfile::tempfile()?;
         let mut command = Command::new(&self.program);
         command.arg("train").arg("--data").arg(&self.data).arg("--out").arg(&folder);
         command.args(["--steps", &self.steps.to_string()]);
+        // Killed on the way: goes on with the settings it was begun with.
+        if folder.join("last.safetensors").is_file() {
+            command.arg("--resume");
+        }
         for set in self.sets.iter().cloned().chain(point.0.iter().map(|(key, value)| format!("{key}={value}"))) {
             command.args(["--set", &set]);
         }
@@ -239,13 +242,14 @@ impl Study {
             }
             return Ok(Outcome::Failed(message));
         }
-        let seconds = clock.elapsed().as_secs_f64();
         prepare_output_folder(&folder)?;
         write_bytes_atomically(&folder.join("log.txt"), text.as_bytes())?;
         let validation = match Validation::read(&folder) {
             Ok(validation) => validation,
             Err(error) => return Ok(Outcome::Failed(error.to_string())),
         };
+        // Training's own count, which goes on when it is resumed.
+        let seconds = validation.seconds.last().copied().unwrap_or(0.0);
         let finished = Finished {
             point: point.clone(),
             data: absolute(&self.data),
