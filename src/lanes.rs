@@ -28,6 +28,9 @@ pub trait Real:
     type Avx2: Lanes<Real = Self>;
     #[cfg(target_arch = "x86_64")]
     type Avx512: Lanes<Real = Self>;
+    /// For [`RowKernel::SHORT`].
+    #[cfg(target_arch = "x86_64")]
+    type Avx512Short: Lanes<Real = Self>;
     fn of(value: f64) -> Self;
     fn f64(self) -> f64;
     fn sqrt(self) -> Self;
@@ -713,13 +716,15 @@ mod x86 {
 pub use x86::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
 
 macro_rules! real {
-    ($real:ty, $portable:ty, $avx2:ty, $avx512:ty) => {
+    ($real:ty, $portable:ty, $avx2:ty, $avx512:ty, $short:ty) => {
         impl Real for $real {
             type Portable = $portable;
             #[cfg(target_arch = "x86_64")]
             type Avx2 = $avx2;
             #[cfg(target_arch = "x86_64")]
             type Avx512 = $avx512;
+            #[cfg(target_arch = "x86_64")]
+            type Avx512Short = $short;
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $real
@@ -739,8 +744,8 @@ macro_rules! real {
         }
     };
 }
-real!(f64, PortableF64, Avx2F64, Avx512F64);
-real!(f32, PortableF32, Avx2F32, Avx512F32);
+real!(f64, PortableF64, Avx2F64, Avx512F64, Avx512F64);
+real!(f32, PortableF32, Avx2F32, Avx512F32, Avx2F32);
 
 /// The instruction sets that kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -778,6 +783,9 @@ impl InstructionSet {
 /// A kernel over rows: computes the rows of a range independently of each other, so that the result does
 /// not depend on how ranges are dealt to threads.
 pub trait RowKernel<R: Real>: Sync {
+    /// Whether it sums over rows of about 30 neighbours, as those of two dimensions are: of the second vector of 16 lanes
+    /// much would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
+    const SHORT: bool = false;
     /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>);
 }
@@ -785,7 +793,11 @@ pub trait RowKernel<R: Real>: Sync {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
 fn rows_avx512<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    kernel.rows::<R::Avx512>(rows);
+    if K::SHORT {
+        kernel.rows::<R::Avx512Short>(rows);
+    } else {
+        kernel.rows::<R::Avx512>(rows);
+    }
 }
 
 #[cfg(target_arch = "x86_64")]

@@ -173,6 +173,8 @@ struct SearchIn<'a, R, const D: usize>(Search<'a, R>);
 type Found = [u32; MOST_NEIGHBOURS + ROW_MULTIPLE];
 
 impl<R: Real, const D: usize> RowKernel<R> for SearchIn<'_, R, D> {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let search = &self.0;

@@ -58,6 +58,8 @@ impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE
 }
 
 impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_, R, D, CURVATURE> {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
@@ -152,6 +154,8 @@ impl<R: Real, const D: usize> Backward<'_, R, D> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);

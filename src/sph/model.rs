@@ -170,11 +170,10 @@ impl<R: Real> Scratch<R> {
     /// A buffer of this length with arbitrary content.
     pub fn take(&self, length: usize) -> Vec<R> {
         let mut buffers = self.buffers.lock().unwrap_or_else(|e| e.into_inner());
-        // The same operator comes again and again: a buffer of its own length needs no clearing.
+        // The same operator comes again and again: a buffer of its own length needs no clearing. A longer one would be
+        // missed by its own operator.
         let same = buffers.iter().rposition(|buffer| buffer.len() == length);
-        let mut buffer = same.map(|place| buffers.swap_remove(place)).or_else(|| buffers.pop()).unwrap_or_default();
-        buffer.resize(length, R::default());
-        buffer
+        same.map_or_else(|| vec![R::default(); length], |place| buffers.swap_remove(place))
     }
     pub fn give_back(&self, buffer: Vec<R>) {
         self.buffers.lock().unwrap_or_else(|e| e.into_inner()).push(buffer);

@@ -227,6 +227,8 @@ struct Walls<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for Walls<'_, R, D, TRANSPORT, HEAT>
 {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list) = (self.step, &*self.step.model, &*self.step.list);
@@ -339,6 +341,8 @@ struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for WallRows<'_, R, D, TRANSPORT, HEAT>
 {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);
@@ -422,6 +426,8 @@ struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool>
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for FluidRows<'_, R, D, TRANSPORT, HEAT>
 {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);

@@ -206,6 +206,8 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Forward<'
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for Forward<'_, R, D, TRANSPORT, HEAT>
 {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
@@ -378,6 +380,8 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Backward<
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for Backward<'_, R, D, TRANSPORT, HEAT>
 {
+    const SHORT: bool = D == 2;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
