@@ -12,7 +12,7 @@ fn data() -> &'static Path {
             let folder = tempfile::tempdir().unwrap();
             hydrograd()
                 .args(["generate", "heated-channel", "--trajectories", "2/1/1", "--frames", "12", "--skip", "20"])
-                .args(["--set", "resolution.dx=0.04", "--out"])
+                .args(["--set", "resolution.dx=0.025", "--out"])
                 .arg(folder.path().join("data"))
                 .assert()
                 .success();
@@ -57,8 +57,15 @@ fn leaves_checkpoints_tables_and_curves() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     train(&out, &["--steps", "9"]).assert().success();
-    for file in ["last.safetensors", "best.safetensors", "history.csv", "validation.csv", "config.toml", "curves.png", "curves.svg"]
-    {
+    for file in [
+        "last.safetensors",
+        "best.safetensors",
+        "history.csv",
+        "validation.csv",
+        "config.toml",
+        "curves.png",
+        "curves.svg",
+    ] {
         assert!(out.join(file).is_file(), "{file}");
     }
     let history = std::fs::read_to_string(out.join("history.csv")).unwrap();
@@ -67,20 +74,22 @@ fn leaves_checkpoints_tables_and_curves() {
     let validation = std::fs::read_to_string(out.join("validation.csv")).unwrap();
     assert_eq!(validation.lines().count(), 4);
     assert!(validation.lines().last().unwrap().starts_with("9,"));
-    let events = std::fs::read_dir(&out).unwrap().filter(|e| {
-        e.as_ref().unwrap().file_name().to_string_lossy().starts_with("events.out.tfevents.")
-    });
+    let events = std::fs::read_dir(&out)
+        .unwrap()
+        .filter(|e| e.as_ref().unwrap().file_name().to_string_lossy().starts_with("events.out.tfevents."));
     assert_eq!(events.count(), 1);
     let file = TensorFile::read(&out.join("last.safetensors")).unwrap();
     assert_eq!(file.text("step").unwrap(), "9");
-    for name in ["param.proc.1.edge.0.weight", "adam.first.dec.1.bias", "adam.second.embed.weight", "ema.enc.node.ln.scale"] {
+    for name in
+        ["param.proc.1.edge.0.weight", "adam.first.dec.1.bias", "adam.second.embed.weight", "ema.enc.node.ln.scale"]
+    {
         assert!(file.tensors.contains_key(name), "{name}");
     }
     assert_eq!(file.shape("param.proc.1.edge.0.weight").unwrap(), [24, 8]);
     // Acceleration and temperature change.
     assert_eq!(file.shape("param.dec.1.bias").unwrap(), [3]);
     // Another training there would overwrite it.
-    train(&out, &["--steps", "9"]).assert().code(2).stderr(predicates("holds a training already"));
+    fails(&mut train(&out, &["--steps", "9"]), 2, "holds a training already");
     // The best checkpoint is a model that `evaluate` takes.
     hydrograd()
         .args(["evaluate", "--steps", "4", "--model"])
@@ -93,8 +102,11 @@ fn leaves_checkpoints_tables_and_curves() {
         .success();
 }
 
-fn predicates(text: &'static str) -> impl Fn(&[u8]) -> bool {
-    move |bytes| String::from_utf8_lossy(bytes).contains(text)
+/// Ends with this exit code and says this.
+fn fails(command: &mut Command, code: i32, text: &str) {
+    let assert = command.assert().code(code);
+    let error = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+    assert!(error.contains(text), "{error}");
 }
 
 /// Nine steps at once, and five, then four more: the same numbers in every tensor, bit for bit, and the same tables but for
@@ -155,10 +167,11 @@ fn begins_with_another_trainings_parameters() {
     assert_eq!(a["param.proc.0.node.0.weight"], b["param.proc.0.node.0.weight"]);
     assert_ne!(a["adam.first.proc.0.node.0.weight"], b["adam.first.proc.0.node.0.weight"]);
     let third = folder.path().join("third");
-    train(&third, &["--steps", "1", "--set", "model.latent=16", "--init", from])
-        .assert()
-        .code(2)
-        .stderr(predicates("the same kind and sizes"));
+    fails(
+        &mut train(&third, &["--steps", "1", "--set", "model.latent=16", "--init", from]),
+        2,
+        "the same kind and sizes",
+    );
     assert!(!third.exists());
 }
 
@@ -192,17 +205,16 @@ fn bad_input_is_told_and_nothing_is_written() {
         (&["--resume"], "last.safetensors"),
     ];
     for (more, text) in cases {
-        let assert = train(&out, more).assert().code(2);
-        let error = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
-        assert!(error.contains(text), "{more:?}: {error}");
+        fails(&mut train(&out, more), 2, text);
         assert!(!out.exists(), "{more:?} left something");
     }
-    hydrograd().args(["train", "--data", "/nowhere", "--out"]).arg(&out).assert().code(2).stderr(predicates("/nowhere"));
+    fails(hydrograd().args(["train", "--data", "/nowhere", "--out"]).arg(&out), 2, "/nowhere");
     // A rate that blows the weights up: an error with advice, not a file full of not-a-number.
-    train(&out, &["--steps", "50", "--set", "learning_rate=1e30", "--set", "learning_rate_least=1e30"])
-        .assert()
-        .code(1)
-        .stderr(predicates("diverged"));
+    fails(
+        &mut train(&out, &["--steps", "50", "--set", "learning_rate=1e30", "--set", "learning_rate_least=1e30"]),
+        1,
+        "diverged",
+    );
     let last = out.join("last.safetensors");
     if last.exists() {
         let finite = |data: &hydrograd::io::tensor_file::Data| match data {

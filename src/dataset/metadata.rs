@@ -54,6 +54,14 @@ pub struct Heat {
     pub outlet_length: f64,
 }
 
+impl Heat {
+    /// Whether fluid that went from x to `to` within a frame met the inlet: it is there, or it came around through it (the
+    /// fastest particles pass the inlet between two frames).
+    pub fn resets(&self, from: f64, to: f64, bounds: [f64; 2]) -> bool {
+        to < self.inlet_length || from - to > 0.5 * (bounds[1] - bounds[0])
+    }
+}
+
 impl Metadata {
     /// Reads `metadata.json` of a data set's folder.
     ///

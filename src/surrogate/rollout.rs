@@ -1,7 +1,7 @@
 //! A model on its own: predicted frames are the input of the next ones.
 //!
-//! After every step kinematic particles take the truth, positions are wrapped into a periodic box, and fluid at
-//! x < `heat.inlet_length` gets the inlet's temperature. A rollout always ends: where the model fails it is marked as broken
+//! After every step kinematic particles take the truth, positions are wrapped into a periodic box, and fluid that met the
+//! inlet ([`crate::dataset::Heat::resets`]) gets its temperature. A rollout always ends: where the model fails it is marked as broken
 //! (LagrangeBench's never ends once particles have clustered).
 
 use super::displacement::Extent;
@@ -74,7 +74,7 @@ pub fn rollout(
         let predicted = predictor.next(&scenery, &frames[frames.len() - seen..]);
         seconds += clock.elapsed().as_secs_f64();
         let truth = Frame::of(trajectory, first + step);
-        match predicted.and_then(|frame| settle(&scenery, frame, &truth)) {
+        match predicted.and_then(|frame| settle(&scenery, frame, &frames[frames.len() - 1], &truth)) {
             Ok(frame) => frames.push(frame),
             Err(error) => {
                 broken = Some(Broken { step: step + 1, reason: format!("{error:#}") });
@@ -86,7 +86,7 @@ pub fn rollout(
 }
 
 /// The conditions that hold whatever the model says; an error if the frame can not be used.
-fn settle(scenery: &Scenery, mut frame: Frame, truth: &Frame) -> anyhow::Result<Frame> {
+fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) -> anyhow::Result<Frame> {
     let extent = Extent::of(scenery.metadata);
     let dimension = extent.dimension;
     if frame.position.len() != truth.position.len() {
@@ -116,7 +116,8 @@ fn settle(scenery: &Scenery, mut frame: Frame, truth: &Frame) -> anyhow::Result<
         }
         if let Some(temperature) = &mut frame.temperature {
             if let Some(heat) = &scenery.metadata.heat {
-                if frame.position[i * dimension] < heat.inlet_length {
+                let x = i * dimension;
+                if heat.resets(before.position[x], frame.position[x], scenery.metadata.bounds[0]) {
                     temperature[i] = heat.inlet_temperature;
                 }
             }

@@ -142,10 +142,10 @@ impl<'a> Samples<'a> {
         let mut moved = clean[..frames].iter().map(|p| tensor(p.clone())).collect::<candle_core::Result<Vec<_>>>()?;
         for k in 0..unrolls {
             let output = model.apply(&inputs, parameters)?;
-            let last = &moved[frames - 1];
-            let velocity = super::features::displacement(last, &moved[frames - 2], metadata)?;
+            let last_position = moved[frames - 1].clone();
+            let velocity = super::features::displacement(&last_position, &moved[frames - 2], metadata)?;
             let from = Inputs { velocity, ..inputs.clone() };
-            let next = integrate::position(last, &from, &output, &setup.normalisation, metadata)?;
+            let next = integrate::position(&last_position, &from, &output, &setup.normalisation, metadata)?;
             let mut next = next.flatten_all()?.to_vec1::<f64>()?;
             let truth = &clean[frames + k];
             for (i, _) in trajectory.kind.iter().enumerate().filter(|(_, &k)| kind::is_kinematic(k)) {
@@ -155,7 +155,8 @@ impl<'a> Samples<'a> {
                 let last = &window.temperature[frames - 1];
                 let warmer = integrate::temperature(last, &output, &setup.normalisation, metadata)?;
                 let mut warmer = warmer.to_vec1::<f64>()?;
-                settle_temperature(&scenery, &next, &temperature[frames + k], &mut warmer);
+                let before = last_position.flatten_all()?.to_vec1::<f64>()?;
+                settle_temperature(&scenery, &before, &next, &temperature[frames + k], &mut warmer);
                 window.temperature.remove(0);
                 window.temperature.push(warm(&warmer)?);
             }
@@ -183,7 +184,8 @@ impl<'a> Samples<'a> {
             if let Some(heat) = &metadata.heat {
                 // What the inlet resets is no work of the flow; the rollout does it too.
                 for i in 0..n {
-                    if clean[frames + unrolls][i * d] < heat.inlet_length {
+                    let (from, to) = (clean[frames + unrolls - 1][i * d], clean[frames + unrolls][i * d]);
+                    if heat.resets(from, to, metadata.bounds[0]) {
                         mask[i * outputs + d] = 0.0;
                     }
                 }
@@ -198,12 +200,14 @@ impl<'a> Samples<'a> {
 }
 
 /// The conditions on temperatures that a rollout imposes.
-fn settle_temperature(scenery: &Scenery, position: &[f64], truth: &[f64], temperature: &mut [f64]) {
-    let d = scenery.metadata.dim;
+fn settle_temperature(scenery: &Scenery, before: &[f64], now: &[f64], truth: &[f64], temperature: &mut [f64]) {
+    let (d, bounds) = (scenery.metadata.dim, scenery.metadata.bounds[0]);
     for (i, &k) in scenery.kind.iter().enumerate() {
         if kind::is_kinematic(k) {
             temperature[i] = truth[i];
-        } else if let Some(heat) = scenery.metadata.heat.as_ref().filter(|h| position[i * d] < h.inlet_length) {
+        } else if let Some(heat) =
+            scenery.metadata.heat.as_ref().filter(|h| h.resets(before[i * d], now[i * d], bounds))
+        {
             temperature[i] = heat.inlet_temperature;
         }
     }
