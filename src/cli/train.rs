@@ -126,7 +126,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         settings.steps,
         training.state.seconds,
         1e3 * outcome.seconds_per_step,
-        outcome.best_step
+        outcome.best_step.map_or("none".to_owned(), |step| step.to_string())
     );
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
     println!(

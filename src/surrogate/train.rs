@@ -49,8 +49,8 @@ pub struct Outcome {
     /// Of the last validation.
     pub scores: Scores,
     pub linear: Scores,
-    /// Step of the best validation.
-    pub best_step: u64,
+    /// Step of the best validation; none if no validation came to an end.
+    pub best_step: Option<u64>,
     /// Per update, without validation.
     pub seconds_per_step: f64,
 }
@@ -156,10 +156,7 @@ impl Training<'_> {
             Some(scores) => scores,
             None => self.score(&self.predictor()?)?,
         };
-        let best = |row: &&Vec<f64>| row[2];
-        let best_step = self.validation.iter().min_by(|a, b| best(a).total_cmp(&best(b))).map_or(0.0, |row| row[0]);
-        let best_step = self.best_step().unwrap_or(best_step as u64);
-        Ok(Outcome { scores, linear, best_step, seconds_per_step: working / f64::from(steps.max(1)) })
+        Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
     }
 
     /// One update; the mean loss of its batch.
