@@ -163,7 +163,10 @@ impl Training<'_> {
     }
 
     /// One update; the mean loss of its batch.
-    fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
+    ///
+    /// # Errors
+    /// A loss or gradient that is not finite, tensors.
+    pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
         let plain = detached(&*self.model);
         let share = 1.0 / settings.batch_size as f64;
