@@ -85,9 +85,7 @@ impl Shape {
 
     /// Rows that go through together.
     pub fn block<R>(&self) -> usize {
-        (std::env::var("HG_BLOCK").ok().and_then(|s| s.parse().ok()).unwrap_or(BLOCK_BYTES)
-            / (self.hidden * std::mem::size_of::<R>()))
-        .clamp(32, 1024)
+        (BLOCK_BYTES / (self.hidden * std::mem::size_of::<R>())).clamp(32, 1024)
     }
 
     /// Matrices of hidden activations per row.
@@ -341,7 +339,7 @@ pub fn add_rows<R: Real>(sum: &mut [R], rows: &[R]) {
 /// How many parts the rows are dealt in: each has its own sum of the parameters' gradients, so the number must not depend
 /// on the threads.
 pub fn parts(rows: usize) -> usize {
-    (rows / 512).clamp(1, std::env::var("HG_PARTS").ok().and_then(|s| s.parse().ok()).unwrap_or(16))
+    (rows / 512).clamp(1, 16)
 }
 
 /// Part `k` of `parts` of some rows.
