@@ -229,7 +229,7 @@ pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Lay
     let width = L::Real::of(1.0 / shape.outputs as f64);
     for (r, z) in z.chunks_exact_mut(shape.outputs).enumerate() {
         for (z, &b) in z.iter_mut().zip(bias) {
-            *z = *z + b;
+            *z += b;
         }
         if shape.norm {
             let mean = row_sum::<L>(z, z, |z, _| z) * width;
@@ -288,7 +288,7 @@ pub unsafe fn backward_block<L: Lanes>(
             for c in 0..shape.outputs {
                 scale_bar[c] += y_bar[c] * x[c];
                 offset_bar[c] += y_bar[c];
-                y_bar[c] = y_bar[c] * scale[c];
+                y_bar[c] *= scale[c];
             }
             let mean = row_sum::<L>(y_bar, y_bar, |y, _| y) * width;
             let along = row_sum::<L>(y_bar, x, |y, x| y * x) * width;
