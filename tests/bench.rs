@@ -92,6 +92,24 @@ fn every_group_gives_rows_of_the_schema() {
 }
 
 #[test]
+fn networks_are_measured_beside_sgemm() {
+    let folder = TempDir::new().unwrap();
+    let (text, rows) = rows(folder.path(), "out", &["surrogate", "--filter", "/gns-5-64-1.45dx/"]);
+    assert!(text.contains("sgemm") && text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    let kinds: Vec<_> =
+        rows.iter().map(|row| (row["kind"].as_str().unwrap(), row["precision"].as_str().unwrap())).collect();
+    assert_eq!(kinds, [("forward", "f32"), ("training", "f32")]);
+    let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap_or_else(|| panic!("{key} of {}", rows[row]));
+    for row in 0..2 {
+        assert_eq!((number(row, "particles"), number(row, "pairs")), (950.0, 6728.0));
+        let rate = number(row, "gflop_per_step") / (1e-3 * number(row, "ms_per_step"));
+        assert!((number(row, "gflops") / rate - 1.0).abs() < 1e-12 && number(row, "sgemm_gflops") > 0.0);
+        assert!((1 << 20..1 << 30).contains(&rows[row]["peak_memory_bytes"].as_u64().unwrap()));
+    }
+    assert!((2.9..3.0).contains(&(number(1, "gflop_per_step") / number(0, "gflop_per_step"))));
+}
+
+#[test]
 fn filters_compares_and_varies_threads_and_types() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();

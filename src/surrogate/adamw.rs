@@ -4,7 +4,9 @@
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
-use candle_core::{DType, Result, Tensor, Var};
+use crate::sph::step;
+use candle_core::{CpuStorage, DType, InplaceOp3, Layout, Result, Tensor, Var};
+use std::marker::PhantomData;
 use std::ops::Range;
 
 pub const FIRST_DECAY: f64 = 0.9;
@@ -31,33 +33,56 @@ pub struct AdamW {
 /// Numbers per row of the sweep.
 const ROW: usize = 4096;
 
-struct Update<'a, R> {
+/// One number in place from itself and two others.
+struct Sweep<'a, R, F> {
     x: Shared<'a, R>,
-    m: Shared<'a, R>,
-    v: Shared<'a, R>,
-    g: &'a [R],
-    rate: R,
-    decay: R,
-    /// 1/(1 - b1^t), 1/(1 - b2^t).
-    first: R,
-    second: R,
+    a: &'a [R],
+    b: &'a [R],
+    f: F,
 }
 
-impl<R: Real> RowKernel<R> for Update<'_, R> {
+impl<R: Real, F: Fn(R, R, R) -> R + Sync> RowKernel<R> for Sweep<'_, R, F> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let range = rows.start * ROW..self.g.len().min(rows.end * ROW);
+        let range = rows.start * ROW..self.a.len().min(rows.end * ROW);
         // SAFETY: each range belongs to one iteration.
-        let (x, m, v) =
-            unsafe { (self.x.slice(range.clone()), self.m.slice(range.clone()), self.v.slice(range.clone())) };
-        let g = &self.g[range];
-        let [b1, b2, c1, c2, epsilon] =
-            [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
-        for k in 0..g.len() {
-            m[k] = b1 * m[k] + c1 * g[k];
-            v[k] = b2 * v[k] + c2 * g[k] * g[k];
-            let step = m[k] * self.first / ((v[k] * self.second).sqrt() + epsilon);
-            x[k] = x[k] - self.rate * (step + self.decay * x[k]);
+        let x = unsafe { self.x.slice(range.clone()) };
+        for ((x, &a), &b) in x.iter_mut().zip(&self.a[range.clone()]).zip(&self.b[range]) {
+            *x = (self.f)(*x, a, b);
+        }
+    }
+}
+
+/// x <- f(x, a, b) in the tensor's own memory.
+struct InPlace<R, F>(F, PhantomData<R>);
+
+impl<R: Real, F: Fn(R, R, R) -> R + Sync> InplaceOp3 for InPlace<R, F> {
+    fn name(&self) -> &'static str {
+        "adamw"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &mut CpuStorage,
+        x_layout: &Layout,
+        a: &CpuStorage,
+        a_layout: &Layout,
+        b: &CpuStorage,
+        b_layout: &Layout,
+    ) -> Result<()> {
+        let (a, b) = (step::input::<R>(a, a_layout)?, step::input::<R>(b, b_layout)?);
+        let x: &mut [R] = match x {
+            CpuStorage::F32(x) if R::DTYPE == DType::F32 => bytemuck::cast_slice_mut(x),
+            CpuStorage::F64(x) if R::DTYPE == DType::F64 => bytemuck::cast_slice_mut(x),
+            _ => candle_core::bail!("adamw: the types of the tensors differ"),
+        };
+        match x_layout.contiguous_offsets() {
+            Some((from, to)) if to - from == a.len() && a.len() == b.len() => {
+                let x = Shared::new(&mut x[from..to]);
+                run_rows(&Sweep { x, a, b, f: &self.0 }, a.len().div_ceil(ROW));
+                Ok(())
+            }
+            _ => candle_core::bail!("adamw: the shapes of the tensors differ"),
         }
     }
 }
@@ -94,25 +119,19 @@ fn update<R: Real>(
     learning_rate: f64,
     weight_decay: f64,
 ) -> Result<()> {
-    let numbers = |t: &Tensor| t.flatten_all()?.to_vec1::<R>();
-    let (mut x, mut m, mut v) = (numbers(parameter)?, numbers(&moments.first)?, numbers(&moments.second)?);
-    let g = numbers(gradient)?;
     let share = |decay: f64| R::of(1.0 / (1.0 - decay.powf(steps as f64)));
-    let pass = Update {
-        x: Shared::new(&mut x),
-        m: Shared::new(&mut m),
-        v: Shared::new(&mut v),
-        g: &g,
-        rate: R::of(learning_rate),
-        decay: R::of(weight_decay),
-        first: share(FIRST_DECAY),
-        second: share(SECOND_DECAY),
+    let (first, second) = (share(FIRST_DECAY), share(SECOND_DECAY));
+    let (rate, decay) = (R::of(learning_rate), R::of(weight_decay));
+    let [b1, b2, c1, c2, epsilon] =
+        [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
+    let (g, m, v) = (gradient.contiguous()?.detach(), &moments.first, &moments.second);
+    m.inplace_op3(&g, &g, &InPlace(|m: R, g: R, _| b1 * m + c1 * g, PhantomData))?;
+    v.inplace_op3(&g, &g, &InPlace(|v: R, g: R, _| b2 * v + c2 * g * g, PhantomData))?;
+    let moved = |x: R, m: R, v: R| {
+        let step = m * first / ((v * second).sqrt() + epsilon);
+        x - rate * (step + decay * x)
     };
-    run_rows(&pass, g.len().div_ceil(ROW));
-    let tensor = |values: Vec<R>| Tensor::from_vec(values, parameter.shape(), parameter.device());
-    parameter.set(&tensor(x)?)?;
-    (moments.first, moments.second) = (tensor(m)?, tensor(v)?);
-    Ok(())
+    parameter.inplace_op3(m, v, &InPlace(moved, PhantomData))
 }
 
 /// max(start factor^(step/interval), least): LagrangeBench's decay.

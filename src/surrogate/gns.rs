@@ -1,15 +1,13 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
 use super::features::{Inputs, KINDS};
-use super::graph::Graph;
-use super::interaction::{edge_shape, node_shape, Interaction};
+use super::interaction::{edge_shape, node_shape, Rounds, Trace};
 use super::memory::Memory;
 use super::mlp::{Mlp, Shape};
 use super::model::{Model, Parameter};
 use crate::lanes::Real;
 use crate::random::stream;
 use candle_core::{DType, Result, Tensor};
-use std::sync::Arc;
 
 /// Sizes of a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -32,7 +30,7 @@ pub struct Sizes {
 pub struct Gns {
     pub sizes: Sizes,
     dtype: DType,
-    /// Embedding, encoder of nodes, encoder of edges, (edge, node) of each round, decoder.
+    /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
     single: Memory<f32>,
     double: Memory<f64>,
@@ -57,36 +55,34 @@ impl Gns {
         let mut rng = stream(seed, "weights");
         let Sizes { node_features, edge_features, latent, linears, embedding, .. } = sizes;
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, embedding, &mut rng, dtype)?];
-        let mut add = |name: String, shape: Shape| -> Result<()> {
-            parameters.push(Parameter::perceptron(&name, &shape, &mut rng, dtype)?);
+        let mut add = |shapes: Vec<(String, Shape)>| -> Result<()> {
+            parameters.push(Parameter::perceptrons(&shapes, &mut rng, dtype)?);
             Ok(())
         };
-        add("enc.node".into(), sizes.encoder(node_features + embedding))?;
-        add("enc.edge".into(), sizes.encoder(edge_features))?;
-        for k in 0..sizes.rounds {
-            add(format!("proc.{k}.edge"), edge_shape(latent, latent, linears))?;
-            add(format!("proc.{k}.node"), node_shape(latent, latent, linears))?;
-        }
-        add("dec".into(), sizes.decoder())?;
+        let round = |k: usize| {
+            let (edge, node) = (edge_shape(latent, latent, linears), node_shape(latent, latent, linears));
+            [(format!("proc.{k}.edge"), edge), (format!("proc.{k}.node"), node)]
+        };
+        add(vec![("enc.node".into(), sizes.encoder(node_features + embedding))])?;
+        add(vec![("enc.edge".into(), sizes.encoder(edge_features))])?;
+        add((0..sizes.rounds).flat_map(round).collect())?;
+        add(vec![("dec".into(), sizes.decoder())])?;
         Ok(Self { sizes, dtype, parameters, single: Memory::default(), double: Memory::default() })
     }
 
-    fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: &mut Trace) -> Result<Tensor> {
+    fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: Option<Trace>) -> Result<Tensor> {
         let s = &self.sizes;
         let embedded = p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?;
         let nodes = Tensor::cat(&[&inputs.nodes, &embedded], 1)?;
         let nodes = nodes.apply_op2(&p[1], Mlp::<R>::new(s.encoder(nodes.dim(1)?), memory))?;
         let edges = inputs.edges.apply_op2(&p[2], Mlp::<R>::new(s.encoder(s.edge_features), memory))?;
-        let mut state = Tensor::cat(&[nodes, edges], 0)?;
-        trace.push(&state);
-        for k in 0..s.rounds {
-            let last = k + 1 == s.rounds && trace.0.is_none();
-            let round = interaction::<R>(&inputs.graph, s, last, memory);
-            state = state.apply_op3(&p[3 + 2 * k], &p[4 + 2 * k], round)?;
-            trace.push(&state);
+        if let Some(trace) = &trace {
+            trace.lock().unwrap_or_else(|e| e.into_inner()).push(Tensor::cat(&[&nodes, &edges], 0)?.detach());
         }
-        let nodes = state.narrow(0, 0, inputs.graph.nodes())?;
-        nodes.apply_op2(&p[3 + 2 * s.rounds], Mlp::<R>::new(s.decoder(), memory))
+        let keeps = [&nodes, &edges, &p[3]].iter().any(|t| t.track_op());
+        let rounds = Rounds::<R>::new(&inputs.graph, (s.latent, s.latent, s.linears), s.rounds, keeps, memory, trace);
+        let nodes = nodes.apply_op3(&edges, &p[3], rounds)?;
+        nodes.apply_op2(&p[4], Mlp::<R>::new(s.decoder(), memory))
     }
 
     /// As [`Model::apply`], with the state `[N + E, L]` behind the encoder and behind each round.
@@ -94,32 +90,18 @@ impl Gns {
     /// # Errors
     /// Tensor errors.
     pub fn apply_traced(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<(Tensor, Vec<Tensor>)> {
-        let mut trace = Trace(Some(Vec::new()));
-        let out = self.apply_with(inputs, parameters, &mut trace)?;
-        Ok((out, trace.0.unwrap_or_default()))
+        let trace = Trace::default();
+        let out = self.apply_with(inputs, parameters, Some(trace.clone()))?;
+        let states = std::mem::take(&mut *trace.lock().unwrap_or_else(|e| e.into_inner()));
+        Ok((out, states))
     }
 
-    fn apply_with(&self, inputs: &Inputs, parameters: &[Tensor], trace: &mut Trace) -> Result<Tensor> {
+    fn apply_with(&self, inputs: &Inputs, parameters: &[Tensor], trace: Option<Trace>) -> Result<Tensor> {
         match self.dtype {
             DType::F32 => self.run(inputs, parameters, &self.single, trace),
             _ => self.run(inputs, parameters, &self.double, trace),
         }
     }
-}
-
-/// States on the way, if somebody asked for them.
-struct Trace(Option<Vec<Tensor>>);
-
-impl Trace {
-    fn push(&mut self, state: &Tensor) {
-        if let Some(states) = &mut self.0 {
-            states.push(state.detach());
-        }
-    }
-}
-
-fn interaction<R: Real>(graph: &Arc<Graph>, s: &Sizes, last: bool, memory: &Memory<R>) -> Interaction<R> {
-    Interaction::new(graph, (s.latent, s.latent, s.linears), last, memory)
 }
 
 impl Model for Gns {
@@ -128,6 +110,6 @@ impl Model for Gns {
     }
 
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
-        self.apply_with(inputs, parameters, &mut Trace(None))
+        self.apply_with(inputs, parameters, None)
     }
 }

@@ -26,11 +26,15 @@ impl<R: Real> Memory<R> {
     /// A buffer of this length; what stands in it is anybody's guess.
     pub fn take(&self, length: usize) -> Owned<R> {
         let mut pile = self.0.lock().unwrap_or_else(|e| e.into_inner());
-        // The smallest that is large enough, else the largest.
+        // The smallest that is large enough; else a new one for the largest of those that are not.
         let fit = |v: &Vec<R>| if v.capacity() >= length { (0, v.capacity()) } else { (1, usize::MAX - v.capacity()) };
         let best = (0..pile.len()).min_by_key(|&k| fit(&pile[k]));
         let mut numbers = best.map(|k| pile.swap_remove(k)).unwrap_or_default();
         drop(pile);
+        if numbers.capacity() < length {
+            // The number of edges changes a little from step to step: an eighth more than is asked for lasts.
+            numbers = Vec::with_capacity(length + length / 8);
+        }
         numbers.resize(length, R::default());
         Owned { numbers, pile: self.clone() }
     }

@@ -229,7 +229,7 @@ pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Lay
     let width = L::Real::of(1.0 / shape.outputs as f64);
     for (r, z) in z.chunks_exact_mut(shape.outputs).enumerate() {
         for (z, &b) in z.iter_mut().zip(bias) {
-            *z = *z + b;
+            *z += b;
         }
         if shape.norm {
             let mean = row_sum::<L>(z, z, |z, _| z) * width;
@@ -288,7 +288,7 @@ pub unsafe fn backward_block<L: Lanes>(
             for c in 0..shape.outputs {
                 scale_bar[c] += y_bar[c] * x[c];
                 offset_bar[c] += y_bar[c];
-                y_bar[c] = y_bar[c] * scale[c];
+                y_bar[c] *= scale[c];
             }
             let mean = row_sum::<L>(y_bar, y_bar, |y, _| y) * width;
             let along = row_sum::<L>(y_bar, x, |y, x| y * x) * width;
@@ -347,15 +347,38 @@ pub fn part(rows: usize, parts: usize, k: usize) -> Range<usize> {
     rows * k / parts..rows * (k + 1) / parts
 }
 
-/// Adds up the gradients of the parts, in their order.
-pub fn sum_of_parts<R: Real>(parts: &[R], length: usize) -> Vec<R> {
-    let mut sum = parts[..length].to_vec();
-    for part in parts[length..].chunks_exact(length) {
-        for (sum, &x) in sum.iter_mut().zip(part) {
-            *sum += x;
+/// Numbers per row of the sweep over a gradient.
+const ROW: usize = 4096;
+
+struct Sum<'a, R> {
+    sum: Shared<'a, R>,
+    length: usize,
+    parts: &'a [R],
+}
+
+impl<R: Real> RowKernel<R> for Sum<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        for row in rows {
+            let range = row * ROW..self.length.min((row + 1) * ROW);
+            // SAFETY: each range belongs to one iteration.
+            let sum = unsafe { self.sum.slice(range.clone()) };
+            for (k, part) in self.parts.chunks_exact(self.length).enumerate() {
+                let part = &part[range.clone()];
+                if k == 0 {
+                    sum.copy_from_slice(part);
+                } else {
+                    add_rows(sum, part);
+                }
+            }
         }
     }
-    sum
+}
+
+/// `sum` <- the gradients of the parts added up in their order.
+pub fn sum_of_parts<R: Real>(sum: &mut [R], parts: &[R]) {
+    let length = sum.len();
+    run_rows(&Sum { sum: Shared::new(sum), length, parts }, length.div_ceil(ROW));
 }
 
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
@@ -443,6 +466,7 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
         for k in range {
             // SAFETY: each part, its rows and its gradient belong to one iteration.
             let g = unsafe { self.p_bar.slice(k * shape.parameters()..(k + 1) * shape.parameters()) };
+            g.fill(R::default());
             for rows in blocks(part(self.rows, self.parts, k), block) {
                 let count = rows.len();
                 let bar = &mut z_bar[..count * shape.outputs];
@@ -499,7 +523,7 @@ impl<R: Real> CustomOp2 for Mlp<R> {
         // Features are data more often than not: nobody asks for their gradient then.
         let wants_x = x.track_op();
         let mut x_bar = vec![R::default(); if wants_x { rows * shape.inputs } else { 0 }];
-        let mut p_bar = vec![R::default(); parts * shape.parameters()];
+        let mut p_bar = self.memory.take(parts * shape.parameters());
         step::read(&y_bar.contiguous()?, |y_bar| {
             step::read(x, |x| {
                 step::read(p, |p| {
@@ -511,7 +535,9 @@ impl<R: Real> CustomOp2 for Mlp<R> {
                 })
             })
         })?;
-        let p_bar = Tensor::from_vec(sum_of_parts(&p_bar, shape.parameters()), shape.parameters(), x.device())?;
+        let mut sum = vec![R::default(); shape.parameters()];
+        sum_of_parts(&mut sum, &p_bar);
+        let p_bar = Tensor::from_vec(sum, shape.parameters(), x.device())?;
         let x_bar = if wants_x { Some(Tensor::from_vec(x_bar, (rows, shape.inputs), x.device())?) } else { None };
         Ok((x_bar, Some(p_bar)))
     }

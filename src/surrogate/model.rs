@@ -21,14 +21,26 @@ impl Parameter {
     /// A perceptron's, drawn as haiku does: weights from a normal distribution cut at two deviations, of deviation
     /// 1/sqrt(inputs), biases and offsets 0, scales 1.
     pub fn perceptron(prefix: &str, shape: &Shape, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
-        let mut values = vec![0.0; shape.parameters()];
-        for k in 0..shape.linears {
-            let deviation = 1.0 / ((shape.weight(k).len() / shape.bias(k).len()) as f64).sqrt();
-            values[shape.weight(k)].iter_mut().for_each(|w| *w = deviation * cut_normal(rng));
+        Self::perceptrons(&[(prefix.to_owned(), *shape)], rng, dtype)
+    }
+
+    /// Several perceptrons', each with its prefix, behind each other.
+    pub fn perceptrons(shapes: &[(String, Shape)], rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+        let (mut all, mut parts) = (Vec::new(), Vec::new());
+        for (prefix, shape) in shapes {
+            let (mut values, start) = (vec![0.0; shape.parameters()], all.len());
+            for k in 0..shape.linears {
+                let deviation = 1.0 / ((shape.weight(k).len() / shape.bias(k).len()) as f64).sqrt();
+                values[shape.weight(k)].iter_mut().for_each(|w| *w = deviation * cut_normal(rng));
+            }
+            values[shape.scale()].fill(1.0);
+            let place = |at: Range<usize>| start + at.start..start + at.end;
+            parts.extend(
+                shape.names().into_iter().map(|(name, at, shape)| (format!("{prefix}.{name}"), place(at), shape)),
+            );
+            all.extend(values);
         }
-        values[shape.scale()].fill(1.0);
-        let parts = shape.names().into_iter().map(|(name, at, shape)| (format!("{prefix}.{name}"), at, shape));
-        Self::new(values, parts.collect(), dtype)
+        Self::new(all, parts, dtype)
     }
 
     /// A table `[rows, columns]` of cut normal numbers.

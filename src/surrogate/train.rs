@@ -136,7 +136,7 @@ impl Training<'_> {
             self.state.seconds = before + clock.elapsed().as_secs_f64();
             bar.advance(1);
             let last = self.state.step == settings.steps;
-            if self.state.step % settings.log_every == 0 || last {
+            if self.state.step.is_multiple_of(settings.log_every) || last {
                 let mean = losses.iter().sum::<f64>() / losses.len() as f64;
                 losses.clear();
                 self.history.push(vec![self.state.step as f64, self.state.seconds, mean, rate]);
@@ -144,11 +144,11 @@ impl Training<'_> {
                 bar.message(format!("loss {mean:.4}"));
                 write_rows(&self.folder.join("history.csv"), &HISTORY_COLUMNS, &self.history)?;
             }
-            if self.state.step % settings.validate_every == 0 || last {
+            if self.state.step.is_multiple_of(settings.validate_every) || last {
                 let found = self.validate(&linear, &mut events, bar)?;
                 scores = Some(found);
             }
-            if self.state.step % settings.store_every == 0 || last {
+            if self.state.step.is_multiple_of(settings.store_every) || last {
                 self.store("last.safetensors")?;
             }
         }
@@ -160,7 +160,10 @@ impl Training<'_> {
     }
 
     /// One update; the mean loss of its batch.
-    fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
+    ///
+    /// # Errors
+    /// A loss or gradient that is not finite, tensors.
+    pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
         let plain = detached(&*self.model);
         let share = 1.0 / settings.batch_size as f64;

@@ -29,12 +29,14 @@ pub enum Group {
     Scaling,
     /// What is saved by skipping what a scene does not need.
     Plan,
+    /// A training step and a prediction of graph network simulators, beside the machine's sgemm.
+    Surrogate,
     /// Run time against error.
     Accuracy,
 }
 
 impl Group {
-    /// Those that run if none is named: `accuracy` takes long.
+    /// Those that run if none is named: what the solver does; `accuracy` takes long.
     pub const DEFAULT: [Self; 4] = [Self::Step, Self::Gradient, Self::Scaling, Self::Plan];
 
     pub fn name(self) -> String {
@@ -44,13 +46,13 @@ impl Group {
 
 /// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
 ///
-/// Groups: step, gradient, scaling, plan (these four run if none is named) and accuracy. Variants that are compared
+/// Groups: step, gradient, scaling, plan (these four run if none is named), surrogate and accuracy. Variants that are compared
 /// take turns, so that a machine that gets slower hits all of them.
 #[derive(Debug, Clone, Args)]
 #[command(after_long_help = "\
 Examples:
   hydrograd bench --quick
-      all groups but accuracy in under a minute
+      all groups but surrogate and accuracy in under a minute
   hydrograd bench step gradient --threads 2 --precision f64
       the heated channel only, one variant
   hydrograd bench scaling --sizes 100^2,1000^2,40^3 --filter /f32/2/
@@ -61,10 +63,12 @@ Examples:
       beside the plain-C yardstick, compiled with gcc
   hydrograd bench step --compare runs/before/bench.json --out runs/after
       ratios against an earlier run
+  hydrograd bench surrogate --threads 2
+      GNS-10-128 and GNS-5-64 on 950 particles, f32: training step and prediction, GFLOP/s against sgemm
   hydrograd bench accuracy --peers jax-sph.json
       run time against error, with another code's points in the same pictures")]
 pub struct BenchArguments {
-    /// Groups (step, gradient, scaling, plan, accuracy) and at most one scene (name or TOML file) for step and
+    /// Groups (step, gradient, scaling, plan, surrogate, accuracy) and at most one scene (name or TOML file) for step and
     /// gradient [default: step gradient scaling plan].
     #[arg(value_name = "GROUP|SCENE")]
     pub words: Vec<String>,

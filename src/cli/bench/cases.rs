@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::arguments::{BenchArguments, Group, Scene, Size};
 use super::plan::Lacking;
+use super::surrogate::Network;
 use crate::error::Error;
 use crate::scene::config::{Config, Kernels, Precision};
 use crate::scene::memory_size::MemorySize;
@@ -22,12 +23,13 @@ fn warm_up(particles: usize, quick: bool) -> usize {
     }
 }
 
-/// Forward or gradient.
+/// Forward, gradient, or an update of a network's parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     Forward,
     Gradient,
+    Training,
 }
 
 impl Kind {
@@ -35,6 +37,7 @@ impl Kind {
         match self {
             Self::Forward => "forward",
             Self::Gradient => "gradient",
+            Self::Training => "training",
         }
     }
 }
@@ -51,6 +54,7 @@ pub enum Source {
         lacking: Lacking,
         forced: bool,
     },
+    Network(Network),
 }
 
 /// How the states of a gradient's run are kept.
@@ -181,6 +185,7 @@ impl<'a> Cases<'a> {
             Group::Gradient => self.gradient()?,
             Group::Scaling => self.scaling(),
             Group::Plan => self.plan()?,
+            Group::Surrogate => self.surrogate(),
             Group::Accuracy => vec![],
         };
         for family in &mut families {
@@ -362,6 +367,28 @@ impl<'a> Cases<'a> {
             }
         }
         Ok(families)
+    }
+
+    /// Networks on one graph, in f32 alone: that is what they are trained in.
+    fn surrogate(&self) -> Vec<Family> {
+        let quick = self.arguments.quick;
+        let family = |network: Network| {
+            let (name, n) = (network.name(), Network::PARTICLES);
+            let base = Case {
+                precision: Precision::F32,
+                length: Length::Seconds { seconds: if quick { 0.2 } else { 2.0 }, least: 1 },
+                blocks: if quick { 2 } else { 4 },
+                ..self.case(Group::Surrogate, &name, n, Source::Network(network))
+            };
+            let kinds = [Kind::Forward, Kind::Training];
+            let threads = self.arguments.threads();
+            kinds
+                .iter()
+                .flat_map(|&kind| threads.iter().map(move |&t| (kind, t)))
+                .map(|(kind, threads)| Case { kind, threads, ..base.clone() })
+                .collect()
+        };
+        Network::ALL.map(family).to_vec()
     }
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::arguments::Size;
 use super::cases::{Case, Keeping, Kind, Length, Request, Source};
 use super::goal::Goal;
-use super::{pairs, plan};
+use super::{pairs, plan, surrogate};
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::segments::{gradient, Dynamics, Sph};
 use crate::cli::prepare::build;
@@ -43,6 +43,9 @@ pub struct Measured {
     pub time_step: f64,
     /// Largest relative difference between the scene's plan and everything on.
     pub difference: Option<f64>,
+    /// Of a network: work of a step, and what the machine's sgemm does per second at its shapes.
+    pub gflop: Option<f64>,
+    pub sgemm_gflops: Option<f64>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -67,9 +70,10 @@ pub fn run(request: &str) -> anyhow::Result<()> {
         return Err(Error::run(problem, "CANDLE_NUM_THREADS sets their number").into());
     }
     let answer = match &request {
-        Request::Row(case) => serde_json::to_string(&match case.precision {
-            Precision::F32 => measure::<f32>(case),
-            Precision::F64 => measure::<f64>(case),
+        Request::Row(case) => serde_json::to_string(&match (&case.source, case.precision) {
+            (Source::Network(network), _) => surrogate::measure(case, *network).map(Outcome::Measured),
+            (_, Precision::F32) => measure::<f32>(case),
+            (_, Precision::F64) => measure::<f64>(case),
         }?)?,
         Request::Accuracy { quick, .. } => serde_json::to_string(&points(*quick, &mut |_| ())?)?,
     };
@@ -109,6 +113,7 @@ impl<R: Real> Ready<R> {
                 lacking.apply(&mut model, &mut state, *forced);
                 (Arc::new(model), at_rest(state), Goal::SquaredVelocity { steps: 0 })
             }
+            Source::Network(_) => unreachable!("networks are measured by `surrogate`"),
         };
         let rows = model.layout.dimension * model.particles();
         let start = Snapshot { reference: Arc::new(start.state[..rows].to_vec()), ..start };
@@ -190,10 +195,12 @@ fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
         instruction_set: format!("{:?}", InstructionSet::detect()),
         time_step: ready.dynamics.model.dt,
         difference: None,
+        gflop: None,
+        sgemm_gflops: None,
     };
     match case.kind {
         Kind::Forward => forward(case, &ready, &begin, &mut measured).map_err(failed)?,
-        Kind::Gradient => {
+        Kind::Gradient | Kind::Training => {
             let costs = ready.costs().map_err(failed)?;
             let least = match case.length {
                 Length::Steps(steps) => steps,

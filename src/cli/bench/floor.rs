@@ -88,7 +88,7 @@ impl Floor {
         let forward = self.once(run, "")?;
         Ok(match run.kind {
             Kind::Forward => forward,
-            Kind::Gradient => {
+            Kind::Gradient | Kind::Training => {
                 let adjoint = self.once(run, "adjoint-")?;
                 [forward[0] + adjoint[0], forward[1] + adjoint[1]]
             }

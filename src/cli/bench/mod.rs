@@ -12,6 +12,7 @@ mod plan;
 mod plots;
 mod rows;
 mod runner;
+mod surrogate;
 mod tables;
 
 pub use arguments::BenchArguments;

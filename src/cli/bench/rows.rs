@@ -19,7 +19,7 @@ pub struct Row {
     pub dimension: usize,
     /// All particles, those of walls included.
     pub particles: usize,
-    /// Directed pairs (i, j), i fluid, within the cut-off, when the timing began.
+    /// Directed pairs (i, j), i fluid, within the cut-off, when the timing began; of a network the edges of its graph.
     pub pairs: usize,
     pub precision: String,
     pub threads: usize,
@@ -54,6 +54,13 @@ pub struct Row {
     pub floor_ms_per_step_median: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_step: Option<f64>,
+    /// Of a network: work of a step, work per second, and what the machine's sgemm does per second at the same shapes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gflop_per_step: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gflops: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sgemm_gflops: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instruction_set: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -82,7 +89,7 @@ impl Row {
             scene: case.scene.clone(),
             dimension: match &case.source {
                 Source::TaylorGreen(size) => size.dimension,
-                Source::Channel(_) | Source::Plan { .. } => 2,
+                Source::Channel(_) | Source::Plan { .. } | Source::Network(_) => 2,
             },
             particles: case.particles,
             pairs: first.pairs,
@@ -103,6 +110,9 @@ impl Row {
             floor_ms_per_step: None,
             floor_ms_per_step_median: None,
             time_step: Some(first.time_step),
+            gflop_per_step: first.gflop,
+            gflops: first.gflop.map(|gflop| 1e3 * gflop / ms),
+            sgemm_gflops: all.iter().filter_map(|m| m.sgemm_gflops).reduce(f64::max),
             instruction_set: Some(first.instruction_set.clone()),
             version: Some(env!("CARGO_PKG_VERSION").into()),
         }

@@ -46,7 +46,15 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
     column("ms/step", &|row| Some(milliseconds(row.ms_per_step)));
     column("median", &|row| row.ms_per_step_median.map(milliseconds));
     column("ns/part.", &|row| Some(format!("{:.0}", row.ns_per_particle_step)));
-    column("ns/pair", &|row| (group != Group::Plan).then(|| format!("{:.2}", row.ns_per_pair)));
+    let by_pair = ![Group::Plan, Group::Surrogate].contains(&group);
+    column("ns/pair", &|row| by_pair.then(|| format!("{:.2}", row.ns_per_pair)));
+    if group == Group::Surrogate {
+        column("edges", &|row| Some(row.pairs.to_string()));
+        column("GFLOP", &|row| row.gflop_per_step.map(|gflop| format!("{gflop:.1}")));
+        column("GFLOP/s", &|row| row.gflops.map(|rate| format!("{rate:.0}")));
+        column("sgemm", &|row| row.sgemm_gflops.map(|rate| format!("{rate:.0}")));
+        column("of it", &|row| Some(format!("{:.0} %", 100.0 * row.gflops? / row.sgemm_gflops?)));
+    }
     column("MB", &|row| Some(format!("{:.0}", row.peak_memory_bytes as f64 / 1e6)));
     if group == Group::Gradient {
         column("adj/fwd", &|row| row.adjoint_over_forward.map(|ratio| format!("{ratio:.2}")));
