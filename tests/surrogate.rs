@@ -9,7 +9,7 @@ use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::gather::{gather, segment_sum, End};
 use hydrograd::surrogate::gns::{Gns, Sizes};
 use hydrograd::surrogate::graph::Graph;
-use hydrograd::surrogate::interaction::{edge_shape, node_shape, Interaction};
+use hydrograd::surrogate::interaction::{edge_shape, node_shape, Rounds};
 use hydrograd::surrogate::layer_norm::layer_norm;
 use hydrograd::surrogate::memory::Memory;
 use hydrograd::surrogate::mlp::{Mlp, Shape};
@@ -153,35 +153,35 @@ fn fused_perceptron_is_composed() {
 }
 
 #[test]
-fn fused_round_is_composed() {
-    for (latent, linears, nodes) in [(5, 2, 23), (8, 3, 40), (16, 2, 900)] {
+fn fused_rounds_are_composed() {
+    for (latent, linears, nodes, rounds) in [(5, 2, 23, 1), (5, 2, 23, 3), (8, 3, 40, 2), (16, 2, 900, 2)] {
         let graph = ring(nodes);
         let (n, e) = (nodes as usize, graph.edges());
         let (edge, node) = (edge_shape(latent, latent, linears), node_shape(latent, latent, linears));
         let (x, y) = (random(&[n, latent], 21), random(&[e, latent], 22));
-        let (ep, np) = (random(&[edge.parameters()], 23), random(&[node.parameters()], 24));
+        let length = edge.parameters() + node.parameters();
+        let p = random(&[rounds * length], 23);
         let memory = Memory::<f64>::default();
-        for last in [false, true] {
-            let fused = || {
-                let op = Interaction::<f64>::new(&graph, (latent, latent, linears), last, &memory);
-                Tensor::cat(&[x.as_tensor(), y.as_tensor()], 0).unwrap().apply_op3(&ep, &np, op).unwrap()
-            };
-            let composed = || {
-                let (a, b) = composed::interaction(&graph, (&edge, &node), (&x, &y), (&ep, &np)).unwrap();
-                if last {
-                    a
-                } else {
-                    Tensor::cat(&[a, b], 0).unwrap()
-                }
-            };
-            assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12);
-            let (a, b) = (weighted(&fused()).backward().unwrap(), weighted(&composed()).backward().unwrap());
-            for v in [&x, &y, &ep, &np] {
-                assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-10);
+        let fused = || {
+            let op = Rounds::<f64>::new(&graph, (latent, latent, linears), rounds, true, &memory, None);
+            x.apply_op3(&y, &p, op).unwrap()
+        };
+        let composed = || {
+            let (mut a, mut b) = (x.as_tensor().clone(), y.as_tensor().clone());
+            for k in 0..rounds {
+                let edge_p = p.narrow(0, k * length, edge.parameters()).unwrap();
+                let node_p = p.narrow(0, k * length + edge.parameters(), node.parameters()).unwrap();
+                (a, b) = composed::interaction(&graph, (&edge, &node), (&a, &b), (&edge_p, &node_p)).unwrap();
             }
-            if nodes == 23 {
-                check_gradient("interaction", &[&x, &y, &ep, &np], fused);
-            }
+            a
+        };
+        assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12);
+        let (a, b) = (weighted(&fused()).backward().unwrap(), weighted(&composed()).backward().unwrap());
+        for v in [&x, &y, &p] {
+            assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-10);
+        }
+        if nodes == 23 {
+            check_gradient("rounds", &[&x, &y, &p], fused);
         }
     }
 }
