@@ -578,8 +578,11 @@ impl<R: Real> Sph<R> {
         // The plain run's fields and list, and a list in the making.
         let fields = l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
         let run = self.field(fields) + self.operators_bytes(places, false) + reference + 2 * list.bytes();
-        // The variable, the cotangents of a state and of its parts, and their records.
-        let cotangents = self.field(3 * l.state_rows() + 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows());
+        // The variable, the cotangents of a state and of its parts, and the records of those of rates and primitives that
+        // pair passes read.
+        let records = stride(l.rate_rows()) + stride(l.primitive_rows() + 1);
+        let parts = 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
+        let cotangents = self.field(3 * l.state_rows() + parts + records);
         // What the objective tapes of a step.
         let objective = self.field(l.moved_rows() + 1 + l.primitive_rows()) + self.operators_bytes(places, true);
         Costs {
