@@ -354,3 +354,21 @@ fn every_fixture() {
     assert!(found > 0, "no model fixture in {}", folder().display());
     assert!(failures.is_empty(), "{} parts differ:\n{}", failures.len(), failures.join("\n"));
 }
+
+/// Learning rates by step, as LagrangeBench's schedule gives them.
+#[test]
+fn learning_rates() {
+    let Ok(file) = TensorFile::read(&folder().join("metrics_lr.safetensors")) else {
+        // Another folder of fixtures need not have it.
+        assert!(std::env::var_os("HYDROGRAD_GNS_FIXTURES").is_some());
+        return;
+    };
+    let steps = numbers(&file, "lr.steps");
+    let ours: Vec<f64> = steps
+        .iter()
+        .map(|&step| hydrograd::surrogate::adamw::learning_rate(5e-4, 0.1, 100_000, 1e-6, step as u64))
+        .collect();
+    // Theirs are computed in f32.
+    let worst = ours.iter().zip(numbers(&file, "lr.values")).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+    assert!(steps.len() > 5 && worst < 1e-6, "{worst:e}");
+}

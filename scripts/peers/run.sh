@@ -7,7 +7,7 @@
 # Makes a Python environment with JAX-SPH on the first call (Python 3.10 or 3.11, about 1.5 GB, one minute), builds hydrograd if
 # it is not there, and checks that JAX-SPH gives its own published states. Writes runs/peers/peers.json and table.md (--quick:
 # 4 minutes, else half an hour) and runs/peers/accuracy.json. HYDROGRAD_PEERS names another folder for the environment
-# (~/.cache/hydrograd/peers). --surrogate runs that part alone (5 minutes; --quick: 2): another environment beside the first
+# (~/.cache/hydrograd/peers). --surrogate runs that part alone (about 9 minutes; --quick: 3): another environment beside the first
 # (with `-surrogate` behind its name; 1.5 GB, 6 GB where PyTorch's own index can not be reached), runs/peers/surrogate.json
 # and surrogate.md.
 set -euo pipefail
