@@ -2,6 +2,7 @@
 
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
+use crate::io::FileError;
 use crate::surrogate::load_predictor;
 use crate::surrogate::predictor::Predictor;
 use clap::Args;
@@ -37,12 +38,17 @@ impl ModelDataArguments {
 }
 
 fn read_data(folder: &Path, split: Split) -> Result<(Metadata, Vec<Trajectory>), BadInput> {
-    let bad = |error: crate::io::FileError| {
+    let metadata = Metadata::read(folder).map_err(unreadable(folder))?;
+    let trajectories = read_split(folder, &metadata, split).map_err(unreadable(folder))?;
+    Ok((metadata, trajectories))
+}
+
+/// A data set that cannot be read is bad input.
+pub fn unreadable(folder: &Path) -> impl Fn(FileError) -> BadInput + '_ {
+    move |error| {
         BadInput::new(error.to_string())
             .place(format!("--data {}", folder.display()))
             .allowed("the folder of a data set: metadata.json, train.h5, valid.h5, test.h5")
-    };
-    let metadata = Metadata::read(folder).map_err(bad)?;
-    let trajectories = read_split(folder, &metadata, split).map_err(bad)?;
-    Ok((metadata, trajectories))
+            .advice("hydrograd generate makes one")
+    }
 }

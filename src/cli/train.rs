@@ -1,6 +1,7 @@
 //! `hydrograd train`: a surrogate from a data set.
 
 use super::arguments::TrainArguments;
+use super::model_data::unreadable;
 use super::prepare::use_threads;
 use crate::dataset::{read_split, Metadata, Split};
 use crate::error::BadInput;
@@ -12,7 +13,6 @@ use crate::surrogate::setup::Setup;
 use crate::surrogate::train::{fresh, read_rows, Training};
 use crate::surrogate::{checkpoint, rollout};
 use candle_core::DType;
-use std::path::Path;
 use std::sync::Arc;
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
@@ -135,16 +135,6 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         data.display()
     );
     Ok(())
-}
-
-/// A data set that cannot be read is bad input.
-fn unreadable(data: &Path) -> impl Fn(crate::io::FileError) -> BadInput + '_ {
-    move |error| {
-        BadInput::new(error.to_string())
-            .place(format!("--data {}", data.display()))
-            .allowed("a folder with train.h5, valid.h5 and metadata.json")
-            .advice("hydrograd generate makes one")
-    }
 }
 
 /// An error if the settings differ in more than how long to go on and how often to say so.

@@ -2,6 +2,7 @@
 
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::FileError;
+use crate::particles::Domain;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -112,6 +113,11 @@ impl Metadata {
     /// Length of the box in each direction.
     pub fn size(&self) -> [f64; 3] {
         std::array::from_fn(|d| self.bounds.get(d).map_or(1.0, |b| b[1] - b[0]))
+    }
+
+    /// The box, as the neighbour search knows it.
+    pub fn domain(&self) -> Domain {
+        Domain { dimension: self.dim, size: self.size(), periodic: self.periodic() }
     }
 
     /// Which of the D directions are periodic.

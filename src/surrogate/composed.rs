@@ -4,7 +4,7 @@
 use super::gather::{gather, segment_sum, End};
 use super::graph::Graph;
 use super::layer_norm::layer_norm;
-use super::mlp::Shape;
+use super::mlp::{Shape, EPSILON};
 use candle_core::{Result, Tensor};
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub fn mlp(shape: &Shape, x: &Tensor, p: &Tensor) -> Result<Tensor> {
         }
     }
     if shape.norm {
-        y = layer_norm(&y, &part(shape.scale())?, &part(shape.offset())?, 1e-5)?;
+        y = layer_norm(&y, &part(shape.scale())?, &part(shape.offset())?, EPSILON)?;
     }
     Ok(y)
 }

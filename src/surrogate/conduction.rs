@@ -7,6 +7,7 @@
 //! Adams 2012), so no heat flows through them. Fluid at x < `inlet_length` stays at the inlet's temperature, fluid behind
 //! the outlet's edge does not conduct.
 
+use super::displacement::Extent;
 use super::predictor::{Frame, Scenery};
 use crate::dataset::{kind, Heat, Metadata};
 use crate::kernel::Quintic;
@@ -31,7 +32,7 @@ impl<'a> Conduction<'a> {
     pub fn new(scenery: &Scenery<'a>) -> anyhow::Result<Self> {
         let metadata: &'a Metadata = scenery.metadata;
         let Some(heat) = &metadata.heat else { anyhow::bail!("the data set has no heat, so nothing conducts") };
-        let domain = Domain { dimension: metadata.dim, size: metadata.size(), periodic: metadata.periodic() };
+        let domain = metadata.domain();
         let tags = scenery.kind.iter().map(|&k| if k == kind::FLUID { tag::FLUID } else { tag::WALL }).collect();
         Ok(Self { scenery: *scenery, heat, domain, kernel: Quintic::new(metadata.dim, metadata.dx), tags })
     }
@@ -47,30 +48,21 @@ impl<'a> Conduction<'a> {
         let most = DIFFUSION_NUMBER * metadata.dx * metadata.dx / self.heat.diffusivity;
         let steps = (time / most).ceil().max(1.0) as usize;
         let dt = time / steps as f64;
-        let (d, n, size) = (metadata.dim, temperature.len(), metadata.size());
-        let low = |k: usize| metadata.bounds[k][0];
+        let (d, n, extent) = (metadata.dim, temperature.len(), Extent::of(metadata));
         for step in 0..steps {
             // The middle of the step's stretch of the way.
             let part = (step as f64 + 0.5) / steps as f64;
             let mut position = vec![0.0; d * n];
             for i in 0..n {
                 for k in 0..d {
-                    let mut way = next[i * d + k] - from.position[i * d + k];
-                    let mut x = from.position[i * d + k] - low(k);
-                    if self.domain.periodic[k] {
-                        way -= size[k] * (way / size[k]).round();
-                        x = (x + part * way).rem_euclid(size[k]);
-                        x = if x >= size[k] { 0.0 } else { x };
-                    } else {
-                        x += part * way;
-                    }
-                    position[k * n + i] = x;
+                    let x = from.position[i * d + k];
+                    position[k * n + i] = extent.from_corner(k, x + part * extent.shortest(k, next[i * d + k] - x));
                 }
             }
             let rate = self.rate(&position, &temperature)?;
             for i in 0..n {
                 temperature[i] += dt * rate[i];
-                if self.tags[i] == tag::FLUID && position[i] < self.heat.inlet_length - low(0) {
+                if self.tags[i] == tag::FLUID && position[i] < self.heat.inlet_length - extent.low[0] {
                     temperature[i] = self.heat.inlet_temperature;
                 }
             }

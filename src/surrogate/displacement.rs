@@ -38,11 +38,24 @@ impl Extent {
 
     /// The image of a coordinate that lies in the box, where it is periodic in direction `d`.
     pub fn wrapped(&self, d: usize, coordinate: f64) -> f64 {
-        if !self.periodic[d] {
-            return coordinate;
+        match self.periodic[d] {
+            true => self.low[d] + self.from_corner(d, coordinate),
+            false => coordinate,
         }
-        let inside = (coordinate - self.low[d]).rem_euclid(self.size[d]);
+    }
+
+    /// The same from the box's lower end, where the neighbour search's box begins.
+    pub fn from_corner(&self, d: usize, coordinate: f64) -> f64 {
+        let from_low = coordinate - self.low[d];
+        if !self.periodic[d] {
+            return from_low;
+        }
+        let inside = from_low.rem_euclid(self.size[d]);
         // Just below 0, the remainder rounds to the box's length itself.
-        self.low[d] + if inside < self.size[d] { inside } else { 0.0 }
+        if inside < self.size[d] {
+            inside
+        } else {
+            0.0
+        }
     }
 }

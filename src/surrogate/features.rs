@@ -8,11 +8,11 @@
 //! Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it is 0).
 //! s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
+use super::displacement::Extent;
 use super::gather::{gather, End};
 use super::graph::Graph;
 use super::predictor::Scenery;
 use crate::dataset::{kind, Heat, Metadata};
-use crate::particles::Domain;
 use candle_core::{DType, Device, Result, Tensor};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -137,11 +137,10 @@ impl Features {
         let d = metadata.dim;
         let frames = &window.position[window.position.len() - self.frames..];
         let last = &frames[self.frames - 1];
-        let graph = Arc::new(Graph::build(
-            &relative_to_box(&last.detach().flatten_all()?.to_vec1::<f64>()?, metadata),
-            &domain(metadata),
-            normalisation.radius,
-        )?);
+        let mut corner = last.detach().flatten_all()?.to_vec1::<f64>()?;
+        let extent = Extent::of(metadata);
+        corner.iter_mut().enumerate().for_each(|(at, x)| *x = extent.from_corner(at % d, *x));
+        let graph = Arc::new(Graph::build(&corner, &metadata.domain(), normalisation.radius)?);
 
         let row = |values: &[f64]| Tensor::from_slice(values, (1, d), &Device::Cpu);
         let mean = row(&normalisation.velocity_mean)?;
@@ -222,13 +221,11 @@ pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tenso
     if !metadata.periodic().contains(&true) {
         return Ok(difference);
     }
-    let (size, periodic) = (metadata.size(), metadata.periodic());
-    let sizes: Vec<f64> = (0..metadata.dim).map(|d| if periodic[d] { size[d] } else { 0.0 }).collect();
-    let inverse: Vec<f64> = sizes.iter().map(|&s| if s > 0.0 { 1.0 / s } else { 0.0 }).collect();
-    let row = |values: Vec<f64>| Tensor::from_vec(values, (1, metadata.dim), &Device::Cpu);
+    let domain = metadata.domain();
+    let row = |values: [f64; 3]| Tensor::from_slice(&values[..metadata.dim], (1, metadata.dim), &Device::Cpu);
     // Which image it is does not change with an infinitesimal step: a constant as far as derivatives go.
-    let turns = difference.detach().broadcast_mul(&row(inverse)?)?.round()?;
-    difference - turns.broadcast_mul(&row(sizes)?)?
+    let turns = difference.detach().broadcast_mul(&row(domain.inverse_period())?)?.round()?;
+    difference - turns.broadcast_mul(&row(domain.size)?)?
 }
 
 /// Positions wrapped into the box in periodic directions; `[N, D]`.
@@ -243,27 +240,4 @@ pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
         *x = -turns * size[d];
     }
     position + Tensor::from_vec(shift, (n, metadata.dim), &Device::Cpu)?
-}
-
-/// The neighbour search's box begins at 0.
-fn relative_to_box(position: &[f64], metadata: &Metadata) -> Vec<f64> {
-    let (d, periodic, size) = (metadata.dim, metadata.periodic(), metadata.size());
-    let inside = |at: usize, x: f64| {
-        let x = x - metadata.bounds[at % d][0];
-        if !periodic[at % d] {
-            return x;
-        }
-        let wrapped = x.rem_euclid(size[at % d]);
-        // A tiny negative x comes out as the size itself.
-        if wrapped >= size[at % d] {
-            0.0
-        } else {
-            wrapped
-        }
-    };
-    position.iter().enumerate().map(|(at, &x)| inside(at, x)).collect()
-}
-
-fn domain(metadata: &Metadata) -> Domain {
-    Domain { dimension: metadata.dim, size: metadata.size(), periodic: metadata.periodic() }
 }

@@ -13,7 +13,7 @@ use std::ops::Range;
 use std::sync::Mutex;
 
 /// Of the layer normalisation, as haiku's and PyTorch's.
-const EPSILON: f64 = 1e-5;
+pub const EPSILON: f64 = 1e-5;
 /// Bytes of one matrix of a block: half a dozen of them stay in a second-level cache of 1 MB.
 const BLOCK_BYTES: usize = 1 << 17;
 

@@ -99,9 +99,6 @@ fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) ->
         let place = i * dimension..(i + 1) * dimension;
         if kind::is_kinematic(k) {
             frame.position[place.clone()].copy_from_slice(&truth.position[place]);
-            if let (Some(temperature), Some(truth)) = (&mut frame.temperature, &truth.temperature) {
-                temperature[i] = truth[i];
-            }
             continue;
         }
         for (d, coordinate) in frame.position[place].iter_mut().enumerate() {
@@ -114,19 +111,37 @@ fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) ->
                 anyhow::bail!("particle {i} left the box: {} = {coordinate:.4}", ["x", "y", "z"][d]);
             }
         }
-        if let Some(temperature) = &mut frame.temperature {
-            if let Some(heat) = &scenery.metadata.heat {
-                let x = i * dimension;
-                if heat.resets(before.position[x], frame.position[x], scenery.metadata.bounds[0]) {
-                    temperature[i] = heat.inlet_temperature;
-                }
-            }
-            if !temperature[i].is_finite() {
-                anyhow::bail!("particle {i} has a temperature that is not finite");
-            }
+    }
+    if let Some(temperature) = &mut frame.temperature {
+        let truth = truth.temperature.as_deref();
+        settle_temperature(scenery, &before.position, &frame.position, truth, temperature);
+        let moved = |i: &usize| !kind::is_kinematic(scenery.kind[*i]);
+        if let Some(i) = (0..temperature.len()).filter(moved).find(|&i| !temperature[i].is_finite()) {
+            anyhow::bail!("particle {i} has a temperature that is not finite");
         }
     }
     Ok(frame)
+}
+
+/// Kinematic particles take the true temperature, where there is one, and what met the inlet takes the inlet's. Positions
+/// `[N, D]` before and after the step.
+pub fn settle_temperature(
+    scenery: &Scenery,
+    before: &[f64],
+    now: &[f64],
+    truth: Option<&[f64]>,
+    temperature: &mut [f64],
+) {
+    let (d, bounds) = (scenery.metadata.dim, scenery.metadata.bounds[0]);
+    for (i, &k) in scenery.kind.iter().enumerate() {
+        if kind::is_kinematic(k) {
+            temperature[i] = truth.map_or(temperature[i], |truth| truth[i]);
+        } else if let Some(heat) =
+            scenery.metadata.heat.as_ref().filter(|h| h.resets(before[i * d], now[i * d], bounds))
+        {
+            temperature[i] = heat.inlet_temperature;
+        }
+    }
 }
 
 /// An error if a trajectory has not `HISTORY + steps` frames from `start` on.

@@ -8,7 +8,6 @@ use super::integrate;
 use super::loss::target_acceleration;
 use super::model::Model;
 use super::noise;
-use super::predictor::Scenery;
 use super::settings::{HeatModel, Settings};
 use super::setup::Setup;
 use crate::dataset::{kind, Metadata, Trajectory};
@@ -156,7 +155,13 @@ impl<'a> Samples<'a> {
                 let warmer = integrate::temperature(last, &output, &setup.normalisation, metadata)?;
                 let mut warmer = warmer.to_vec1::<f64>()?;
                 let before = last_position.flatten_all()?.to_vec1::<f64>()?;
-                settle_temperature(&scenery, &before, &next, &temperature[frames + k], &mut warmer);
+                super::rollout::settle_temperature(
+                    &scenery,
+                    &before,
+                    &next,
+                    Some(&temperature[frames + k]),
+                    &mut warmer,
+                );
                 window.temperature.remove(0);
                 window.temperature.push(warm(&warmer)?);
             }
@@ -196,20 +201,6 @@ impl<'a> Samples<'a> {
             target: Tensor::cat(&columns, 1)?.to_dtype(dtype)?,
             mask: Tensor::from_vec(mask, (n, outputs), &Device::Cpu)?.to_dtype(dtype)?,
         })
-    }
-}
-
-/// The conditions on temperatures that a rollout imposes.
-fn settle_temperature(scenery: &Scenery, before: &[f64], now: &[f64], truth: &[f64], temperature: &mut [f64]) {
-    let (d, bounds) = (scenery.metadata.dim, scenery.metadata.bounds[0]);
-    for (i, &k) in scenery.kind.iter().enumerate() {
-        if kind::is_kinematic(k) {
-            temperature[i] = truth[i];
-        } else if let Some(heat) =
-            scenery.metadata.heat.as_ref().filter(|h| h.resets(before[i * d], now[i * d], bounds))
-        {
-            temperature[i] = heat.inlet_temperature;
-        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! A grid over training settings: every point trained by this program in a process of its own, finished ones kept.
 
+use super::train::METRICS;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::read_columns;
@@ -7,9 +8,6 @@ use serde::{Deserialize, Serialize};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-
-/// Metrics that training writes to `validation.csv`, beside `step` and `seconds`.
-pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
 
 /// More points than this are a slip of the keyboard.
 const MOST_POINTS: usize = 10_000;

@@ -24,10 +24,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The columns of history.csv and validation.csv.
+/// The columns of history.csv.
 pub const HISTORY_COLUMNS: [&str; 4] = ["step", "seconds", "loss", "learning_rate"];
-pub const VALIDATION_COLUMNS: [&str; 9] =
-    ["step", "seconds", "mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
+/// Those of validation.csv, behind `step` and `seconds`.
+pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
 
 /// A training in progress.
 pub struct Training<'a> {
@@ -251,11 +251,15 @@ impl Training<'_> {
             scores.e_kin.unwrap_or(none),
             scores.temperature_mse.unwrap_or(none),
         ];
-        let tags = VALIDATION_COLUMNS[2..].iter().zip(&row[2..]).filter(|(_, v)| v.is_finite());
+        let tags = METRICS.iter().zip(&row[2..]).filter(|(_, v)| v.is_finite());
         let tags: Vec<(String, f64)> = tags.map(|(name, &value)| (format!("validation/{name}"), value)).collect();
         events.scalars(self.state.step, &tags.iter().map(|(name, v)| (name.as_str(), *v)).collect::<Vec<_>>())?;
         self.validation.push(row);
-        write_rows(&self.folder.join("validation.csv"), &VALIDATION_COLUMNS, &self.validation)?;
+        write_rows(
+            &self.folder.join("validation.csv"),
+            &[&["step", "seconds"], &METRICS[..]].concat(),
+            &self.validation,
+        )?;
         let merit = Self::merit(&scores, linear);
         if merit < self.state.best {
             self.state.best = merit;
