@@ -283,6 +283,13 @@ fn states_that_cannot_be_read_say_why() -> TestResult {
     std::fs::write(&path, "x, y\n1, 2\n")?;
     message(read_state(&path, &[]), &["another format"]);
 
+    write_state(&path, &state(5))?;
+    let other = std::fs::File::open(&path)?;
+    other.lock()?;
+    message(read_state(&path, &[]), &["state.h5 is locked", "wait", "HDF5_USE_FILE_LOCKING"]);
+    drop(other);
+    read_state(&path, &[])?;
+
     let change = |edit: &dyn Fn(&hdf5::File) -> hdf5::Result<()>| {
         write_state(&path, &state(5)).unwrap();
         edit(&hdf5::File::open_rw(&path).unwrap()).unwrap();

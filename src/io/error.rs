@@ -21,6 +21,13 @@ pub enum FileError {
         path.display()
     )]
     Damaged { path: PathBuf, format: &'static str, what: String, hint: &'static str },
+    /// Another program holds HDF5's lock on the file, or its disk has no locks.
+    #[error(
+        "{} is locked: another program writes it; wait until it has finished, \
+         or, where the disk cannot lock files (some network disks), set HDF5_USE_FILE_LOCKING=FALSE",
+        path.display()
+    )]
+    Locked { path: PathBuf },
     /// A named part (dataset, attribute, tensor, column) is not in the file.
     #[error("{} has no {kind} `{name}`; it has: {}; {hint}", path.display(), list(present))]
     Missing { path: PathBuf, kind: &'static str, name: String, present: Vec<String>, hint: &'static str },

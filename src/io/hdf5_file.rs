@@ -12,15 +12,16 @@ const CHUNK: usize = 16_384;
 /// Opens a file for reading.
 ///
 /// # Errors
-/// The file is missing or not HDF5.
+/// The file is missing, locked or not HDF5.
 pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> {
     // HDF5's own message for a missing file is a page long.
     std::fs::File::open(path).map_err(|source| FileError::read(path, source))?;
-    hdf5::File::open(path).map_err(|error| FileError::Damaged {
-        path: path.to_owned(),
-        format,
-        what: error.to_string(),
-        hint: "take another file, or write it again",
+    hdf5::File::open(path).map_err(|error| {
+        let (path, what) = (path.to_owned(), error.to_string());
+        if what.contains("unable to lock file") {
+            return FileError::Locked { path };
+        }
+        FileError::Damaged { path, format, what, hint: "take another file, or write it again" }
     })
 }
 

@@ -66,7 +66,10 @@ pub fn heat(trajectory: &mut Trajectory, temperature: impl Fn(usize, f64) -> f64
 /// Writes one split as `dataset` reads it.
 pub fn write(folder: &Path, metadata: &Metadata, split: Split, trajectories: &[Trajectory]) {
     metadata.write(folder).unwrap();
-    let file = hdf5::File::create(split.path(folder)).unwrap();
+    // HDF5 locks the file it writes, and a process that another test starts meanwhile inherits the lock and holds it as
+    // long as it lives. So what is read later is a copy that nobody ever wrote through HDF5.
+    let written = folder.join("written.h5");
+    let file = hdf5::File::create(&written).unwrap();
     for t in trajectories {
         let group = file.create_group(&t.name).unwrap();
         let write = |name: &str, shape: &[usize], values: &[f32]| {
@@ -78,4 +81,7 @@ pub fn write(folder: &Path, metadata: &Metadata, split: Split, trajectories: &[T
             write("temperature", &[t.frames, t.particles], temperature);
         }
     }
+    file.close().unwrap();
+    std::fs::copy(&written, split.path(folder)).unwrap();
+    std::fs::remove_file(&written).unwrap();
 }
