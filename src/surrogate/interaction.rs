@@ -12,6 +12,7 @@ use super::graph::Graph;
 use super::matrix;
 use super::memory::{Memory, Owned};
 use super::mlp::{self, Cotangents, Kept, Layers, Shape};
+use super::row::{self, each};
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::step;
 use candle_core::{CpuStorage, CustomOp3, Device, Layout, Result, Tensor};
@@ -131,9 +132,7 @@ impl<R: Real> RowKernel<R> for Project<'_, R> {
                 if k == 1 {
                     let bias = &self.p[op.edge.bias(0)];
                     for row in to.chunks_exact_mut(h) {
-                        for (x, &b) in row.iter_mut().zip(bias) {
-                            *x += b;
-                        }
+                        each::<L, 1>(row, [bias], |x, [b]| x + b);
                     }
                 }
             }
@@ -192,36 +191,25 @@ impl<R: Real> Forward<'_, R> {
         let hidden = unsafe { layers.hidden(&op.edge, 0, rows.clone()) };
         let e = &self.edges[edges.start * l..edges.end * l];
         matrix::multiply(hidden, e, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
-        let zero = R::default();
         for (edge, row) in edges.clone().zip(hidden.chunks_exact_mut(h)) {
             let (j, i) = (graph.senders[edge] as usize, n + graph.receivers[edge] as usize);
             let (from, to) = (&self.projected[j * h..(j + 1) * h], &self.projected[i * h..(i + 1) * h]);
-            for c in 0..h {
-                let sum = row[c] + from[c] + to[c];
-                row[c] = if sum > zero { sum } else { zero };
-            }
+            each::<L, 2>(row, [from, to], |x, [from, to]| (x + from + to).positive());
         }
         unsafe { mlp::forward_block::<L>(&op.edge, p, layers, rows.clone()) };
         let z = unsafe { &*layers.normalised(&op.edge, rows) };
         let (scale, offset) = (&p[op.edge.scale()], &p[op.edge.offset()]);
         for i in nodes {
             let sums = unsafe { self.sums.slice(i * l..(i + 1) * l) };
-            sums.fill(zero);
+            sums.fill(R::default());
             for edge in graph.entering(&(i..i + 1)) {
                 let at = edge - edges.start;
                 let z = &z[at * l..(at + 1) * l];
-                if !self.gives_edges {
-                    for c in 0..l {
-                        sums[c] += z[c] * scale[c] + offset[c];
-                    }
-                    continue;
-                }
-                let out = unsafe { self.edges_out.slice(edge * l..(edge + 1) * l) };
-                let e = &e[at * l..(at + 1) * l];
-                for c in 0..l {
-                    let message = z[c] * scale[c] + offset[c];
-                    sums[c] += message;
-                    out[c] = e[c] + message;
+                each::<L, 3>(sums, [z, scale, offset], |sum, [z, scale, offset]| sum + (z * scale + offset));
+                if self.gives_edges {
+                    let out = unsafe { self.edges_out.slice(edge * l..(edge + 1) * l) };
+                    let e = &e[at * l..(at + 1) * l];
+                    each::<L, 4>(out, [e, z, scale, offset], |_, [e, z, scale, offset]| e + (z * scale + offset));
                 }
             }
         }
@@ -240,14 +228,12 @@ impl<R: Real> Forward<'_, R> {
         let (x, size) = (&self.nodes[place], (nodes.len(), l, h));
         matrix::multiply(hidden, x, &p[weight_of(&op.node, 0)], size, false);
         matrix::multiply(hidden, sums, &p[weight_of(&op.node, 1)], size, true);
-        mlp::activate(hidden, &p[op.node.bias(0)]);
+        row::activate::<L>(hidden, &p[op.node.bias(0)]);
         unsafe { mlp::forward_block::<L>(&op.node, p, layers, rows.clone()) };
         let z = unsafe { &*layers.normalised(&op.node, rows) };
         let (scale, offset) = (&p[op.node.scale()], &p[op.node.offset()]);
         for ((out, x), z) in out.chunks_exact_mut(l).zip(x.chunks_exact(l)).zip(z.chunks_exact(l)) {
-            for c in 0..l {
-                out[c] = x[c] + (z[c] * scale[c] + offset[c]);
-            }
+            each::<L, 4>(out, [x, z, scale, offset], |_, [x, z, scale, offset]| x + (z * scale + offset));
         }
     }
 }
@@ -357,9 +343,7 @@ impl<R: Real> Backward<'_, R> {
                 let z_bar = &mut z_bar[at * l..(at + 1) * l];
                 if self.had_edges {
                     let edge_bar = &edges_bar[at * l..(at + 1) * l];
-                    for c in 0..l {
-                        z_bar[c] = edge_bar[c] + bar[c];
-                    }
+                    each::<L, 2>(z_bar, [edge_bar, bar], |_, [edge, node]| edge + node);
                 } else {
                     z_bar.copy_from_slice(bar);
                 }
@@ -375,7 +359,7 @@ impl<R: Real> Backward<'_, R> {
             let received = unsafe { self.received_bar.slice(i * h..(i + 1) * h) };
             received.fill(R::default());
             let into = graph.entering(&(i..i + 1));
-            mlp::add_rows(received, &first[(into.start - edges.start) * h..(into.end - edges.start) * h]);
+            row::add_rows::<L>(received, &first[(into.start - edges.start) * h..(into.end - edges.start) * h]);
         }
     }
 }
@@ -407,7 +391,7 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
                 for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
                     for &edge in op.graph.out_of(j) {
                         let edge = edge as usize;
-                        mlp::add_rows(sent, &self.first_bar[edge * h..(edge + 1) * h]);
+                        row::add_rows::<L>(sent, &self.first_bar[edge * h..(edge + 1) * h]);
                     }
                 }
                 let place = nodes.start * l..nodes.end * l;

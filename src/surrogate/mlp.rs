@@ -6,6 +6,7 @@
 
 use super::matrix;
 use super::memory::{Memory, Owned};
+use super::row;
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::step;
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Tensor};
@@ -168,39 +169,6 @@ impl<R: Real> Layers<'_, R> {
     }
 }
 
-/// Sum over a row of f(its numbers, those of another row).
-#[inline(always)]
-fn row_sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::Real {
-    let mut sum = L::zero();
-    let whole = a.len() / L::COUNT * L::COUNT;
-    assert!(b.len() >= a.len());
-    for at in (0..whole).step_by(L::COUNT) {
-        // SAFETY: COUNT numbers are there in both.
-        sum += unsafe { f(L::load(a.as_ptr().add(at)), L::load(b.as_ptr().add(at))) };
-    }
-    if whole < a.len() {
-        // Lanes behind the end are taken out again: f need not be 0 there.
-        let mut lanes = [L::Real::default(); crate::lanes::WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { f(L::load_part(&a[whole..]), L::load_part(&b[whole..a.len()])).store(lanes.as_mut_ptr()) };
-        lanes[a.len() - whole..].fill(L::Real::default());
-        sum += L::load_part(&lanes);
-    }
-    sum.sum()
-}
-
-/// rows <- relu(rows + bias).
-#[inline(always)]
-pub fn activate<R: Real>(rows: &mut [R], bias: &[R]) {
-    let zero = R::default();
-    for row in rows.chunks_exact_mut(bias.len()) {
-        for (x, &b) in row.iter_mut().zip(bias) {
-            let sum = *x + b;
-            *x = if sum > zero { sum } else { zero };
-        }
-    }
-}
-
 /// From the activations of the first hidden layer on: fills the further ones and the normalised rows.
 ///
 /// # Safety
@@ -213,7 +181,7 @@ pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Lay
         let (before, after) =
             unsafe { (layers.hidden(shape, k - 1, rows.clone()), layers.hidden(shape, k, rows.clone())) };
         matrix::multiply(after, before, &p[shape.weight(k)], (count, shape.hidden, shape.hidden), false);
-        activate(after, &p[shape.bias(k)]);
+        row::activate::<L>(after, &p[shape.bias(k)]);
     }
     let last = shape.linears - 1;
     // SAFETY: by the contract.
@@ -228,18 +196,15 @@ pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Lay
     let bias = &p[shape.bias(last)];
     let width = L::Real::of(1.0 / shape.outputs as f64);
     for (r, z) in z.chunks_exact_mut(shape.outputs).enumerate() {
-        for (z, &b) in z.iter_mut().zip(bias) {
-            *z += b;
-        }
+        row::each::<L, 1>(z, [bias], |z, [b]| z + b);
         if shape.norm {
-            let mean = row_sum::<L>(z, z, |z, _| z) * width;
+            let mean = row::sum::<L>(z, z, |z, _| z) * width;
             let middle = L::splat(mean);
-            let variance = row_sum::<L>(z, z, |z, _| (z - middle) * (z - middle)) * width;
+            let variance = row::sum::<L>(z, z, |z, _| (z - middle) * (z - middle)) * width;
             let scale = L::Real::of(1.0) / (variance + L::Real::of(EPSILON)).sqrt();
             inverse[r] = scale;
-            for z in z.iter_mut() {
-                *z = (*z - mean) * scale;
-            }
+            let scale = L::splat(scale);
+            row::each::<L, 0>(z, [], |z, []| (z - middle) * scale);
         }
     }
 }
@@ -285,20 +250,16 @@ pub unsafe fn backward_block<L: Lanes>(
         for r in 0..count {
             let row = r * shape.outputs..(r + 1) * shape.outputs;
             let (y_bar, x) = (&mut z_bar[row.clone()], &normalised[row]);
-            for c in 0..shape.outputs {
-                scale_bar[c] += y_bar[c] * x[c];
-                offset_bar[c] += y_bar[c];
-                y_bar[c] *= scale[c];
-            }
-            let mean = row_sum::<L>(y_bar, y_bar, |y, _| y) * width;
-            let along = row_sum::<L>(y_bar, x, |y, x| y * x) * width;
-            let inverse = inverse[r];
-            for (y, &x) in y_bar.iter_mut().zip(x) {
-                *y = (*y - mean - x * along) * inverse;
-            }
+            row::each::<L, 2>(scale_bar, [y_bar, x], |sum, [y, x]| sum + y * x);
+            row::each::<L, 1>(offset_bar, [y_bar], |sum, [y]| sum + y);
+            row::each::<L, 1>(y_bar, [scale], |y, [scale]| y * scale);
+            let mean = row::sum::<L>(y_bar, y_bar, |y, _| y) * width;
+            let along = row::sum::<L>(y_bar, x, |y, x| y * x) * width;
+            let [mean, along, inverse] = [mean, along, inverse[r]].map(L::splat);
+            row::each::<L, 1>(y_bar, [x], |y, [x]| (y - mean - x * along) * inverse);
         }
     }
-    add_rows(&mut g[shape.bias(last)], z_bar);
+    row::add_rows::<L>(&mut g[shape.bias(last)], z_bar);
     for k in (1..=last).rev() {
         // SAFETY: by the contract.
         let hidden = unsafe { &*layers.hidden(shape, k - 1, rows.clone()) };
@@ -314,24 +275,10 @@ pub unsafe fn backward_block<L: Lanes>(
         };
         matrix::add_transposed(&mut g[shape.weight(k)], hidden, from, (shape.hidden, count, outputs));
         matrix::multiply_by_transposed(to, from, &p[shape.weight(k)], (count, outputs, shape.hidden), false);
-        let zero = L::Real::default();
         let bias_bar = &mut g[shape.bias(k - 1)];
         for (to, hidden) in to.chunks_exact_mut(shape.hidden).zip(hidden.chunks_exact(shape.hidden)) {
-            for c in 0..shape.hidden {
-                let bar = if hidden[c] > zero { to[c] } else { zero };
-                to[c] = bar;
-                bias_bar[c] += bar;
-            }
-        }
-    }
-}
-
-/// sum += every row.
-#[inline(always)]
-pub fn add_rows<R: Real>(sum: &mut [R], rows: &[R]) {
-    for row in rows.chunks_exact(sum.len()) {
-        for (sum, &x) in sum.iter_mut().zip(row) {
-            *sum += x;
+            row::each::<L, 1>(to, [hidden], |bar, [hidden]| L::zero().select_less(hidden, bar, L::zero()));
+            row::each::<L, 1>(bias_bar, [to], |sum, [bar]| sum + bar);
         }
     }
 }
@@ -368,7 +315,7 @@ impl<R: Real> RowKernel<R> for Sum<'_, R> {
                 if k == 0 {
                     sum.copy_from_slice(part);
                 } else {
-                    add_rows(sum, part);
+                    row::add_rows::<L>(sum, part);
                 }
             }
         }
@@ -415,16 +362,14 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
                 let hidden = self.layers.hidden(shape, 0, rows.clone());
                 let x = &self.x[rows.start * shape.inputs..rows.end * shape.inputs];
                 matrix::multiply(hidden, x, &p[shape.weight(0)], size, false);
-                activate(hidden, &p[shape.bias(0)]);
+                row::activate::<L>(hidden, &p[shape.bias(0)]);
                 forward_block::<L>(shape, p, &self.layers, rows.clone());
                 let y = self.y.slice(rows.start * shape.outputs..rows.end * shape.outputs);
                 let z = &*self.layers.normalised(shape, rows);
                 if shape.norm {
                     let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
                     for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
-                        for c in 0..shape.outputs {
-                            y[c] = z[c] * scale[c] + offset[c];
-                        }
+                        row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
                     }
                 } else {
                     y.copy_from_slice(z);

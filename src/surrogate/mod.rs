@@ -28,6 +28,7 @@ pub mod model;
 pub mod noise;
 pub mod predictor;
 pub mod rollout;
+pub mod row;
 pub mod samples;
 pub mod settings;
 pub mod setup;
