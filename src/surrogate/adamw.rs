@@ -3,10 +3,10 @@
 //! m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - lr (m^/(sqrt(v^) + eps) + decay x), with m^ = m/(1 - b1^t) and
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
+use super::row::each;
 use crate::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::step;
 use candle_core::{CpuStorage, DType, InplaceOp3, Layout, Result, Tensor, Var};
-use std::marker::PhantomData;
 use std::ops::Range;
 
 pub const FIRST_DECAY: f64 = 0.9;
@@ -33,30 +33,52 @@ pub struct AdamW {
 /// Numbers per row of the sweep.
 const ROW: usize = 4096;
 
-/// One number in place from itself and two others.
-struct Sweep<'a, R, F> {
+/// What happens to each number x of one tensor, given those of two others.
+#[derive(Clone, Copy)]
+enum Change<R> {
+    /// x <- decay x + (1 - decay) a.
+    Mean { decay: R, rest: R },
+    /// x <- decay x + (1 - decay) a^2.
+    Square { decay: R, rest: R },
+    /// x <- x - rate (m first/(sqrt(v second) + epsilon) + decay x) with m and v the others.
+    Move { rate: R, first: R, second: R, epsilon: R, decay: R },
+}
+
+struct Sweep<'a, R> {
     x: Shared<'a, R>,
     a: &'a [R],
     b: &'a [R],
-    f: F,
+    change: Change<R>,
 }
 
-impl<R: Real, F: Fn(R, R, R) -> R + Sync> RowKernel<R> for Sweep<'_, R, F> {
+impl<R: Real> RowKernel<R> for Sweep<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let range = rows.start * ROW..self.a.len().min(rows.end * ROW);
         // SAFETY: each range belongs to one iteration.
         let x = unsafe { self.x.slice(range.clone()) };
-        for ((x, &a), &b) in x.iter_mut().zip(&self.a[range.clone()]).zip(&self.b[range]) {
-            *x = (self.f)(*x, a, b);
+        let (a, b) = (&self.a[range.clone()], &self.b[range]);
+        match self.change {
+            Change::Mean { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a);
+            }
+            Change::Square { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a * a);
+            }
+            Change::Move { rate, first, second, epsilon, decay } => {
+                let [rate, first, second, epsilon, decay] = [rate, first, second, epsilon, decay].map(L::splat);
+                each::<L, 2>(x, [a, b], |x, [m, v]| {
+                    let step = m * first / ((v * second).sqrt() + epsilon);
+                    x - rate * (step + decay * x)
+                });
+            }
         }
     }
 }
 
-/// x <- f(x, a, b) in the tensor's own memory.
-struct InPlace<R, F>(F, PhantomData<R>);
-
-impl<R: Real, F: Fn(R, R, R) -> R + Sync> InplaceOp3 for InPlace<R, F> {
+impl<R: Real> InplaceOp3 for Change<R> {
     fn name(&self) -> &'static str {
         "adamw"
     }
@@ -79,7 +101,7 @@ impl<R: Real, F: Fn(R, R, R) -> R + Sync> InplaceOp3 for InPlace<R, F> {
         match x_layout.contiguous_offsets() {
             Some((from, to)) if to - from == a.len() && a.len() == b.len() => {
                 let x = Shared::new(&mut x[from..to]);
-                run_rows(&Sweep { x, a, b, f: &self.0 }, a.len().div_ceil(ROW));
+                run_rows(&Sweep { x, a, b, change: *self }, a.len().div_ceil(ROW));
                 Ok(())
             }
             _ => candle_core::bail!("adamw: the shapes of the tensors differ"),
@@ -125,13 +147,9 @@ fn update<R: Real>(
     let [b1, b2, c1, c2, epsilon] =
         [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
     let (g, m, v) = (gradient.contiguous()?.detach(), &moments.first, &moments.second);
-    m.inplace_op3(&g, &g, &InPlace(|m: R, g: R, _| b1 * m + c1 * g, PhantomData))?;
-    v.inplace_op3(&g, &g, &InPlace(|v: R, g: R, _| b2 * v + c2 * g * g, PhantomData))?;
-    let moved = |x: R, m: R, v: R| {
-        let step = m * first / ((v * second).sqrt() + epsilon);
-        x - rate * (step + decay * x)
-    };
-    parameter.inplace_op3(m, v, &InPlace(moved, PhantomData))
+    m.inplace_op3(&g, &g, &Change::Mean { decay: b1, rest: c1 })?;
+    v.inplace_op3(&g, &g, &Change::Square { decay: b2, rest: c2 })?;
+    parameter.inplace_op3(m, v, &Change::Move { rate, first, second, epsilon, decay })
 }
 
 /// max(start factor^(step/interval), least): LagrangeBench's decay.

@@ -98,9 +98,13 @@ impl Graph {
         (0..parts).map(|k| if k == 0 { 0 } else { ends[k - 1] }..ends[k]).collect()
     }
 
-    /// Some nodes in stretches with at most `edges` edges each, if a single node has no more.
+    /// Some nodes in stretches of about as many edges each: at most `edges` and those of one node.
     pub fn stretches(&self, nodes: Range<usize>, edges: usize) -> impl Iterator<Item = Range<usize>> + '_ {
         let mut at = nodes.start;
+        let all = self.entering(&nodes).len();
+        let most = nodes.clone().map(|i| self.entering(&(i..i + 1)).len()).max().unwrap_or(0);
+        // No stretch ends more than a node's edges before its share, so there are no more of them than shares.
+        let edges = all.div_ceil(all.div_ceil(edges).max(1)) + most;
         std::iter::from_fn(move || {
             if at >= nodes.end {
                 return None;

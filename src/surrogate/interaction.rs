@@ -28,8 +28,10 @@ pub struct Rounds<R: Real> {
     /// Whether the adjoint may be asked for.
     keeps: bool,
     parts: Vec<Range<usize>>,
-    /// Most edges and nodes that go through together.
+    /// About how many edges go through together, and how many at most.
     edge_block: usize,
+    edge_room: usize,
+    /// Most nodes that go through together.
     node_block: usize,
     memory: Memory<R>,
     kept: Mutex<Vec<KeptRound<R>>>,
@@ -69,7 +71,6 @@ impl<R: Real> Rounds<R> {
         trace: Option<Trace>,
     ) -> Self {
         let (edge, node) = (edge_shape(latent, hidden, linears), node_shape(latent, hidden, linears));
-        // A node may have more edges than a block.
         let most = (0..graph.nodes()).map(|i| graph.entering(&(i..i + 1)).len()).max().unwrap_or(0);
         Self {
             parts: graph.parts(mlp::parts(graph.edges() + graph.nodes())),
@@ -78,7 +79,8 @@ impl<R: Real> Rounds<R> {
             node,
             rounds,
             keeps,
-            edge_block: edge.block::<R>().max(most),
+            edge_block: edge.block::<R>(),
+            edge_room: edge.block::<R>() + most,
             node_block: node.block::<R>(),
             memory: memory.clone(),
             kept: Mutex::new(Vec::new()),
@@ -163,7 +165,7 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
         // Without an adjoint a block's activations stay in the core's cache, and the next block's go over them.
         let mut room = (self.kept.is_none()).then(|| {
             let kept = |shape, rows| Kept::new(&op.memory, shape, rows);
-            (kept(&op.edge, op.edge_block), kept(&op.node, op.node_block))
+            (kept(&op.edge, op.edge_room), kept(&op.node, op.node_block))
         });
         let room = room.as_mut().map(|(edge, node)| (edge.shared(), node.shared()));
         let Some((edge, node)) = self.kept.as_ref().or(room.as_ref()) else { return };
@@ -200,17 +202,18 @@ impl<R: Real> Forward<'_, R> {
         let z = unsafe { &*layers.normalised(&op.edge, rows) };
         let (scale, offset) = (&p[op.edge.scale()], &p[op.edge.offset()]);
         for i in nodes {
+            let into = graph.entering(&(i..i + 1));
             let sums = unsafe { self.sums.slice(i * l..(i + 1) * l) };
             sums.fill(R::default());
-            for edge in graph.entering(&(i..i + 1)) {
-                let at = edge - edges.start;
-                let z = &z[at * l..(at + 1) * l];
-                each::<L, 3>(sums, [z, scale, offset], |sum, [z, scale, offset]| sum + (z * scale + offset));
-                if self.gives_edges {
-                    let out = unsafe { self.edges_out.slice(edge * l..(edge + 1) * l) };
-                    let e = &e[at * l..(at + 1) * l];
-                    each::<L, 4>(out, [e, z, scale, offset], |_, [e, z, scale, offset]| e + (z * scale + offset));
-                }
+            let of_node = &z[(into.start - edges.start) * l..(into.end - edges.start) * l];
+            row::add_rows::<L, 1>(sums, [of_node], |[z]| z);
+            let count = L::splat(R::of(into.len() as f64));
+            each::<L, 2>(sums, [scale, offset], |sum, [scale, offset]| sum * scale + count * offset);
+        }
+        if self.gives_edges {
+            let out = unsafe { self.edges_out.slice(edges.start * l..edges.end * l) };
+            for ((out, e), z) in out.chunks_exact_mut(l).zip(e.chunks_exact(l)).zip(z.chunks_exact(l)) {
+                each::<L, 4>(out, [e, z, scale, offset], |_, [e, z, scale, offset]| e + (z * scale + offset));
             }
         }
     }
@@ -267,12 +270,12 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
     fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
         let (op, l) = (self.op, self.op.latent());
         let (node_block, edge_block) = (op.node_block, op.edge_block);
-        let mut node_room = Cotangents::new(&op.node, node_block);
-        let mut room = Cotangents::new(&op.edge, edge_block);
-        let mut z_bar = vec![R::default(); node_block.max(edge_block) * l];
+        let mut node_room = Cotangents::new(&op.memory, &op.node, node_block, true);
+        // The edges' first cotangents have a place of their own.
+        let mut edge_room = Cotangents::new(&op.memory, &op.edge, op.edge_room, false);
         for k in range {
             let nodes = op.parts[k].clone();
-            let mut sums_bar = vec![R::default(); nodes.len() * l];
+            let mut sums_bar = op.memory.take(nodes.len() * l);
             let (edge_length, node_length) = (op.edge.parameters(), op.node.parameters());
             // SAFETY: each part belongs to one iteration.
             let (edge_g, node_g) = unsafe {
@@ -285,11 +288,11 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
             node_g.fill(R::default());
             for block in mlp::blocks(nodes.clone(), node_block) {
                 let sums_bar = &mut sums_bar[(block.start - nodes.start) * l..(block.end - nodes.start) * l];
-                self.nodes::<L>(block, node_g, &mut z_bar, &mut node_room, sums_bar);
+                self.nodes::<L>(block, node_g, &mut node_room, sums_bar);
             }
             for stretch in op.graph.stretches(nodes.clone(), edge_block) {
                 let sums_bar = &sums_bar[(stretch.start - nodes.start) * l..(stretch.end - nodes.start) * l];
-                self.edges::<L>(stretch, edge_g, &mut z_bar, &mut room, sums_bar);
+                self.edges::<L>(stretch, edge_g, &mut edge_room, sums_bar);
             }
         }
     }
@@ -301,7 +304,6 @@ impl<R: Real> Backward<'_, R> {
         &self,
         nodes: Range<usize>,
         g: &mut [R],
-        z_bar: &mut [R],
         room: &mut Cotangents<R>,
         sums_bar: &mut [R],
     ) {
@@ -309,10 +311,9 @@ impl<R: Real> Backward<'_, R> {
         let (count, place) = (nodes.len(), nodes.start * l..nodes.end * l);
         // SAFETY (all): a node, and the edges into it, belong to one iteration.
         let nodes_bar = unsafe { self.nodes_bar.slice(place.clone()) };
-        let z_bar = &mut z_bar[..count * l];
+        let (z_bar, first) = (&mut room.z[..count * l], &mut room.first[..count * h]);
         z_bar.copy_from_slice(nodes_bar);
-        unsafe { mlp::backward_block::<L>(&op.node, p, &self.node, nodes, z_bar, g, room) };
-        let first = &room.first[..count * h];
+        unsafe { mlp::backward_block::<L>(&op.node, p, &self.node, nodes, z_bar, g, first, &mut room.between) };
         let (own, of_sums) = (weight_of(&op.node, 0), weight_of(&op.node, 1));
         matrix::add_transposed(&mut g[own.clone()], &self.nodes[place.clone()], first, (l, count, h));
         matrix::add_transposed(&mut g[of_sums.clone()], &self.sums[place], first, (l, count, h));
@@ -321,19 +322,12 @@ impl<R: Real> Backward<'_, R> {
     }
 
     #[inline(always)]
-    fn edges<L: Lanes<Real = R>>(
-        &self,
-        nodes: Range<usize>,
-        g: &mut [R],
-        z_bar: &mut [R],
-        room: &mut Cotangents<R>,
-        sums_bar: &[R],
-    ) {
+    fn edges<L: Lanes<Real = R>>(&self, nodes: Range<usize>, g: &mut [R], room: &mut Cotangents<R>, sums_bar: &[R]) {
         let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.edge_p);
         let graph = &*op.graph;
         let edges = graph.entering(&nodes);
         let count = edges.len();
-        let z_bar = &mut z_bar[..count * l];
+        let z_bar = &mut room.z[..count * l];
         let place = edges.start * l..edges.end * l;
         // SAFETY (all): as for the nodes.
         let edges_bar = unsafe { self.edges_bar.slice(place.clone()) };
@@ -349,17 +343,20 @@ impl<R: Real> Backward<'_, R> {
                 }
             }
         }
-        unsafe { mlp::backward_block::<L>(&op.edge, p, &self.edge, edges.clone(), z_bar, g, room) };
-        let first = &room.first[..count * h];
+        let first = unsafe { self.first_bar.slice(edges.start * h..edges.end * h) };
+        unsafe { mlp::backward_block::<L>(&op.edge, p, &self.edge, edges.clone(), z_bar, g, first, &mut room.between) };
         let own = weight_of(&op.edge, 2);
         matrix::add_transposed(&mut g[own.clone()], &self.edges[place], first, (l, count, h));
         matrix::multiply_by_transposed(edges_bar, first, &p[own], (count, h, l), self.had_edges);
-        unsafe { self.first_bar.slice(edges.start * h..edges.end * h) }.copy_from_slice(first);
         for i in nodes {
             let received = unsafe { self.received_bar.slice(i * h..(i + 1) * h) };
             received.fill(R::default());
             let into = graph.entering(&(i..i + 1));
-            row::add_rows::<L>(received, &first[(into.start - edges.start) * h..(into.end - edges.start) * h]);
+            row::add_rows::<L, 1>(
+                received,
+                [&first[(into.start - edges.start) * h..(into.end - edges.start) * h]],
+                |[bar]| bar,
+            );
         }
     }
 }
@@ -379,7 +376,7 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
         let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.p);
-        let mut sent_bar = vec![R::default(); op.node_block * h];
+        let mut sent_bar = op.memory.take(op.node_block * h);
         for k in range {
             let length = op.edge.parameters();
             // SAFETY (all): each part and its nodes belong to one iteration.
@@ -391,7 +388,7 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
                 for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
                     for &edge in op.graph.out_of(j) {
                         let edge = edge as usize;
-                        row::add_rows::<L>(sent, &self.first_bar[edge * h..(edge + 1) * h]);
+                        each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
                     }
                 }
                 let place = nodes.start * l..nodes.end * l;

@@ -209,26 +209,31 @@ pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Lay
     }
 }
 
-/// Room for the cotangents of a block's hidden layers.
-pub struct Cotangents<R> {
-    pub first: Vec<R>,
-    other: Vec<R>,
+/// Room for the cotangents of a block.
+pub struct Cotangents<R: Real> {
+    /// `[rows, outputs]`.
+    pub z: Owned<R>,
+    /// `[rows, hidden]`: of the sums of the first layer.
+    pub first: Owned<R>,
+    /// `[rows, hidden]` between the layers; empty where there are no more than two.
+    pub between: Owned<R>,
 }
 
 impl<R: Real> Cotangents<R> {
-    pub fn new(shape: &Shape, rows: usize) -> Self {
-        let length = rows * shape.hidden;
-        let other = if shape.linears > 2 { length } else { 0 };
-        Self { first: vec![R::default(); length], other: vec![R::default(); other] }
+    /// `first`: whether the first layer's are kept here too.
+    pub fn new(memory: &Memory<R>, shape: &Shape, rows: usize, first: bool) -> Self {
+        let hidden = |wanted: bool| memory.take(if wanted { rows * shape.hidden } else { 0 });
+        Self { z: memory.take(rows * shape.outputs), first: hidden(first), between: hidden(shape.linears > 2) }
     }
 }
 
-/// From the cotangent `z_bar` of the output (which is overwritten) back to that of the first layer's sums, which is left in
-/// `room.first`; adds to the gradient `g` of all parameters but the first weight.
+/// From the cotangent `z_bar` of the output (which is overwritten) back to that of the first layer's sums, `first`; adds to
+/// the gradient `g` of all parameters but the first weight.
 ///
 /// # Safety
 /// No other thread may access these rows of `layers`.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)]
 pub unsafe fn backward_block<L: Lanes>(
     shape: &Shape,
     p: &[L::Real],
@@ -236,7 +241,8 @@ pub unsafe fn backward_block<L: Lanes>(
     rows: Range<usize>,
     z_bar: &mut [L::Real],
     g: &mut [L::Real],
-    room: &mut Cotangents<L::Real>,
+    first: &mut [L::Real],
+    between: &mut [L::Real],
 ) {
     let count = rows.len();
     let last = shape.linears - 1;
@@ -247,11 +253,11 @@ pub unsafe fn backward_block<L: Lanes>(
     if shape.norm {
         let scale = &p[shape.scale()];
         let (scale_bar, offset_bar) = g[shape.scale().start..shape.offset().end].split_at_mut(shape.outputs);
+        row::add_rows::<L, 2>(scale_bar, [z_bar, normalised], |[y, x]| y * x);
+        row::add_rows::<L, 1>(offset_bar, [z_bar], |[y]| y);
         for r in 0..count {
             let row = r * shape.outputs..(r + 1) * shape.outputs;
             let (y_bar, x) = (&mut z_bar[row.clone()], &normalised[row]);
-            row::each::<L, 2>(scale_bar, [y_bar, x], |sum, [y, x]| sum + y * x);
-            row::each::<L, 1>(offset_bar, [y_bar], |sum, [y]| sum + y);
             row::each::<L, 1>(y_bar, [scale], |y, [scale]| y * scale);
             let mean = row::sum::<L>(y_bar, y_bar, |y, _| y) * width;
             let along = row::sum::<L>(y_bar, x, |y, x| y * x) * width;
@@ -259,34 +265,26 @@ pub unsafe fn backward_block<L: Lanes>(
             row::each::<L, 1>(y_bar, [x], |y, [x]| (y - mean - x * along) * inverse);
         }
     }
-    row::add_rows::<L>(&mut g[shape.bias(last)], z_bar);
+    row::add_rows::<L, 1>(&mut g[shape.bias(last)], [z_bar], |[bar]| bar);
     for k in (1..=last).rev() {
         // SAFETY: by the contract.
         let hidden = unsafe { &*layers.hidden(shape, k - 1, rows.clone()) };
         let outputs = shape.size(k).1;
+        // They take turns so that layer 1 ends in `first`.
+        let (to, before) = if k % 2 == 1 { (&mut *first, &*between) } else { (&mut *between, &*first) };
         let length = count * shape.hidden;
-        if k < last {
-            std::mem::swap(&mut room.first, &mut room.other);
-        }
-        let (to, from) = if k == last {
-            (&mut room.first[..length], &*z_bar)
-        } else {
-            (&mut room.first[..length], &room.other[..length])
-        };
+        let (to, from) = (&mut to[..length], if k == last { &*z_bar } else { &before[..length] });
         matrix::add_transposed(&mut g[shape.weight(k)], hidden, from, (shape.hidden, count, outputs));
         matrix::multiply_by_transposed(to, from, &p[shape.weight(k)], (count, outputs, shape.hidden), false);
-        let bias_bar = &mut g[shape.bias(k - 1)];
-        for (to, hidden) in to.chunks_exact_mut(shape.hidden).zip(hidden.chunks_exact(shape.hidden)) {
-            row::each::<L, 1>(to, [hidden], |bar, [hidden]| L::zero().select_less(hidden, bar, L::zero()));
-            row::each::<L, 1>(bias_bar, [to], |sum, [bar]| sum + bar);
-        }
+        row::each::<L, 1>(to, [hidden], |bar, [hidden]| L::zero().select_less(hidden, bar, L::zero()));
+        row::add_rows::<L, 1>(&mut g[shape.bias(k - 1)], [to], |[bar]| bar);
     }
 }
 
 /// How many parts the rows are dealt in: each has its own sum of the parameters' gradients, so the number must not depend
-/// on the threads.
+/// on the threads. A power of two, as numbers of threads mostly are.
 pub fn parts(rows: usize) -> usize {
-    (rows / 512).clamp(1, 16)
+    1 << (rows / 512).clamp(1, 16).ilog2()
 }
 
 /// Part `k` of `parts` of some rows.
@@ -315,7 +313,7 @@ impl<R: Real> RowKernel<R> for Sum<'_, R> {
                 if k == 0 {
                     sum.copy_from_slice(part);
                 } else {
-                    row::add_rows::<L>(sum, part);
+                    row::each::<L, 1>(sum, [part], |sum, [x]| sum + x);
                 }
             }
         }
@@ -379,15 +377,16 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
     }
 }
 
-/// A range in blocks.
+/// A range in even pieces of at most `block`: a small rest would be multiplied at half the speed.
 #[inline(always)]
 pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<usize>> {
-    let end = range.end;
-    range.step_by(block).map(move |at| at..end.min(at + block))
+    let (length, pieces) = (range.len(), range.len().div_ceil(block));
+    (0..pieces).map(move |k| range.start + length * k / pieces..range.start + length * (k + 1) / pieces)
 }
 
 struct Backward<'a, R: Real> {
     shape: &'a Shape,
+    memory: &'a Memory<R>,
     x: &'a [R],
     p: &'a [R],
     layers: Layers<'a, R>,
@@ -406,18 +405,20 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
     fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
         let (shape, p) = (self.shape, self.p);
         let block = shape.block::<R>();
-        let mut room = Cotangents::new(shape, block);
-        let mut z_bar = vec![R::default(); block * shape.outputs];
+        let mut room = Cotangents::new(self.memory, shape, block, true);
         for k in range {
             // SAFETY: each part, its rows and its gradient belong to one iteration.
             let g = unsafe { self.p_bar.slice(k * shape.parameters()..(k + 1) * shape.parameters()) };
             g.fill(R::default());
             for rows in blocks(part(self.rows, self.parts, k), block) {
                 let count = rows.len();
-                let bar = &mut z_bar[..count * shape.outputs];
+                let bar = &mut room.z[..count * shape.outputs];
                 bar.copy_from_slice(&self.y_bar[rows.start * shape.outputs..rows.end * shape.outputs]);
                 // SAFETY: as above.
-                unsafe { backward_block::<L>(shape, p, &self.layers, rows.clone(), bar, g, &mut room) };
+                unsafe {
+                    let (first, between) = (&mut room.first, &mut room.between);
+                    backward_block::<L>(shape, p, &self.layers, rows.clone(), bar, g, first, between)
+                };
                 let first = &room.first[..count * shape.hidden];
                 let inputs = rows.start * shape.inputs..rows.end * shape.inputs;
                 let x = &self.x[inputs.clone()];
@@ -474,7 +475,8 @@ impl<R: Real> CustomOp2 for Mlp<R> {
                 step::read(p, |p| {
                     let (x_bar, p_bar) = (Shared::new(&mut x_bar), Shared::new(&mut p_bar));
                     let layers = kept.shared();
-                    let pass = Backward { shape, x, p, layers, y_bar, x_bar, wants_x, p_bar, rows, parts };
+                    let memory = &self.memory;
+                    let pass = Backward { shape, memory, x, p, layers, y_bar, x_bar, wants_x, p_bar, rows, parts };
                     run_rows(&pass, parts);
                     Ok(())
                 })

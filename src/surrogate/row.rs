@@ -3,7 +3,7 @@
 //! Written as plain loops these end, once the compiler has to check an index in them, with up to a whole unrolled vector of
 //! numbers one by one: with 128 columns that was half of each row, and a tenth of a training step.
 
-use crate::lanes::{Lanes, Real, WIDEST};
+use crate::lanes::{Lanes, WIDEST};
 
 /// x <- f(x, the numbers of the other rows at the same place).
 ///
@@ -54,11 +54,50 @@ pub fn sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::
     sum.sum()
 }
 
-/// sum += every row.
+/// sum += f(rows at the same place) over all rows, column by column.
+///
+/// # Panics
+/// The lengths differ, or are no whole rows.
 #[inline(always)]
-pub fn add_rows<L: Lanes>(sum: &mut [L::Real], rows: &[L::Real]) {
-    for row in rows.chunks_exact(sum.len()) {
-        each::<L, 1>(sum, [row], |sum, [x]| sum + x);
+pub fn add_rows<L: Lanes, const K: usize>(sum: &mut [L::Real], rows: [&[L::Real]; K], f: impl Fn([L; K]) -> L) {
+    let (width, length) = (sum.len(), rows[0].len());
+    assert!(width > 0 && length % width == 0 && rows.iter().all(|r| r.len() == length), "rows of different lengths");
+    // Several sums at a time: each waits for its own last addition only, and none goes through memory.
+    let mut at = 0;
+    while at + 4 * L::COUNT <= width {
+        add_columns::<L, K, 4>(sum, at, rows, &f);
+        at += 4 * L::COUNT;
+    }
+    while at + L::COUNT <= width {
+        add_columns::<L, K, 1>(sum, at, rows, &f);
+        at += L::COUNT;
+    }
+    if at < width {
+        for row in (0..length).step_by(width) {
+            each::<L, K>(&mut sum[at..], rows.map(|r| &r[row + at..row + width]), |sum, x| sum + f(x));
+        }
+    }
+}
+
+/// Columns `at .. at + BLOCKS * COUNT` of [`add_rows`].
+#[inline(always)]
+fn add_columns<L: Lanes, const K: usize, const BLOCKS: usize>(
+    sum: &mut [L::Real],
+    at: usize,
+    rows: [&[L::Real]; K],
+    f: &impl Fn([L; K]) -> L,
+) {
+    let width = sum.len();
+    assert!(at + BLOCKS * L::COUNT <= width);
+    // SAFETY (all): the columns end within a row, and each row within its slice.
+    let mut sums: [L; BLOCKS] = std::array::from_fn(|k| unsafe { L::load(sum.as_ptr().add(at + k * L::COUNT)) });
+    for row in (0..rows[0].len()).step_by(width) {
+        for (k, sum) in sums.iter_mut().enumerate() {
+            *sum += f(rows.map(|r| unsafe { L::load(r.as_ptr().add(row + at + k * L::COUNT)) }));
+        }
+    }
+    for (k, lanes) in sums.iter().enumerate() {
+        unsafe { lanes.store(sum.as_mut_ptr().add(at + k * L::COUNT)) };
     }
 }
 
@@ -73,10 +112,11 @@ pub fn activate<L: Lanes>(rows: &mut [L::Real], bias: &[L::Real]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::Real;
 
     /// Every length around the widths of the lanes, against plain loops.
     fn check<L: Lanes>() {
-        for length in [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 128] {
+        for length in [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 64, 100, 128] {
             let numbers = |shift: f64| -> Vec<L::Real> {
                 (0..length).map(|c| L::Real::of(((c as f64 * 0.7 + shift).sin() * 64.0).round() / 8.0)).collect()
             };
@@ -94,9 +134,10 @@ mod tests {
                 [&a, &b].iter().flat_map(|r| r.iter().zip(&a)).map(|(x, b)| (x.f64() + b.f64()).max(0.0)).collect();
             assert_eq!(rows.iter().map(|x| x.f64()).collect::<Vec<_>>(), wanted);
             let mut total = a.clone();
-            add_rows::<L>(&mut total, &rows);
+            add_rows::<L, 2>(&mut total, [&rows, &[b.clone(), a.clone()].concat()], |[x, y]| x * y);
             for c in 0..length {
-                assert_eq!(total[c].f64(), a[c].f64() + rows[c].f64() + rows[length + c].f64());
+                let products = rows[c].f64() * b[c].f64() + rows[length + c].f64() * a[c].f64();
+                assert_eq!(total[c].f64(), a[c].f64() + products);
             }
         }
     }
