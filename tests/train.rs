@@ -173,6 +173,20 @@ fn begins_with_another_trainings_parameters() {
         "the same kind and sizes",
     );
     assert!(!third.exists());
+    // Told nothing of the sizes, it takes the file's.
+    let bare = ["--steps", "1", "--set", "learning_rate=1e-30", "--set", "learning_rate_least=0"];
+    let settings = ["--set", "validation_windows=1", "--set", "validation_steps=2", "--init", from];
+    hydrograd()
+        .args(["train", "--data"])
+        .arg(data().join("data"))
+        .arg("--out")
+        .arg(&third)
+        .args(bare)
+        .args(settings)
+        .assert()
+        .success();
+    let c = tensors(&third, "last.safetensors");
+    assert_eq!(a["param.proc.0.node.0.weight"], c["param.proc.0.node.0.weight"]);
 }
 
 #[test]

@@ -229,7 +229,7 @@ pub struct TrainArguments {
     /// Go on with the training in --out.
     #[arg(long, conflicts_with = "init")]
     pub resume: bool,
-    /// Begin with the parameters of another training.
+    /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
     /// Worker threads, 0 for every core.

@@ -26,7 +26,13 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         None if arguments.resume && kept.is_file() => Some(kept.as_path()),
         given => given.as_deref(),
     };
-    let settings = Settings::load(config, &sets)?;
+    let init = match &arguments.init {
+        Some(from) => {
+            Some((from, checkpoint::read(from).map_err(|bad| bad.place(format!("--init {}", from.display())))?))
+        }
+        None => None,
+    };
+    let settings = Settings::load(config, init.as_ref().map(|(_, header)| &header.settings), &sets)?;
     if arguments.print_config {
         print!("{}", settings.text());
         return Ok(());
@@ -66,8 +72,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
             header.state(&*model)?
         }
         None => {
-            if let Some(from) = &arguments.init {
-                let header = checkpoint::read(from)?;
+            if let Some((from, header)) = &init {
                 if header.setup.sizes != setup.sizes || header.setup.kind != setup.kind {
                     return Err(BadInput::new(format!(
                         "the model has sizes {:?}, wanted are {:?}",
@@ -75,7 +80,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
                     ))
                     .place(format!("--init {}", from.display()))
                     .allowed("a model of the same kind and sizes")
-                    .advice("the same --set model.*; both data sets with heat, or --set model.heat=none")
+                    .advice("leave --config and --set model.* out: the sizes are the file's then; data with heat for a model with heat")
                     .into());
                 }
                 header.load_into(&*model, true)?;

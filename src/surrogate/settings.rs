@@ -156,12 +156,14 @@ impl Pushforward {
 }
 
 impl Settings {
-    /// The defaults, a file over them, and `key=value` over both.
+    /// The defaults, or a file, and `key=value` over them. Without a file the model is that of `like`, if there is one:
+    /// the training whose parameters are taken over.
     ///
     /// # Errors
     /// Unreadable file, unknown key, wrong type or range.
-    pub fn load(file: Option<&Path>, sets: &[String]) -> Result<Self, BadInput> {
-        let (mut text, mut place) = (String::new(), "--set".to_owned());
+    pub fn load(file: Option<&Path>, like: Option<&Self>, sets: &[String]) -> Result<Self, BadInput> {
+        let like = like.map(|like| Self { model: like.model.clone(), features: like.features, ..Self::default() });
+        let (mut text, mut place) = (like.map_or(String::new(), |like| like.text()), "--set".to_owned());
         if let Some(path) = file {
             place = path.display().to_string();
             text = std::fs::read_to_string(path).map_err(|error| {
