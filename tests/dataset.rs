@@ -280,6 +280,34 @@ fn flows_make_data_sets() {
 }
 
 #[test]
+fn walls_from_a_file_are_taken_in_turns() {
+    let folder = tempfile::tempdir().unwrap();
+    let wall = |level: &str| vec![level; 20].join(", ");
+    std::fs::write(folder.path().join("walls.csv"), [wall("0.0"), wall("0.01"), wall("-0.005")].join("\n\n")).unwrap();
+    succeeds(folder.path(), &small(&["--walls-file", "walls.csv", "--out", "data"]));
+    let offsets = |split: &str, name: &str| {
+        let file = hdf5::File::open(folder.path().join("data").join(format!("{split}.h5"))).unwrap();
+        let group = file.group(name).unwrap();
+        group.dataset("wall_offset").unwrap().read_raw::<f64>().unwrap()
+    };
+    let turns = [
+        ("train", "00000", 0.0),
+        ("train", "00001", 0.01),
+        ("train", "00002", -0.005),
+        ("train", "00003", 0.0),
+        ("valid", "00000", 0.01),
+        ("test", "00000", -0.005),
+    ];
+    for (split, name, level) in turns {
+        assert_eq!(offsets(split, name), vec![level; 20], "{split} {name}");
+    }
+    // Another table is another data set.
+    std::fs::write(folder.path().join("walls.csv"), wall("0.002")).unwrap();
+    let again = small(&["--walls-file", "walls.csv", "--out", "data"]);
+    refuses(folder.path(), &again, &[], &["begun with given", "another --out"]);
+}
+
+#[test]
 fn bad_input_is_explained_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = ["--out", "unwritten"];
@@ -314,6 +342,23 @@ fn bad_input_is_explained_and_nothing_is_written() {
     refuses(folder.path(), &small(&out), &slurm, &["task 7", "4 tasks"]);
     refuses(folder.path(), &["merge", "unwritten"], &[], &["generate.json"]);
     refuses(folder.path(), &["dataset", "inspect", "unwritten"], &[], &["metadata.json", "hydrograd generate"]);
+
+    // Walls from a file: every line is looked at before anything is written.
+    let table = |name: &str, lines: &[&str]| std::fs::write(folder.path().join(name), lines.join("\n")).unwrap();
+    let flat = vec!["0.0"; 20].join(",");
+    table("short.csv", &[&flat, "0.0,0.01"]);
+    table("text.csv", &[&flat, &flat.replacen("0.0", "up", 1)]);
+    table("high.csv", &[&flat, &flat.replacen("0.0", "0.03", 1)]);
+    table("empty.csv", &["", " "]);
+    for (file, parts) in [
+        ("short.csv", ["2 numbers for 20 nodes", "train-00001"]),
+        ("text.csv", ["line 2: `up`", "--walls-file text.csv"]),
+        ("high.csv", ["offsets[0] = 0.03", "train-00001"]),
+        ("empty.csv", ["no wall", "a line per wall"]),
+        ("none.csv", ["cannot read", "none.csv"]),
+    ] {
+        refuses(folder.path(), &small(&["--walls-file", file, "--out", "unwritten"]), &[], &parts);
+    }
 
     // A folder that was begun with something else.
     succeeds(folder.path(), &small(&["--out", "data", "--shard", "0/6"]));

@@ -9,7 +9,7 @@ use super::prepare::require_design;
 use crate::cli::bench::BenchArguments;
 use crate::dataset::recipe::Recipe;
 use crate::dataset::trajectory::Split;
-use crate::dataset::walls::Walls;
+use crate::dataset::walls::{read_walls, Walls};
 use crate::error::{BadInput, Error};
 use crate::scene::config::{Config, GradientMode, Kernels, Precision, ShapeName};
 use crate::scene::layers::Setting;
@@ -148,6 +148,8 @@ Examples:
       fewer, with smooth random walls up to 0.04
   hydrograd generate heated-channel --set design.file=shape.csv --out data/one-wall
       one wall for all, from a file (or --set design.offsets=[0.0,0.01,...])
+  hydrograd generate heated-channel --walls-file walls.csv --trajectories 4/1/1 --out data/given
+      six walls of your own: six lines of 25 offsets
   hydrograd generate taylor-green --seed 7
       LagrangeBench's 2D Taylor-Green vortices
   hydrograd generate heated-channel --out data/heated --shard 0/4
@@ -175,6 +177,10 @@ pub struct GenerateArguments {
     /// Walls of the heated channel [default: mix, or scene where the scene's own design is given].
     #[arg(long, value_enum)]
     pub walls: Option<Walls>,
+    /// Walls from a file: a line per wall, its offsets at the design's nodes, separated by commas; trajectories take them in
+    /// turns.
+    #[arg(long, value_name = "FILE", conflicts_with = "walls")]
+    pub walls_file: Option<PathBuf>,
     /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all].
     #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
@@ -525,13 +531,19 @@ impl GenerateArguments {
         let usual = Recipe::of(loaded.config.scene);
         let design = &loaded.config.design;
         let own = design.offsets.is_some() || design.shape != ShapeName::Flat;
+        let given = self.walls_file.as_deref().map_or(Ok(Vec::new()), read_walls)?;
         Ok(Recipe {
             trajectories: self.trajectories.unwrap_or(usual.trajectories),
             frames: self.frames.unwrap_or(usual.frames),
             every: self.every.unwrap_or(usual.every),
             skip: self.skip.unwrap_or(usual.skip),
             relax: self.relax.unwrap_or(usual.relax),
-            walls: self.walls.unwrap_or(if own { Walls::Scene } else { usual.walls }),
+            walls: match self.walls {
+                None if self.walls_file.is_some() => Walls::File,
+                None if own => Walls::Scene,
+                walls => walls.unwrap_or(usual.walls),
+            },
+            given,
         })
     }
 

@@ -32,7 +32,9 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     recipe.check(&loaded)?;
     let shard = arguments.shard()?;
     // What is wrong with one trajectory's configuration is wrong before anything is written.
-    recipe.ready(&loaded, Job { split: Split::Train, index: 0 })?;
+    for job in recipe.jobs().into_iter().take(recipe.given.len().max(1)) {
+        recipe.ready(&loaded, job)?;
+    }
     let folder = arguments.folder(&loaded)?;
     let store = Store::new(&folder);
     check_same(&store, &loaded, &recipe)?;

@@ -32,6 +32,9 @@ pub struct Recipe {
     /// Reference steps from a random start to a relaxed one, before time 0; flows only.
     pub relax: usize,
     pub walls: Walls,
+    /// Offsets of [`Walls::File`]; the trajectories of all splits take them in turns.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub given: Vec<Vec<f64>>,
 }
 
 /// One trajectory of a data set.
@@ -82,7 +85,7 @@ impl Recipe {
             Scene::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
             Scene::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
         };
-        Self { trajectories, frames, every: 100, skip, relax, walls: Walls::default() }
+        Self { trajectories, frames, every: 100, skip, relax, walls: Walls::default(), given: Vec::new() }
     }
 
     /// An error if the numbers cannot be used with the scene.
@@ -160,6 +163,14 @@ impl Recipe {
         Split::ALL.into_iter().zip(self.trajectories).flat_map(of).collect()
     }
 
+    /// The wall that a trajectory takes from the table, if there is one.
+    fn given(&self, job: Job) -> Option<(String, Vec<f64>)> {
+        let before = Split::ALL.iter().zip(self.trajectories).take_while(|(split, _)| **split != job.split);
+        let number = before.map(|(_, count)| count).sum::<usize>() + job.index;
+        let line = number % self.given.len().max(1);
+        Some((format!("line {} of the table", line + 1), self.given.get(line)?.clone()))
+    }
+
     /// The configuration of one trajectory: it depends on the seed, the split and the index alone.
     pub fn ready(&self, loaded: &Loaded, job: Job) -> Result<Ready, Error> {
         let pace = self.pace(&loaded.config);
@@ -180,7 +191,8 @@ impl Recipe {
             let (hot_from, hot_to, bound) = (channel.hot_from, channel.hot_to, design.bound);
             let section = Section { nodes: &nodes, hot_from, hot_to, bound };
             name = "the scene's".into();
-            if let Some((wall, offsets)) = wall(self.walls, job.split, job.index, &mut rng, section) {
+            let drawn = wall(self.walls, job.split, job.index, &mut rng, section);
+            if let Some((wall, offsets)) = drawn.or_else(|| self.given(job)) {
                 settings.push(option("design.offsets", format!("{offsets:?}")));
                 name = wall;
             }

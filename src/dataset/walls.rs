@@ -4,11 +4,13 @@
 //! the slope between nodes within [`MAX_SLOPE`] (functions that are steeper are scaled down).
 
 use super::trajectory::Split;
+use crate::error::BadInput;
 use crate::random::{uniform, Normal};
 use crate::scene::shape::MAX_SLOPE;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
+use std::path::Path;
 
 /// Which walls the trajectories get.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
@@ -25,6 +27,9 @@ pub enum Walls {
     Smooth,
     /// The scene's own design: design.shape, design.offsets or design.file.
     Scene,
+    /// In turns from a table (--walls-file).
+    #[value(skip)]
+    File,
 }
 
 /// One of the report's functions.
@@ -66,7 +71,32 @@ pub struct Section<'a> {
     pub bound: f64,
 }
 
-/// The wall of a trajectory: what it is called, and its offsets at the nodes. None for [`Walls::Scene`].
+/// Reads walls: a line each, offsets separated by commas. Whether they fit the design is the scene's to say.
+///
+/// # Errors
+/// No file, no line, something that is not a number.
+pub fn read_walls(path: &Path) -> Result<Vec<Vec<f64>>, BadInput> {
+    let bad = |problem: String| {
+        BadInput::new(problem)
+            .place(format!("--walls-file {}", path.display()))
+            .allowed("a line per wall: its offsets at the nodes, separated by commas, for example 0.0, 0.005, 0.01")
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read it: {error}")))?;
+    let mut walls = Vec::new();
+    for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let offset = |cell: &str| match cell.trim().parse::<f64>() {
+            Ok(offset) if offset.is_finite() => Ok(offset),
+            _ => Err(bad(format!("line {}: `{}` is not a finite number", number + 1, cell.trim()))),
+        };
+        walls.push(line.split(',').map(offset).collect::<Result<Vec<_>, _>>()?);
+    }
+    if walls.is_empty() {
+        return Err(bad("there is no wall in it".into()));
+    }
+    Ok(walls)
+}
+
+/// The wall of a trajectory: what it is called, and its offsets at the nodes. None for [`Walls::Scene`] and [`Walls::File`].
 pub fn wall(
     walls: Walls,
     split: Split,
@@ -109,7 +139,7 @@ pub fn wall(
             }
             Some((format!("smooth, amplitude {amplitude:.4}"), section.gentle(offsets)))
         }
-        Walls::Mix | Walls::Scene => None,
+        Walls::Mix | Walls::Scene | Walls::File => None,
     }
 }
 
