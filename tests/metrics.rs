@@ -2,7 +2,7 @@
 
 mod support;
 
-use hydrograd::surrogate::displacement::Extent;
+use hydrograd::dataset::extent::Extent;
 use hydrograd::surrogate::metrics::*;
 use hydrograd::surrogate::predictor::Frame;
 use hydrograd::surrogate::sinkhorn;

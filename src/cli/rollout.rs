@@ -2,13 +2,13 @@
 
 use super::arguments::{at_least_one, check_writable};
 use super::model_data::{ModelData, ModelDataArguments};
+use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::vtk::{ParticleFrame, VtkSeries};
 use crate::report::plots::{side_by_side, SideBySide, TemperaturePanel};
 use crate::report::table::Table;
-use crate::surrogate::displacement::Extent;
 use crate::surrogate::metrics::{mean_square, select, temperature_mean_square, Counted};
 use crate::surrogate::predictor::Frame;
 use crate::surrogate::rollout::{check_length, rollout, HISTORY};

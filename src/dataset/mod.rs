@@ -4,6 +4,7 @@
 //! ("00000", "00001", ...): see [`trajectory`].
 //! `hydrograd generate` makes them: a [`recipe`] says what, [`record`] runs it, [`store`] keeps it.
 
+pub mod extent;
 pub mod metadata;
 pub mod recipe;
 pub mod record;

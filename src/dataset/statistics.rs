@@ -1,5 +1,6 @@
 //! Means and standard deviations over a training split: fluid particles only, minimum-image differences, in f64.
 
+use super::extent::Extent;
 use super::metadata::Metadata;
 use super::trajectory::{kind, Trajectory};
 
@@ -47,8 +48,7 @@ impl Statistics {
     /// Adds a trajectory; `metadata` gives box and inlet.
     pub fn add(&mut self, metadata: &Metadata, trajectory: &Trajectory) {
         let (n, dimension) = (trajectory.particles, metadata.dim);
-        let (size, periodic) = (metadata.size(), metadata.periodic());
-        let inlet = metadata.heat.as_ref().map_or(0.0, |heat| heat.inlet_length);
+        let extent = Extent::of(metadata);
         let fluid: Vec<usize> = (0..n).filter(|&i| trajectory.kind[i] == kind::FLUID).collect();
         let mut before = vec![0.0; fluid.len() * dimension];
         for frame in 0..trajectory.frames {
@@ -59,10 +59,8 @@ impl Statistics {
             let (from, to) = (trajectory.position_of(last), trajectory.position_of(frame));
             for (place, &i) in fluid.iter().enumerate() {
                 for d in 0..dimension {
-                    let mut step = f64::from(to[i * dimension + d]) - f64::from(from[i * dimension + d]);
-                    if periodic[d] {
-                        step -= size[d] * (step / size[d]).round();
-                    }
+                    let step = f64::from(to[i * dimension + d]) - f64::from(from[i * dimension + d]);
+                    let step = extent.shortest(d, step);
                     self.velocity[d].add(step);
                     let earlier = std::mem::replace(&mut before[place * dimension + d], step);
                     if frame > 1 {
@@ -71,12 +69,10 @@ impl Statistics {
                 }
             }
             if let (Some(old), Some(new)) = (trajectory.temperature_of(last), trajectory.temperature_of(frame)) {
-                // Within the inlet, particles were reset; those that have passed it since were not.
-                for &i in fluid.iter().filter(|&&i| f64::from(to[i * dimension]) >= inlet) {
-                    let wrapped = to[i * dimension] < from[i * dimension]
-                        && periodic[0]
-                        && f64::from(from[i * dimension] - to[i * dimension]) > 0.5 * size[0];
-                    if !wrapped {
+                for &i in &fluid {
+                    let (from, to) = (f64::from(from[i * dimension]), f64::from(to[i * dimension]));
+                    // What the inlet did is no change that the flow made.
+                    if !metadata.heat.as_ref().is_some_and(|heat| heat.resets(from, to, metadata.bounds[0])) {
                         self.change.add(f64::from(new[i]) - f64::from(old[i]));
                     }
                 }

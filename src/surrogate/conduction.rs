@@ -7,8 +7,8 @@
 //! Adams 2012), so no heat flows through them. Fluid at x < `inlet_length` stays at the inlet's temperature, fluid behind
 //! the outlet's edge does not conduct.
 
-use super::displacement::Extent;
 use super::predictor::{Frame, Scenery};
+use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
 use crate::kernel::Quintic;
 use crate::lanes::{Lanes, PortableF64};

@@ -1,10 +1,10 @@
 //! A model against the truth over windows of a data set: rollouts, and the means of their metrics.
 
-use super::displacement::Extent;
 use super::metrics::{self, Counted};
 use super::predictor::{Frame, Predictor};
 use super::rollout::{check_length, rollout, windows, Rollout, HISTORY};
 use super::sinkhorn;
+use crate::dataset::extent::Extent;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Constant velocity: p + (p - p_before), T + (T - T_before). The baseline that every model must beat.
 
-use super::displacement::Extent;
 use super::predictor::{Frame, Predictor, Scenery};
+use crate::dataset::extent::Extent;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Linear;

@@ -3,8 +3,8 @@
 //! Definitions as in LagrangeBench (Toshev et al. 2023, arXiv:2309.16342, section 4), except that walls, which every model
 //! takes from the truth, count there and not here, unless [`Counted::All`] asks for it.
 
-use super::displacement::Extent;
 use super::predictor::Frame;
+use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
 
 /// Which particles count.

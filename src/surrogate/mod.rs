@@ -6,7 +6,6 @@ pub mod adamw;
 pub mod checkpoint;
 pub mod composed;
 pub mod conduction;
-pub mod displacement;
 pub mod egnn;
 pub mod evaluate;
 pub mod features;

@@ -4,8 +4,8 @@
 //! inlet ([`crate::dataset::Heat::resets`]) gets its temperature. A rollout always ends: where the model fails it is marked as broken
 //! (LagrangeBench's never ends once particles have clustered).
 
-use super::displacement::Extent;
 use super::predictor::{Frame, Predictor, Scenery};
+use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};

@@ -9,7 +9,7 @@
 //! iterations, until the marginals are right within 1e-4 in the sum. Iterated further, values change by about 1e-10 of the
 //! box's squared length: 1e-4 of a divergence of 1e-6.
 
-use super::displacement::Extent;
+use crate::dataset::extent::Extent;
 
 /// Share of the mean cost that regularises.
 const REGULARISATION: f64 = 0.05;

@@ -1,6 +1,6 @@
 //! Differences of positions in a box that is periodic in some directions.
 
-use crate::dataset::Metadata;
+use super::Metadata;
 
 /// The box of a data set.
 #[derive(Debug, Clone, Copy, PartialEq)]
