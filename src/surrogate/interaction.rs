@@ -145,7 +145,8 @@ impl<R: Real> RowKernel<R> for Project<'_, R> {
 struct Forward<'a, R: Real> {
     op: &'a Rounds<R>,
     nodes: &'a [R],
-    edges: &'a [R],
+    /// None if they stand in `edges_out` and are changed there: half the memory to go through.
+    edges: Option<&'a [R]>,
     edge_p: &'a [R],
     node_p: &'a [R],
     projected: &'a [R],
@@ -191,8 +192,10 @@ impl<R: Real> Forward<'_, R> {
         let rows = if self.kept.is_some() { edges.clone() } else { 0..edges.len() };
         // SAFETY (all): a node, and the edges into it, belong to one iteration.
         let hidden = unsafe { layers.hidden(&op.edge, 0, rows.clone()) };
-        let e = &self.edges[edges.start * l..edges.end * l];
-        matrix::multiply(hidden, e, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
+        let place = edges.start * l..edges.end * l;
+        let e = self.edges.map(|edges| &edges[place.clone()]);
+        let given = e.unwrap_or_else(|| unsafe { &*self.edges_out.slice(place.clone()) });
+        matrix::multiply(hidden, given, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
         for (edge, row) in edges.clone().zip(hidden.chunks_exact_mut(h)) {
             let (j, i) = (graph.senders[edge] as usize, n + graph.receivers[edge] as usize);
             let (from, to) = (&self.projected[j * h..(j + 1) * h], &self.projected[i * h..(i + 1) * h]);
@@ -211,9 +214,15 @@ impl<R: Real> Forward<'_, R> {
             each::<L, 2>(sums, [scale, offset], |sum, [scale, offset]| sum * scale + count * offset);
         }
         if self.gives_edges {
-            let out = unsafe { self.edges_out.slice(edges.start * l..edges.end * l) };
-            for ((out, e), z) in out.chunks_exact_mut(l).zip(e.chunks_exact(l)).zip(z.chunks_exact(l)) {
-                each::<L, 4>(out, [e, z, scale, offset], |_, [e, z, scale, offset]| e + (z * scale + offset));
+            let out = unsafe { self.edges_out.slice(place) };
+            for (row, (out, z)) in out.chunks_exact_mut(l).zip(z.chunks_exact(l)).enumerate() {
+                match e {
+                    Some(e) => {
+                        let e = &e[row * l..(row + 1) * l];
+                        each::<L, 4>(out, [e, z, scale, offset], |_, [e, z, scale, offset]| e + (z * scale + offset))
+                    }
+                    None => each::<L, 3>(out, [z, scale, offset], |e, [z, scale, offset]| e + (z * scale + offset)),
+                }
             }
         }
     }
@@ -405,14 +414,20 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
 }
 
 impl<R: Real> Rounds<R> {
-    /// One round: nodes and edges behind it, and what the adjoint needs.
-    #[allow(clippy::type_complexity)]
-    fn forward(&self, round: usize, nodes: &[R], edges: &[R], p: &[R]) -> (Owned<R>, Owned<R>, Option<KeptRound<R>>) {
+    /// One round: nodes behind it, and what the adjoint needs. The edges behind it come to stand in `edges_out`, where those
+    /// before it stand if there are no `edges`.
+    fn forward(
+        &self,
+        round: usize,
+        nodes: &[R],
+        edges: Option<&[R]>,
+        edges_out: &mut [R],
+        p: &[R],
+    ) -> (Owned<R>, Option<KeptRound<R>>) {
         let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
         let (edge_p, node_p) = self.parameters(round);
         let (edge_p, node_p, take) = (&p[edge_p], &p[node_p], |length| self.memory.take(length));
-        let gives_edges = self.gives_edges(round);
-        let (mut nodes_out, mut edges_out) = (take(n * l), take(if gives_edges { e * l } else { 0 }));
+        let mut nodes_out = take(n * l);
         let (mut projected, mut sums) = (take(2 * n * self.edge.hidden), take(n * l));
         let kept = |shape, rows| Kept::new(&self.memory, shape, rows);
         let mut layers = self.keeps.then(|| (kept(&self.edge, e), kept(&self.node, n)));
@@ -428,12 +443,12 @@ impl<R: Real> Rounds<R> {
             kept: layers.as_mut().map(|(edge, node)| (edge.shared(), node.shared())),
             sums: Shared::new(&mut sums),
             nodes_out: Shared::new(&mut nodes_out),
-            edges_out: Shared::new(&mut edges_out),
-            gives_edges,
+            edges_out: Shared::new(edges_out),
+            gives_edges: self.gives_edges(round),
         };
         run_rows(&pass, self.parts.len());
         let kept = layers.map(|(edge, node)| KeptRound { before: None, edge, node, sums });
-        (nodes_out, edges_out, kept)
+        (nodes_out, kept)
     }
 
     /// Its adjoint: `nodes_bar` and `edges_bar` go from behind the round to before it, the gradient is put into `p_bar`.
@@ -507,19 +522,24 @@ impl<R: Real> CustomOp3 for Rounds<R> {
             candle_core::bail!("rounds: {} and {} numbers, not {n} x {l} and {e} x {l}", nodes.len(), edges.len());
         }
         let mut kept = Vec::with_capacity(self.rounds);
-        let mut before: Option<(Owned<R>, Owned<R>)> = None;
+        let (mut nodes_now, mut edges_now): (Option<Owned<R>>, Option<Owned<R>>) = (None, None);
         for round in 0..self.rounds {
-            let (nodes, edges) = before.as_ref().map_or((nodes, edges), |(nodes, edges)| (nodes, edges));
-            let (nodes_out, edges_out, one) = self.forward(round, nodes, edges, p);
+            // Without an adjoint nobody asks again for the edges before the round.
+            let own = if self.keeps { None } else { edges_now.take() };
+            let given = own.is_none().then(|| edges_now.as_deref().map_or(edges, |edges| edges));
+            let mut edges_out =
+                own.unwrap_or_else(|| self.memory.take(if self.gives_edges(round) { e * l } else { 0 }));
+            let from = nodes_now.as_deref().map_or(nodes, |nodes| nodes);
+            let (nodes_out, one) = self.forward(round, from, given, &mut edges_out, p);
             if let Some(trace) = &self.trace {
                 let state = Tensor::from_vec([&nodes_out[..], &edges_out[..]].concat(), (n + e, l), &Device::Cpu)?;
                 trace.lock().unwrap_or_else(|e| e.into_inner()).push(state);
             }
-            let now = before.replace((nodes_out, edges_out));
-            kept.extend(one.map(|one| KeptRound { before: now, ..one }));
+            let before = nodes_now.replace(nodes_out).zip(edges_now.replace(edges_out));
+            kept.extend(one.map(|one| KeptRound { before, ..one }));
         }
         *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = kept;
-        let out = before.map_or_else(|| nodes.to_vec(), |(nodes, _)| nodes.to_vec());
+        let out = nodes_now.as_deref().map_or(nodes, |nodes| nodes).to_vec();
         Ok(step::output(out, (n, l)))
     }
 
