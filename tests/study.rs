@@ -18,7 +18,7 @@ fn study(folder: &Path, script: &str) -> Study {
     std::fs::write(&program, text).unwrap();
     #[cfg(unix)]
     std::fs::set_permissions(&program, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
-    Study { program, data: folder.into(), steps: 100, sets: vec!["seed=3".into()], out: folder.join("out") }
+    Study { program, data: folder.into(), steps: 100, sets: vec!["seed=3".into()], out: folder.join("out"), threads: 1 }
 }
 
 /// Writes what training does, and one line to `trained` beside the study.
@@ -74,8 +74,9 @@ fn points_are_trained_once() {
     assert_eq!(validation.last("temperature_mse"), None);
     let trained = std::fs::read_to_string(folder.path().join("trained")).unwrap();
     let data = folder.path().display();
-    let expected =
-        format!("train --data {data} --out {data}/out/noise=3e-5 --steps 100 --set seed=3 --set noise=3e-5\n");
+    let expected = format!(
+        "train --data {data} --out {data}/out/noise=3e-5 --steps 100 --threads 1 --set seed=3 --set noise=3e-5\n"
+    );
     assert_eq!(trained, expected);
 
     let Some(Outcome::Trained { validation: again, .. }) = study.finished(&all[0]).unwrap() else { panic!("lost") };
@@ -90,7 +91,10 @@ fn points_are_trained_once() {
     std::fs::write(half.join("last.safetensors"), "").unwrap();
     study.train(&all[1]).unwrap();
     let trained = std::fs::read_to_string(folder.path().join("trained")).unwrap();
-    assert!(trained.ends_with("out/noise=3e-4 --steps 100 --resume --set seed=3 --set noise=3e-4\n"), "{trained}");
+    assert!(
+        trained.ends_with("out/noise=3e-4 --steps 100 --threads 1 --resume --set seed=3 --set noise=3e-4\n"),
+        "{trained}"
+    );
     assert!(study.finished(&all[1]).unwrap().is_some());
 
     // Points of another study are not taken for this one's.
@@ -180,6 +184,16 @@ fn the_command_makes_a_table_and_plots() {
     );
     assert!(lines.next().unwrap().starts_with("3e-5,gns,1e-6,3e-5,0.0001,0.001,1e-6,1e-5,,2e-5,50.0,"));
     assert_eq!(lines.count(), 3);
+    // Bad values, wherever they stand, before the first training.
+    for (more, part) in [
+        (["--grid", "steps=10,20"], "--steps N"),
+        (["--grid", "seed=1,2"], "seed is in the grid, too"),
+        (["--grid", "model.heat=learned,cold"], "model.heat=cold"),
+    ] {
+        let output = run(&[&more[..], &["--steps", "10"]].concat());
+        let text = String::from_utf8_lossy(&output.stderr).to_string();
+        assert!(output.status.code() == Some(2) && text.contains(part), "no `{part}` in {text}");
+    }
     // A key of words has no axis.
     for (name, there) in [
         ("final-noise.png", true),

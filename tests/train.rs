@@ -88,8 +88,11 @@ fn leaves_checkpoints_tables_and_curves() {
     assert_eq!(file.shape("param.proc.1.edge.0.weight").unwrap(), [24, 8]);
     // Acceleration and temperature change.
     assert_eq!(file.shape("param.dec.1.bias").unwrap(), [3]);
-    // Another training there would overwrite it.
+    // Another training there would overwrite it, and so would other commands.
     fails(&mut train(&out, &["--steps", "9"]), 2, "holds a training already");
+    fails(&mut train(&out, &["--steps", "9", "--resume", "--set", "noise=1e-3"]), 2, "noise was 0.0003 and is 0.001");
+    fails(&mut train(&out, &["--steps", "5", "--resume"]), 2, "the training is at step 9");
+    fails(hydrograd().args(["generate", "--out"]).arg(&out), 2, "belongs to another command");
     // The best checkpoint is a model that `evaluate` takes.
     hydrograd()
         .args(["evaluate", "--steps", "4", "--model"])
@@ -154,6 +157,19 @@ fn survives_being_killed() {
 }
 
 #[test]
+fn two_trainings_do_not_share_a_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    std::fs::create_dir(&out).unwrap();
+    let other = std::fs::File::create(out.join("train.lock")).unwrap();
+    other.lock().unwrap();
+    fails(&mut train(&out, &["--steps", "2"]), 2, "another training is writing");
+    drop(other);
+    train(&out, &["--steps", "2"]).assert().success();
+    assert!(!out.join("train.lock").exists());
+}
+
+#[test]
 fn begins_with_another_trainings_parameters() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
@@ -208,7 +224,7 @@ fn every_kind_of_model_and_of_heat_trains() {
 fn bad_input_is_told_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let cases: [(&[&str], &str); 8] = [
+    let cases: [(&[&str], &str); 13] = [
         (&["--set", "model.latentt=8"], "model.latentt"),
         (&["--set", "learning_rate=-1"], "learning_rate"),
         (&["--set", "noise"], "KEY=VALUE"),
@@ -217,12 +233,58 @@ fn bad_input_is_told_and_nothing_is_written() {
         (&["--set", "validation_steps=400"], "validation_steps"),
         (&["--set", "features.frames=9"], "features.frames"),
         (&["--resume"], "last.safetensors"),
+        (&["--steps", "0"], "steps = 0"),
+        (&["--set", "learning_rate_factor=2"], "learning_rate_factor"),
+        (&["--set", "learning_rate_least=1"], "learning_rate_least = 1"),
+        (&["--set", "pushforward.after=[-1, -2]"], "pushforward.after = [-1, -2]"),
+        (&["--set", "pushforward.odds=[1.0, 0.0]"], "pushforward.odds = [1.0, 0.0]"),
     ];
     for (more, text) in cases {
         fails(&mut train(&out, more), 2, text);
         assert!(!out.exists(), "{more:?} left something");
     }
     fails(hydrograd().args(["train", "--data", "/nowhere", "--out"]).arg(&out), 2, "/nowhere");
+    let config = folder.path().join("config.toml");
+    std::fs::write(&config, "steps = 5\nnoise = \"a lot\"\n").unwrap();
+    fails(&mut train(&out, &["--config", config.to_str().unwrap()]), 2, "noise = \"a lot\"");
+    // Each command keeps to folders of its own.
+    fails(&mut train(&data().join("data"), &[]), 2, "belongs to another command");
+    let copy = folder.path().join("copy");
+    std::fs::create_dir(&copy).unwrap();
+    for name in ["metadata.json", "train.h5", "valid.h5"] {
+        std::fs::copy(data().join("data").join(name), copy.join(name)).unwrap();
+    }
+    let with_copy = |text: &str| {
+        fails(hydrograd().args(["train", "--steps", "1", "--data"]).arg(&copy).arg("--out").arg(&out), 2, text);
+        assert!(!out.exists(), "{text}: something was left");
+    };
+    let change = |from: &str, to: &str| {
+        let text = std::fs::read_to_string(data().join("data/metadata.json")).unwrap();
+        assert!(text.contains(from));
+        std::fs::write(copy.join("metadata.json"), text.replacen(from, to, 1)).unwrap();
+    };
+    change("\"dx\": 0.025", "\"dx\": -0.025");
+    with_copy("dx is -0.025");
+    change("\"dx\": 0.025", "\"dx\": 0.025");
+    // As in support/data_set.rs: what is read is a copy, whose lock no other test's process can have inherited.
+    let edit = |name: &str, change: &dyn Fn(&hdf5::File)| {
+        let edited = copy.join("edited.h5");
+        std::fs::copy(data().join("data").join(name), &edited).unwrap();
+        let file = hdf5::File::open_rw(&edited).unwrap();
+        change(&file);
+        file.close().unwrap();
+        std::fs::copy(&edited, copy.join(name)).unwrap();
+    };
+    edit("valid.h5", &|file| file.unlink("00000").unwrap());
+    with_copy("valid.h5 holds no trajectory");
+    std::fs::copy(data().join("data/valid.h5"), copy.join("valid.h5")).unwrap();
+    edit("train.h5", &|file| {
+        let kinds = file.dataset("00001/particle_type").unwrap();
+        let mut values: Vec<i32> = kinds.read_raw().unwrap();
+        values[3] = 77;
+        kinds.write_raw(&values).unwrap();
+    });
+    with_copy("`00001/particle_type` is 77 for a particle");
     // A rate that blows the weights up: an error with advice, not a file full of not-a-number.
     fails(
         &mut train(&out, &["--steps", "50", "--set", "learning_rate=1e30", "--set", "learning_rate_least=1e30"]),

@@ -19,6 +19,9 @@ use std::time::Instant;
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
+/// What other commands leave: a training, a study, a run.
+const FOREIGN: [&str; 4] = ["last.safetensors", "train.lock", "study.csv", "summary.json"];
+
 /// A share of the trajectories: those whose number is `index` modulo `count`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
@@ -112,6 +115,13 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
             .advice("another --out, or remove the folder")
     };
     let Some(begun) = store.begun()? else {
+        if let Some(file) = FOREIGN.iter().find(|file| store.folder.join(file).exists()) {
+            return Err(BadInput::new(format!("the folder holds {file}, so it belongs to another command"))
+                .place(&place)
+                .allowed("a new folder, or one that `hydrograd generate` began")
+                .advice("another --out")
+                .into());
+        }
         if Split::ALL.iter().any(|split| split.path(&store.folder).exists()) {
             return Err(BadInput::new("the folder holds a data set that `hydrograd generate` did not make")
                 .place(&place)

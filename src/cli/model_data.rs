@@ -1,5 +1,6 @@
 //! What `evaluate` and `rollout` begin with: a model and a split of a data set.
 
+use super::prepare::use_threads;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
@@ -19,6 +20,9 @@ pub struct ModelDataArguments {
     /// Which of its files.
     #[arg(long, value_enum, default_value = "valid")]
     pub split: Split,
+    /// Worker threads, 0 for every core; 1 is best on a busy machine.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
 }
 
 /// A model and what it is held against.
@@ -31,6 +35,7 @@ pub struct ModelData {
 impl ModelDataArguments {
     /// Reads all of it; bad input is found here, before anything is written.
     pub fn read(&self) -> anyhow::Result<ModelData> {
+        use_threads(self.threads);
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
         let model = load_predictor(&self.model, &metadata)?;
         Ok(ModelData { model, metadata, trajectories })

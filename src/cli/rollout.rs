@@ -224,8 +224,15 @@ impl Scene<'_> {
             .collect();
         let range = |columns: &[usize]| {
             let fluid = |values: &Vec<f64>| (0..n).filter(|&i| self.tag[i] == 0).map(|i| values[i]).collect::<Vec<_>>();
-            let values = rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k])));
-            let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+            let mut values: Vec<f64> =
+                rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k]))).collect();
+            values.sort_by(f64::total_cmp);
+            // A few particles that one of the two reset at the inlet would leave no colours for all others.
+            let cut = if columns == [2] { values.len() / 100 } else { 0 };
+            let (low, high) = match values.len() {
+                0 => (0.0, 0.0),
+                count => (values[0], values[count - 1 - cut]),
+            };
             // Equal values are no range of colours.
             if high > low {
                 (low, high)

@@ -39,6 +39,9 @@ pub struct StudyArguments {
     /// Folder for the results, one below it for each point.
     #[arg(long, value_name = "DIR", default_value = "runs/study")]
     pub out: PathBuf,
+    /// Worker threads of a training, 0 for every core; 1 is best on a busy machine.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
 }
 
 pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
@@ -50,8 +53,9 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     }
     check_writable(&arguments.out)?;
     let program = std::env::current_exe()?;
-    let StudyArguments { data, sets, steps, out, .. } = arguments;
-    let study = Study { program, data, steps, sets, out };
+    let StudyArguments { data, sets, steps, out, threads, .. } = arguments;
+    let study = Study { program, data, steps, sets, out, threads };
+    study.check(&points)?;
     // Found out before hours of training, not after.
     let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     let kept = known.iter().flatten().count();

@@ -1,11 +1,12 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::TrainArguments;
+use super::arguments::{check_writable, TrainArguments};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
 use crate::dataset::{read_split, Metadata, Split};
 use crate::error::BadInput;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::FileError;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::settings::Settings;
@@ -13,6 +14,9 @@ use crate::surrogate::setup::Setup;
 use crate::surrogate::train::{fresh, read_rows, Training};
 use crate::surrogate::{checkpoint, rollout};
 use candle_core::DType;
+use serde_json::json;
+use std::fs::{File, TryLockError};
+use std::path::Path;
 use std::sync::Arc;
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
@@ -43,15 +47,39 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
             .advice("--data data/heated")
             .into());
     };
+    check_writable(&folder)?;
+    for other in ["metadata.json", "generate.json", "study.csv", "summary.json"] {
+        if folder.join(other).exists() {
+            return Err(BadInput::new(format!("the folder holds {other}, so it belongs to another command"))
+                .place(format!("--out {}", folder.display()))
+                .allowed("a new folder, or with --resume that of a training")
+                .advice("another --out")
+                .into());
+        }
+    }
     use_threads(arguments.threads.unwrap_or(0));
     let metadata = Metadata::read(data).map_err(unreadable(data))?;
     let setup = Setup::new(&settings, &metadata)?;
     let header = match arguments.resume {
-        true => Some(checkpoint::read(&last).map_err(|bad| bad.advice("train without --resume to begin"))?),
+        true => Some(checkpoint::read(&last).map_err(|bad| {
+            bad.advice(match last.exists() {
+                true => "another --out; --init best.safetensors takes over what is still good",
+                false => "train without --resume to begin",
+            })
+        })?),
         false => None,
     };
     if let Some(header) = &header {
         resumes(&header.settings, &settings, header.setup == setup)?;
+        if settings.steps < header.step {
+            return Err(BadInput::new(format!(
+                "steps = {}, but the training is at step {}",
+                settings.steps, header.step
+            ))
+            .place(format!("--out {}", folder.display()))
+            .allowed(format!("--steps {} or more", header.step))
+            .into());
+        }
     } else if last.exists() {
         return Err(BadInput::new(format!("{} holds a training already", folder.display()))
             .place(format!("--out {}", folder.display()))
@@ -61,6 +89,15 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     }
     let train = read_split(data, &metadata, Split::Train).map_err(unreadable(data))?;
     let valid = read_split(data, &metadata, Split::Valid).map_err(unreadable(data))?;
+    for (split, trajectories) in [("train.h5", &train), ("valid.h5", &valid)] {
+        if trajectories.is_empty() {
+            return Err(BadInput::new(format!("{split} holds no trajectory"))
+                .place(format!("--data {}", data.display()))
+                .allowed("at least one for training and one for validation")
+                .advice("hydrograd generate --trajectories 4/2/2")
+                .into());
+        }
+    }
     if let Some(longest) = valid.iter().max_by_key(|t| t.frames) {
         rollout::check_length(longest, 0, settings.validation_steps)
             .map_err(|bad| bad.advice("a smaller --set validation_steps"))?;
@@ -74,10 +111,18 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         None => {
             if let Some((from, header)) = &init {
                 if header.setup.sizes != setup.sizes || header.setup.kind != setup.kind {
-                    return Err(BadInput::new(format!(
-                        "the model has sizes {:?}, wanted are {:?}",
-                        header.setup.sizes, setup.sizes
-                    ))
+                    let own = |setup: &Setup| {
+                        let serde_json::Value::Object(mut all) = json!(setup.sizes) else { return Vec::new() };
+                        all.insert("kind".into(), json!(setup.kind));
+                        all.into_iter().collect::<Vec<_>>()
+                    };
+                    let differing: Vec<String> = own(&header.setup)
+                        .into_iter()
+                        .zip(own(&setup))
+                        .filter(|(theirs, ours)| theirs != ours)
+                        .map(|((key, theirs), (_, ours))| format!("{key} = {theirs}, not {ours}"))
+                        .collect();
+                    return Err(BadInput::new(format!("its model has {}", differing.join(", ")))
                     .place(format!("--init {}", from.display()))
                     .allowed("a model of the same kind and sizes")
                     .advice("leave --config and --set model.* out: the sizes are the file's then; data with heat for a model with heat")
@@ -89,6 +134,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         }
     };
     prepare_output_folder(&folder)?;
+    let lock = alone(&folder)?;
     write_bytes_atomically(&kept, settings.text().as_bytes())?;
     let step = state.step;
     let (history, validation) =
@@ -134,12 +180,32 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         outcome.best_step.map_or("none".to_owned(), |step| step.to_string())
     );
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
+    // Best effort: a lock that nobody holds is in nobody's way.
+    drop(lock);
+    let _ = std::fs::remove_file(folder.join(LOCK));
     println!(
         "next: hydrograd evaluate --model {} --data {} --split test",
         folder.join("best.safetensors").display(),
         data.display()
     );
     Ok(())
+}
+
+/// Held while a training writes to a folder: two would take turns in overwriting each other's checkpoints.
+const LOCK: &str = "train.lock";
+
+fn alone(folder: &Path) -> anyhow::Result<File> {
+    let path = folder.join(LOCK);
+    let lock = File::create(&path).map_err(|source| FileError::write(&path, source))?;
+    match lock.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(BadInput::new("another training is writing to this folder")
+            .place(format!("--out {}", folder.display()))
+            .allowed("one training at a time")
+            .advice("wait until it ends, stop it, or another --out")
+            .into()),
+        // Some file systems have no locks: then nothing can be said.
+        _ => Ok(lock),
+    }
 }
 
 /// An error if the settings differ in more than how long to go on and how often to say so.
@@ -154,7 +220,22 @@ fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), Ba
     if same == *before && same_setup {
         return Ok(());
     }
-    Err(BadInput::new("the settings, or the data, differ from those that the training began with")
+    let table = |settings: &Settings| settings.text().parse::<toml::Table>().unwrap_or_default();
+    let (before, now) = (table(before), table(&same));
+    let differing: Vec<String> = before
+        .iter()
+        .chain(now.iter().filter(|(key, _)| !before.contains_key(*key)))
+        .filter(|(key, _)| before.get(*key) != now.get(*key))
+        .map(|(key, _)| {
+            let shown = |table: &toml::Table| table.get(key).map_or("nothing".to_owned(), |value| value.to_string());
+            format!("{key} was {} and is {}", shown(&before), shown(&now))
+        })
+        .collect();
+    let problem = match differing.is_empty() {
+        true => "the data differ from those that the training began with".to_owned(),
+        false => format!("the settings differ from those that the training began with: {}", differing.join("; ")),
+    };
+    Err(BadInput::new(problem)
         .allowed("the same but for steps, log_every, validate_every, store_every and validation_*")
         .advice("begin anew in another --out; --init takes over the parameters"))
 }

@@ -95,6 +95,14 @@ impl Metadata {
                 return Err(damaged(format!("{name} has {length} entries, must have {d}")));
             }
         }
+        let positive = |name: &str, values: &[f64]| match values.iter().find(|v| !(**v > 0.0 && v.is_finite())) {
+            Some(value) => Err(damaged(format!("{name} is {value}, must be > 0"))),
+            None => Ok(()),
+        };
+        positive("dx", &[metadata.dx])?;
+        positive("default_connectivity_radius", &[metadata.default_connectivity_radius])?;
+        positive("vel_std", &metadata.vel_std[..d])?;
+        positive("acc_std", &metadata.acc_std[..d])?;
         Ok(metadata)
     }
 

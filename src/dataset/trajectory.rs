@@ -16,6 +16,8 @@ pub mod kind {
     pub const SOLID_WALL: i32 = 1;
     pub const MOVING_WALL: i32 = 2;
     pub const RIGID_BODY: i32 = 3;
+    /// LagrangeBench's types are below it.
+    pub const COUNT: i32 = 9;
 
     /// Moved by others, not by the model: walls and padding.
     pub fn is_kinematic(kind: i32) -> bool {
@@ -132,11 +134,20 @@ pub(super) fn read_trajectory(
         let length = group.dataset(name).map_err(failed(path, "open")(name))?.shape();
         Ok(read_dataset(path, &group, &present, name, &length)?.unwrap_or_default())
     };
+    let kinds: Vec<i32> = read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default();
+    if let Some(odd) = kinds.iter().find(|k| !(kind::PADDING..kind::COUNT).contains(*k)) {
+        return Err(crate::io::hdf5_file::mismatch(
+            path,
+            &format!("{name}/particle_type"),
+            format!("{odd} for a particle"),
+            &format!("from {} to {}", kind::PADDING, kind::COUNT - 1),
+        ));
+    }
     Ok(Trajectory {
         frames,
         particles,
         position: read_dataset(path, &group, &present, "position", &shape)?.unwrap_or_default(),
-        kind: read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default(),
+        kind: kinds,
         temperature: read_dataset(path, &group, &present, "temperature", &[frames, particles])?,
         wall_temperature: read_dataset(path, &group, &present, "wall_temperature", &[particles])?,
         wall_x: nodes("wall_x")?,

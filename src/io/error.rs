@@ -83,10 +83,15 @@ fn hint_for(error: &std::io::Error) -> &'static str {
     }
 }
 
+/// So many names are shown of a file's; a checkpoint has hundreds.
+const MOST_NAMES: usize = 20;
+
 /// Names in a row, or "nothing".
 fn list(names: &[String]) -> String {
     if names.is_empty() {
         "nothing".to_owned()
+    } else if names.len() > MOST_NAMES {
+        format!("{}, ... ({} in all)", names[..MOST_NAMES].join(", "), names.len())
     } else {
         names.join(", ")
     }

@@ -62,6 +62,15 @@ impl Progress {
         self.bar.println(text);
     }
 
+    /// Prints a line above the bar; without a terminal, on stdout: what a log of hours should hold.
+    pub fn log(&self, text: &str) {
+        if self.bar.is_hidden() {
+            println!("{text}");
+        } else {
+            self.bar.println(text);
+        }
+    }
+
     /// Runs `print` (which may write to the terminal) with the bar out of the way.
     pub fn suspend<R>(&self, print: impl FnOnce() -> R) -> R {
         self.bar.suspend(print)

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Types of particles that have an embedding, as LagrangeBench: -1 (padding) takes the last one, as numpy's index does.
-pub const KINDS: usize = 9;
+pub const KINDS: usize = kind::COUNT as usize;
 
 /// Means and deviations that a model was trained with; stored in its checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -199,7 +199,13 @@ impl Settings {
 
     fn parse(text: &str, place: &str) -> Result<Self, BadInput> {
         toml::from_str(text).map_err(|error| {
-            BadInput::new(error.message().to_owned())
+            let line = error.span().map(|span| text[..span.start.min(text.len())].lines().count().max(1));
+            let line = line.and_then(|line| text.lines().nth(line - 1)).unwrap_or_default().trim();
+            let problem = match (place.starts_with("--set"), line) {
+                (true, _) | (_, "") => error.message().to_owned(),
+                (false, line) => format!("{} (at `{line}`)", error.message()),
+            };
+            BadInput::new(problem)
                 .place(place.to_owned())
                 .allowed("the keys and types that `hydrograd train --print-config` shows")
         })
@@ -219,6 +225,7 @@ impl Settings {
             Err(BadInput::new(format!("{key} = {value} is out of range")).allowed(format!("{key} {allowed}")))
         };
         let at_least = [
+            ("steps", self.steps as usize, 1),
             ("batch_size", self.batch_size, 1),
             ("log_every", self.log_every as usize, 1),
             ("validate_every", self.validate_every as usize, 1),
@@ -267,6 +274,13 @@ impl Settings {
         if !(self.learning_rate > 0.0 && self.learning_rate.is_finite()) {
             return wrong("learning_rate", &self.learning_rate, "> 0");
         }
+        if self.learning_rate_factor > 1.0 {
+            return wrong("learning_rate_factor", &self.learning_rate_factor, "<= 1: the rate decays");
+        }
+        if self.learning_rate_least > self.learning_rate {
+            let allowed = format!("<= learning_rate, {}", self.learning_rate);
+            return wrong("learning_rate_least", &self.learning_rate_least, &allowed);
+        }
         if !(0.0..1.0).contains(&self.ema) {
             return wrong("ema", &self.ema, ">= 0 and < 1, such as 0.999");
         }
@@ -281,9 +295,14 @@ impl Settings {
                 .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
                 .advice("--set pushforward.after=[-1] --set pushforward.unrolls=[0] --set pushforward.odds=[1]"));
         }
-        if p.after.windows(2).any(|w| w[1] <= w[0]) || p.odds.iter().any(|&o| o <= 0.0) || p.most() > 20 {
-            return Err(BadInput::new("pushforward is out of range")
-                .allowed("growing steps in pushforward.after, at most 20 unrolls, odds > 0"));
+        if p.after.windows(2).any(|w| w[1] <= w[0]) {
+            return wrong("pushforward.after", &format!("{:?}", p.after), "must grow");
+        }
+        if p.odds.iter().any(|&odds| !(odds > 0.0 && odds.is_finite())) {
+            return wrong("pushforward.odds", &format!("{:?}", p.odds), "must be > 0");
+        }
+        if p.most() > 20 {
+            return wrong("pushforward.unrolls", &format!("{:?}", p.unrolls), "<= 20");
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! A grid over training settings: every point trained by this program in a process of its own, finished ones kept.
 
+use super::settings::Settings;
 use super::train::METRICS;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
@@ -107,6 +108,8 @@ pub struct Study {
     /// `key=value`, below those of the grid.
     pub sets: Vec<String>,
     pub out: PathBuf,
+    /// Of each training; 0 for every core.
+    pub threads: usize,
 }
 
 /// `finished.json` of a point: what it was trained with. Without it, a point is trained (again).
@@ -205,6 +208,32 @@ impl Study {
         Ok(Some(Outcome::Trained { seconds: found.seconds, validation }))
     }
 
+    /// `key=value` of a point, its own last.
+    fn all_sets(&self, point: &Point) -> Vec<String> {
+        let own = point.0.iter().map(|(key, value)| format!("{key}={value}"));
+        self.sets.iter().cloned().chain(own).collect()
+    }
+
+    /// An error if a point's settings are bad: before hours of training, not between them.
+    pub fn check(&self, points: &[Point]) -> Result<(), BadInput> {
+        for point in points {
+            for (key, _) in &point.0 {
+                if key == "steps" {
+                    return Err(BadInput::new("steps cannot be in the grid")
+                        .place("--grid steps")
+                        .allowed("--steps N, the same for all points"));
+                }
+                if let Some(set) = self.sets.iter().find(|set| set.split('=').next().map(str::trim) == Some(key)) {
+                    return Err(BadInput::new(format!("{key} is in the grid, too"))
+                        .place(format!("--set {set}"))
+                        .allowed("each key in --set or in --grid"));
+                }
+            }
+            Settings::load(None, None, &self.all_sets(point)).map_err(|bad| bad.place(point.name()))?;
+        }
+        Ok(())
+    }
+
     /// Trains a point.
     ///
     /// # Errors
@@ -216,12 +245,12 @@ impl Study {
         let mut log = tempfile::tempfile()?;
         let mut command = Command::new(&self.program);
         command.arg("train").arg("--data").arg(&self.data).arg("--out").arg(&folder);
-        command.args(["--steps", &self.steps.to_string()]);
+        command.args(["--steps", &self.steps.to_string(), "--threads", &self.threads.to_string()]);
         // Killed on the way: goes on with the settings it was begun with.
         if folder.join("last.safetensors").is_file() {
             command.arg("--resume");
         }
-        for set in self.sets.iter().cloned().chain(point.0.iter().map(|(key, value)| format!("{key}={value}"))) {
+        for set in self.all_sets(point) {
             command.args(["--set", &set]);
         }
         let status = command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?).status().map_err(

@@ -268,7 +268,7 @@ impl Training<'_> {
         let broken =
             if scores.broken.is_empty() { String::new() } else { format!(", {} windows broke", scores.broken.len()) };
         let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.2e}"));
-        bar.line(&format!(
+        bar.log(&format!(
             "step {}: MSE_1 {} MSE_5 {} MSE_20 {}{}{broken} ({:.2} of linear, {:.0} s)",
             self.state.step,
             digits(scores.mse_1),
