@@ -280,6 +280,23 @@ fn flows_make_data_sets() {
 }
 
 #[test]
+fn damaged_trajectories_are_named_and_halves_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    succeeds(folder.path(), &small(&["--out", "data", "--shard", "0/6"]));
+    let data = folder.path().join("data");
+    let part = data.join("parts/train-00000.h5");
+    let whole = std::fs::read(&part).unwrap();
+    std::fs::write(&part, &whole[..whole.len() / 2]).unwrap();
+    refuses(folder.path(), &small(&["--out", "data"]), &[], &["cut short", "remove data/parts/train-00000.h5"]);
+    std::fs::remove_file(&part).unwrap();
+    // As a merge leaves it that was killed.
+    let half = data.join(".valid.partial-aB3.h5");
+    std::fs::write(&half, "half").unwrap();
+    succeeds(folder.path(), &small(&["--out", "data"]));
+    assert!(!half.exists() && data.join("valid.h5").exists());
+}
+
+#[test]
 fn walls_from_a_file_are_taken_in_turns() {
     let folder = tempfile::tempdir().unwrap();
     let wall = |level: &str| vec![level; 20].join(", ");
@@ -351,9 +368,9 @@ fn bad_input_is_explained_and_nothing_is_written() {
     table("high.csv", &[&flat, &flat.replacen("0.0", "0.03", 1)]);
     table("empty.csv", &["", " "]);
     for (file, parts) in [
-        ("short.csv", ["2 numbers for 20 nodes", "train-00001"]),
+        ("short.csv", ["2 numbers for 20 nodes", "--walls-file, wall 2"]),
         ("text.csv", ["line 2: `up`", "--walls-file text.csv"]),
-        ("high.csv", ["offsets[0] = 0.03", "train-00001"]),
+        ("high.csv", ["offsets[0] = 0.03", "--walls-file, wall 2"]),
         ("empty.csv", ["no wall", "a line per wall"]),
         ("none.csv", ["cannot read", "none.csv"]),
     ] {

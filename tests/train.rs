@@ -93,16 +93,23 @@ fn leaves_checkpoints_tables_and_curves() {
     fails(&mut train(&out, &["--steps", "9", "--resume", "--set", "noise=1e-3"]), 2, "noise was 0.0003 and is 0.001");
     fails(&mut train(&out, &["--steps", "5", "--resume"]), 2, "the training is at step 9");
     fails(hydrograd().args(["generate", "--out"]).arg(&out), 2, "belongs to another command");
-    // The best checkpoint is a model that `evaluate` takes.
-    hydrograd()
-        .args(["evaluate", "--steps", "4", "--model"])
-        .arg(out.join("best.safetensors"))
-        .arg("--data")
-        .arg(data().join("data"))
-        .arg("--out")
-        .arg(folder.path().join("scores"))
-        .assert()
-        .success();
+    // The best checkpoint is a model that `evaluate` takes, and says where it does not belong.
+    let other = folder.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    std::fs::copy(data().join("data/valid.h5"), other.join("valid.h5")).unwrap();
+    let text = std::fs::read_to_string(data().join("data/metadata.json")).unwrap();
+    std::fs::write(other.join("metadata.json"), text.replacen("\"dx\": 0.025", "\"dx\": 0.024", 1)).unwrap();
+    for (set, warning) in [(&other, true), (&data().join("data"), false)] {
+        let mut command = hydrograd();
+        command.args(["evaluate", "--steps", "4", "--threads", "1", "--model"]).arg(out.join("best.safetensors"));
+        let to = folder.path().join(format!("scores-{warning}"));
+        let output = command.arg("--data").arg(set).arg("--out").arg(to).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            output.status.success() && error.contains("spacing of 0.0250, these have 0.0240") == warning,
+            "{error}"
+        );
+    }
 }
 
 /// Ends with this exit code and says this.

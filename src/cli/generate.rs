@@ -7,7 +7,9 @@ use crate::dataset::recipe::{Job, Recipe};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
+use crate::dataset::walls::Walls;
 use crate::error::{BadInput, Error};
+use crate::io::hdf5_file::open;
 use crate::io::FileError;
 use crate::report::progress::Progress;
 use crate::scene::config::{Config, Precision};
@@ -35,8 +37,14 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     recipe.check(&loaded)?;
     let shard = arguments.shard()?;
     // What is wrong with one trajectory's configuration is wrong before anything is written.
-    for job in recipe.jobs().into_iter().take(recipe.given.len().max(1)) {
-        recipe.ready(&loaded, job)?;
+    for (line, job) in recipe.jobs().into_iter().take(recipe.given.len().max(1)).enumerate() {
+        let of_line = |error| match error {
+            Error::Input(bad) if recipe.walls == Walls::File => {
+                Error::from(bad.place(format!("--walls-file, wall {}", line + 1)))
+            }
+            other => other,
+        };
+        recipe.ready(&loaded, job).map_err(of_line)?;
     }
     let folder = arguments.folder(&loaded)?;
     let store = Store::new(&folder);
@@ -53,6 +61,14 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let mine: Vec<Job> =
         jobs.iter().enumerate().filter(|(k, _)| k % shard.count == shard.index).map(|(_, job)| *job).collect();
     let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
+    for &job in mine.iter().filter(|job| !todo.contains(job)) {
+        open(&store.part(job), "trajectory").map_err(|error| {
+            BadInput::new(error.to_string())
+                .place(format!("--out {}", folder.display()))
+                .allowed("trajectories as they were written")
+                .advice(format!("remove {} and give the same command again", store.part(job).display()))
+        })?;
+    }
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();
@@ -189,7 +205,11 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
         version: VERSION.into(),
         wall: ready.wall,
     };
-    store.write_part(job, &trajectory, &provenance)?;
+    match store.write_part(job, &trajectory, &provenance) {
+        // Another process made and merged them all meanwhile.
+        Err(_) if store.is_complete() => {}
+        result => result?,
+    }
     bar.message(job.to_string());
     Ok(())
 }

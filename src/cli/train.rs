@@ -38,7 +38,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     };
     let settings = Settings::load(config, init.as_ref().map(|(_, header)| &header.settings), &sets)?;
     if arguments.print_config {
-        print!("{}", settings.text());
+        print!("{}", settings.shown());
         return Ok(());
     }
     let Some(data) = &arguments.data else {

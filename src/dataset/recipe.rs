@@ -117,8 +117,9 @@ impl Recipe {
         }
         if !config.scene.has_design() && self.walls != Walls::default() {
             let scene = config.scene.built_in().name;
-            return Err(bad("--walls", format!("scene {scene} has no walls to shape"))
-                .allowed("--walls with scene heated-channel only"));
+            let option = if self.walls == Walls::File { "--walls-file" } else { "--walls" };
+            return Err(bad(option, format!("scene {scene} has no walls to shape"))
+                .allowed("--walls and --walls-file with scene heated-channel only"));
         }
         let usual = config.scene.defaults().time;
         // A preset's length is that of its own runs.

@@ -88,5 +88,7 @@ fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
         normalisation: Normalisation::new(metadata, noise, metadata.default_connectivity_radius, None),
         heat: HeatModel::None,
         periodic: metadata.periodic()[..metadata.dim].to_vec(),
+        spacing: None,
+        frame: None,
     })
 }

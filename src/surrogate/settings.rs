@@ -220,6 +220,16 @@ impl Settings {
         toml::to_string(self).unwrap_or_default()
     }
 
+    /// The same with the keys that are absent by default as comments.
+    pub fn shown(&self) -> String {
+        match self.model.radius {
+            Some(_) => self.text(),
+            None => self
+                .text()
+                .replace("[model]\n", "[model]\n# Spacings; without it the data set's own.\n# radius = 1.45\n"),
+        }
+    }
+
     fn check(&self) -> Result<(), BadInput> {
         let wrong = |key: &str, value: &dyn std::fmt::Display, allowed: &str| {
             Err(BadInput::new(format!("{key} = {value} is out of range")).allowed(format!("{key} {allowed}")))

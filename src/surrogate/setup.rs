@@ -19,6 +19,11 @@ pub struct Setup {
     pub heat: HeatModel,
     /// Directions of the box that were periodic: the features depend on it.
     pub periodic: Vec<bool>,
+    /// Spacing of the particles and time between frames of the data; unknown of foreign models.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<f64>,
 }
 
 impl Setup {
@@ -58,6 +63,8 @@ impl Setup {
             normalisation,
             heat: if heat.is_some() { model.heat } else { HeatModel::None },
             periodic: metadata.periodic()[..metadata.dim].to_vec(),
+            spacing: Some(metadata.dx),
+            frame: Some(metadata.dt * metadata.write_every as f64),
         })
     }
 
@@ -70,6 +77,20 @@ impl Setup {
             Kind::Gns => Box::new(Gns::new(self.sizes, seed, dtype)?),
             Kind::Egnn => Box::new(Egnn::new(self.sizes, self.features.frames, seed, dtype)?),
         })
+    }
+
+    /// How a data set differs from those that the model knows in what no network finds out by itself.
+    pub fn unlike(&self, metadata: &Metadata) -> Option<String> {
+        let frame = metadata.dt * metadata.write_every as f64;
+        let pairs = [("a spacing of", self.spacing, metadata.dx), ("frames apart by", self.frame, frame)];
+        let differing: Vec<String> = pairs
+            .into_iter()
+            .filter_map(|(what, known, here)| {
+                let known = known?;
+                ((known / here - 1.0).abs() > 0.01).then(|| format!("{what} {known:.4}, these have {here:.4}"))
+            })
+            .collect();
+        (!differing.is_empty()).then(|| format!("the model was trained on data with {}", differing.join("; ")))
     }
 
     /// An error if a data set's frames are not what the model knows.
