@@ -227,8 +227,8 @@ impl Scene<'_> {
             let mut values: Vec<f64> =
                 rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k]))).collect();
             values.sort_by(f64::total_cmp);
-            // A few particles that one of the two reset at the inlet would leave no colours for all others.
-            let cut = if columns == [2] { values.len() / 100 } else { 0 };
+            // The particles that one of the two reset at the inlet would leave no colours for the others.
+            let cut = if columns == [2] { values.len() / 20 } else { 0 };
             let (low, high) = match values.len() {
                 0 => (0.0, 0.0),
                 count => (values[0], values[count - 1 - cut]),
