@@ -441,6 +441,17 @@ impl CommonArguments {
     }
 }
 
+/// An error if a folder holds a file that only another command leaves.
+pub(super) fn check_own(folder: &Path, others: &[&str], allowed: &str) -> Result<(), BadInput> {
+    match others.iter().find(|file| folder.join(file).exists()) {
+        Some(file) => Err(BadInput::new(format!("the folder holds {file}, so it belongs to another command"))
+            .place(format!("--out {}", folder.display()))
+            .allowed(allowed)
+            .advice("another --out")),
+        None => Ok(()),
+    }
+}
+
 /// Checks that `folder` is one or can be created, without leaving anything behind.
 pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
     let bad = |problem: String| {

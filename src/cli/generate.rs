@@ -1,5 +1,6 @@
 //! `hydrograd generate` and `hydrograd merge`: data sets of trajectories for the surrogate.
 
+use super::arguments::check_own;
 use super::files::VERSION;
 use super::prepare::difference;
 use super::{GenerateArguments, MergeArguments};
@@ -131,13 +132,7 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
             .advice("another --out, or remove the folder")
     };
     let Some(begun) = store.begun()? else {
-        if let Some(file) = FOREIGN.iter().find(|file| store.folder.join(file).exists()) {
-            return Err(BadInput::new(format!("the folder holds {file}, so it belongs to another command"))
-                .place(&place)
-                .allowed("a new folder, or one that `hydrograd generate` began")
-                .advice("another --out")
-                .into());
-        }
+        check_own(&store.folder, &FOREIGN, "a new folder, or one that `hydrograd generate` began")?;
         if Split::ALL.iter().any(|split| split.path(&store.folder).exists()) {
             return Err(BadInput::new("the folder holds a data set that `hydrograd generate` did not make")
                 .place(&place)

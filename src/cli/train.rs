@@ -1,6 +1,6 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_writable, TrainArguments};
+use super::arguments::{check_own, check_writable, TrainArguments};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
 use crate::dataset::{read_split, Metadata, Split};
@@ -48,15 +48,11 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
             .into());
     };
     check_writable(&folder)?;
-    for other in ["metadata.json", "generate.json", "study.csv", "summary.json"] {
-        if folder.join(other).exists() {
-            return Err(BadInput::new(format!("the folder holds {other}, so it belongs to another command"))
-                .place(format!("--out {}", folder.display()))
-                .allowed("a new folder, or with --resume that of a training")
-                .advice("another --out")
-                .into());
-        }
-    }
+    check_own(
+        &folder,
+        &["metadata.json", "generate.json", "study.csv", "summary.json"],
+        "a new folder, or with --resume that of a training",
+    )?;
     use_threads(arguments.threads.unwrap_or(0));
     let metadata = Metadata::read(data).map_err(unreadable(data))?;
     let setup = Setup::new(&settings, &metadata)?;
