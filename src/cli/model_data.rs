@@ -4,8 +4,8 @@ use super::prepare::use_threads;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
+use crate::surrogate::load_predictor;
 use crate::surrogate::predictor::Predictor;
-use crate::surrogate::{checkpoint, load_predictor};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -38,7 +38,7 @@ impl ModelDataArguments {
         use_threads(self.threads);
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
         let model = load_predictor(&self.model, &metadata)?;
-        if let Some(unlike) = checkpoint::read(&self.model).ok().and_then(|header| header.setup.unlike(&metadata)) {
+        if let Some(unlike) = model.unlike(&metadata) {
             eprintln!("warning: {unlike}: its predictions mean little there");
         }
         Ok(ModelData { model, metadata, trajectories })

@@ -7,6 +7,7 @@ use super::model::{detached, Model};
 use super::predictor::{Frame, Predictor, Scenery};
 use super::settings::HeatModel;
 use super::setup::Setup;
+use crate::dataset::Metadata;
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
@@ -46,6 +47,10 @@ impl Predictor for Learned {
 
     fn window(&self) -> usize {
         self.setup.features.frames
+    }
+
+    fn unlike(&self, metadata: &Metadata) -> Option<String> {
+        self.setup.unlike(metadata)
     }
 
     fn next(&self, scenery: &Scenery, frames: &[Frame]) -> anyhow::Result<Frame> {

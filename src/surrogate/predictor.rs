@@ -38,6 +38,11 @@ pub trait Predictor {
     fn window(&self) -> usize {
         6
     }
+
+    /// How a data set differs from what it was trained on, if that is known and matters.
+    fn unlike(&self, _: &Metadata) -> Option<String> {
+        None
+    }
 }
 
 /// What does not change along a trajectory.
