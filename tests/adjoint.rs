@@ -4,13 +4,13 @@ mod support;
 
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Gradient, Objective, Sph};
+use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::diagnostics::start;
 use hydrograd::design::objective::Outflow;
-use hydrograd::lanes::Real;
-use hydrograd::scene::config::{Config, Kernels};
+use hydrograd::design::shape::Shape;
+use hydrograd::numerics::lanes::Real;
 use hydrograd::scene::heated_channel::HeatedChannel;
-use hydrograd::scene::shape::Shape;
-use hydrograd::solver::{Snapshot, Solver, SolverError, TensorSolver};
+use hydrograd::sph::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};

@@ -405,8 +405,8 @@ fn scenes_prints_a_complete_scene() {
     assert!(run(&["--version"]).contains(env!("CARGO_PKG_VERSION")));
     let case = Case::new(&[("mine.toml", &run(&["scenes", "heated-channel", "--preset", "report"]))]);
     let file = case.folder.path().join("mine.toml");
-    let loaded = hydrograd::scene::config::Config::load(file.to_str(), None, &[]).unwrap();
-    let preset = hydrograd::scene::config::Config::load(None, Some("report"), &[]).unwrap();
+    let loaded = hydrograd::config::scene::Config::load(file.to_str(), None, &[]).unwrap();
+    let preset = hydrograd::config::scene::Config::load(None, Some("report"), &[]).unwrap();
     assert_eq!(loaded.config, preset.config);
 }
 

@@ -1,10 +1,10 @@
 //! Data sets: layout, statistics, the same bytes whatever the shards, going on after a stop, bad input.
 
 use assert_cmd::Command;
+use hydrograd::config::scene::Config;
 use hydrograd::dataset::store::{read_provenance, Store};
 use hydrograd::dataset::{kind, read_split, Metadata, Split, Trajectory};
-use hydrograd::scene::config::Config;
-use hydrograd::scene::shape::Shape;
+use hydrograd::design::shape::Shape;
 use std::path::Path;
 
 /// Small: 200 particles, 3 frames of 4 coarse steps.

@@ -5,15 +5,15 @@ mod support;
 use candle_core::{Device, Tensor, Var};
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Objective, Sph};
+use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::optimise;
 use hydrograd::design::parametrisation::Deform;
+use hydrograd::design::shape::Shape;
 use hydrograd::design::{diagnostics, diagnostics::start};
-use hydrograd::lanes::Real;
+use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
-use hydrograd::random::{stream, uniform, Normal};
-use hydrograd::scene::config::{Config, Kernels};
 use hydrograd::scene::heated_channel::HeatedChannel;
-use hydrograd::scene::shape::Shape;
 use support::final_sum::FinalSum;
 
 fn scene<R: Real>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {

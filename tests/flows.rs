@@ -1,12 +1,12 @@
 //! Verification flows against their exact solutions.
 
-use hydrograd::lanes::Real;
+use hydrograd::numerics::lanes::Real;
 use hydrograd::scene::flow::{Flow, FlowFigures};
 use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
 use hydrograd::scene::poiseuille::Poiseuille;
 use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
 use hydrograd::scene::taylor_green::TaylorGreen;
-use hydrograd::solver::Solver;
+use hydrograd::sph::solver::Solver;
 
 /// Figures after every step up to `end`, the start first.
 fn run<R: Real>(flow: &Flow<R>, end: f64) -> Vec<FlowFigures> {

@@ -5,12 +5,13 @@
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::dataset::{kind, Metadata};
 use hydrograd::io::tensor_file::TensorFile;
-use hydrograd::surrogate::adamw::AdamW;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
-use hydrograd::surrogate::gns::{Gns, Sizes};
-use hydrograd::surrogate::model::{tracked, Model};
+use hydrograd::surrogate::integrate;
+use hydrograd::surrogate::models::gns::{Gns, Sizes};
+use hydrograd::surrogate::network::adamw::AdamW;
+use hydrograd::surrogate::network::parameters::{tracked, Model};
 use hydrograd::surrogate::predictor::Scenery;
-use hydrograd::surrogate::{integrate, loss, noise};
+use hydrograd::surrogate::training::{loss, noise};
 use std::path::{Path, PathBuf};
 
 const DOUBLE: f64 = 1e-10;
@@ -241,7 +242,7 @@ impl Fixture {
             losses.extend(plain(&value));
             let store = value.backward().unwrap();
             let gradients: Vec<Tensor> = variables.iter().map(|v| store.get(v).unwrap().clone()).collect();
-            let rate = hydrograd::surrogate::adamw::learning_rate(5e-4, 0.1, 100_000, 1e-6, step as u64);
+            let rate = hydrograd::surrogate::network::adamw::learning_rate(5e-4, 0.1, 100_000, 1e-6, step as u64);
             optimiser.step(&variables, &gradients, rate).unwrap();
         }
         self.compare("adamw.losses", &losses, DOUBLE);
@@ -366,7 +367,7 @@ fn learning_rates() {
     let steps = numbers(&file, "lr.steps");
     let ours: Vec<f64> = steps
         .iter()
-        .map(|&step| hydrograd::surrogate::adamw::learning_rate(5e-4, 0.1, 100_000, 1e-6, step as u64))
+        .map(|&step| hydrograd::surrogate::network::adamw::learning_rate(5e-4, 0.1, 100_000, 1e-6, step as u64))
         .collect();
     // Theirs are computed in f32.
     let worst = ours.iter().zip(numbers(&file, "lr.values")).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);

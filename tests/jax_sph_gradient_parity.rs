@@ -4,10 +4,10 @@ mod support;
 
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Objective, Sph};
+use hydrograd::config::scene::{Interpolation, Kernels};
 use hydrograd::design::objective::Outflow;
 use hydrograd::particles::tag;
-use hydrograd::scene::config::{Interpolation, Kernels};
-use hydrograd::solver::Snapshot;
+use hydrograd::sph::solver::Snapshot;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use support::final_sum::FinalSum;

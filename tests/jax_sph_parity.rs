@@ -3,7 +3,7 @@
 
 mod support;
 
-use hydrograd::solver::Solver;
+use hydrograd::sph::solver::Solver;
 use std::sync::Arc;
 use support::jax_sph::{field, reference_file, Case};
 

@@ -2,8 +2,8 @@
 
 mod support;
 
-use hydrograd::kernel::Quintic;
-use hydrograd::lanes::{Lanes, PortableF32, PortableF64, Real};
+use hydrograd::numerics::lanes::{Lanes, PortableF32, PortableF64, Real};
+use hydrograd::sph::kernel::Quintic;
 use support::jax_sph::{number, reference_file};
 
 /// W, F and G at distances, through one lane type.
@@ -56,7 +56,7 @@ fn lane_types() -> Vec<(&'static str, f64, Evaluate)> {
     ];
     #[cfg(target_arch = "x86_64")]
     {
-        use hydrograd::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
+        use hydrograd::numerics::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             types.push(("AVX2 f64", f64::EPSILON, values::<Avx2F64>));
             types.push(("AVX2 f32", f32::EPSILON as f64, values::<Avx2F32>));
@@ -248,7 +248,7 @@ fn lanes_compute_what_numbers_compute() {
     check::<PortableF32>("portable f32");
     #[cfg(target_arch = "x86_64")]
     {
-        use hydrograd::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
+        use hydrograd::numerics::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
         let names: Vec<&str> = lane_types().iter().map(|t| t.0).collect();
         if names.contains(&"AVX2 f64") {
             check::<Avx2F64>("AVX2 f64");

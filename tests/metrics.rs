@@ -3,9 +3,9 @@
 mod support;
 
 use hydrograd::dataset::extent::Extent;
-use hydrograd::surrogate::metrics::*;
+use hydrograd::surrogate::evaluation::metrics::*;
+use hydrograd::surrogate::evaluation::sinkhorn;
 use hydrograd::surrogate::predictor::Frame;
-use hydrograd::surrogate::sinkhorn;
 use safetensors::SafeTensors;
 use std::path::PathBuf;
 use support::data_set::{heated_metadata, metadata};

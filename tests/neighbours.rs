@@ -1,10 +1,10 @@
 //! The neighbour list against brute force.
 
-use hydrograd::lanes::Real;
-use hydrograd::neighbours::list::NeighbourError;
-use hydrograd::neighbours::NeighbourList;
+use hydrograd::particles::NeighbourList;
+use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::random::{stream, uniform};
+use hydrograd::particles::neighbour_list::NeighbourError;
 use hydrograd::particles::{tag, Domain};
-use hydrograd::random::{stream, uniform};
 use rand_chacha::ChaCha8Rng;
 
 const REACH: f64 = 0.1;

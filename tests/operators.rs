@@ -5,19 +5,20 @@ mod support;
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::segments::{gradient, Sph};
+use hydrograd::config::scene::Config;
 use hydrograd::design::diagnostics::start;
-use hydrograd::lanes::Real;
+use hydrograd::design::shape::Shape;
+use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::tag;
-use hydrograd::random::{stream, Normal};
-use hydrograd::scene::config::Config;
 use hydrograd::scene::heated_channel::HeatedChannel;
-use hydrograd::scene::shape::Shape;
-use hydrograd::solver::Solver;
-use hydrograd::sph::body_force::BodyForce;
-use hydrograd::sph::interpolation::{Interpolation, Mode};
+use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::model::Model;
+use hydrograd::sph::operators::composed::{quintic, Pairs};
+use hydrograd::sph::operators::interpolation::{Interpolation, Mode};
+use hydrograd::sph::operators::{assemble, density, drift, rates, wall_condition};
+use hydrograd::sph::solver::Solver;
 use hydrograd::sph::step::{Chain, Step};
-use hydrograd::sph::{advance, composed::quintic, composed::Pairs, density, drift, primitives, rates};
 use std::sync::Arc;
 use support::final_sum::FinalSum;
 use support::random_scene::{permute, Options, RandomScene, DX};
@@ -67,7 +68,7 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     let moved = Step::drift(&model, model.dt, &state, true).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
     let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
-    let primitives = moved.apply_op2(&density, primitives::Primitives(Chain::new(step.clone()))).unwrap();
+    let primitives = moved.apply_op2(&density, wall_condition::Primitives(Chain::new(step.clone()))).unwrap();
     let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step.clone()))).unwrap();
     let targets = targets(&model, scene);
     let interpolation = |mode: Mode| Interpolation { step: step.clone(), targets: targets.clone(), mode };
@@ -98,8 +99,8 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "primitives",
         &[&moved, &density],
-        Box::new(move |t| t[0].apply_op2(&t[1], primitives::Primitives(Chain::new(s.clone())))),
-        Box::new(move |t| primitives::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
+        Box::new(move |t| t[0].apply_op2(&t[1], wall_condition::Primitives(Chain::new(s.clone())))),
+        Box::new(move |t| wall_condition::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
@@ -112,8 +113,8 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "advance",
         &[&moved, &rates],
-        Box::new(move |t| t[0].apply_op2(&t[1], advance::Advance(Chain::new(s.clone())))),
-        Box::new(move |t| advance::composed(&s2, &t[0], &t[1])),
+        Box::new(move |t| t[0].apply_op2(&t[1], assemble::Advance(Chain::new(s.clone())))),
+        Box::new(move |t| assemble::composed(&s2, &t[0], &t[1])),
     );
     for (name, mode) in [
         ("interpolation over fluid", Mode::Fluid),
@@ -305,7 +306,7 @@ fn rates_of<R: Real>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
     let moved = Step::drift(&model, model.dt, &tensor(&scene.state::<R>(), n), true).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
     let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
-    let primitives = moved.apply_op2(&density, primitives::Primitives(Chain::new(step.clone()))).unwrap();
+    let primitives = moved.apply_op2(&density, wall_condition::Primitives(Chain::new(step.clone()))).unwrap();
     let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step))).unwrap();
     let mass = match scene.options.mass {
         true => scene.state[model.layout.state_mass() * n..].to_vec(),
@@ -360,7 +361,7 @@ fn the_body_force_is_its_own_acceleration() {
 /// A random order of 0..n.
 fn shuffled(n: usize, seed: u64) -> Vec<usize> {
     let mut rng = stream(seed, "order");
-    let mut keys: Vec<(f64, usize)> = (0..n).map(|i| (hydrograd::random::uniform(&mut rng), i)).collect();
+    let mut keys: Vec<(f64, usize)> = (0..n).map(|i| (hydrograd::numerics::random::uniform(&mut rng), i)).collect();
     keys.sort_by(|a, b| a.0.total_cmp(&b.0));
     keys.into_iter().map(|k| k.1).collect()
 }

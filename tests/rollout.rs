@@ -4,12 +4,12 @@ mod support;
 
 use hydrograd::dataset::{kind, read_split, Metadata, Split};
 use hydrograd::error::BadInput;
-use hydrograd::surrogate::evaluate::{chosen_windows, evaluate_windows, Options};
-use hydrograd::surrogate::linear::Linear;
-use hydrograd::surrogate::metrics::Counted;
+use hydrograd::surrogate::evaluation::metrics::Counted;
+use hydrograd::surrogate::evaluation::rollout::{rollout, windows, HISTORY};
+use hydrograd::surrogate::evaluation::scores::{chosen_windows, evaluate_windows, Options};
+use hydrograd::surrogate::models::constant_velocity::Linear;
+use hydrograd::surrogate::models::still::Still;
 use hydrograd::surrogate::predictor::{Frame, Predictor, Scenery};
-use hydrograd::surrogate::rollout::{rollout, windows, HISTORY};
-use hydrograd::surrogate::still::Still;
 use serde_json::Value;
 use support::data_set::{heat, heated_metadata, metadata, trajectory, write};
 
@@ -137,7 +137,7 @@ fn the_linear_baseline_keeps_what_the_inlet_set() {
     let metadata = heated_metadata();
     let mut t = trajectory("00000", 26, |_, _| [0.03, 0.0]);
     heat(&mut t, |frame, _| 1.0 + 0.01 * frame as f64);
-    let scenery = hydrograd::surrogate::rollout::scenery(&metadata, &t);
+    let scenery = hydrograd::surrogate::evaluation::rollout::scenery(&metadata, &t);
     let frames = [Frame::of(&t, 4), Frame::of(&t, 5)];
     let next = Linear.next(&scenery, &frames).unwrap();
     let mut seen = [0, 0];
@@ -226,7 +226,7 @@ fn a_rollout_that_breaks_ends_and_says_so() {
     }
     // Comes back from JSON (whose reader may be off by a rounding).
     let text = serde_json::to_string(&scores).unwrap();
-    let back: hydrograd::surrogate::evaluate::Scores = serde_json::from_str(&text).unwrap();
+    let back: hydrograd::surrogate::evaluation::scores::Scores = serde_json::from_str(&text).unwrap();
     assert_eq!((back.broken, back.windows, back.temperature_mse), (scores.broken, 2, None));
     assert!((back.mse / scores.mse - 1.0).abs() < 1e-12);
 

@@ -1,12 +1,12 @@
 //! Loading of scenes and the wall shape.
 
-use hydrograd::scene::builtin::{PRESETS, SCENES};
-use hydrograd::scene::config::{BodyForceRegion, Config, ShapeName, Start};
+use hydrograd::config::builtin::{PRESETS, SCENES};
+use hydrograd::config::layers::{described, description, known_keys, Setting};
+use hydrograd::config::memory_size::MemorySize;
+use hydrograd::config::scene::{BodyForceRegion, Config, ShapeName, Start};
+use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::scene::flow::Flow;
-use hydrograd::scene::layers::{described, description, known_keys, Setting};
 use hydrograd::scene::load::Source;
-use hydrograd::scene::memory_size::MemorySize;
-use hydrograd::scene::shape::{default_nodes, Shape};
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -2,7 +2,7 @@
 
 use assert_cmd::Command;
 use hydrograd::error::BadInput;
-use hydrograd::surrogate::study::{points, GridKey, Outcome, Point, Study, Validation};
+use hydrograd::surrogate::training::study::{points, GridKey, Outcome, Point, Study, Validation};
 use std::path::{Path, PathBuf};
 
 fn grid(texts: &[&str]) -> Vec<GridKey> {

@@ -3,17 +3,17 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::dataset::Metadata;
-use hydrograd::surrogate::composed;
-use hydrograd::surrogate::egnn::Egnn;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
-use hydrograd::surrogate::gather::{gather, segment_sum, End};
-use hydrograd::surrogate::gns::{Gns, Sizes};
-use hydrograd::surrogate::graph::Graph;
-use hydrograd::surrogate::interaction::{edge_shape, node_shape, Rounds};
-use hydrograd::surrogate::layer_norm::layer_norm;
-use hydrograd::surrogate::memory::Memory;
-use hydrograd::surrogate::mlp::{Mlp, Shape};
-use hydrograd::surrogate::model::{detached, tracked, Model};
+use hydrograd::surrogate::models::egnn::Egnn;
+use hydrograd::surrogate::models::gns::{Gns, Sizes};
+use hydrograd::surrogate::network::composed;
+use hydrograd::surrogate::network::gather::{gather, segment_sum, End};
+use hydrograd::surrogate::network::graph::Graph;
+use hydrograd::surrogate::network::interaction::{edge_shape, node_shape, Rounds};
+use hydrograd::surrogate::network::layer_norm::layer_norm;
+use hydrograd::surrogate::network::memory::Memory;
+use hydrograd::surrogate::network::mlp::{Mlp, Shape};
+use hydrograd::surrogate::network::parameters::{detached, tracked, Model};
 use hydrograd::surrogate::predictor::Scenery;
 use std::sync::Arc;
 

@@ -8,14 +8,15 @@
 //! to one tape.
 
 use super::schedule::{Action, Costs, Schedule};
-use crate::blocks::Block;
-use crate::lanes::Real;
-use crate::neighbours::{list::NeighbourError, NeighbourList};
-use crate::scene::config::Kernels;
-use crate::solver::{Snapshot, Solver, SolverError, TensorSolver};
+use crate::config::scene::Kernels;
+use crate::numerics::blocks::Block;
+use crate::numerics::lanes::Real;
+use crate::particles::neighbour_list::NeighbourError;
+use crate::particles::NeighbourList;
 use crate::sph::model::Model;
-use crate::sph::pairs::stride;
-use crate::sph::rates::record_fields;
+use crate::sph::operators::pairs::stride;
+use crate::sph::operators::rates::record_fields;
+use crate::sph::solver::{Snapshot, Solver, SolverError, TensorSolver};
 use crate::sph::step::Neighbourhood;
 use candle_core::{CpuStorage, CustomOp1, Device, Layout, Shape, Tensor, Var};
 use std::collections::{BTreeMap, HashMap};
@@ -542,7 +543,7 @@ impl<R: Real> Sph<R> {
         rows * self.model.particles() * std::mem::size_of::<R>()
     }
 
-    /// What the operators of a step keep for each other, see [`crate::sph::pairs::Kept`]: positions and records, and a
+    /// What the operators of a step keep for each other, see [`crate::sph::operators::pairs::Kept`]: positions and records, and a
     /// number or two (to differentiate) for each place of the neighbour list.
     fn operators_bytes(&self, places: usize, differentiate: bool) -> usize {
         let l = self.model.layout;

@@ -7,12 +7,12 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use super::generate::{parse_trajectories, Shard};
 use super::prepare::require_design;
 use crate::cli::bench::BenchArguments;
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, GradientMode, Kernels, Precision, ShapeName};
 use crate::dataset::recipe::Recipe;
 use crate::dataset::trajectory::Split;
 use crate::dataset::walls::{read_walls, Walls};
 use crate::error::{BadInput, Error};
-use crate::scene::config::{Config, GradientMode, Kernels, Precision, ShapeName};
-use crate::scene::layers::Setting;
 use crate::scene::load::Loaded;
 
 /// Steps that `check-gradient` differentiates unless told otherwise.
@@ -607,11 +607,11 @@ mod tests {
         expected.run.kernels = Kernels::Composed;
         expected.optimise.gradient = GradientMode::Truncated;
         expected.optimise.segment = 7;
-        expected.optimise.memory = crate::scene::memory_size::MemorySize(3 << 29);
+        expected.optimise.memory = crate::config::memory_size::MemorySize(3 << 29);
         expected.optimise.store = Precision::F32;
         expected.optimise.horizon = 30;
         expected.optimise.epochs = 3;
-        expected.design.shape = crate::scene::config::ShapeName::Random;
+        expected.design.shape = crate::config::scene::ShapeName::Random;
         expected.time.end = 1.0;
         assert_eq!(loaded.config, expected);
         let folder = arguments.folder(&loaded).unwrap();

@@ -1,11 +1,11 @@
 //! `--explain`: what would be run, without running it.
 
 use super::prepare::build;
+use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::start;
 use crate::design::optimise;
 use crate::error::Error;
-use crate::lanes::Real;
-use crate::scene::config::{Config, Precision};
+use crate::numerics::lanes::Real;
 use crate::scene::flow::Flow;
 use crate::scene::load::Loaded;
 use crate::sph::plan::Plan;
@@ -23,8 +23,9 @@ pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
 }
 
 fn plan<R: Real>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
-    let failed =
-        |e: crate::neighbours::list::NeighbourError| Error::run(e.to_string(), "another resolution.dx or time.skin");
+    let failed = |e: crate::particles::neighbour_list::NeighbourError| {
+        Error::run(e.to_string(), "another resolution.dx or time.skin")
+    };
     if let Some(flow) = Flow::<R>::from_config(config) {
         return Ok(Plan::of(&flow.model, &flow.state, Some(limit(config))).map_err(failed)?);
     }

@@ -1,16 +1,16 @@
 //! The files of a run.
 
+use crate::config::scene::Config;
 use crate::design::diagnostics::Diagnostics;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::{write_columns, write_table, Cell};
 use crate::io::state_file::{write_state, State};
 use crate::io::vtk::ParticleFrame;
-use crate::lanes::Real;
+use crate::numerics::lanes::Real;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::{temperature_particles, TemperaturePanel};
-use crate::scene::config::Config;
 use crate::scene::load::Loaded;
-use crate::solver::Solver;
+use crate::sph::solver::Solver;
 use serde_json::{json, Map, Value};
 use std::path::Path;
 

@@ -1,11 +1,11 @@
 //! What every run does first.
 
+use crate::config::builtin::SCENES;
+use crate::config::scene::Config;
+use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
-use crate::lanes::Real;
-use crate::scene::builtin::SCENES;
-use crate::scene::config::Config;
+use crate::numerics::lanes::Real;
 use crate::scene::heated_channel::HeatedChannel;
-use crate::scene::shape::Shape;
 
 /// Sets the number of worker threads. Must come before the first operator: candle's pools read it once.
 pub fn set_threads(config: &Config) {

@@ -9,9 +9,9 @@ use crate::io::atomic::prepare_output_folder;
 use crate::io::vtk::{ParticleFrame, VtkSeries};
 use crate::report::plots::{side_by_side, SideBySide, TemperaturePanel};
 use crate::report::table::Table;
-use crate::surrogate::metrics::{mean_square, select, temperature_mean_square, Counted};
+use crate::surrogate::evaluation::metrics::{mean_square, select, temperature_mean_square, Counted};
+use crate::surrogate::evaluation::rollout::{check_length, rollout, HISTORY};
 use crate::surrogate::predictor::Frame;
-use crate::surrogate::rollout::{check_length, rollout, HISTORY};
 use clap::Args;
 use std::path::{Path, PathBuf};
 

@@ -3,9 +3,10 @@
 use std::io::Write;
 
 use super::ScenesArguments;
+use crate::config::builtin;
+use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
+use crate::config::scene::Config;
 use crate::error::Error;
-use crate::scene::builtin::{self, BuiltIn, PRESETS, SCENES};
-use crate::scene::config::Config;
 
 pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     let text = match &arguments.scene {

@@ -5,17 +5,17 @@ use super::files::{self, Fields};
 use super::prepare::{build, difference, set_threads};
 use super::simulate_flow;
 use super::SimulateArguments;
+use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, start};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::io::vtk::VtkSeries;
-use crate::lanes::Real;
+use crate::numerics::lanes::Real;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
-use crate::scene::config::{Config, Precision};
 use crate::scene::load::Loaded;
-use crate::solver::{Snapshot, Solver};
+use crate::sph::solver::{Snapshot, Solver};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -162,7 +162,7 @@ pub fn earlier_history(folder: &Path, header: &[&str], time: f64) -> Vec<Vec<f64
 
 /// A run that failed, with advice.
 pub fn diverged(error: anyhow::Error) -> anyhow::Error {
-    if error.downcast_ref::<crate::solver::SolverError>().is_some() {
+    if error.downcast_ref::<crate::sph::solver::SolverError>().is_some() {
         let advice = "a smaller time step (--set time.cfl=0.5), or a gentler wall (--set design.amplitude=...)";
         return Error::run(error.to_string(), advice).into();
     }

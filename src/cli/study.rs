@@ -8,8 +8,8 @@ use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::surrogate::study::{points, GridKey, Outcome, Point, Study, Validation};
-use crate::surrogate::train::METRICS;
+use crate::surrogate::training::study::{points, GridKey, Outcome, Point, Study, Validation};
+use crate::surrogate::training::train::METRICS;
 use clap::Args;
 use std::path::{Path, PathBuf};
 

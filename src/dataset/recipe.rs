@@ -7,12 +7,12 @@
 
 use super::trajectory::Split;
 use super::walls::{wall, Section, Walls};
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, Scene};
+use crate::design::shape::default_nodes;
 use crate::error::{BadInput, Error};
-use crate::random::{new_seed, numbered};
-use crate::scene::config::{Config, Scene};
-use crate::scene::layers::Setting;
+use crate::numerics::random::{new_seed, numbered};
 use crate::scene::load::Loaded;
-use crate::scene::shape::default_nodes;
 use serde::{Deserialize, Serialize};
 
 /// Fluid particles' standard deviation from the lattice, in spacings, where a relaxation follows (as LagrangeBench).

@@ -6,17 +6,17 @@
 use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
 use crate::adjoint::segments::{Dynamics, Sph};
+use crate::config::scene::{Config, Scene};
 use crate::design::diagnostics::start;
+use crate::design::shape::Shape;
 use crate::error::Error;
-use crate::lanes::Real;
+use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::scene::config::{Config, Scene};
 use crate::scene::flow::Flow;
 use crate::scene::heated_channel::HeatedChannel;
-use crate::scene::shape::Shape;
 use crate::scene::taylor_green::TaylorGreen;
-use crate::solver::{Snapshot, Solver, SolverError};
 use crate::sph::model::Model;
+use crate::sph::solver::{Snapshot, Solver, SolverError};
 use std::sync::Arc;
 
 /// The box that holds every particle of a data set, walls included.

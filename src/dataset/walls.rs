@@ -4,9 +4,9 @@
 //! the slope between nodes within [`MAX_SLOPE`] (functions that are steeper are scaled down).
 
 use super::trajectory::Split;
+use crate::design::shape::MAX_SLOPE;
 use crate::error::BadInput;
-use crate::random::{uniform, Normal};
-use crate::scene::shape::MAX_SLOPE;
+use crate::numerics::random::{uniform, Normal};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -191,8 +191,8 @@ impl Section<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::numbered;
-    use crate::scene::shape::{default_nodes, Shape};
+    use crate::design::shape::{default_nodes, Shape};
+    use crate::numerics::random::numbered;
 
     #[test]
     fn every_wall_is_within_the_limits() {

@@ -2,11 +2,11 @@
 
 use super::objective::Outflow;
 use crate::adjoint::segments::{Dynamics, Sph};
-use crate::lanes::Real;
-use crate::scene::config::Kernels;
+use crate::config::scene::Kernels;
+use crate::numerics::lanes::Real;
 use crate::scene::heated_channel::HeatedChannel;
-use crate::solver::{Snapshot, Solver, SolverError};
-use crate::sph::heat;
+use crate::sph::laws::conduction;
+use crate::sph::solver::{Snapshot, Solver, SolverError};
 use std::sync::Arc;
 
 /// Most samples of the window that the averages take.
@@ -115,7 +115,7 @@ impl Measured {
         self.mass_flow += scale * objective.mass_flow(&fields);
         let step = solver.step_now();
         let target_x = objective.targets[0][0];
-        self.wall += heat::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
+        self.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {

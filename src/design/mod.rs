@@ -4,3 +4,4 @@ pub mod diagnostics;
 pub mod objective;
 pub mod optimise;
 pub mod parametrisation;
+pub mod shape;

@@ -5,12 +5,12 @@
 //! last step, or averaged over evenly spaced steps of a window at the run's end.
 
 use crate::adjoint::segments::{Objective, Sph};
-use crate::lanes::Real;
-use crate::scene::config::Kernels;
-use crate::solver::{Solver, SolverError, TensorSolver};
-use crate::sph::interpolation::{Interpolation, Mode};
+use crate::config::scene::Kernels;
+use crate::numerics::lanes::Real;
+use crate::sph::operators::interpolation::{Interpolation, Mode};
+use crate::sph::operators::{density, wall_condition};
+use crate::sph::solver::{Solver, SolverError, TensorSolver};
 use crate::sph::step::{Chain, Step};
-use crate::sph::{density, primitives};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -88,12 +88,12 @@ impl<R: Real> Objective<Sph<R>> for Outflow {
             let fields = if fused {
                 let chain = Chain::new(step.clone());
                 let density = moved.apply_op1(density::Density(chain.clone()))?;
-                let primitives = moved.apply_op2(&density, primitives::Primitives(chain))?;
+                let primitives = moved.apply_op2(&density, wall_condition::Primitives(chain))?;
                 moved.apply_op2(&primitives, self.interpolation(step))?
             } else {
-                let pairs = crate::sph::composed::Pairs::new(&step, &moved)?;
+                let pairs = crate::sph::operators::composed::Pairs::new(&step, &moved)?;
                 let density = density::composed(&step, &pairs, &moved)?;
-                let primitives = primitives::composed(&step, &pairs, &moved, &density)?;
+                let primitives = wall_condition::composed(&step, &pairs, &moved, &density)?;
                 self.interpolation(step.clone()).composed(&moved, &primitives)?
             };
             let flux = match self.mode {

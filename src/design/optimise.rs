@@ -4,11 +4,11 @@ use super::adam::{project, Adam};
 use super::diagnostics::start;
 use crate::adjoint::schedule::{Costs, Schedule};
 use crate::adjoint::segments::{gradient, Sph};
+use crate::config::scene::{Config, GradientMode, Precision};
+use crate::design::shape::MAX_SLOPE;
 use crate::error::{BadInput, Error};
-use crate::lanes::Real;
-use crate::scene::config::{Config, GradientMode, Precision};
+use crate::numerics::lanes::Real;
 use crate::scene::heated_channel::HeatedChannel;
-use crate::scene::shape::MAX_SLOPE;
 
 /// Everything that the next epoch depends on, and the record of those before.
 #[derive(Debug, Clone, PartialEq)]

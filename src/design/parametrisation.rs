@@ -5,7 +5,7 @@
 //! convention `column-area` a particle's mass is scaled with the column's area, m (1 - s/H), and the density stays what
 //! it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is linear in the offsets.
 
-use crate::lanes::Real;
+use crate::numerics::lanes::Real;
 use crate::sph::step::{input, output, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use std::sync::Arc;

@@ -1,14 +1,14 @@
 //! Run time against error: scenes with a known answer over spacing, time step and precision.
 
-use super::config::{Config, Kernels, Precision};
 use super::flow::{Flow, Numerics};
 use super::heated_channel::HeatedChannel;
 use super::poiseuille::Poiseuille;
-use super::shape::Shape;
 use super::taylor_green::TaylorGreen;
+use crate::config::scene::{Config, Kernels, Precision};
 use crate::design::diagnostics::{simulate, start};
-use crate::lanes::Real;
-use crate::solver::{Solver, SolverError};
+use crate::design::shape::Shape;
+use crate::numerics::lanes::Real;
+use crate::sph::solver::{Solver, SolverError};
 use serde::Serialize;
 use std::f64::consts::{LN_2, PI};
 use std::time::Instant;
@@ -198,7 +198,7 @@ fn heated_channel<R: Real>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, O
 
 /// A run that diverged is a result; anything else that went wrong is not.
 fn diverged(error: SolverError) -> anyhow::Result<()> {
-    use crate::neighbours::list::NeighbourError::BoxTooSmall;
+    use crate::particles::neighbour_list::NeighbourError::BoxTooSmall;
     match error {
         SolverError::Tensor { .. } | SolverError::Neighbours { source: BoxTooSmall { .. }, .. } => Err(error.into()),
         SolverError::Neighbours { .. } | SolverError::NotFinite { .. } => Ok(()),

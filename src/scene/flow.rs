@@ -1,16 +1,16 @@
 //! Verification flows: scenes without a design whose solution is known.
 
-use super::config::{Config, Scene};
 use super::lid_driven_cavity::LidDrivenCavity;
 use super::poiseuille::Poiseuille;
 use super::reverse_poiseuille::ReversePoiseuille;
 use super::taylor_green::TaylorGreen;
-use crate::kernel::Quintic;
-use crate::lanes::Real;
+use crate::config::scene::{Config, Scene};
+use crate::numerics::lanes::Real;
+use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
-use crate::random::{stream, Normal};
-use crate::sph::body_force::BodyForce;
-use crate::sph::equation_of_state::EquationOfState;
+use crate::sph::kernel::Quintic;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Layout, Model, Scratch};
 use std::f64::consts::PI;
 use std::sync::Arc;

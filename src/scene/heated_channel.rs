@@ -3,16 +3,16 @@
 //! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
-use super::config::{BodyForceRegion, Config, HotIsotherm, Interpolation, MassConvention, ObjectiveForm, Start};
-use super::shape::Shape;
+use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation, MassConvention, ObjectiveForm, Start};
 use crate::design::objective::Outflow;
 use crate::design::parametrisation::Deformation;
-use crate::kernel::Quintic;
-use crate::lanes::Real;
+use crate::design::shape::Shape;
+use crate::numerics::lanes::Real;
+use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
-use crate::random::{stream, Normal};
-use crate::sph::body_force::BodyForce;
-use crate::sph::equation_of_state::EquationOfState;
+use crate::sph::kernel::Quintic;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Heat, Layout, Model, Scratch};
 use std::sync::Arc;
 

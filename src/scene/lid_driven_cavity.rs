@@ -5,8 +5,8 @@
 
 use super::flow::{Exact, Flow, Numerics, Parts};
 use super::poiseuille::WALL_ROWS;
-use crate::lanes::Real;
-use crate::sph::body_force::BodyForce;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::body_force::BodyForce;
 
 /// The cavity and how it is resolved. Defaults: LagrangeBench's 2D data set (50 x 50 fluid particles, Re = 100).
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use toml_edit::{Array, Value};
 
-use super::builtin::{self, BuiltIn, SCENES};
-use super::config::{Config, Scene};
-use super::layers::{Layer, Merged, Setting};
-use super::shape;
+use crate::config::builtin;
+use crate::config::builtin::{BuiltIn, SCENES};
+use crate::config::layers::{Layer, Merged, Setting};
+use crate::config::scene::{Config, Scene};
+use crate::design::shape;
 use crate::error::{BadInput, Error};
 
 /// Where a configuration began.

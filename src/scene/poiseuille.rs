@@ -4,11 +4,11 @@
 //! the force 8/Re. Coordinates as in the heated channel: y = 0 on the bottom wall's surface, periodic in x.
 
 use super::flow::{Exact, Flow, Numerics, Parts};
-use crate::lanes::Real;
-use crate::sph::body_force::BodyForce;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::body_force::BodyForce;
 
 /// Rows of dummy particles in each wall: the kernel reaches three spacings.
-pub(super) const WALL_ROWS: usize = 3;
+pub(crate) const WALL_ROWS: usize = 3;
 
 /// The channel and how it is resolved. Defaults: JAX-SPH's case (height 30 spacings, length 12, Re = 0.0125).
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,8 +4,8 @@
 //! is at rest, and each half is plane Poiseuille flow with a steady centre line of force Re / 8.
 
 use super::flow::{Exact, Flow, Numerics, Parts};
-use crate::lanes::Real;
-use crate::sph::body_force::BodyForce;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::body_force::BodyForce;
 
 /// The flow and how it is resolved. Defaults: LagrangeBench's 2D data set (3200 particles, viscosity 0.1).
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,10 +6,10 @@ use std::path::Path;
 use rand_chacha::rand_core::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::config::{Config, ShapeName};
-use super::shape::{default_nodes, read_columns, Shape};
+use crate::config::scene::{Config, ShapeName};
+use crate::design::shape::{default_nodes, read_columns, Shape};
 use crate::error::BadInput;
-use crate::random::uniform;
+use crate::numerics::random::uniform;
 
 /// The random shape's own stream of the run's generator: the jitter and others do not move it.
 pub const RANDOM_SHAPE_STREAM: u64 = 1;

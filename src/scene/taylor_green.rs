@@ -5,8 +5,8 @@
 //! (Brachet et al. 1983); no closed form, but its energy starts to decay as exp(-6 nu t).
 
 use super::flow::{Exact, Flow, Numerics, Parts};
-use crate::lanes::Real;
-use crate::sph::body_force::BodyForce;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::body_force::BodyForce;
 use std::f64::consts::PI;
 
 /// The vortices and how they are resolved. Defaults: LagrangeBench's 2D data set (2500 particles, Re = 100), and the

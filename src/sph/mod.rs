@@ -1,19 +1,9 @@
 //! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
-pub mod advance;
-pub mod body_force;
-pub mod composed;
-pub mod density;
-pub mod drift;
-pub mod equation_of_state;
-pub mod heat;
-pub mod interpolation;
+pub mod kernel;
+pub mod laws;
 pub mod model;
-pub mod pairs;
+pub mod operators;
 pub mod plan;
-pub mod pressure;
-pub mod primitives;
-pub mod rates;
+pub mod solver;
 pub mod step;
 pub mod sweeps;
-pub mod transport_velocity;
-pub mod viscosity;

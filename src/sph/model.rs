@@ -1,12 +1,12 @@
 //! What a scene needs and nothing else: the plan of its fields and all its constants.
 
-use super::body_force::BodyForce;
-use super::equation_of_state::EquationOfState;
-use super::pairs::Kept;
-use crate::blocks::Blocks;
-use crate::kernel::Quintic;
-use crate::lanes::Real;
+use crate::numerics::blocks::Blocks;
+use crate::numerics::lanes::Real;
 use crate::particles::Domain;
+use crate::sph::kernel::Quintic;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::operators::pairs::Kept;
 use std::sync::Mutex;
 
 /// Which fields exist in a scene, and where they stand in the packed tensors `[fields, N]`.

@@ -2,14 +2,14 @@
 //!
 //! It is read off the same [`Model`], [`super::model::Layout`] and first neighbour list that the operators run on.
 
-use super::body_force::BodyForce;
-use super::equation_of_state::EquationOfState;
 use super::model::Model;
 use super::step::Neighbourhood;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
-use crate::lanes::{InstructionSet, Real};
-use crate::neighbours::list::NeighbourError;
+use crate::numerics::lanes::{InstructionSet, Real};
+use crate::particles::neighbour_list::NeighbourError;
 use crate::report::table::Table;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::equation_of_state::EquationOfState;
 use serde::Serialize;
 use std::fmt;
 
@@ -255,7 +255,7 @@ fn fields<R: Real>(model: &Model<R>) -> Vec<Field> {
         .collect()
 }
 
-fn operators<R: Real>(model: &Model<R>, list: &crate::neighbours::NeighbourList) -> Vec<Operator> {
+fn operators<R: Real>(model: &Model<R>, list: &crate::particles::NeighbourList) -> Vec<Operator> {
     let (l, n, number) = (model.layout, model.particles(), std::mem::size_of::<R>());
     let d = l.dimension;
     let row = |rows: usize| rows * n * number;

@@ -6,12 +6,12 @@
 //!                    +------------------------------ advance -------------------------------+--> state
 //! ```
 
-use super::pairs::Kept;
-use super::{advance, density, primitives, rates};
-use crate::lanes::{run_rows, Lanes, Real, RowKernel};
-use crate::neighbours::list::{NeighbourError, Workspace};
-use crate::neighbours::NeighbourList;
+use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel};
+use crate::particles::neighbour_list::{NeighbourError, Workspace};
+use crate::particles::NeighbourList;
 use crate::sph::model::Model;
+use crate::sph::operators::pairs::Kept;
+use crate::sph::operators::{assemble, density, rates, wall_condition};
 use candle_core::{CpuStorage, Layout, Result, Shape, Storage, Tensor};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -70,7 +70,7 @@ impl<R: Real> Chain<R> {
         Self::with(step, None, false)
     }
 
-    /// [`Self::new`] for operators that stand in one line, [`super::density`] first. All of them read the moved state,
+    /// [`Self::new`] for operators that stand in one line, [`crate::sph::operators::density`] first. All of them read the moved state,
     /// and for each candle would allocate, clear and add up a cotangent of its full size: a fifth of a gradient step
     /// of 950 particles. Here only the density's operator has the moved state as its variable, the others get it
     /// detached and add their shares to one cotangent, which that first (in the backward pass: last) one returns.
@@ -127,9 +127,9 @@ impl<R: Real> Step<R> {
         let chain = Chain::carrying(self.clone(), after.map(Tensor::detach));
         let density = moved.apply_op1(density::Density(chain.clone()))?;
         let moved = moved.detach();
-        let primitives = moved.apply_op2(&density, primitives::Primitives(chain.clone()))?;
+        let primitives = moved.apply_op2(&density, wall_condition::Primitives(chain.clone()))?;
         let rates = moved.apply_op2(&primitives, rates::Rates(chain.clone()))?;
-        moved.apply_op2(&rates, advance::Advance(chain))
+        moved.apply_op2(&rates, assemble::Advance(chain))
     }
 }
 

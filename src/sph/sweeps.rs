@@ -5,11 +5,12 @@
 //! implementations are not generic.
 
 use super::model::Model;
-use super::pairs::Kept;
 use super::step::Step;
-use super::{advance, density, drift, primitives, rates, step};
-use crate::neighbours::list::{NeighbourError, NeighbourList, Workspace};
+use crate::particles::neighbour_list::{NeighbourError, NeighbourList, Workspace};
 use crate::particles::Domain;
+use crate::sph::operators::pairs::Kept;
+use crate::sph::operators::{assemble, density, drift, rates, wall_condition};
+use crate::sph::step;
 
 macro_rules! sweeps {
     ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
@@ -33,14 +34,14 @@ macro_rules! sweeps {
 sweeps! {
     fn drift(model: &Model<Self>, dt: f64, state: &[Self], moved: &mut [Self]) = drift::forward;
     fn drift_bar(model: &Model<Self>, dt: f64, moved_bar: &[Self], state_bar: &mut [Self]) = drift::backward;
-    fn advance(step: &Step<Self>, moved: &[Self], rates: &[Self], state: &mut [Self]) = advance::forward;
+    fn advance(step: &Step<Self>, moved: &[Self], rates: &[Self], state: &mut [Self]) = assemble::forward;
     fn advance_bar(
         step: &Step<Self>,
         moved: &[Self],
         state_bar: &[Self],
         moved_bar: &mut [Self],
         rates_bar: &mut [Self],
-    ) = advance::backward;
+    ) = assemble::backward;
     fn density(step: &Step<Self>, moved: &[Self], kept: &mut Kept<Self>, differentiate: bool, density: &mut [Self]) = density::forward;
     fn density_bar(
         step: &Step<Self>,
@@ -56,14 +57,14 @@ sweeps! {
         density: &[Self],
         kept: &mut Kept<Self>,
         primitives: Option<&mut [Self]>,
-    ) = primitives::forward;
+    ) = wall_condition::forward;
     fn primitives_bar(
         step: &Step<Self>,
         kept: &Kept<Self>,
         primitives_bar: &[Self],
         moved_bar: &mut [Self],
         density_bar: &mut [Self],
-    ) = primitives::backward;
+    ) = wall_condition::backward;
     fn keep_records(step: &Step<Self>, moved: &[Self], primitives: &[Self], kept: &mut Kept<Self>) = rates::keep_records;
     fn rates(step: &Step<Self>, moved: &[Self], kept: &Kept<Self>, rates: &mut [Self]) = rates::forward;
     fn rates_bar(

@@ -1,6 +1,6 @@
 //! The solver's heat conduction along a motion that somebody else made, such as a learned one.
 //!
-//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), as in [`crate::sph::heat`], over the time between two
+//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), as in [`crate::sph::laws::conduction`], over the time between two
 //! frames in explicit steps that are stable, with positions on the straight way from one frame to the next. Density by
 //! summation over fluid and walls, as the solver's; all particles have the mass rho dx^D of the flat channel. Walls
 //! with a set temperature are at it where the data say so, other walls take their fluid neighbours' mean (Adami, Hu and
@@ -10,10 +10,10 @@
 use super::predictor::{Frame, Scenery};
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
-use crate::kernel::Quintic;
-use crate::lanes::{Lanes, PortableF64};
-use crate::neighbours::list::NeighbourList;
+use crate::numerics::lanes::{Lanes, PortableF64};
+use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
+use crate::sph::kernel::Quintic;
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;

@@ -8,11 +8,11 @@
 //! Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it is 0).
 //! s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
-use super::gather::{gather, End};
-use super::graph::Graph;
 use super::predictor::Scenery;
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
+use crate::surrogate::network::gather::{gather, End};
+use crate::surrogate::network::graph::Graph;
 use candle_core::{DType, Device, Result, Tensor};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -2,8 +2,8 @@
 
 use candle_core::Tensor;
 use hydrograd::adjoint::segments::{Objective, Sph};
-use hydrograd::lanes::Real;
-use hydrograd::solver::{Solver, SolverError, TensorSolver};
+use hydrograd::numerics::lanes::Real;
+use hydrograd::sph::solver::{Solver, SolverError, TensorSolver};
 
 pub struct FinalSum {
     pub steps: usize,

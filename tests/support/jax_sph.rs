@@ -1,10 +1,10 @@
 //! Reads JAX-SPH's reference files and sets up our solver from a group's configuration.
 
 use hdf5::{Group, Location};
-use hydrograd::kernel::Quintic;
 use hydrograd::particles::{tag, Domain};
-use hydrograd::sph::body_force::BodyForce;
-use hydrograd::sph::equation_of_state::EquationOfState;
+use hydrograd::sph::kernel::Quintic;
+use hydrograd::sph::laws::body_force::BodyForce;
+use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
 use serde_json::Value;
 use std::path::PathBuf;

@@ -1,11 +1,11 @@
 //! Random particles for which every term of every operator counts: jittered lattices with random fields.
 
-use hydrograd::kernel::Quintic;
-use hydrograd::lanes::Real;
+use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::{tag, Domain};
-use hydrograd::random::{stream, Normal};
-use hydrograd::sph::body_force::BodyForce;
-use hydrograd::sph::equation_of_state::EquationOfState;
+use hydrograd::sph::kernel::Quintic;
+use hydrograd::sph::laws::body_force::BodyForce;
+use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
 use hydrograd::sph::step::{Neighbourhood, Step};
 use std::sync::Arc;

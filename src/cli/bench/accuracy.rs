@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::scene::Precision;
 use crate::error::BadInput;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::FileError;
 use crate::report::plots::compare;
 use crate::report::table::Table;
-use crate::scene::config::Precision;
 
 use super::cases::precision_name;
 

@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::cli::arguments::{at_least_one, check_writable, name_of};
 use crate::cli::prepare::require_design;
+use crate::config::builtin;
+use crate::config::layers::Setting;
+use crate::config::memory_size::MemorySize;
+use crate::config::scene::{Config, Kernels, Precision};
 use crate::error::{BadInput, Error};
-use crate::scene::builtin;
-use crate::scene::config::{Config, Kernels, Precision};
-use crate::scene::layers::Setting;
 use crate::scene::load::Loaded;
-use crate::scene::memory_size::MemorySize;
 
 /// Most threads that can be asked for: beyond this it is a slip of the pen.
 const MOST_THREADS: usize = 1024;

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::arguments::{BenchArguments, Group, Scene, Size};
 use super::plan::Lacking;
 use super::surrogate::Network;
+use crate::config::memory_size::MemorySize;
+use crate::config::scene::{Config, Kernels, Precision};
 use crate::error::Error;
-use crate::scene::config::{Config, Kernels, Precision};
-use crate::scene::memory_size::MemorySize;
 
 /// Modes of the rows of `plan`.
 pub const PLAN: &str = "plan";

@@ -12,15 +12,15 @@ use super::{pairs, plan, surrogate};
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::segments::{gradient, Dynamics, Sph};
 use crate::cli::prepare::build;
+use crate::config::scene::Precision;
 use crate::design::diagnostics::start;
 use crate::error::{BadInput, Error};
-use crate::lanes::{InstructionSet, Real};
+use crate::numerics::lanes::{InstructionSet, Real};
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::scene::accuracy::points;
-use crate::scene::config::Precision;
 use crate::scene::taylor_green::TaylorGreen;
-use crate::solver::{Snapshot, SolverError};
 use crate::sph::model::Model;
+use crate::sph::solver::{Snapshot, SolverError};
 use crate::sph::step;
 
 /// Steps after which a scene with everything on is compared with its plan.

@@ -6,8 +6,8 @@ use std::process::{Command, Stdio};
 use tempfile::TempDir;
 
 use super::cases::{precision_name, Case, Keeping, Kind, Source};
+use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
-use crate::scene::config::Precision;
 
 /// The compiled yardstick, one program per floating-point type.
 pub struct Floor {

@@ -4,8 +4,8 @@ use candle_core::Tensor;
 
 use crate::adjoint::segments::{Objective, Sph};
 use crate::design::objective::Outflow;
-use crate::lanes::Real;
-use crate::solver::{Solver, SolverError, TensorSolver};
+use crate::numerics::lanes::Real;
+use crate::sph::solver::{Solver, SolverError, TensorSolver};
 
 /// The heated channel's own objective, or, where there is no heat to measure, the sum of u^2 at the last step.
 pub enum Goal {

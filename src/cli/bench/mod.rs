@@ -24,10 +24,10 @@ use compare::Earlier;
 use floor::Floor;
 use rows::Row;
 
+use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::report::progress::Progress;
-use crate::scene::config::Precision;
 
 /// Largest difference that the plan of a scene may make: what it computes must agree to rounding.
 fn tolerance(precision: Precision) -> f64 {

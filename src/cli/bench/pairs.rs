@@ -1,6 +1,6 @@
 //! How many pairs of particles interact, counted from the positions alone (not from a neighbour list with its skin).
 
-use crate::lanes::Real;
+use crate::numerics::lanes::Real;
 use crate::sph::model::Model;
 
 /// Directed pairs (i, j), i fluid, j any other particle within the cut-off: what the force on the fluid sums.

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::arguments::Size;
 use super::cases::particles;
-use crate::lanes::Real;
-use crate::scene::config::Config;
+use crate::config::scene::Config;
+use crate::numerics::lanes::Real;
 use crate::sph::model::{Heat, Layout, Model};
 
 /// A viscosity that no rounding sees (and that does not underflow in f32): the viscous terms are computed, not felt.

@@ -21,19 +21,19 @@ use serde::{Deserialize, Serialize};
 
 use super::cases::{Case, Kind, Length};
 use super::child::Measured;
+use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
-use crate::lanes::InstructionSet;
+use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
-use crate::surrogate::gns::Sizes;
-use crate::surrogate::graph::Graph;
-use crate::surrogate::learned::Learned;
-use crate::surrogate::model::Model;
+use crate::surrogate::evaluation::rollout::scenery;
+use crate::surrogate::models::gns::Sizes;
+use crate::surrogate::models::learned::Learned;
+use crate::surrogate::models::setup::Setup;
+use crate::surrogate::network::graph::Graph;
+use crate::surrogate::network::parameters::Model;
 use crate::surrogate::predictor::{Frame, Predictor};
-use crate::surrogate::rollout::scenery;
-use crate::surrogate::samples::Samples;
-use crate::surrogate::settings::{ModelSettings, Settings};
-use crate::surrogate::setup::Setup;
-use crate::surrogate::train::{fresh, Training};
+use crate::surrogate::training::samples::Samples;
+use crate::surrogate::training::train::{fresh, Training};
 
 /// Particles along the box, and their spacing: as many as the report's channel has.
 const COLUMNS: usize = 38;

@@ -6,7 +6,7 @@ use super::drawing::{Drawing, Point};
 use super::history::{curve, legend_row};
 use super::legend::{Entry, Sample};
 use crate::io::FileError;
-use crate::surrogate::evaluate::Scores;
+use crate::surrogate::evaluation::scores::Scores;
 use std::path::{Path, PathBuf};
 
 /// Rows of history.csv (step, seconds, loss, rate) and validation.csv (step, seconds, mse_1, mse_5, mse_10, mse_20, sinkhorn,

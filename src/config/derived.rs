@@ -1,0 +1,107 @@
+//! Quantities that follow from a configuration.
+
+use crate::config::scene::{Config, Scene};
+
+/// What bounds the time step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeStepLimits {
+    pub acoustic: f64,
+    pub diffusive: f64,
+}
+
+impl Config {
+    /// c = sound_speed_factor * reference_velocity.
+    pub fn sound_speed(&self) -> f64 {
+        self.fluid.sound_speed_factor * self.fluid.reference_velocity
+    }
+
+    /// alpha = conductivity / (density * heat_capacity).
+    pub fn thermal_diffusivity(&self) -> f64 {
+        self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
+    }
+
+    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha);
+    /// the verification flows have nu = 1 / Re and no heat.
+    pub fn time_step_limits(&self) -> TimeStepLimits {
+        let dx = self.resolution.dx;
+        let diffusivity = match self.scene {
+            Scene::HeatedChannel => (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity()),
+            _ => 1.0 / self.flow.reynolds,
+        };
+        TimeStepLimits {
+            acoustic: self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity),
+            diffusive: self.time.diffusion_number * dx * dx / diffusivity,
+        }
+    }
+
+    /// The largest time step: the smaller of the two limits.
+    pub fn time_step_limit(&self) -> f64 {
+        let limits = self.time_step_limits();
+        limits.acoustic.min(limits.diffusive)
+    }
+
+    /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.
+    pub fn steps(&self) -> usize {
+        // The tolerance keeps an exact multiple from costing one more, tiny step.
+        let needed = (self.time.end / self.time_step_limit() - 1e-9).ceil().max(1.0);
+        self.time.steps.unwrap_or(needed as usize)
+    }
+
+    /// Time step: the limit itself when the steps are counted, else shortened so that the run ends at `time.end`.
+    pub fn time_step(&self) -> f64 {
+        match self.time.steps {
+            Some(_) => self.time_step_limit(),
+            None => self.time.end / self.steps() as f64,
+        }
+    }
+
+    /// Simulated time.
+    pub fn duration(&self) -> f64 {
+        self.time_step() * self.steps() as f64
+    }
+
+    /// Particle columns along x.
+    pub fn columns(&self) -> usize {
+        (self.channel.length / self.resolution.dx).round() as usize
+    }
+
+    /// Rows of fluid particles.
+    pub fn rows(&self) -> usize {
+        (self.channel.height / self.resolution.dx).round() as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn step_of_the_report() {
+        // JAX-SPH's resolved configuration of the heated channel has dt = 0.00045454545454545455.
+        let mut config = Config::default();
+        config.time.cfl = 0.25;
+        config.time.steps = Some(2000);
+        assert!((config.time_step() - 4.5454545454545455e-4).abs() < 1e-18);
+        assert_eq!(config.steps(), 2000);
+    }
+
+    #[test]
+    fn run_ends_exactly() {
+        let mut config = Config::default();
+        for end in [0.001, 0.5, 2.0, 1.7] {
+            config.time.end = end;
+            assert!((config.duration() - end).abs() < 1e-14);
+            assert!(config.time_step() <= config.time_step_limit() * (1.0 + 1e-8));
+            let one_fewer = config.steps() - 1;
+            assert!(one_fewer == 0 || end / one_fewer as f64 > config.time_step_limit());
+        }
+    }
+
+    #[test]
+    fn diffusive_limit_takes_over_at_fine_spacing() {
+        let mut config = Config::default();
+        config.resolution.dx = 0.001;
+        let diffusive = 0.25 * 1e-6 / (7.313 / 305.27);
+        assert!((config.time_step_limit() / diffusive - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,407 @@
+//! What a run is: every number of a scene, as read from TOML.
+//!
+//! Units are those of the scene (the built-in channel is dimensionless: length 1, reference velocity 1,
+//! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
+//! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
+
+use crate::config::memory_size::MemorySize;
+use serde::{Deserialize, Serialize};
+
+/// A complete, resolved configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    pub scene: Scene,
+    pub resolution: Resolution,
+    pub channel: Channel,
+    pub flow: Flow,
+    pub fluid: Fluid,
+    pub wall: Wall,
+    pub time: Time,
+    pub objective: Objective,
+    pub design: Design,
+    pub optimise: Optimise,
+    pub run: Run,
+    pub output: Output,
+}
+
+/// The scene family; one file per family in `src/scene/`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Scene {
+    #[default]
+    HeatedChannel,
+    TaylorGreen,
+    #[serde(rename = "taylor-green-3d")]
+    TaylorGreen3d,
+    Poiseuille,
+    ReversePoiseuille,
+    LidDrivenCavity,
+}
+
+impl Scene {
+    /// Whether there is something to optimise; the others are [`crate::scene::flow::Flow`]s.
+    pub fn has_design(self) -> bool {
+        self == Self::HeatedChannel
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Resolution {
+    /// Particle spacing; the smoothing length equals it.
+    pub dx: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Channel {
+    /// Length of the periodic direction x.
+    pub length: f64,
+    /// Height of the fluid between the undeformed walls.
+    pub height: f64,
+    /// Rows of dummy particles per wall; the kernel's support is three spacings.
+    pub wall_rows: usize,
+    /// The hot section of the bottom wall: hot_from < x < hot_to.
+    pub hot_from: f64,
+    pub hot_to: f64,
+    /// Fluid at x < inlet_length is reset to the inlet temperature.
+    pub inlet_length: f64,
+    /// Fluid at x > length - outlet_length does not conduct.
+    pub outlet_length: f64,
+}
+
+/// The verification flows: reference velocity, density and length are 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Flow {
+    /// Reference velocity * length / kinematic viscosity.
+    pub reynolds: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fluid {
+    pub density: f64,
+    /// Dynamic viscosity.
+    pub viscosity: f64,
+    /// Acceleration along x; reverse Poiseuille flow: its size.
+    pub body_force: f64,
+    /// Where it acts: everywhere in the fluid, or only above the undeformed wall (as JAX-SPH).
+    pub body_force_region: BodyForceRegion,
+    pub conductivity: f64,
+    pub heat_capacity: f64,
+    pub inlet_temperature: f64,
+    /// Sound speed = sound_speed_factor * reference_velocity.
+    pub reference_velocity: f64,
+    pub sound_speed_factor: f64,
+    /// Background pressure = factor * density * sound speed^2.
+    pub background_pressure_factor: f64,
+    /// Strength of the transport velocity: 0 switches it off, 1 is Adami, Hu and Adams (2013).
+    pub transport_velocity: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum BodyForceRegion {
+    #[default]
+    Fluid,
+    OriginalChannel,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Wall {
+    pub hot_temperature: f64,
+    /// Where the hot temperature holds: on the wall's surface, or in its dummy particles (as JAX-SPH).
+    pub hot_isotherm: HotIsotherm,
+    /// Particle mass in a deformed column: scaled with the column's area, or constant (as JAX-SPH).
+    pub mass: MassConvention,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum HotIsotherm {
+    #[default]
+    Surface,
+    Dummy,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum MassConvention {
+    #[default]
+    ColumnArea,
+    Constant,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Time {
+    /// Physical time to simulate.
+    pub end: f64,
+    /// If given, this many steps instead of `end`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<usize>,
+    /// Acoustic time step: dt <= cfl * dx / (sound speed + reference velocity).
+    pub cfl: f64,
+    /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
+    pub diffusion_number: f64,
+    /// Initial flow: at rest, or the developed parabolic profile (steady in half the time).
+    pub start: Start,
+    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
+    pub jitter: f64,
+    /// Extra reach of the neighbour list, in spacings.
+    pub skin: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    Rest,
+    #[default]
+    Developed,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Objective {
+    /// Column of target points where the outflowing heat is measured.
+    pub target_x: f64,
+    /// Average Q over this last part of the run, in time units; 0 takes the last step.
+    pub window: f64,
+    /// Samples of Q in the window (evenly spaced steps).
+    pub samples: usize,
+    /// What is interpolated at the targets, and from which particles: see [`crate::sph::operators::interpolation`].
+    pub interpolation: Interpolation,
+    /// What the loss counts: the flux integral, or the plain sum over the targets as in the report.
+    pub form: ObjectiveForm,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectiveForm {
+    #[default]
+    Flux,
+    Sum,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Interpolation {
+    Fluid,
+    FluidAndWalls,
+    #[default]
+    Flux,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Design {
+    /// Named start shape; `offsets` (or `file`) wins over it.
+    pub shape: ShapeName,
+    /// Amplitude of the named shape.
+    pub amplitude: f64,
+    /// Periods of sine and cosine over the hot section.
+    pub periods: f64,
+    /// Positions of the nodes; default: one per spacing, hot_from + dx/2, hot_from + 3 dx/2, ...
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nodes: Option<Vec<f64>>,
+    /// Height of the wall above y = 0 at each node; positive narrows the channel.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offsets: Option<Vec<f64>>,
+    /// CSV file with columns x, offset (a run's shape.csv).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// |offset| <= bound.
+    pub bound: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShapeName {
+    #[default]
+    Flat,
+    /// Every offset equal to the amplitude.
+    Uniform,
+    Sine,
+    Cosine,
+    /// From -amplitude to +amplitude.
+    Linear,
+    /// Each node uniform in +-amplitude, from the run's seed.
+    Random,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Optimise {
+    pub epochs: usize,
+    /// Adam's step, in offset units: 2e-2 is one spacing per epoch at dx = 0.02.
+    pub learning_rate: f64,
+    /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
+    pub smoothing: f64,
+    pub gradient: GradientMode,
+    /// Memory the gradient may use: the schedule follows from it (see [`crate::adjoint::schedule`]).
+    pub memory: MemorySize,
+    /// Precision of kept states; single is for schedules that keep every state only.
+    pub store: Precision,
+    /// Steps per segment instead of a schedule chosen by memory; 0 chooses.
+    pub segment: usize,
+    /// Steps that `truncated` looks back.
+    pub horizon: usize,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum GradientMode {
+    #[default]
+    Segments,
+    Taped,
+    Truncated,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Run {
+    pub precision: Precision,
+    /// Worker threads; 0 takes every core.
+    pub threads: usize,
+    pub seed: u64,
+    pub kernels: Kernels,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Precision {
+    F32,
+    #[default]
+    F64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kernels {
+    /// One SIMD kernel and hand-written adjoint per operator.
+    #[default]
+    Fused,
+    /// The same operators from ordinary candle ops: slow, the oracle.
+    Composed,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Output {
+    /// ParaView frames of a `simulate` run (and of the best design of `optimize`); 0 writes none.
+    pub frames: usize,
+}
+
+impl Default for Resolution {
+    fn default() -> Self {
+        Self { dx: 0.02 }
+    }
+}
+
+impl Default for Channel {
+    fn default() -> Self {
+        Self {
+            length: 1.0,
+            height: 0.2,
+            wall_rows: 3,
+            hot_from: 0.25,
+            hot_to: 0.75,
+            inlet_length: 0.06,
+            outlet_length: 0.06,
+        }
+    }
+}
+
+impl Default for Flow {
+    fn default() -> Self {
+        Self { reynolds: 100.0 }
+    }
+}
+
+impl Default for Fluid {
+    fn default() -> Self {
+        Self {
+            density: 1.0,
+            viscosity: 0.01,
+            body_force: 2.3,
+            body_force_region: BodyForceRegion::Fluid,
+            conductivity: 7.313,
+            heat_capacity: 305.27,
+            inlet_temperature: 1.0,
+            reference_velocity: 1.0,
+            sound_speed_factor: 10.0,
+            background_pressure_factor: 0.05,
+            transport_velocity: 0.0,
+        }
+    }
+}
+
+impl Default for Wall {
+    fn default() -> Self {
+        Self { hot_temperature: 1.23, hot_isotherm: HotIsotherm::Surface, mass: MassConvention::ColumnArea }
+    }
+}
+
+impl Default for Time {
+    fn default() -> Self {
+        Self {
+            end: 2.0,
+            steps: None,
+            cfl: 2.0,
+            diffusion_number: 0.25,
+            start: Start::Developed,
+            jitter: 0.05,
+            skin: 0.2,
+        }
+    }
+}
+
+impl Default for Objective {
+    fn default() -> Self {
+        Self { target_x: 0.9, window: 0.5, samples: 40, interpolation: Interpolation::Flux, form: ObjectiveForm::Flux }
+    }
+}
+
+impl Default for Design {
+    fn default() -> Self {
+        Self {
+            shape: ShapeName::Flat,
+            amplitude: 0.01,
+            periods: 1.0,
+            nodes: None,
+            offsets: None,
+            file: None,
+            bound: 0.02,
+        }
+    }
+}
+
+impl Default for Optimise {
+    fn default() -> Self {
+        Self {
+            epochs: 40,
+            learning_rate: 3e-4,
+            smoothing: 5.0,
+            gradient: GradientMode::Segments,
+            memory: MemorySize(300_000_000),
+            store: Precision::F64,
+            segment: 0,
+            horizon: 200,
+        }
+    }
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self { precision: Precision::F64, threads: 0, seed: 0, kernels: Kernels::Fused }
+    }
+}
+
+impl Default for Output {
+    fn default() -> Self {
+        Self { frames: 40 }
+    }
+}

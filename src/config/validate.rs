@@ -1,0 +1,386 @@
+//! Ranges of every number, and the conditions that link them.
+
+use crate::config::scene::{Config, GradientMode, Precision, Scene};
+use crate::design::shape::Shape;
+use crate::error::{BadInput, Error};
+
+/// The kernel's support radius, in spacings.
+const SUPPORT: f64 = 3.0;
+
+/// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
+const FLUID_ROWS: f64 = 2.0 * SUPPORT;
+
+/// More particles than this are a slip in `resolution.dx` rather than a wish.
+const MAX_PARTICLES: f64 = 1e8;
+
+/// More steps than this are a slip in `time.*` rather than a wish.
+const MAX_STEPS: f64 = 1e9;
+
+/// Number of spacings counts as whole within this.
+const WHOLE: f64 = 1e-6;
+
+/// The range of one number.
+#[derive(Debug, Clone, Copy)]
+enum Range {
+    Finite,
+    Positive,
+    NotNegative,
+    /// Both ends included.
+    Within(f64, f64),
+    /// Above the first, up to the second.
+    Above(f64, f64),
+}
+
+impl Range {
+    fn contains(self, value: f64) -> bool {
+        value.is_finite()
+            && match self {
+                Self::Finite => true,
+                Self::Positive => value > 0.0,
+                Self::NotNegative => value >= 0.0,
+                Self::Within(low, high) => (low..=high).contains(&value),
+                Self::Above(low, high) => low < value && value <= high,
+            }
+    }
+
+    fn describe(self, key: &str) -> String {
+        match self {
+            Self::Finite => format!("{key}: any finite number"),
+            Self::Positive => format!("{key} > 0, finite"),
+            Self::NotNegative => format!("{key} >= 0, finite"),
+            Self::Within(low, high) => format!("{low} <= {key} <= {high}"),
+            Self::Above(low, high) => format!("{low} < {key} <= {high}"),
+        }
+    }
+}
+
+/// Every number with its own range (arrays are checked by [`Shape`]).
+fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
+    use Range::{Above, Finite, NotNegative, Positive, Within};
+    let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
+        config;
+    vec![
+        ("resolution.dx", resolution.dx, Positive),
+        ("channel.length", channel.length, Positive),
+        ("channel.height", channel.height, Positive),
+        ("channel.wall_rows", channel.wall_rows as f64, Within(SUPPORT, 100.0)),
+        ("channel.hot_from", channel.hot_from, NotNegative),
+        ("channel.hot_to", channel.hot_to, NotNegative),
+        ("channel.inlet_length", channel.inlet_length, NotNegative),
+        ("channel.outlet_length", channel.outlet_length, NotNegative),
+        ("flow.reynolds", flow.reynolds, Positive),
+        ("fluid.density", fluid.density, Positive),
+        ("fluid.viscosity", fluid.viscosity, Positive),
+        ("fluid.body_force", fluid.body_force, NotNegative),
+        ("fluid.conductivity", fluid.conductivity, Positive),
+        ("fluid.heat_capacity", fluid.heat_capacity, Positive),
+        ("fluid.inlet_temperature", fluid.inlet_temperature, Finite),
+        ("fluid.reference_velocity", fluid.reference_velocity, Positive),
+        ("fluid.sound_speed_factor", fluid.sound_speed_factor, Within(1.0, 1000.0)),
+        ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
+        ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
+        ("wall.hot_temperature", wall.hot_temperature, Finite),
+        ("time.end", time.end, Positive),
+        ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
+        ("time.cfl", time.cfl, Above(0.0, 4.0)),
+        ("time.diffusion_number", time.diffusion_number, Above(0.0, 1.0)),
+        ("time.jitter", time.jitter, Within(0.0, 0.3)),
+        ("time.skin", time.skin, Above(0.0, 2.0)),
+        ("objective.target_x", objective.target_x, NotNegative),
+        ("objective.window", objective.window, NotNegative),
+        ("objective.samples", objective.samples as f64, Within(1.0, MAX_STEPS)),
+        ("design.amplitude", design.amplitude, Finite),
+        ("design.periods", design.periods, Positive),
+        ("design.bound", design.bound, NotNegative),
+        ("optimise.epochs", optimise.epochs as f64, Within(1.0, 1e6)),
+        ("optimise.learning_rate", optimise.learning_rate, Positive),
+        ("optimise.smoothing", optimise.smoothing, NotNegative),
+        ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
+        ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
+        ("run.threads", run.threads as f64, Within(0.0, 1024.0)),
+        ("output.frames", output.frames as f64, Within(0.0, 1e5)),
+    ]
+}
+
+impl Config {
+    /// Checks every number and how they fit together; the first thing wrong is the error.
+    pub fn validate(&self) -> Result<(), Error> {
+        Ok(self.check()?)
+    }
+
+    pub(crate) fn check(&self) -> Result<(), BadInput> {
+        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&self.scene.defaults())) {
+            if !range.contains(value) {
+                return Err(BadInput::new(format!("{key} = {value} is out of range"))
+                    .key(key)
+                    .allowed(range.describe(key))
+                    .advice(format!("the built-in scene's {key} = {default}")));
+            }
+        }
+        if self.scene != Scene::HeatedChannel {
+            self.check_box()?;
+            return self.check_steps();
+        }
+        self.check_spacing()?;
+        self.check_channel()?;
+        self.check_time()?;
+        self.check_bound()?;
+        self.check_store()?;
+        Shape::from_config(self).map(|_| ())
+    }
+
+    /// Rounded states belong to schedules that keep every state.
+    fn check_store(&self) -> Result<(), BadInput> {
+        let optimise = &self.optimise;
+        let every_state = optimise.gradient != GradientMode::Taped && optimise.segment <= 1;
+        if optimise.store == Precision::F32 && self.run.precision == Precision::F64 && !every_state {
+            return Err(BadInput::new("optimise.store = f32 with states that steps are run again from")
+                .key("optimise.store")
+                .allowed("f32 only where every state is kept: a run from a rounded state is another run")
+                .advice(
+                    "optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64",
+                ));
+        }
+        Ok(())
+    }
+
+    /// dx divides length and height, and the particles can be counted.
+    fn check_spacing(&self) -> Result<(), BadInput> {
+        let (dx, channel) = (self.resolution.dx, &self.channel);
+        let particles = channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64);
+        if particles > MAX_PARTICLES {
+            return Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .key("resolution.dx")
+                .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
+        }
+        for (key, extent) in [("channel.length", channel.length), ("channel.height", channel.height)] {
+            if !is_whole(extent / dx) {
+                let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
+                let bad = BadInput::new(problem)
+                    .key("resolution.dx")
+                    .allowed("whole numbers of spacings in channel.length and channel.height");
+                let near = nearest_spacings(dx, channel.length, channel.height);
+                let near: Vec<String> = near.iter().map(|dx| format!("--set resolution.dx={dx}")).collect();
+                return Err(match near.is_empty() {
+                    true => bad.advice("another channel.height: a simple fraction of channel.length"),
+                    false => bad.advice(near.join(" or ")),
+                });
+            }
+        }
+        // Periodic images: a particle may see each neighbour once only.
+        let shortest = 2.0 * (SUPPORT + self.time.skin) * dx;
+        if channel.length < shortest {
+            return Err(BadInput::new(format!("channel.length = {} is too short", channel.length))
+                .key("channel.length")
+                .allowed(format!("at least 2 (3 + time.skin) dx = {shortest}"))
+                .advice("a smaller resolution.dx"));
+        }
+        Ok(())
+    }
+
+    /// Inlet, hot section, target and outlet in this order.
+    fn check_channel(&self) -> Result<(), BadInput> {
+        let channel = &self.channel;
+        let outlet = channel.length - channel.outlet_length;
+        let target = self.objective.target_x;
+        let dx = self.resolution.dx;
+        // Sums such as hot_from + dx are rounded; a billionth of a spacing is no difference.
+        let slack = 1e-9 * dx;
+        let order = [
+            (
+                "channel.hot_from",
+                channel.hot_from,
+                channel.inlet_length,
+                channel.hot_to - dx,
+                "channel.inlet_length <= channel.hot_from <= channel.hot_to - dx",
+            ),
+            (
+                "channel.hot_to",
+                channel.hot_to,
+                channel.hot_from + dx,
+                outlet,
+                "channel.hot_from + dx <= channel.hot_to <= channel.length - channel.outlet_length",
+            ),
+            (
+                "objective.target_x",
+                target,
+                channel.hot_to,
+                outlet,
+                "channel.hot_to <= objective.target_x <= channel.length - channel.outlet_length",
+            ),
+        ];
+        for (key, value, low, high, rule) in order {
+            if value < low - slack || value > high + slack {
+                return Err(BadInput::new(format!("{key} = {value} is out of place"))
+                    .key(key)
+                    .allowed(format!("{rule}, here {low} ... {high}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// dx divides the box of a verification flow, which is large enough for it.
+    fn check_box(&self) -> Result<(), BadInput> {
+        let dx = self.resolution.dx;
+        let walls = matches!(self.scene, Scene::Poiseuille | Scene::LidDrivenCavity);
+        let (size, text, dimension) = match self.scene {
+            Scene::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
+            Scene::Poiseuille => (1.0, "1, the height of the channel", 1),
+            Scene::ReversePoiseuille => (1.0, "1, the length of the box", 2),
+            Scene::LidDrivenCavity => (1.0, "1, the side of the cavity", 2),
+            _ => (1.0, "1, the side of the box", 2),
+        };
+        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
+        let particles = (size / dx).powi(dimension);
+        if particles > MAX_PARTICLES {
+            return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
+        }
+        // Periodic images: a particle may see each neighbour once only. Walls: it may reach one of them only.
+        let fewest = if walls { FLUID_ROWS } else { 2.0 * (SUPPORT + self.time.skin) };
+        let count = (size / dx).round();
+        if count < fewest {
+            let rule = if walls { "six spacings" } else { "2 (3 + time.skin) spacings" };
+            return Err(bad(format!("resolution.dx = {dx} is too coarse"))
+                .allowed(format!("at least {rule} in {text}"))
+                .advice(format!("--set resolution.dx={}", size / fewest.ceil())));
+        }
+        if !is_whole(size / dx) {
+            return Err(bad(format!("resolution.dx = {dx} does not divide {text}"))
+                .allowed(format!("{size} over a whole number"))
+                .advice(format!("--set resolution.dx={}", size / count)));
+        }
+        Ok(())
+    }
+
+    fn check_time(&self) -> Result<(), BadInput> {
+        self.check_steps()?;
+        let (window, duration) = (self.objective.window, self.duration());
+        if window > duration * (1.0 + 1e-9) {
+            return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
+                .key("objective.window")
+                .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
+                .advice("--set objective.window=0, or a larger time.end or time.steps"));
+        }
+        let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
+        if window > 0.0 && self.objective.samples > steps {
+            return Err(BadInput::new(format!(
+                "objective.samples = {} is more than the steps in objective.window = {window}",
+                self.objective.samples
+            ))
+            .key("objective.samples")
+            .allowed(format!("1 ... {steps}")));
+        }
+        Ok(())
+    }
+
+    /// The time step is a number, and the steps can be counted.
+    fn check_steps(&self) -> Result<(), BadInput> {
+        let limit = self.time_step_limit();
+        if !(limit > 0.0 && limit.is_finite()) {
+            return Err(BadInput::new(format!("the fluid's numbers allow a time step of {limit}"))
+                .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
+                .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.built_in().name)));
+        }
+        let needed = self.time.end / limit;
+        if self.time.steps.is_none() && needed > MAX_STEPS {
+            return Err(BadInput::new(format!("time.end = {} needs {needed:.1e} steps", self.time.end))
+                .key("time.end")
+                .allowed(format!("at most {MAX_STEPS:.0e} steps")));
+        }
+        Ok(())
+    }
+
+    /// How far the wall may move.
+    fn check_bound(&self) -> Result<(), BadInput> {
+        let (bound, dx, channel) = (self.design.bound, self.resolution.dx, &self.channel);
+        let fail = |limit: f64, why: &str, advice: String| {
+            Err(BadInput::new(format!("design.bound = {bound} is too large: {why}"))
+                .key("design.bound")
+                .allowed(format!("0 ... {limit:.6}"))
+                .advice(advice))
+        };
+        let whole = 1.0 + 1e-9;
+        // The number of rows is constant, so the fluid between a raised wall and the top is squeezed; what
+        // counts for the walls' sums is its height.
+        let limit = channel.height - FLUID_ROWS * dx;
+        if limit < -1e-9 * dx {
+            let lowest = FLUID_ROWS * dx;
+            return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
+                .key("channel.height")
+                .allowed(format!("at least six spacings, {lowest:.6}"))
+                .advice("a smaller resolution.dx"));
+        }
+        if bound > limit.max(0.0) * whole {
+            let advice = "a smaller resolution.dx, or a smaller design.bound";
+            return fail(limit.max(0.0), "the channel keeps six spacings of fluid", advice.into());
+        }
+        // Dummy particles move with the surface of their column. At the ends of the hot section the surface
+        // steps to y = 0, and the face of that step consists of the rows of the higher column: rows that end
+        // above the foot of the step leave a hole. (Within the section the slope limit sees to it.)
+        let limit = channel.wall_rows as f64 * dx;
+        if bound > limit * whole {
+            let rows = (bound / dx - 1e-9).ceil();
+            let why = format!("the {} wall rows must cover it", channel.wall_rows);
+            return fail(limit, &why, format!("--set channel.wall_rows={rows}"));
+        }
+        // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
+        // than two rows lie within the kernel's support of 3 dx.
+        let limit = 0.5 * channel.height;
+        if bound > limit * whole {
+            return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
+        }
+        Ok(())
+    }
+}
+
+fn is_whole(count: f64) -> bool {
+    count.round() >= 1.0 && (count - count.round()).abs() <= WHOLE
+}
+
+/// The next larger and the next smaller spacing that divide both extents, if there are any nearby.
+fn nearest_spacings(dx: f64, length: f64, height: f64) -> Vec<f64> {
+    let fits = |columns: &usize| *columns > 0 && is_whole(height / length * *columns as f64);
+    let start = (length / dx).floor() as usize;
+    let larger = (start.saturating_sub(10_000)..=start).rev().find(fits);
+    let smaller = (start + 1..start + 10_000).find(fits);
+    let spacing = |columns: usize| length / columns as f64;
+    larger.into_iter().chain(smaller).map(spacing).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_is_valid() {
+        Config::default().validate().unwrap();
+    }
+
+    /// A configuration key without a range would be a number that is never checked.
+    #[test]
+    fn every_number_has_a_range() {
+        let with_range: Vec<&str> = numbers(&Config::default()).iter().map(|(key, _, _)| *key).collect();
+        let mut config = Config::default();
+        config.time.steps = Some(1);
+        let table = toml::Table::try_from(&config).unwrap();
+        for (section, keys) in table.iter().filter_map(|(name, value)| Some((name, value.as_table()?))) {
+            for (key, value) in keys {
+                let path = format!("{section}.{key}");
+                let number = value.is_integer() || value.is_float();
+                // Every seed is allowed.
+                if number && path != "run.seed" {
+                    assert!(with_range.contains(&path.as_str()), "{path} has no range");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn nearest_spacings_divide_both() {
+        let near = nearest_spacings(0.03, 1.0, 0.2);
+        assert_eq!(near, [1.0 / 30.0, 1.0 / 35.0]);
+        assert_eq!(nearest_spacings(0.021, 1.0, 0.26), [0.02]);
+        assert!(nearest_spacings(0.02, 1.0, std::f64::consts::FRAC_1_PI).is_empty());
+    }
+}

@@ -1,0 +1,4 @@
+//! What computing needs and physics does not know: lanes, memory, random numbers.
+pub mod blocks;
+pub mod lanes;
+pub mod random;

@@ -1,0 +1,262 @@
+//! Padded neighbour list with a skin.
+//!
+//! `index` is `[N, K]`: the row of particle i names its neighbours within cut-off + skin at the time of the
+//! build, fluid first, then walls, without i itself (a self pair poisons f32 gradients, and its share of the
+//! density is a constant). Fluid rows hold every neighbour, wall rows their fluid neighbours only (nothing
+//! sums over wall-wall pairs), so the list is symmetric in every pair that is used: j in row i means i in
+//! row j. Entries behind `count` name the particle itself; kernels mask them by their position.
+//!
+//! The list is a pure function of the positions it was built from, so replaying a segment from stored
+//! positions gives the same list, the same order of every sum and the same bits.
+
+use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::particles::cells::{Cells, Geometry, Runs};
+use crate::particles::{tag, Domain};
+use std::ops::Range;
+
+/// Rows are padded to a multiple of the widest lane count.
+pub const ROW_MULTIPLE: usize = 16;
+/// More neighbours than this means that particles have clumped: no flow of this kind has them.
+const MOST_NEIGHBOURS: usize = 1024;
+
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct NeighbourList {
+    /// N.
+    pub particles: usize,
+    /// K, grown on demand.
+    pub capacity: usize,
+    /// `[N, K]`.
+    pub index: Vec<u32>,
+    /// Neighbours in each row.
+    pub count: Vec<u32>,
+    /// Of them, how many are fluid (they come first).
+    pub fluid_count: Vec<u32>,
+    /// Fluid particles: the rows of density and forces.
+    pub fluid_rows: Vec<u32>,
+    /// Wall particles with a fluid particle in reach: the rows of the wall extrapolation.
+    pub wall_rows: Vec<u32>,
+}
+
+/// The list could not be built.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NeighbourError {
+    #[error("particle {particle} is at a position that is not a number or far outside the box (component {component}: {value}): the run has diverged; try a smaller time.cfl")]
+    LostParticle { particle: usize, component: usize, value: f64 },
+    #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged; try a smaller time.cfl or a larger fluid.background_pressure_factor")]
+    Clumped { particle: usize, count: usize },
+    #[error(
+        "a particle moved {distance:.3e} (spacing {spacing}) in one step: the run has diverged; try a smaller time.cfl"
+    )]
+    TooFast { distance: f64, spacing: f64 },
+    #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]
+    BoxTooSmall { direction: usize, size: f64, reach: f64 },
+}
+
+/// What building a list needs besides the list; kept between builds so that none of it is allocated anew.
+#[derive(Debug, Clone, Default)]
+pub struct Workspace<R> {
+    /// Fluid, and walls if there are any, each sorted into the same cells.
+    fluid: Cells<R>,
+    wall: Cells<R>,
+}
+
+impl NeighbourList {
+    /// Builds the list of all pairs closer than `reach` (cut-off + skin).
+    ///
+    /// `position` is `[D, N]`; `capacity_hint` saves a second pass when the capacity is already known.
+    pub fn build<R: Real>(
+        position: &[R],
+        tags: &[u8],
+        domain: &Domain,
+        reach: f64,
+        capacity_hint: usize,
+    ) -> Result<Self, NeighbourError> {
+        let mut list = Self { capacity: capacity_hint, ..Self::default() };
+        list.rebuild(position, tags, domain, reach, &mut Workspace::default())?;
+        Ok(list)
+    }
+
+    /// [`Self::build`] in place: `tags` must be those of the first build.
+    pub fn rebuild<R: Real>(
+        &mut self,
+        position: &[R],
+        tags: &[u8],
+        domain: &Domain,
+        reach: f64,
+        workspace: &mut Workspace<R>,
+    ) -> Result<(), NeighbourError> {
+        let n = tags.len();
+        let walls = |&i: &u32| tags[i as usize] != tag::FLUID;
+        if self.particles != n || self.count.len() != n {
+            self.particles = n;
+            self.count = vec![0; n];
+            self.fluid_count = vec![0; n];
+            self.fluid_rows = (0..n as u32).filter(|i| !walls(i)).collect();
+        }
+        let geometry = Geometry::new(position, n, domain, reach)?;
+        workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
+        if workspace.wall.members() + self.fluid_rows.len() != n {
+            let all: Vec<u32> = (0..n as u32).filter(walls).collect();
+            workspace.wall.fill(&geometry, position, n, &all);
+        } else {
+            workspace.wall.refill(&geometry, position, n);
+        }
+        self.capacity = self.capacity.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE);
+        loop {
+            self.index.resize(n * self.capacity, 0);
+            self.sweep(&geometry, workspace);
+            let (particle, &most) = self.count.iter().enumerate().max_by_key(|(_, c)| **c).unwrap_or((0, &0));
+            let most = most as usize;
+            if most > MOST_NEIGHBOURS {
+                return Err(NeighbourError::Clumped { particle, count: most });
+            }
+            if most <= self.capacity {
+                break;
+            }
+            // Grown with some room, so that the next builds fit at once.
+            self.capacity = (most + 4).next_multiple_of(ROW_MULTIPLE);
+        }
+        self.wall_rows.clear();
+        let count = &self.count;
+        self.wall_rows.extend(workspace.wall.in_order().iter().copied().filter(|&i| count[i as usize] > 0));
+        Ok(())
+    }
+
+    fn sweep<R: Real>(&mut self, geometry: &Geometry, workspace: &Workspace<R>) {
+        let capacity = self.capacity;
+        let search = Search {
+            geometry,
+            fluid: &workspace.fluid,
+            wall: &workspace.wall,
+            capacity,
+            index: Shared::new(&mut self.index),
+            count: Shared::new(&mut self.count),
+            fluid_count: Shared::new(&mut self.fluid_count),
+        };
+        let rows = workspace.fluid.members() + workspace.wall.members();
+        match geometry.dimension {
+            2 => run_rows(&SearchIn::<R, 2>(search), rows),
+            _ => run_rows(&SearchIn::<R, 3>(search), rows),
+        }
+    }
+
+    /// The padded row of particle i.
+    #[inline(always)]
+    pub fn row(&self, i: usize) -> &[u32] {
+        &self.index[i * self.capacity..(i + 1) * self.capacity]
+    }
+
+    /// Directed pairs in the list.
+    pub fn pairs(&self) -> usize {
+        self.count.iter().map(|&c| c as usize).sum()
+    }
+
+    pub fn bytes(&self) -> usize {
+        4 * (self.index.len() + 2 * self.particles + self.fluid_rows.len() + self.wall_rows.len())
+    }
+}
+
+/// The search for neighbours: rows are places in the fluid's cells, then in the walls'.
+struct Search<'a, R> {
+    geometry: &'a Geometry,
+    fluid: &'a Cells<R>,
+    wall: &'a Cells<R>,
+    capacity: usize,
+    index: Shared<'a, u32>,
+    count: Shared<'a, u32>,
+    fluid_count: Shared<'a, u32>,
+}
+
+struct SearchIn<'a, R, const D: usize>(Search<'a, R>);
+
+/// Neighbours found for one particle, with room for a last whole vector.
+type Found = [u32; MOST_NEIGHBOURS + ROW_MULTIPLE];
+
+impl<R: Real, const D: usize> RowKernel<R> for SearchIn<'_, R, D> {
+    const SHORT: bool = D == 2;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let search = &self.0;
+        let fluids = search.fluid.members();
+        let mut found: Found = [0; MOST_NEIGHBOURS + ROW_MULTIPLE];
+        let mut cell = usize::MAX;
+        let mut runs = Runs::default();
+        let mut own_wall = false;
+        for row in rows {
+            let wall = row >= fluids;
+            let (own, place) = if wall { (search.wall, row - fluids) } else { (search.fluid, row) };
+            if cell != own.cell_of_place(place) || wall != own_wall {
+                (cell, own_wall) = (own.cell_of_place(place), wall);
+                runs = search.geometry.runs(cell);
+            }
+            let here: [L; D] = std::array::from_fn(|d| L::splat(own.position(d)[place]));
+            let me = own.numbers()[place];
+            let myself = if wall { None } else { Some(place) };
+            let mut total = append::<R, L, D>(search.geometry, &runs, search.fluid, &here, myself, &mut found, 0);
+            let fluid_count = total;
+            if !wall && search.wall.members() > 0 {
+                total = append::<R, L, D>(search.geometry, &runs, search.wall, &here, None, &mut found, total);
+            }
+            let (i, capacity) = (me as usize, search.capacity);
+            // SAFETY: every particle stands at one place, so row i and its counts belong to this iteration alone.
+            unsafe {
+                search.count.set(i, total as u32);
+                search.fluid_count.set(i, fluid_count as u32);
+                if total <= capacity {
+                    let row = search.index.slice(i * capacity..(i + 1) * capacity);
+                    row[..total].copy_from_slice(&found[..total]);
+                    row[total..].fill(me);
+                }
+            }
+        }
+    }
+}
+
+/// Appends the particles of `cells` within reach of `here`, but for the one at the place `myself`, to the `total` that
+/// `found` has; counts on, without keeping them, when there is no room left.
+#[inline(always)]
+fn append<R: Real, L: Lanes<Real = R>, const D: usize>(
+    geometry: &Geometry,
+    runs: &Runs,
+    cells: &Cells<R>,
+    here: &[L; D],
+    myself: Option<usize>,
+    found: &mut Found,
+    mut total: usize,
+) -> usize {
+    let reach2 = L::splat(R::of(geometry.reach * geometry.reach));
+    for run in &runs.list[..runs.count] {
+        let (from, to) = cells.places(run.first, run.last);
+        let shift: [L; D] = std::array::from_fn(|d| L::splat(R::of(run.shift[d])));
+        let mut at = from;
+        while at < to {
+            let mut r2 = L::zero();
+            for d in 0..D {
+                // SAFETY: positions are padded by the widest lane count behind the last place.
+                let there = unsafe { L::load(cells.position(d).as_ptr().add(at)) };
+                let mut dr = here[d] - there + shift[d];
+                if geometry.narrow[d] {
+                    let size = L::splat(R::of(geometry.size[d]));
+                    dr = dr - size * (dr * L::splat(R::of(1.0 / geometry.size[d]))).round();
+                }
+                r2 = dr.mul_add(dr, r2);
+            }
+            let mut bits = r2.bits_less(reach2);
+            if at + L::COUNT > to {
+                bits &= (1 << (to - at)) - 1;
+            }
+            if let Some(place) = myself.filter(|place| (at..at + L::COUNT).contains(place)) {
+                bits &= !(1 << (place - at));
+            }
+            // SAFETY: numbers are padded as positions are; `found` has room for COUNT behind MOST_NEIGHBOURS.
+            unsafe {
+                let free = found.as_mut_ptr().add(total.min(MOST_NEIGHBOURS));
+                L::compress(cells.numbers().as_ptr().add(at), bits, free);
+            }
+            total += bits.count_ones() as usize;
+            at += L::COUNT;
+        }
+    }
+    total
+}

@@ -1,0 +1,90 @@
+//! Heat conduction.
+//!
+//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), V = m/rho, F = W'(d)/d < 0 (Cleary 1998; the
+//! harmonic mean of equal conductivities is the conductivity). Fluid in the inlet strip (temperature reset) and in
+//! the outlet strip has rate 0.
+
+use crate::numerics::lanes::{Lanes, PortableF64, Real};
+use crate::sph::model::Model;
+use crate::sph::operators::composed;
+use crate::sph::operators::pairs::Masses;
+use crate::sph::operators::rates::{Side, SideBar};
+use crate::sph::step::Step;
+use candle_core::{Result, Tensor};
+
+/// 2 k/c_p.
+pub fn factor<R>(model: &Model<R>) -> f64 {
+    model.heat.as_ref().map_or(0.0, |h| 2.0 * h.conductivity / h.capacity)
+}
+
+/// Whether fluid at this x conducts.
+#[inline(always)]
+pub fn conducts<R: Real>(model: &Model<R>, x: R) -> bool {
+    model.heat.as_ref().is_some_and(|h| !(x < R::of(h.inlet_below) || x > R::of(h.outlet_above)))
+}
+
+/// Whether fluid at this x is reset to the inlet temperature.
+#[inline(always)]
+pub fn is_inlet<R: Real>(model: &Model<R>, x: R) -> bool {
+    model.heat.as_ref().is_some_and(|h| x < R::of(h.inlet_below))
+}
+
+/// Heat that walls give to conducting fluid with x < `until`, in units of density * temperature * volume per time (times
+/// the heat capacity: power): sum over fluid i and walls j of the pair flow (2 k/c_p) V_i V_j F_ij (T_i - T_j).
+pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: f64) -> f64 {
+    let (model, list) = (&*step.model, &*step.list);
+    let (n, l) = (model.particles(), model.layout);
+    let mass = Masses::new(model, moved);
+    let volume = |i: usize| (mass.of(i) / primitives[i]).f64();
+    let temperature = |i: usize| primitives[l.primitive_temperature() * n + i].f64();
+    let inverse = model.domain.inverse_period();
+    let kernel = model.kernel.lanes::<PortableF64>();
+    let mut sum = 0.0;
+    for &i in &list.fluid_rows {
+        let i = i as usize;
+        if !conducts(model, moved[i]) || moved[i].f64() >= until {
+            continue;
+        }
+        for &j in &list.row(i)[list.fluid_count[i] as usize..list.count[i] as usize] {
+            let j = j as usize;
+            let mut r2 = 0.0;
+            for d in 0..l.dimension {
+                let mut dr = moved[d * n + i].f64() - moved[d * n + j].f64();
+                dr -= model.domain.size[d] * (dr * inverse[d]).round();
+                r2 += dr * dr;
+            }
+            let slope = kernel.slope(PortableF64::splat(r2)).sum() / PortableF64::COUNT as f64;
+            sum += volume(i) * volume(j) * slope * (temperature(i) - temperature(j));
+        }
+    }
+    factor(model) * sum
+}
+
+#[inline(always)]
+pub fn add<L: Lanes, const D: usize>(a: &Side<L, D>, b: &Side<L, D>, slope: L, sum: L) -> L {
+    (a.volume * b.volume * slope).mul_add(a.temperature - b.temperature, sum)
+}
+
+/// l gains gamma V_i V_j F (T_i - T_j).
+#[inline(always)]
+pub fn adjoint<L: Lanes, const D: usize>(
+    a: &Side<L, D>,
+    b: &Side<L, D>,
+    gamma: L,
+    slope: L,
+    by_slope: &mut L,
+    bar: &mut SideBar<L, D>,
+) {
+    let weighted = gamma * b.volume;
+    let difference = a.temperature - b.temperature;
+    let per_volume = weighted * slope;
+    bar.temperature = per_volume.mul_add(a.volume, bar.temperature);
+    bar.volume = per_volume.mul_add(difference, bar.volume);
+    *by_slope = (weighted * a.volume).mul_add(difference, *by_slope);
+}
+
+/// `[1, N]`.
+pub fn composed(pairs: &composed::Pairs, volume: &Tensor, temperature: &Tensor, slope: &Tensor) -> Result<Tensor> {
+    let difference = (pairs.own(temperature)? - pairs.other(temperature)?)?;
+    pairs.own(volume)?.mul(&pairs.other(volume)?)?.mul(slope)?.mul(&difference)?.sum(2)
+}

@@ -1,0 +1,128 @@
+//! The operators' composed form: the same formulas from ordinary candle ops over the padded list.
+//!
+//! Slow and readable. It is what the fused kernels are tested against, values and gradients, and the path for
+//! devices without them.
+
+use crate::numerics::lanes::Real;
+use crate::sph::kernel::Quintic;
+use crate::sph::operators::{assemble, density, drift, rates, wall_condition};
+use crate::sph::step::Step;
+use candle_core::{Result, Tensor};
+use std::sync::Arc;
+
+/// The pairs of a list as tensors.
+pub struct Pairs {
+    particles: usize,
+    capacity: usize,
+    /// `[N K]`, u32.
+    index: Tensor,
+    /// 1 where an entry is a pair, 0 in the padding, `[1, N, K]`.
+    pub mask: Tensor,
+    /// r_i - r_j, `[D, N, K]`.
+    pub difference: Tensor,
+    /// |r_i - r_j|, 10 h in the padding (where the kernel is 0), `[1, N, K]`.
+    pub distance: Tensor,
+    /// 1 for fluid, `[1, N]`.
+    pub is_fluid: Tensor,
+}
+
+impl Pairs {
+    pub fn new<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Self> {
+        let (model, list) = (&*step.model, &*step.list);
+        let (n, k, d) = (list.particles, list.capacity, model.layout.dimension);
+        let device = moved.device();
+        let index = Tensor::from_vec(list.index.clone(), n * k, device)?;
+        let mask: Vec<R> = (0..n * k).map(|e| R::of(((e % k) < list.count[e / k] as usize) as u8 as f64)).collect();
+        let mask = Tensor::from_vec(mask, (1, n, k), device)?;
+        let is_fluid: Vec<R> = (0..n).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
+        let mut pairs = Self {
+            particles: n,
+            capacity: k,
+            index,
+            difference: mask.clone(),
+            distance: mask.clone(),
+            mask,
+            is_fluid: Tensor::from_vec(is_fluid, (1, n), device)?,
+        };
+        let position = moved.narrow(0, 0, d)?;
+        let raw = (pairs.own(&position)? - pairs.other(&position)?)?;
+        let mut images = Vec::new();
+        for c in 0..d {
+            let x = raw.narrow(0, c, 1)?;
+            images.push(if model.domain.periodic[c] {
+                let size = model.domain.size[c];
+                // round() has no derivative in candle, and needs none.
+                (&x - x.detach().affine(1.0 / size, 0.0)?.round()?.affine(size, 0.0)?)?
+            } else {
+                x
+            });
+        }
+        pairs.difference = Tensor::cat(&images, 0)?;
+        // The padding names the particle itself: distance 0, whose root has no derivative. Moved far away instead.
+        let far = pairs.mask.affine(-1.0, 1.0)?.affine((10.0 * model.kernel.smoothing_length).powi(2), 0.0)?;
+        pairs.distance = (pairs.difference.sqr()?.sum_keepdim(0)? + far)?.sqrt()?;
+        Ok(pairs)
+    }
+
+    /// A field `[C, N]` of the row's own particle, `[C, N, K]`.
+    pub fn own(&self, field: &Tensor) -> Result<Tensor> {
+        let c = field.dim(0)?;
+        field.unsqueeze(2)?.broadcast_as((c, self.particles, self.capacity))?.contiguous()
+    }
+
+    /// A field `[C, N]` of the neighbours, `[C, N, K]`.
+    pub fn other(&self, field: &Tensor) -> Result<Tensor> {
+        let c = field.dim(0)?;
+        field.contiguous()?.index_select(&self.index, 1)?.reshape((c, self.particles, self.capacity))
+    }
+}
+
+/// W, `[1, N, K]`.
+pub fn quintic(kernel: &Quintic, distance: &Tensor) -> Result<Tensor> {
+    let q = distance.affine(1.0 / kernel.smoothing_length, 0.0)?;
+    let term = |from: f64| -> Result<Tensor> {
+        let a = q.affine(-1.0, from)?.relu()?;
+        let s = a.sqr()?;
+        s.sqr()?.mul(&a)
+    };
+    ((term(3.0)? - term(2.0)?.affine(6.0, 0.0)?)? + term(1.0)?.affine(15.0, 0.0)?)?.affine(kernel.sigma, 0.0)
+}
+
+/// F = W'(d)/d, `[1, N, K]`.
+pub fn quintic_slope(kernel: &Quintic, distance: &Tensor) -> Result<Tensor> {
+    let h = kernel.smoothing_length;
+    let q = distance.affine(1.0 / h, 0.0)?;
+    let term = |from: f64| q.affine(-1.0, from)?.relu()?.sqr()?.sqr();
+    let sum = ((term(3.0)? - term(2.0)?.affine(6.0, 0.0)?)? + term(1.0)?.affine(15.0, 0.0)?)?;
+    sum.div(&q)?.affine(-5.0 * kernel.sigma / (h * h), 0.0)
+}
+
+/// Mass of every particle, `[1, N]`.
+pub fn mass<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Tensor> {
+    let (model, l) = (&*step.model, step.model.layout);
+    if l.mass {
+        moved.narrow(0, l.moved_mass(), 1)
+    } else {
+        Tensor::full(R::of(model.mass), (1, model.particles()), moved.device())
+    }
+}
+
+impl<R: Real> Step<R> {
+    /// [`Step::fused`] from ordinary candle ops.
+    pub fn composed(&self, moved: &Tensor) -> Result<Tensor> {
+        let pairs = Pairs::new(self, moved)?;
+        let density = density::composed(self, &pairs, moved)?;
+        let primitives = wall_condition::composed(self, &pairs, moved, &density)?;
+        let rates = rates::composed(self, &pairs, moved, &primitives)?;
+        assemble::composed(self, moved, &rates)
+    }
+
+    /// The first half of a step, fused or composed.
+    pub fn drift(model: &Arc<crate::sph::model::Model<R>>, dt: f64, state: &Tensor, fused: bool) -> Result<Tensor> {
+        if fused {
+            state.apply_op1(drift::Drift(model.clone(), dt))
+        } else {
+            drift::composed(model, dt, state)
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! Density by summation.
+//!
+//! rho_i = m_i sum_j W(|r_i - r_j|), j = i included, over fluid and wall particles (Hu and Adams 2007,
+//! eq. 5; JAX-SPH's `rho_summation`). Only fluid particles have a row; walls get theirs from
+//! [`crate::sph::operators::wall_condition`]. Adjoint, gathered: with b_i = rho_bar_i m_i (0 for walls),
+//! r_bar_i = sum_j (b_i + b_j) F_ij r_ij and m_bar_i = rho_bar_i rho_i / m_i.
+
+use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::kernel::QuinticLanes;
+use crate::sph::operators::composed;
+use crate::sph::operators::pairs;
+use crate::sph::operators::pairs::{pack_positions, Kept, Masses, RowGeometry};
+use crate::sph::step::{input, output, read, tensor, Chain, Step};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// moved `[M, N]` -> density `[1, N]`, 0 for walls.
+pub struct Density<R: Real>(pub Arc<Chain<R>>);
+
+struct Forward<'a, R, const D: usize, const CURVATURE: bool> {
+    step: &'a Step<R>,
+    position: &'a [R],
+    mass: Masses<'a, R>,
+    density: Shared<'a, R>,
+    slope: Shared<'a, R>,
+    curvature: Shared<'a, R>,
+}
+
+impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE> {
+    /// Sum of W over a row, whose F [and G] are kept on the way.
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        kernel: &QuinticLanes<L>,
+        geometry: &RowGeometry<L, D>,
+        i: usize,
+    ) -> L {
+        let list = &*self.step.list;
+        let here = pairs::splat_fields::<L>(&self.position[4 * i..4 * i + 4], 4);
+        let from = i * list.capacity;
+        let mut sum = L::zero();
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: `row` gives COUNT valid particle numbers; positions are records of 4.
+            let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
+            let (_, r2) = geometry.difference::<EDGE>(&here[0], &there);
+            let (w, f, g) = kernel.all(r2);
+            sum += mask.apply(w);
+            // SAFETY: each row writes its own pairs; rows are whole vectors.
+            unsafe {
+                self.slope.store(from + k * L::COUNT, mask.apply(f));
+                if CURVATURE {
+                    self.curvature.store(from + k * L::COUNT, mask.apply(g));
+                }
+            }
+        }
+        sum
+    }
+}
+
+impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_, R, D, CURVATURE> {
+    const SHORT: bool = D == 2;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let kernel = model.kernel.lanes::<L>();
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let own = R::of(model.kernel.at_zero());
+        for row in rows {
+            let i = pairs::particle_of_row(list, row);
+            let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
+                self.row::<L, true>(&kernel, &geometry, i)
+            } else {
+                self.row::<L, false>(&kernel, &geometry, i)
+            };
+            if !CURVATURE || row < list.fluid_rows.len() {
+                // SAFETY: each fluid row writes its own particle.
+                unsafe { self.density.set(i, self.mass.of(i) * (own + sum.sum())) };
+            }
+        }
+    }
+}
+
+/// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated. `density` must be zero
+/// for walls.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>, differentiate: bool, density: &mut [R]) {
+    let (model, list) = (&*step.model, &*step.list);
+    pack_positions(model, moved, None, &mut kept.position);
+    kept.slope.resize(list.index.len(), R::default());
+    kept.curvature.resize(if differentiate { list.index.len() } else { 0 }, R::default());
+    kept.has_pairs = true;
+    let mass = Masses::new(model, moved);
+    macro_rules! go {
+        ($d:literal, $curvature:literal) => {
+            run_rows(
+                &Forward::<R, $d, $curvature> {
+                    step,
+                    position: &kept.position,
+                    mass,
+                    density: Shared::new(density),
+                    slope: Shared::new(&mut kept.slope),
+                    curvature: Shared::new(&mut kept.curvature),
+                },
+                if $curvature { pairs::all_rows(list) } else { list.fluid_rows.len() },
+            )
+        };
+    }
+    match (model.layout.dimension, differentiate) {
+        (2, false) => go!(2, false),
+        (2, true) => go!(2, true),
+        (_, false) => go!(3, false),
+        (_, true) => go!(3, true),
+    }
+}
+
+/// [`Kept`]'s pairs for an operator that is used without the density in front of it.
+pub fn keep_pairs<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>) {
+    if !kept.has_pairs {
+        let mut density = step.model.scratch.take(step.model.particles());
+        R::density(step, moved, kept, true, &mut density);
+        step.model.scratch.give_back(density);
+    }
+}
+
+struct Backward<'a, R, const D: usize> {
+    step: &'a Step<R>,
+    /// Positions and b, `[N, 4]`: x y [z] b.
+    position: &'a [R],
+    slope: &'a [R],
+    moved_bar: Shared<'a, R>,
+}
+
+impl<R: Real, const D: usize> Backward<'_, R, D> {
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> [L; D] {
+        let list = &*self.step.list;
+        let here = pairs::splat_fields::<L>(&self.position[4 * i..4 * i + 4], 4);
+        let from = i * list.capacity;
+        let mut sum = [L::zero(); D];
+        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: as in the forward pass; F is kept for every row.
+            let (there, slope) = unsafe {
+                let slope = L::load(self.slope.as_ptr().add(from + k * L::COUNT));
+                (L::gather4(self.position.as_ptr(), 4, index), slope)
+            };
+            let (dr, _) = geometry.difference::<EDGE>(&here[0], &there);
+            let factor = (here[0][3] + there[3]) * slope;
+            for d in 0..D {
+                sum[d] = factor.mul_add(dr[d], sum[d]);
+            }
+        }
+        sum
+    }
+}
+
+impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
+    const SHORT: bool = D == 2;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let n = model.particles();
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        for row in rows {
+            let i = pairs::particle_of_row(list, row);
+            let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
+                self.row::<L, true>(&geometry, i)
+            } else {
+                self.row::<L, false>(&geometry, i)
+            };
+            for d in 0..D {
+                // SAFETY: each row writes its own particle.
+                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
+            }
+        }
+    }
+}
+
+/// The adjoint, on plain numbers: adds to `moved_bar`.
+pub fn backward<R: Real>(
+    step: &Step<R>,
+    moved: &[R],
+    kept: &Kept<R>,
+    density: &[R],
+    density_bar: &[R],
+    moved_bar: &mut [R],
+) {
+    let model = &*step.model;
+    let (n, l) = (model.particles(), model.layout);
+    let mut position = model.scratch.take(4 * n);
+    let mass = Masses::new(model, moved);
+    let b = |i: usize| if model.is_fluid(i) { density_bar[i] * mass.of(i) } else { R::default() };
+    pack_positions(model, moved, Some(&b), &mut position);
+    macro_rules! go {
+        ($d:literal) => {
+            run_rows(
+                &Backward::<R, $d> { step, position: &position, slope: &kept.slope, moved_bar: Shared::new(moved_bar) },
+                pairs::all_rows(&step.list),
+            )
+        };
+    }
+    if l.dimension == 2 {
+        go!(2)
+    } else {
+        go!(3)
+    }
+    model.scratch.give_back(position);
+    if l.mass {
+        for i in 0..n {
+            if model.is_fluid(i) {
+                moved_bar[l.moved_mass() * n + i] += density_bar[i] * density[i] / mass.of(i);
+            }
+        }
+    }
+}
+
+impl<R: Real> CustomOp1 for Density<R> {
+    fn name(&self) -> &'static str {
+        "density"
+    }
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        let step = &self.0.step;
+        let n = step.model.particles();
+        let mut density = vec![R::default(); n];
+        R::density(step, input(s, l)?, &mut self.0.kept(), true, &mut density);
+        Ok(output(density, (1, n)))
+    }
+    fn bwd(&self, moved: &Tensor, density: &Tensor, density_bar: &Tensor) -> Result<Option<Tensor>> {
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.moved_rows(), step.model.particles());
+        let mut moved_bar = self.0.moved_bar();
+        read(moved, |m| {
+            read(density, |rho| {
+                read(&density_bar.contiguous()?, |bar| {
+                    R::density_bar(step, m, &self.0.kept(), rho, bar, &mut moved_bar);
+                    Ok(())
+                })
+            })
+        })?;
+        Ok(Some(tensor(moved_bar, rows, n)?))
+    }
+}
+
+/// The same from ordinary candle ops: the oracle.
+pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor) -> Result<Tensor> {
+    let w = composed::quintic(&step.model.kernel, &pairs.distance)?.mul(&pairs.mask)?;
+    let sum = w.sum(2)?.affine(1.0, step.model.kernel.at_zero())?;
+    let mass = composed::mass(step, moved)?;
+    mass.mul(&sum)?.mul(&pairs.is_fluid)
+}

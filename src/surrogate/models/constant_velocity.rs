@@ -1,0 +1,34 @@
+//! Constant velocity: p + (p - p_before), T + (T - T_before). The baseline that every model must beat.
+
+use crate::dataset::extent::Extent;
+use crate::surrogate::predictor::{Frame, Predictor, Scenery};
+
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Linear;
+
+impl Predictor for Linear {
+    fn name(&self) -> String {
+        "linear".into()
+    }
+
+    fn window(&self) -> usize {
+        2
+    }
+
+    fn next(&self, scenery: &Scenery, window: &[Frame]) -> anyhow::Result<Frame> {
+        let [.., before, last] = window else { anyhow::bail!("constant velocity needs two frames") };
+        let extent = Extent::of(scenery.metadata);
+        let step = extent.displacement(&last.position, &before.position);
+        let position = last.position.iter().zip(step).map(|(p, v)| p + v).collect();
+        // What the inlet set has not changed by itself: to go on from there would be no baseline but nonsense.
+        let inlet = scenery.metadata.heat.as_ref().map_or(f64::NEG_INFINITY, |heat| heat.inlet_length);
+        let at_inlet = |i: usize| last.position[i * extent.dimension] < inlet;
+        let temperature = match (&last.temperature, &before.temperature) {
+            (Some(last), Some(before)) => {
+                Some((0..last.len()).map(|i| if at_inlet(i) { last[i] } else { 2.0 * last[i] - before[i] }).collect())
+            }
+            _ => None,
+        };
+        Ok(Frame { position, temperature })
+    }
+}

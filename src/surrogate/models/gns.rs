@@ -1,0 +1,115 @@
+//! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
+
+use crate::numerics::lanes::Real;
+use crate::numerics::random::stream;
+use crate::surrogate::features::{Inputs, KINDS};
+use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
+use crate::surrogate::network::memory::Memory;
+use crate::surrogate::network::mlp::{Mlp, Shape};
+use crate::surrogate::network::parameters::{Model, Parameter};
+use candle_core::{DType, Result, Tensor};
+
+/// Sizes of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Sizes {
+    /// Node features without the embedding.
+    pub node_features: usize,
+    /// D + 1.
+    pub edge_features: usize,
+    pub outputs: usize,
+    /// L, also the width of hidden layers.
+    pub latent: usize,
+    /// M.
+    pub rounds: usize,
+    /// Linear layers of each perceptron.
+    pub linears: usize,
+    /// Columns of the embedding of the particle type.
+    pub embedding: usize,
+}
+
+pub struct Gns {
+    pub sizes: Sizes,
+    dtype: DType,
+    /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
+    parameters: Vec<Parameter>,
+    single: Memory<f32>,
+    double: Memory<f64>,
+}
+
+impl Sizes {
+    fn encoder(&self, inputs: usize) -> Shape {
+        Shape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
+    }
+
+    fn decoder(&self) -> Shape {
+        Shape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
+    }
+}
+
+impl Gns {
+    /// A new network from a seed.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn new(sizes: Sizes, seed: u64, dtype: DType) -> Result<Self> {
+        let mut rng = stream(seed, "weights");
+        let Sizes { node_features, edge_features, latent, linears, embedding, .. } = sizes;
+        let mut parameters = vec![Parameter::table("embed.weight", KINDS, embedding, &mut rng, dtype)?];
+        let mut add = |shapes: Vec<(String, Shape)>| -> Result<()> {
+            parameters.push(Parameter::perceptrons(&shapes, &mut rng, dtype)?);
+            Ok(())
+        };
+        let round = |k: usize| {
+            let (edge, node) = (edge_shape(latent, latent, linears), node_shape(latent, latent, linears));
+            [(format!("proc.{k}.edge"), edge), (format!("proc.{k}.node"), node)]
+        };
+        add(vec![("enc.node".into(), sizes.encoder(node_features + embedding))])?;
+        add(vec![("enc.edge".into(), sizes.encoder(edge_features))])?;
+        add((0..sizes.rounds).flat_map(round).collect())?;
+        add(vec![("dec".into(), sizes.decoder())])?;
+        Ok(Self { sizes, dtype, parameters, single: Memory::default(), double: Memory::default() })
+    }
+
+    fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: Option<Trace>) -> Result<Tensor> {
+        let s = &self.sizes;
+        let embedded = p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?;
+        let nodes = Tensor::cat(&[&inputs.nodes, &embedded], 1)?;
+        let nodes = nodes.apply_op2(&p[1], Mlp::<R>::new(s.encoder(nodes.dim(1)?), memory))?;
+        let edges = inputs.edges.apply_op2(&p[2], Mlp::<R>::new(s.encoder(s.edge_features), memory))?;
+        if let Some(trace) = &trace {
+            trace.lock().unwrap_or_else(|e| e.into_inner()).push(Tensor::cat(&[&nodes, &edges], 0)?.detach());
+        }
+        let keeps = [&nodes, &edges, &p[3]].iter().any(|t| t.track_op());
+        let rounds = Rounds::<R>::new(&inputs.graph, (s.latent, s.latent, s.linears), s.rounds, keeps, memory, trace);
+        let nodes = nodes.apply_op3(&edges, &p[3], rounds)?;
+        nodes.apply_op2(&p[4], Mlp::<R>::new(s.decoder(), memory))
+    }
+
+    /// As [`Model::apply`], with the state `[N + E, L]` behind the encoder and behind each round.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn apply_traced(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<(Tensor, Vec<Tensor>)> {
+        let trace = Trace::default();
+        let out = self.apply_with(inputs, parameters, Some(trace.clone()))?;
+        let states = std::mem::take(&mut *trace.lock().unwrap_or_else(|e| e.into_inner()));
+        Ok((out, states))
+    }
+
+    fn apply_with(&self, inputs: &Inputs, parameters: &[Tensor], trace: Option<Trace>) -> Result<Tensor> {
+        match self.dtype {
+            DType::F32 => self.run(inputs, parameters, &self.single, trace),
+            _ => self.run(inputs, parameters, &self.double, trace),
+        }
+    }
+}
+
+impl Model for Gns {
+    fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
+        self.apply_with(inputs, parameters, None)
+    }
+}

@@ -1,0 +1,94 @@
+//! Models by name or file.
+
+use crate::config::training::{HeatModel, Kind};
+use crate::dataset::Metadata;
+use crate::error::BadInput;
+use crate::io::tensor_file::TensorFile;
+use crate::surrogate::features::{Features, Normalisation};
+use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::gns::Sizes;
+use crate::surrogate::models::learned::Learned;
+use crate::surrogate::models::setup::Setup;
+use crate::surrogate::models::still::Still;
+use crate::surrogate::predictor::Predictor;
+use crate::surrogate::training::checkpoint;
+use candle_core::DType;
+use std::path::Path;
+use std::sync::Arc;
+
+const ALLOWED: &str =
+    "a .safetensors file written by `hydrograd train`, LagrangeBench's weights by name, `linear`, or `still`";
+
+/// The model in a file, or the baseline `linear` or `still`.
+///
+/// Files of ours know their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
+/// normalised by the data set's metadata.
+///
+/// # Errors
+/// [`BadInput`] if the file can not be read, is damaged, holds no model, or the model does not fit the data.
+pub fn load_predictor(path: &Path, metadata: &Metadata) -> anyhow::Result<Box<dyn Predictor>> {
+    match path.to_str() {
+        Some("linear") => return Ok(Box::new(Linear)),
+        Some("still") => return Ok(Box::new(Still)),
+        _ => {}
+    }
+    let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
+    let file = TensorFile::read(path).map_err(|error| bad(error.to_string()))?;
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if file.metadata.contains_key("format") {
+        let header = checkpoint::read(path)?;
+        header.setup.fits(metadata).map_err(|bad| bad.place(path.display().to_string()))?;
+        let model = header.setup.model(0, DType::F32)?;
+        header.load_into(&*model, true)?;
+        return Ok(Box::new(Learned::new(name, header.setup, Arc::from(model))));
+    }
+    let setup = foreign(&file, metadata)
+        .map_err(|problem| bad(format!("not a model of hydrograd, nor LagrangeBench's weights: {problem}")))?;
+    let model = setup.model(0, DType::F32)?;
+    for parameter in model.parameters() {
+        parameter.load(&file, "param.").map_err(|error| bad(error.to_string()))?;
+    }
+    Ok(Box::new(Learned::new(name, setup, Arc::from(model))))
+}
+
+/// The setup of LagrangeBench's weights, from the shapes of its tensors.
+fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
+    let side = |name: &str, k: usize| -> Result<usize, String> {
+        let shape = file.shape(name).map_err(|error| error.to_string())?;
+        shape.get(k).copied().ok_or_else(|| format!("{name} has shape {shape:?}, not [in, out]"))
+    };
+    let has = |name: &str| file.tensors.contains_key(name);
+    let linears = (0..).take_while(|k| has(&format!("param.enc.edge.{k}.weight"))).count();
+    let rounds = (0..).take_while(|k| has(&format!("param.proc.{k}.edge.0.weight"))).count();
+    let embedding = side("param.embed.weight", 1)?;
+    let node_features = side("param.enc.node.0.weight", 0)?.saturating_sub(embedding);
+    let choices = [(false, false), (false, true), (true, false), (true, true)];
+    let features = choices
+        .map(|(speed, boundary)| Features { frames: crate::surrogate::evaluation::rollout::HISTORY, speed, boundary })
+        .into_iter()
+        .find(|features| features.count(metadata, false, 0) == node_features)
+        .ok_or_else(|| format!("{node_features} node features do not belong to these data"))?;
+    let sizes = Sizes {
+        node_features,
+        edge_features: side("param.enc.edge.0.weight", 0)?,
+        outputs: side(&format!("param.dec.{}.weight", linears.saturating_sub(1)), 1)?,
+        latent: side("param.enc.edge.0.weight", 1)?,
+        rounds,
+        linears,
+        embedding,
+    };
+    if sizes.edge_features != metadata.dim + 1 || sizes.outputs != metadata.dim {
+        return Err(format!("its sizes {sizes:?} do not belong to {} dimensions", metadata.dim));
+    }
+    let noise = file.metadata.get("noise_std").and_then(|text| text.parse().ok()).unwrap_or(0.0);
+    Ok(Setup {
+        kind: Kind::Gns,
+        sizes,
+        features,
+        normalisation: Normalisation::new(metadata, noise, metadata.default_connectivity_radius, None),
+        heat: HeatModel::None,
+        periodic: metadata.periodic()[..metadata.dim].to_vec(),
+        spacing: None,
+        frame: None,
+    })
+}

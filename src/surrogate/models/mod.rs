@@ -1,0 +1,8 @@
+//! Models that predict the next frame, learned or not.
+pub mod constant_velocity;
+pub mod egnn;
+pub mod gns;
+pub mod learned;
+pub mod load;
+pub mod setup;
+pub mod still;

@@ -1,0 +1,113 @@
+//! What a trained model needs besides its parameters: sizes, features, normalisation. Stored in its checkpoint.
+
+use crate::config::training::{HeatModel, Kind, Settings};
+use crate::dataset::{Heat, Metadata};
+use crate::error::BadInput;
+use crate::surrogate::features::{Features, Normalisation};
+use crate::surrogate::models::egnn::Egnn;
+use crate::surrogate::models::gns::{Gns, Sizes};
+use crate::surrogate::network::parameters::Model;
+use candle_core::DType;
+use serde::{Deserialize, Serialize};
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    pub kind: Kind,
+    pub sizes: Sizes,
+    pub features: Features,
+    pub normalisation: Normalisation,
+    pub heat: HeatModel,
+    /// Directions of the box that were periodic: the features depend on it.
+    pub periodic: Vec<bool>,
+    /// Spacing of the particles and time between frames of the data; unknown of foreign models.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<f64>,
+}
+
+impl Setup {
+    /// For training on a data set.
+    ///
+    /// # Errors
+    /// Settings that do not fit the data.
+    pub fn new(settings: &Settings, metadata: &Metadata) -> Result<Self, BadInput> {
+        let model = &settings.model;
+        let heat: Option<&Heat> = metadata.heat.as_ref().filter(|_| model.heat != HeatModel::None);
+        if model.heat == HeatModel::Conduction && heat.is_none() {
+            return Err(BadInput::new("model.heat = \"conduction\", but the data have no temperature")
+                .allowed("data made by `hydrograd generate` from a scene with heat")
+                .advice("--set model.heat=none"));
+        }
+        let learned = heat.is_some() && model.heat == HeatModel::Learned;
+        let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
+        // Conduction is computed, so the network need not see temperatures.
+        let seen = heat.filter(|_| learned);
+        let sizes = Sizes {
+            node_features: settings.features.count(metadata, seen.is_some(), 0),
+            edge_features: metadata.dim + 1,
+            outputs: metadata.dim + usize::from(learned),
+            latent: model.latent,
+            rounds: model.rounds,
+            linears: model.linears,
+            embedding: model.embedding,
+        };
+        let mut normalisation = Normalisation::new(metadata, settings.noise, radius, seen);
+        if model.kind == Kind::Egnn {
+            normalisation.make_isotropic();
+        }
+        Ok(Self {
+            kind: model.kind,
+            sizes,
+            features: settings.features,
+            normalisation,
+            heat: if heat.is_some() { model.heat } else { HeatModel::None },
+            periodic: metadata.periodic()[..metadata.dim].to_vec(),
+            spacing: Some(metadata.dx),
+            frame: Some(metadata.dt * metadata.write_every as f64),
+        })
+    }
+
+    /// A network of these sizes.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn model(&self, seed: u64, dtype: DType) -> candle_core::Result<Box<dyn Model>> {
+        Ok(match self.kind {
+            Kind::Gns => Box::new(Gns::new(self.sizes, seed, dtype)?),
+            Kind::Egnn => Box::new(Egnn::new(self.sizes, self.features.frames, seed, dtype)?),
+        })
+    }
+
+    /// How a data set differs from those that the model knows in what no network finds out by itself.
+    pub fn unlike(&self, metadata: &Metadata) -> Option<String> {
+        let frame = metadata.dt * metadata.write_every as f64;
+        let pairs = [("a spacing of", self.spacing, metadata.dx), ("frames apart by", self.frame, frame)];
+        let differing: Vec<String> = pairs
+            .into_iter()
+            .filter_map(|(what, known, here)| {
+                let known = known?;
+                ((known / here - 1.0).abs() > 0.01).then(|| format!("{what} {known:.4}, these have {here:.4}"))
+            })
+            .collect();
+        (!differing.is_empty()).then(|| format!("the model was trained on data with {}", differing.join("; ")))
+    }
+
+    /// An error if a data set's frames are not what the model knows.
+    pub fn fits(&self, metadata: &Metadata) -> Result<(), BadInput> {
+        let periodic = &metadata.periodic()[..metadata.dim];
+        if self.periodic != periodic {
+            return Err(BadInput::new(format!(
+                "the model was trained on data with periodic directions {:?}, these have {periodic:?}",
+                self.periodic
+            ))
+            .allowed("data of the same dimension and boundaries"));
+        }
+        if self.heat != HeatModel::None && metadata.heat.is_none() {
+            return Err(BadInput::new("the model wants temperatures, but the data have none")
+                .allowed("data of a scene with heat")
+                .advice("train with --set model.heat=none for such data"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,158 @@
+//! AdamW (Loshchilov and Hutter 2019) with moments that can be stored.
+//!
+//! m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - lr (m^/(sqrt(v^) + eps) + decay x), with m^ = m/(1 - b1^t) and
+//! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
+
+use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::step;
+use crate::surrogate::network::row::each;
+use candle_core::{CpuStorage, DType, InplaceOp3, Layout, Result, Tensor, Var};
+use std::ops::Range;
+
+pub const FIRST_DECAY: f64 = 0.9;
+pub const SECOND_DECAY: f64 = 0.999;
+pub const EPSILON: f64 = 1e-8;
+pub const WEIGHT_DECAY: f64 = 1e-8;
+
+/// Moments of one parameter vector.
+#[derive(Debug, Clone)]
+pub struct Moments {
+    pub first: Tensor,
+    pub second: Tensor,
+}
+
+#[derive(Debug, Clone)]
+pub struct AdamW {
+    /// One for each parameter.
+    pub moments: Vec<Moments>,
+    /// Updates so far, t.
+    pub steps: u64,
+    pub weight_decay: f64,
+}
+
+/// Numbers per row of the sweep.
+const ROW: usize = 4096;
+
+/// What happens to each number x of one tensor, given those of two others.
+#[derive(Clone, Copy)]
+enum Change<R> {
+    /// x <- decay x + (1 - decay) a.
+    Mean { decay: R, rest: R },
+    /// x <- decay x + (1 - decay) a^2.
+    Square { decay: R, rest: R },
+    /// x <- x - rate (m first/(sqrt(v second) + epsilon) + decay x) with m and v the others.
+    Move { rate: R, first: R, second: R, epsilon: R, decay: R },
+}
+
+struct Sweep<'a, R> {
+    x: Shared<'a, R>,
+    a: &'a [R],
+    b: &'a [R],
+    change: Change<R>,
+}
+
+impl<R: Real> RowKernel<R> for Sweep<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let range = rows.start * ROW..self.a.len().min(rows.end * ROW);
+        // SAFETY: each range belongs to one iteration.
+        let x = unsafe { self.x.slice(range.clone()) };
+        let (a, b) = (&self.a[range.clone()], &self.b[range]);
+        match self.change {
+            Change::Mean { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a);
+            }
+            Change::Square { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a * a);
+            }
+            Change::Move { rate, first, second, epsilon, decay } => {
+                let [rate, first, second, epsilon, decay] = [rate, first, second, epsilon, decay].map(L::splat);
+                each::<L, 2>(x, [a, b], |x, [m, v]| {
+                    let step = m * first / ((v * second).sqrt() + epsilon);
+                    x - rate * (step + decay * x)
+                });
+            }
+        }
+    }
+}
+
+impl<R: Real> InplaceOp3 for Change<R> {
+    fn name(&self) -> &'static str {
+        "adamw"
+    }
+
+    fn cpu_fwd(
+        &self,
+        x: &mut CpuStorage,
+        x_layout: &Layout,
+        a: &CpuStorage,
+        a_layout: &Layout,
+        b: &CpuStorage,
+        b_layout: &Layout,
+    ) -> Result<()> {
+        let (a, b) = (step::input::<R>(a, a_layout)?, step::input::<R>(b, b_layout)?);
+        let x: &mut [R] = match x {
+            CpuStorage::F32(x) if R::DTYPE == DType::F32 => bytemuck::cast_slice_mut(x),
+            CpuStorage::F64(x) if R::DTYPE == DType::F64 => bytemuck::cast_slice_mut(x),
+            _ => candle_core::bail!("adamw: the types of the tensors differ"),
+        };
+        match x_layout.contiguous_offsets() {
+            Some((from, to)) if to - from == a.len() && a.len() == b.len() => {
+                let x = Shared::new(&mut x[from..to]);
+                run_rows(&Sweep { x, a, b, change: *self }, a.len().div_ceil(ROW));
+                Ok(())
+            }
+            _ => candle_core::bail!("adamw: the shapes of the tensors differ"),
+        }
+    }
+}
+
+impl AdamW {
+    pub fn new(parameters: &[Var]) -> Result<Self> {
+        let moments = parameters
+            .iter()
+            .map(|p| Ok(Moments { first: p.zeros_like()?.detach(), second: p.zeros_like()?.detach() }))
+            .collect::<Result<_>>()?;
+        Ok(Self { moments, steps: 0, weight_decay: WEIGHT_DECAY })
+    }
+
+    /// One update; `gradients` stand in the order of the parameters.
+    pub fn step(&mut self, parameters: &[Var], gradients: &[Tensor], learning_rate: f64) -> Result<()> {
+        self.steps += 1;
+        for ((parameter, gradient), moments) in parameters.iter().zip(gradients).zip(&mut self.moments) {
+            match parameter.dtype() {
+                DType::F32 => {
+                    self::update::<f32>(parameter, gradient, moments, self.steps, learning_rate, self.weight_decay)?
+                }
+                _ => self::update::<f64>(parameter, gradient, moments, self.steps, learning_rate, self.weight_decay)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+fn update<R: Real>(
+    parameter: &Var,
+    gradient: &Tensor,
+    moments: &mut Moments,
+    steps: u64,
+    learning_rate: f64,
+    weight_decay: f64,
+) -> Result<()> {
+    let share = |decay: f64| R::of(1.0 / (1.0 - decay.powf(steps as f64)));
+    let (first, second) = (share(FIRST_DECAY), share(SECOND_DECAY));
+    let (rate, decay) = (R::of(learning_rate), R::of(weight_decay));
+    let [b1, b2, c1, c2, epsilon] =
+        [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
+    let (g, m, v) = (gradient.contiguous()?.detach(), &moments.first, &moments.second);
+    m.inplace_op3(&g, &g, &Change::Mean { decay: b1, rest: c1 })?;
+    v.inplace_op3(&g, &g, &Change::Square { decay: b2, rest: c2 })?;
+    parameter.inplace_op3(m, v, &Change::Move { rate, first, second, epsilon, decay })
+}
+
+/// max(start factor^(step/interval), least): LagrangeBench's decay.
+pub fn learning_rate(start: f64, factor: f64, interval: u64, least: f64, step: u64) -> f64 {
+    (start * factor.powf(step as f64 / interval as f64)).max(least)
+}

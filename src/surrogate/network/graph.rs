@@ -1,0 +1,122 @@
+//! The graph that messages pass along: who is connected to whom, sorted by receiver and by sender.
+
+use crate::particles::neighbour_list::{NeighbourError, NeighbourList};
+use crate::particles::{tag, Domain};
+use std::ops::Range;
+
+/// Directed edges, sorted by receiver and within a receiver by sender.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Graph {
+    /// `[E]`.
+    pub senders: Vec<u32>,
+    pub receivers: Vec<u32>,
+    /// `[N + 1]`: the edges into node i are `start[i]..start[i + 1]`.
+    pub start: Vec<u32>,
+    /// `[E]`: the edges sorted by sender, and `[N + 1]` where each sender's begin.
+    pub leaving: Vec<u32>,
+    pub leaving_start: Vec<u32>,
+}
+
+impl Graph {
+    /// From edges in any order.
+    ///
+    /// # Panics
+    /// If an edge names a node that is not there.
+    pub fn new(nodes: usize, edges: impl IntoIterator<Item = (u32, u32)>) -> Self {
+        let mut edges: Vec<(u32, u32)> = edges.into_iter().map(|(sender, receiver)| (receiver, sender)).collect();
+        edges.sort_unstable();
+        let (receivers, senders): (Vec<u32>, Vec<u32>) = edges.into_iter().unzip();
+        let starts = |of: &[u32]| {
+            let mut start = vec![0; nodes + 1];
+            of.iter().for_each(|&i| start[i as usize + 1] += 1);
+            (0..nodes).for_each(|i| start[i + 1] += start[i]);
+            start
+        };
+        let (start, leaving_start) = (starts(&receivers), starts(&senders));
+        let mut next = leaving_start.clone();
+        let mut leaving = vec![0; senders.len()];
+        for (edge, &sender) in senders.iter().enumerate() {
+            leaving[next[sender as usize] as usize] = edge as u32;
+            next[sender as usize] += 1;
+        }
+        Self { senders, receivers, start, leaving, leaving_start }
+    }
+
+    /// All pairs closer than `radius`, both ways, and every node with itself.
+    ///
+    /// `position` is `[N, D]`.
+    ///
+    /// # Errors
+    /// A position that is not a number, too many neighbours, a box too small.
+    pub fn build(position: &[f64], domain: &Domain, radius: f64) -> Result<Self, NeighbourError> {
+        let dimension = domain.dimension;
+        let nodes = position.len() / dimension;
+        let by_component: Vec<f64> =
+            (0..dimension).flat_map(|d| position.iter().skip(d).step_by(dimension).copied()).collect();
+        // Walls see walls here, so all are one kind.
+        let list = NeighbourList::build(&by_component, &vec![tag::FLUID; nodes], domain, radius, 16)?;
+        let pairs = (0..nodes).flat_map(|i| {
+            let neighbours = list.row(i)[..list.count[i] as usize].iter().copied();
+            neighbours.chain(std::iter::once(i as u32)).map(move |j| (j, i as u32))
+        });
+        Ok(Self::new(nodes, pairs))
+    }
+
+    pub fn nodes(&self) -> usize {
+        self.start.len() - 1
+    }
+
+    pub fn edges(&self) -> usize {
+        self.senders.len()
+    }
+
+    /// Edges into some nodes.
+    #[inline(always)]
+    pub fn entering(&self, nodes: &Range<usize>) -> Range<usize> {
+        self.start[nodes.start] as usize..self.start[nodes.end] as usize
+    }
+
+    /// Edges out of a node.
+    #[inline(always)]
+    pub fn out_of(&self, node: usize) -> &[u32] {
+        &self.leaving[self.leaving_start[node] as usize..self.leaving_start[node + 1] as usize]
+    }
+
+    /// The nodes in `parts` parts with about as many edges each.
+    pub fn parts(&self, parts: usize) -> Vec<Range<usize>> {
+        // A node's own perceptron costs about as much as four edges do.
+        let weight = |i: usize| self.start[i] as usize + 4 * i;
+        let total = weight(self.nodes());
+        let mut ends = Vec::with_capacity(parts);
+        let mut at = 0;
+        for k in 1..=parts {
+            while at < self.nodes() && (weight(at) < total * k / parts || k == parts) {
+                at += 1;
+            }
+            ends.push(at);
+        }
+        (0..parts).map(|k| if k == 0 { 0 } else { ends[k - 1] }..ends[k]).collect()
+    }
+
+    /// Some nodes in stretches of about as many edges each: at most `edges` and those of one node.
+    pub fn stretches(&self, nodes: Range<usize>, edges: usize) -> impl Iterator<Item = Range<usize>> + '_ {
+        let mut at = nodes.start;
+        let all = self.entering(&nodes).len();
+        let most = nodes.clone().map(|i| self.entering(&(i..i + 1)).len()).max().unwrap_or(0);
+        // No stretch ends more than a node's edges before its share, so there are no more of them than shares.
+        let edges = all.div_ceil(all.div_ceil(edges).max(1)) + most;
+        std::iter::from_fn(move || {
+            if at >= nodes.end {
+                return None;
+            }
+            let limit = self.start[at] as usize + edges;
+            let mut to = at + 1;
+            while to < nodes.end && self.start[to + 1] as usize <= limit {
+                to += 1;
+            }
+            let stretch = at..to;
+            at = to;
+            Some(stretch)
+        })
+    }
+}

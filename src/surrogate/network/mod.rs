@@ -1,0 +1,12 @@
+//! What networks are made of: perceptrons, rounds of messages, their parameters and optimiser.
+pub mod adamw;
+pub mod composed;
+pub mod gather;
+pub mod graph;
+pub mod interaction;
+pub mod layer_norm;
+pub mod matrix;
+pub mod memory;
+pub mod mlp;
+pub mod parameters;
+pub mod row;

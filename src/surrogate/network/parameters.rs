@@ -1,0 +1,128 @@
+//! What all trained models have in common: named parameters, and an output per particle.
+
+use crate::io::tensor_file::TensorFile;
+use crate::io::FileError;
+use crate::numerics::random::uniform;
+use crate::surrogate::features::Inputs;
+use crate::surrogate::network::mlp::Shape;
+use candle_core::{DType, Device, Result, Tensor, Var};
+use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
+
+/// A vector of parameters that stand together, such as those of one perceptron, and the names of its parts.
+#[derive(Debug, Clone)]
+pub struct Parameter {
+    pub values: Var,
+    /// Name, place in the vector, shape.
+    pub parts: Vec<(String, Range<usize>, Vec<usize>)>,
+}
+
+impl Parameter {
+    /// A perceptron's, drawn as haiku does: weights from a normal distribution cut at two deviations, of deviation
+    /// 1/sqrt(inputs), biases and offsets 0, scales 1.
+    pub fn perceptron(prefix: &str, shape: &Shape, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+        Self::perceptrons(&[(prefix.to_owned(), *shape)], rng, dtype)
+    }
+
+    /// Several perceptrons', each with its prefix, behind each other.
+    pub fn perceptrons(shapes: &[(String, Shape)], rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+        let (mut all, mut parts) = (Vec::new(), Vec::new());
+        for (prefix, shape) in shapes {
+            let (mut values, start) = (vec![0.0; shape.parameters()], all.len());
+            for k in 0..shape.linears {
+                let deviation = 1.0 / ((shape.weight(k).len() / shape.bias(k).len()) as f64).sqrt();
+                values[shape.weight(k)].iter_mut().for_each(|w| *w = deviation * cut_normal(rng));
+            }
+            values[shape.scale()].fill(1.0);
+            let place = |at: Range<usize>| start + at.start..start + at.end;
+            parts.extend(
+                shape.names().into_iter().map(|(name, at, shape)| (format!("{prefix}.{name}"), place(at), shape)),
+            );
+            all.extend(values);
+        }
+        Self::new(all, parts, dtype)
+    }
+
+    /// A table `[rows, columns]` of cut normal numbers.
+    pub fn table(name: &str, rows: usize, columns: usize, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+        let values = (0..rows * columns).map(|_| cut_normal(rng)).collect();
+        Self::new(values, vec![(name.to_owned(), 0..rows * columns, vec![rows, columns])], dtype)
+    }
+
+    fn new(values: Vec<f64>, parts: Vec<(String, Range<usize>, Vec<usize>)>, dtype: DType) -> Result<Self> {
+        let values = Var::from_tensor(&Tensor::new(values, &Device::Cpu)?.to_dtype(dtype)?)?;
+        Ok(Self { values, parts })
+    }
+
+    /// Numbers in it.
+    pub fn count(&self) -> usize {
+        self.values.elem_count()
+    }
+
+    /// Takes the values from a file's tensors, each named `prefix` + its name.
+    ///
+    /// # Errors
+    /// One is missing or of another shape.
+    pub fn load(&self, file: &TensorFile, prefix: &str) -> anyhow::Result<()> {
+        let values = self.read(file, prefix)?;
+        let values = Tensor::new(values, &Device::Cpu)?.to_dtype(self.values.dtype())?;
+        Ok(self.values.set(&values)?)
+    }
+
+    /// The numbers of all parts in a file, in their order.
+    ///
+    /// # Errors
+    /// One is missing or of another shape.
+    pub fn read(&self, file: &TensorFile, prefix: &str) -> std::result::Result<Vec<f64>, FileError> {
+        let mut values = vec![0.0; self.count()];
+        for (name, at, shape) in &self.parts {
+            let name = format!("{prefix}{name}");
+            let (found, numbers) = file.numbers(&name)?;
+            if found != shape {
+                return Err(FileError::Mismatch {
+                    path: file.path.clone(),
+                    name,
+                    found: format!("of shape {found:?}"),
+                    allowed: format!("of shape {shape:?}"),
+                    hint: "the file belongs to a model of other sizes",
+                });
+            }
+            values[at.clone()].copy_from_slice(&numbers);
+        }
+        Ok(values)
+    }
+}
+
+/// Standard normal, cut at two deviations (rejection; Box and Muller).
+fn cut_normal(rng: &mut ChaCha8Rng) -> f64 {
+    loop {
+        let radius = (-2.0 * (1.0 - uniform(rng)).ln()).sqrt();
+        let z = radius * (std::f64::consts::TAU * uniform(rng)).cos();
+        if z.abs() <= 2.0 {
+            return z;
+        }
+    }
+}
+
+/// A trainable model: features in, normalised acceleration (and temperature change) out.
+pub trait Model: Send + Sync {
+    fn parameters(&self) -> &[Parameter];
+
+    /// `[N, D]` acceleration, and with learned heat one more column, the temperature's change; both normalised.
+    ///
+    /// `parameters` are those of [`Self::parameters`], as the caller wants them tracked.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor>;
+}
+
+/// Parameters that a gradient is asked for.
+pub fn tracked(model: &dyn Model) -> Vec<Tensor> {
+    model.parameters().iter().map(|p| p.values.as_tensor().clone()).collect()
+}
+
+/// Parameters for predictions only: no graph is built.
+pub fn detached(model: &dyn Model) -> Vec<Tensor> {
+    model.parameters().iter().map(|p| p.values.as_detached_tensor()).collect()
+}

@@ -1,0 +1,161 @@
+//! Arithmetic number by number along rows, in lanes.
+//!
+//! Written as plain loops these end, once the compiler has to check an index in them, with up to a whole unrolled vector of
+//! numbers one by one: with 128 columns that was half of each row, and a tenth of a training step.
+
+use crate::numerics::lanes::{Lanes, WIDEST};
+
+/// x <- f(x, the numbers of the other rows at the same place).
+///
+/// # Panics
+/// The lengths differ.
+#[inline(always)]
+pub fn each<L: Lanes, const K: usize>(x: &mut [L::Real], others: [&[L::Real]; K], f: impl Fn(L, [L; K]) -> L) {
+    let length = x.len();
+    assert!(others.iter().all(|other| other.len() == length), "rows of different lengths");
+    let whole = length / L::COUNT * L::COUNT;
+    for at in (0..whole).step_by(L::COUNT) {
+        // SAFETY: all have at least `at + COUNT` numbers.
+        unsafe {
+            let others = others.map(|other| L::load(other.as_ptr().add(at)));
+            f(L::load(x.as_ptr().add(at)), others).store(x.as_mut_ptr().add(at));
+        }
+    }
+    if whole < length {
+        let mut lanes = [L::Real::default(); WIDEST];
+        let last = f(L::load_part(&x[whole..]), others.map(|other| L::load_part(&other[whole..])));
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { last.store(lanes.as_mut_ptr()) };
+        x[whole..].copy_from_slice(&lanes[..length - whole]);
+    }
+}
+
+/// sum of f(a, b) over two rows.
+///
+/// # Panics
+/// The lengths differ.
+#[inline(always)]
+pub fn sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::Real {
+    assert!(a.len() == b.len(), "rows of different lengths");
+    let mut sum = L::zero();
+    let whole = a.len() / L::COUNT * L::COUNT;
+    for at in (0..whole).step_by(L::COUNT) {
+        // SAFETY: both have at least `at + COUNT` numbers.
+        sum += unsafe { f(L::load(a.as_ptr().add(at)), L::load(b.as_ptr().add(at))) };
+    }
+    if whole < a.len() {
+        // Lanes behind the end are taken out again: f need not be 0 there.
+        let mut lanes = [L::Real::default(); WIDEST];
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { f(L::load_part(&a[whole..]), L::load_part(&b[whole..])).store(lanes.as_mut_ptr()) };
+        lanes[a.len() - whole..].fill(L::Real::default());
+        sum += L::load_part(&lanes);
+    }
+    sum.sum()
+}
+
+/// sum += f(rows at the same place) over all rows, column by column.
+///
+/// # Panics
+/// The lengths differ, or are no whole rows.
+#[inline(always)]
+pub fn add_rows<L: Lanes, const K: usize>(sum: &mut [L::Real], rows: [&[L::Real]; K], f: impl Fn([L; K]) -> L) {
+    let (width, length) = (sum.len(), rows[0].len());
+    assert!(width > 0 && length % width == 0 && rows.iter().all(|r| r.len() == length), "rows of different lengths");
+    // Several sums at a time: each waits for its own last addition only, and none goes through memory.
+    let mut at = 0;
+    while at + 4 * L::COUNT <= width {
+        add_columns::<L, K, 4>(sum, at, rows, &f);
+        at += 4 * L::COUNT;
+    }
+    while at + L::COUNT <= width {
+        add_columns::<L, K, 1>(sum, at, rows, &f);
+        at += L::COUNT;
+    }
+    if at < width {
+        for row in (0..length).step_by(width) {
+            each::<L, K>(&mut sum[at..], rows.map(|r| &r[row + at..row + width]), |sum, x| sum + f(x));
+        }
+    }
+}
+
+/// Columns `at .. at + BLOCKS * COUNT` of [`add_rows`].
+#[inline(always)]
+fn add_columns<L: Lanes, const K: usize, const BLOCKS: usize>(
+    sum: &mut [L::Real],
+    at: usize,
+    rows: [&[L::Real]; K],
+    f: &impl Fn([L; K]) -> L,
+) {
+    let width = sum.len();
+    assert!(at + BLOCKS * L::COUNT <= width);
+    // SAFETY (all): the columns end within a row, and each row within its slice.
+    let mut sums: [L; BLOCKS] = std::array::from_fn(|k| unsafe { L::load(sum.as_ptr().add(at + k * L::COUNT)) });
+    for row in (0..rows[0].len()).step_by(width) {
+        for (k, sum) in sums.iter_mut().enumerate() {
+            *sum += f(rows.map(|r| unsafe { L::load(r.as_ptr().add(row + at + k * L::COUNT)) }));
+        }
+    }
+    for (k, lanes) in sums.iter().enumerate() {
+        unsafe { lanes.store(sum.as_mut_ptr().add(at + k * L::COUNT)) };
+    }
+}
+
+/// rows <- relu(rows + bias).
+#[inline(always)]
+pub fn activate<L: Lanes>(rows: &mut [L::Real], bias: &[L::Real]) {
+    for row in rows.chunks_exact_mut(bias.len()) {
+        each::<L, 1>(row, [bias], |x, [b]| (x + b).positive());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numerics::lanes::Real;
+
+    /// Every length around the widths of the lanes, against plain loops.
+    fn check<L: Lanes>() {
+        for length in [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 64, 100, 128] {
+            let numbers = |shift: f64| -> Vec<L::Real> {
+                (0..length).map(|c| L::Real::of(((c as f64 * 0.7 + shift).sin() * 64.0).round() / 8.0)).collect()
+            };
+            let (mut x, a, b) = (numbers(0.1), numbers(1.3), numbers(2.9));
+            let product: f64 = a.iter().zip(&b).map(|(a, b)| (a.f64() + 1.0) * (b.f64() - 2.0)).sum();
+            let one = L::splat(L::Real::of(1.0));
+            // Multiples of 1/8 below 10: both are exact.
+            assert_eq!(sum::<L>(&a, &b, |a, b| (a + one) * (b - one - one)).f64(), product, "{length}");
+            let wanted: Vec<f64> = (0..length).map(|c| x[c].f64() + a[c].f64() * b[c].f64()).collect();
+            each::<L, 2>(&mut x, [&a, &b], |x, [a, b]| x + a * b);
+            assert_eq!(x.iter().map(|x| x.f64()).collect::<Vec<_>>(), wanted);
+            let mut rows = [a.clone(), b.clone()].concat();
+            activate::<L>(&mut rows, &a);
+            let wanted: Vec<f64> =
+                [&a, &b].iter().flat_map(|r| r.iter().zip(&a)).map(|(x, b)| (x.f64() + b.f64()).max(0.0)).collect();
+            assert_eq!(rows.iter().map(|x| x.f64()).collect::<Vec<_>>(), wanted);
+            let mut total = a.clone();
+            add_rows::<L, 2>(&mut total, [&rows, &[b.clone(), a.clone()].concat()], |[x, y]| x * y);
+            for c in 0..length {
+                let products = rows[c].f64() * b[c].f64() + rows[length + c].f64() * a[c].f64();
+                assert_eq!(total[c].f64(), a[c].f64() + products);
+            }
+        }
+    }
+
+    #[test]
+    fn rows_of_every_length() {
+        check::<<f32 as Real>::Portable>();
+        check::<<f64 as Real>::Portable>();
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                check::<<f32 as Real>::Avx2>();
+                check::<<f64 as Real>::Avx2>();
+            }
+            if is_x86_feature_detected!("avx512f") {
+                check::<<f32 as Real>::Avx512>();
+                check::<<f64 as Real>::Avx512>();
+            }
+        }
+    }
+}

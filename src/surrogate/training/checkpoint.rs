@@ -1,0 +1,132 @@
+//! Checkpoints of a training: one safetensors file with everything that the next step depends on.
+//!
+//! Tensors, all F32: `param.NAME` (weights `[in, out]`; NAME as in [`crate::surrogate::network::mlp::Shape::names`] behind `embed`, `enc.node`,
+//! `enc.edge`, `proc.K.edge`, `proc.K.node`, `dec`), `adam.first.NAME` and `adam.second.NAME` (moments), `ema.NAME` if an
+//! average is kept. Metadata, all text: `format`, `version`, `kind`, `step`, `seconds`, `best`, `settings` (TOML), `setup`
+//! (JSON: sizes, features, normalisation). Random numbers follow from seed and step, so the step is their position too.
+
+use crate::config::training::Settings;
+use crate::error::BadInput;
+use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
+use crate::surrogate::models::setup::Setup;
+use crate::surrogate::network::adamw::{AdamW, Moments};
+use crate::surrogate::network::parameters::{Model, Parameter};
+use candle_core::{Device, Tensor};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const FORMAT: &str = "hydrograd surrogate 1";
+const ALLOWED: &str = "a .safetensors file written by `hydrograd train`";
+
+/// Where a training stands.
+pub struct State {
+    /// Updates done.
+    pub step: u64,
+    /// Wall time so far.
+    pub seconds: f64,
+    /// Best validation score so far; infinite before the first.
+    pub best: f64,
+    pub optimiser: AdamW,
+    /// Moving averages of the parameters, if kept.
+    pub average: Option<Vec<Tensor>>,
+}
+
+/// Writes a checkpoint, atomically.
+///
+/// # Errors
+/// System errors.
+pub fn write(path: &Path, settings: &Settings, setup: &Setup, model: &dyn Model, state: &State) -> anyhow::Result<()> {
+    let mut tensors = Tensors::new();
+    let mut add = |prefix: &str, parameter: &Parameter, values: &Tensor| -> candle_core::Result<()> {
+        let values = values.flatten_all()?.to_vec1::<f32>()?;
+        for (name, at, shape) in &parameter.parts {
+            let data = Data::F32(values[at.clone()].to_vec());
+            tensors.insert(format!("{prefix}{name}"), (shape.clone(), data));
+        }
+        Ok(())
+    };
+    for (k, parameter) in model.parameters().iter().enumerate() {
+        add("param.", parameter, parameter.values.as_tensor())?;
+        add("adam.first.", parameter, &state.optimiser.moments[k].first)?;
+        add("adam.second.", parameter, &state.optimiser.moments[k].second)?;
+        if let Some(average) = &state.average {
+            add("ema.", parameter, &average[k])?;
+        }
+    }
+    let metadata = [
+        ("format", FORMAT.to_owned()),
+        ("version", env!("CARGO_PKG_VERSION").to_owned()),
+        ("kind", format!("{:?}", setup.kind).to_lowercase()),
+        ("step", state.step.to_string()),
+        ("seconds", state.seconds.to_string()),
+        ("best", state.best.to_string()),
+        ("settings", settings.text()),
+        ("setup", serde_json::to_string(setup)?),
+    ];
+    let metadata: BTreeMap<String, String> = metadata.into_iter().map(|(k, v)| (k.to_owned(), v)).collect();
+    Ok(write_tensors(path, &tensors, &metadata)?)
+}
+
+/// What a checkpoint's metadata says.
+pub struct Header {
+    pub file: TensorFile,
+    pub setup: Setup,
+    pub settings: Settings,
+    pub step: u64,
+    pub seconds: f64,
+    pub best: f64,
+}
+
+/// Reads a checkpoint of ours.
+///
+/// # Errors
+/// [`BadInput`]: the file is missing, damaged, or no checkpoint of a training.
+pub fn read(path: &Path) -> Result<Header, BadInput> {
+    let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
+    let file = TensorFile::read(path).map_err(|error| bad(error.to_string()))?;
+    let text = |key: &str| file.text(key).map_err(|error| bad(format!("not a model of hydrograd: {error}")));
+    if text("format")? != FORMAT {
+        return Err(bad(format!("its format is `{}`, not `{FORMAT}`", text("format")?)));
+    }
+    let number = |key: &str| -> Result<f64, BadInput> {
+        text(key)?.parse().map_err(|_| bad(format!("its `{key}` is not a number")))
+    };
+    let setup = serde_json::from_str(text("setup")?).map_err(|error| bad(format!("its `setup`: {error}")))?;
+    let settings = toml::from_str(text("settings")?).map_err(|error| bad(format!("its `settings`: {error}")))?;
+    let (step, seconds, best) = (number("step")? as u64, number("seconds")?, number("best")?);
+    Ok(Header { setup, settings, step, seconds, best, file })
+}
+
+impl Header {
+    /// The optimiser and averages of the file, for the parameters of `model`.
+    ///
+    /// # Errors
+    /// Missing or misshapen tensors.
+    pub fn state(&self, model: &dyn Model) -> anyhow::Result<State> {
+        let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
+            let values: Vec<f32> = parameter.read(&self.file, prefix)?.into_iter().map(|v| v as f32).collect();
+            Ok(Tensor::new(values, &Device::Cpu)?)
+        };
+        let mut moments = Vec::new();
+        let mut average = Vec::new();
+        for parameter in model.parameters() {
+            moments
+                .push(Moments { first: tensor(parameter, "adam.first.")?, second: tensor(parameter, "adam.second.")? });
+            if self.settings.ema > 0.0 {
+                average.push(tensor(parameter, "ema.")?);
+            }
+        }
+        let optimiser = AdamW { moments, steps: self.step, weight_decay: self.settings.weight_decay };
+        let average = (self.settings.ema > 0.0).then_some(average);
+        Ok(State { step: self.step, seconds: self.seconds, best: self.best, optimiser, average })
+    }
+
+    /// Puts the file's parameters into a model of the same sizes: the average if there is one and `averaged` is set.
+    ///
+    /// # Errors
+    /// Missing or misshapen tensors.
+    pub fn load_into(&self, model: &dyn Model, averaged: bool) -> anyhow::Result<()> {
+        let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
+        model.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix))
+    }
+}

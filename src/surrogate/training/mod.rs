@@ -1,0 +1,7 @@
+//! Training: samples, noise, loss, the loop, checkpoints, studies.
+pub mod checkpoint;
+pub mod loss;
+pub mod noise;
+pub mod samples;
+pub mod study;
+pub mod train;

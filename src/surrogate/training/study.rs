@@ -1,0 +1,297 @@
+//! A grid over training settings: every point trained by this program in a process of its own, finished ones kept.
+
+use crate::config::training::Settings;
+use crate::error::{BadInput, Error};
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::csv::read_columns;
+use crate::surrogate::training::train::METRICS;
+use serde::{Deserialize, Serialize};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// More points than this are a slip of the keyboard.
+const MOST_POINTS: usize = 10_000;
+
+/// A key of the training configuration and the values that it takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GridKey {
+    pub key: String,
+    pub values: Vec<String>,
+}
+
+impl GridKey {
+    /// `noise=3e-5,3e-4`.
+    ///
+    /// # Errors
+    /// No key, no value, a value twice, or characters that can not stand in the name of a folder.
+    pub fn parse(text: &str) -> Result<Self, BadInput> {
+        let bad = |problem: String| {
+            BadInput::new(problem)
+                .place(format!("--grid {text}"))
+                .allowed("KEY=VALUE,VALUE,... with letters, digits and . + - _")
+                .advice("--grid noise=3e-5,3e-4,3e-3")
+        };
+        let (key, values) = text.split_once('=').ok_or_else(|| bad("there is no `=`".into()))?;
+        let values: Vec<String> = values.split(',').map(|value| value.trim().to_string()).collect();
+        for word in std::iter::once(key).chain(values.iter().map(String::as_str)) {
+            if word.is_empty() {
+                return Err(bad("a key or value is empty".into()));
+            }
+            if let Some(c) = word.chars().find(|c| !(c.is_ascii_alphanumeric() || ".+-_".contains(*c))) {
+                return Err(bad(format!("`{word}` has the character `{c}`")));
+            }
+        }
+        if let Some(value) =
+            (1..values.len()).map(|k| &values[k]).find(|v| values.iter().filter(|o| o == v).count() > 1)
+        {
+            return Err(bad(format!("the value {value} is there twice")));
+        }
+        Ok(Self { key: key.into(), values })
+    }
+}
+
+/// Values of all keys of the grid, in their order.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Point(pub Vec<(String, String)>);
+
+impl Point {
+    /// Folder's name: independent of the grid it is in, so that a larger grid finds it again.
+    pub fn name(&self) -> String {
+        let mut settings: Vec<String> = self.0.iter().map(|(key, value)| format!("{key}={value}")).collect();
+        settings.sort();
+        settings.join(",")
+    }
+
+    pub fn value(&self, key: &str) -> Option<&str> {
+        self.0.iter().find(|(other, _)| other == key).map(|(_, value)| value.as_str())
+    }
+}
+
+/// All points of the grid; the last key changes first.
+///
+/// # Errors
+/// No key, a key twice, too many points.
+pub fn points(grid: &[GridKey]) -> Result<Vec<Point>, BadInput> {
+    if grid.is_empty() {
+        return Err(BadInput::new("there is no grid").allowed("--grid KEY=VALUE,... at least once"));
+    }
+    if let Some(k) = (1..grid.len()).find(|&k| grid[..k].iter().any(|other| other.key == grid[k].key)) {
+        return Err(BadInput::new(format!("the key {} is there twice", grid[k].key)).allowed("each key once"));
+    }
+    let count = grid.iter().map(|key| key.values.len()).fold(1_usize, usize::saturating_mul);
+    if count > MOST_POINTS {
+        return Err(BadInput::new(format!("the grid has {count} points")).allowed(format!("at most {MOST_POINTS}")));
+    }
+    let mut points = vec![Point(vec![])];
+    for GridKey { key, values } in grid {
+        let longer = |point: &Point| {
+            let point = point.clone();
+            values.iter().map(move |value| {
+                let mut longer = point.clone();
+                longer.0.push((key.clone(), value.clone()));
+                longer
+            })
+        };
+        points = points.iter().flat_map(longer).collect();
+    }
+    Ok(points)
+}
+
+/// What all points have in common.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// The program to start: ourselves.
+    pub program: PathBuf,
+    pub data: PathBuf,
+    pub steps: usize,
+    /// `key=value`, below those of the grid.
+    pub sets: Vec<String>,
+    pub out: PathBuf,
+    /// Of each training; 0 for every core.
+    pub threads: usize,
+}
+
+/// `finished.json` of a point: what it was trained with. Without it, a point is trained (again).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Finished {
+    pub point: Point,
+    pub data: PathBuf,
+    pub steps: usize,
+    pub sets: Vec<String>,
+    pub seconds: f64,
+}
+
+/// How a point ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    Trained {
+        seconds: f64,
+        validation: Validation,
+    },
+    /// What the process said.
+    Failed(String),
+}
+
+/// `validation.csv` of a training run.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Validation {
+    pub step: Vec<f64>,
+    pub seconds: Vec<f64>,
+    /// As [`METRICS`]; empty where the file has none or not everywhere.
+    pub metrics: [Vec<f64>; METRICS.len()],
+}
+
+impl Validation {
+    /// Reads a run's `validation.csv`.
+    ///
+    /// # Errors
+    /// The file, its steps or its `mse_1` are missing or damaged.
+    pub fn read(folder: &Path) -> anyhow::Result<Self> {
+        let path = folder.join("validation.csv");
+        let column = |name| read_columns(&path, &[name]).map(|mut columns| columns.remove(0));
+        let (step, seconds) = (column("step")?, column("seconds")?);
+        column(METRICS[0])?;
+        // The others may be left out: no temperature, fewer steps.
+        Ok(Self { step, seconds, metrics: METRICS.map(|name| column(name).unwrap_or_default()) })
+    }
+
+    /// The curve of a metric.
+    pub fn curve(&self, metric: &str) -> &[f64] {
+        METRICS.iter().position(|name| *name == metric).map_or(&[], |k| self.metrics[k].as_slice())
+    }
+
+    /// The last value of a metric.
+    pub fn last(&self, metric: &str) -> Option<f64> {
+        self.curve(metric).last().copied()
+    }
+
+    /// The least value of a metric and its step.
+    pub fn best(&self, metric: &str) -> Option<(f64, f64)> {
+        let pairs = self.curve(metric).iter().zip(&self.step).map(|(value, step)| (*value, *step));
+        pairs.min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+}
+
+impl Study {
+    pub fn folder(&self, point: &Point) -> PathBuf {
+        self.out.join(point.name())
+    }
+
+    /// A point that was trained before.
+    ///
+    /// # Errors
+    /// [`BadInput`] if it was trained otherwise (data, steps, settings) or its files are damaged.
+    pub fn finished(&self, point: &Point) -> Result<Option<Outcome>, BadInput> {
+        let folder = self.folder(point);
+        let path = folder.join("finished.json");
+        let Ok(text) = std::fs::read_to_string(&path) else { return Ok(None) };
+        let bad = |problem: String| {
+            BadInput::new(problem)
+                .place(path.display().to_string())
+                .allowed("points of this study only")
+                .advice(format!("another --out, or remove {}", folder.display()))
+        };
+        let found: Finished = serde_json::from_str(&text).map_err(|error| bad(error.to_string()))?;
+        let (data, sets) = (absolute(&self.data), &self.sets);
+        let differs = |what: &str, found: String, now: String| bad(format!("trained with {what} {found}, not {now}"));
+        if found.steps != self.steps {
+            return Err(differs("--steps", found.steps.to_string(), self.steps.to_string()));
+        }
+        if found.data != data {
+            return Err(differs("--data", found.data.display().to_string(), data.display().to_string()));
+        }
+        if found.sets != *sets {
+            return Err(differs("--set", found.sets.join(" "), sets.join(" ")));
+        }
+        let validation = Validation::read(&folder).map_err(|error| bad(error.to_string()))?;
+        Ok(Some(Outcome::Trained { seconds: found.seconds, validation }))
+    }
+
+    /// `key=value` of a point, its own last.
+    fn all_sets(&self, point: &Point) -> Vec<String> {
+        let own = point.0.iter().map(|(key, value)| format!("{key}={value}"));
+        self.sets.iter().cloned().chain(own).collect()
+    }
+
+    /// An error if a point's settings are bad: before hours of training, not between them.
+    pub fn check(&self, points: &[Point]) -> Result<(), BadInput> {
+        for point in points {
+            for (key, _) in &point.0 {
+                if key == "steps" {
+                    return Err(BadInput::new("steps cannot be in the grid")
+                        .place("--grid steps")
+                        .allowed("--steps N, the same for all points"));
+                }
+                if let Some(set) = self.sets.iter().find(|set| set.split('=').next().map(str::trim) == Some(key)) {
+                    return Err(BadInput::new(format!("{key} is in the grid, too"))
+                        .place(format!("--set {set}"))
+                        .allowed("each key in --set or in --grid"));
+                }
+            }
+            Settings::load(None, None, &self.all_sets(point)).map_err(|bad| bad.place(point.name()))?;
+        }
+        Ok(())
+    }
+
+    /// Trains a point.
+    ///
+    /// # Errors
+    /// [`BadInput`] if training says that its input is bad: the other points' will be, too. The process can not be started;
+    /// system errors. A training run that fails is [`Outcome::Failed`].
+    pub fn train(&self, point: &Point) -> anyhow::Result<Outcome> {
+        let folder = self.folder(point);
+        // Not into the folder: that is training's to create, once it knows that its input is good.
+        let mut log = tempfile::tempfile()?;
+        let mut command = Command::new(&self.program);
+        command.arg("train").arg("--data").arg(&self.data).arg("--out").arg(&folder);
+        command.args(["--steps", &self.steps.to_string(), "--threads", &self.threads.to_string()]);
+        // Killed on the way: goes on with the settings it was begun with.
+        if folder.join("last.safetensors").is_file() {
+            command.arg("--resume");
+        }
+        for set in self.all_sets(point) {
+            command.args(["--set", &set]);
+        }
+        let status = command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?).status().map_err(
+            |error| {
+                Error::run(format!("can not start {}: {error}", self.program.display()), "check that it is still there")
+            },
+        )?;
+        let mut text = String::new();
+        std::io::Seek::rewind(&mut log)?;
+        log.read_to_string(&mut text)?;
+        if !status.success() {
+            let message = text.find("error: ").map_or(text.trim(), |at| text[at + "error: ".len()..].trim());
+            let message = if message.is_empty() { format!("it ended with {status}") } else { message.to_string() };
+            if status.code() == Some(i32::from(crate::error::EXIT_INPUT)) {
+                return Err(BadInput::new(message).place(point.name()).into());
+            }
+            return Ok(Outcome::Failed(message));
+        }
+        prepare_output_folder(&folder)?;
+        write_bytes_atomically(&folder.join("log.txt"), text.as_bytes())?;
+        let validation = match Validation::read(&folder) {
+            Ok(validation) => validation,
+            Err(error) => return Ok(Outcome::Failed(error.to_string())),
+        };
+        // Training's own count, which goes on when it is resumed.
+        let seconds = validation.seconds.last().copied().unwrap_or(0.0);
+        let finished = Finished {
+            point: point.clone(),
+            data: absolute(&self.data),
+            steps: self.steps,
+            sets: self.sets.clone(),
+            seconds,
+        };
+        write_bytes_atomically(
+            &folder.join("finished.json"),
+            (serde_json::to_string_pretty(&finished)? + "\n").as_bytes(),
+        )?;
+        Ok(Outcome::Trained { seconds, validation })
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_path_buf())
+}

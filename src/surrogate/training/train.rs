@@ -1,0 +1,322 @@
+//! The training loop.
+//!
+//! A step draws windows, adds noise, asks the model, and moves the parameters against the averaged gradient. What is random
+//! follows from seed and step, and a checkpoint holds the rest, so a training that was killed goes on bit for bit.
+
+use crate::config::training::Settings;
+use crate::dataset::{Metadata, Trajectory};
+use crate::error::Error;
+use crate::io::csv::{write_table, Cell};
+use crate::io::tensorboard::EventFile;
+use crate::report::plots::{training_curves, TrainingCurves};
+use crate::report::progress::Progress;
+use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
+use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::learned::Learned;
+use crate::surrogate::models::setup::Setup;
+use crate::surrogate::network::adamw::{learning_rate, AdamW};
+use crate::surrogate::network::parameters::{detached, tracked, Model};
+use crate::surrogate::training::checkpoint;
+use crate::surrogate::training::checkpoint::State;
+use crate::surrogate::training::loss::loss;
+use crate::surrogate::training::samples::Samples;
+use candle_core::{Tensor, Var};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The columns of history.csv.
+pub const HISTORY_COLUMNS: [&str; 4] = ["step", "seconds", "loss", "learning_rate"];
+/// Those of validation.csv, behind `step` and `seconds`.
+pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
+
+/// A training in progress.
+pub struct Training<'a> {
+    pub settings: &'a Settings,
+    pub setup: &'a Setup,
+    pub metadata: &'a Metadata,
+    pub train: &'a [Trajectory],
+    pub valid: &'a [Trajectory],
+    pub model: Arc<dyn Model>,
+    pub state: State,
+    pub folder: PathBuf,
+    /// Rows of history.csv and validation.csv so far.
+    pub history: Vec<Vec<f64>>,
+    pub validation: Vec<Vec<f64>>,
+}
+
+/// What came out.
+pub struct Outcome {
+    /// Of the last validation.
+    pub scores: Scores,
+    pub linear: Scores,
+    /// Step of the best validation; none if no validation came to an end.
+    pub best_step: Option<u64>,
+    /// Per update, without validation.
+    pub seconds_per_step: f64,
+}
+
+/// A fresh state for a model.
+///
+/// # Errors
+/// Tensor errors.
+pub fn fresh(settings: &Settings, model: &dyn Model) -> anyhow::Result<State> {
+    let variables: Vec<Var> = model.parameters().iter().map(|p| p.values.clone()).collect();
+    let mut optimiser = AdamW::new(&variables)?;
+    optimiser.weight_decay = settings.weight_decay;
+    let average = (settings.ema > 0.0).then(|| copies(model)).transpose()?;
+    Ok(State { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
+}
+
+fn copies(model: &dyn Model) -> candle_core::Result<Vec<Tensor>> {
+    model.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
+}
+
+/// Loss and gradient of one sample, in the order of the parameters.
+///
+/// # Errors
+/// A parameter without a gradient, tensor errors.
+pub fn gradient(
+    model: &dyn Model,
+    sample: &crate::surrogate::training::samples::Sample,
+    weight: f64,
+    dimension: usize,
+) -> anyhow::Result<(f64, Vec<Tensor>)> {
+    let output = model.apply(&sample.inputs, &tracked(model))?;
+    let dynamics = |t: &Tensor| t.narrow(1, 0, dimension);
+    let mut total = loss(&dynamics(&output)?, &dynamics(&sample.target)?, &dynamics(&sample.mask)?)?;
+    let outputs = output.dim(1)?;
+    if outputs > dimension {
+        let heat = |t: &Tensor| t.narrow(1, dimension, outputs - dimension);
+        total = (total + (loss(&heat(&output)?, &heat(&sample.target)?, &heat(&sample.mask)?)? * weight)?)?;
+    }
+    let value = total.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?;
+    let mut store = total.backward()?;
+    let mut gradients = Vec::new();
+    for parameter in model.parameters() {
+        let Some(gradient) = store.remove(&parameter.values) else {
+            let names: Vec<&str> = parameter.parts.iter().map(|(name, ..)| name.as_str()).collect();
+            anyhow::bail!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "));
+        };
+        gradients.push(gradient);
+    }
+    Ok((value, gradients))
+}
+
+impl Training<'_> {
+    /// Runs up to `settings.steps`; everything lands in the folder.
+    ///
+    /// # Errors
+    /// A loss or gradient that is not finite, files, tensors.
+    pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
+        let settings = self.settings;
+        let mut events = EventFile::create(&self.folder)?;
+        let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
+        let variables: Vec<Var> = self.model.parameters().iter().map(|p| p.values.clone()).collect();
+        let linear = self.score(&Linear)?;
+        let before = self.state.seconds;
+        let clock = Instant::now();
+        let (mut losses, mut working, mut steps) = (Vec::new(), 0.0, 0);
+        let mut scores = None;
+        bar.set_position(self.state.step);
+        while self.state.step < settings.steps {
+            let update = Instant::now();
+            let step = self.state.step;
+            let rate = learning_rate(
+                settings.learning_rate,
+                settings.learning_rate_factor,
+                settings.learning_rate_steps,
+                settings.learning_rate_least,
+                step,
+            );
+            let value = self.update(&mut samples, &variables, rate)?;
+            losses.push(value);
+            working += update.elapsed().as_secs_f64();
+            steps += 1;
+            self.state.step += 1;
+            self.state.seconds = before + clock.elapsed().as_secs_f64();
+            bar.advance(1);
+            let last = self.state.step == settings.steps;
+            if self.state.step.is_multiple_of(settings.log_every) || last {
+                let mean = losses.iter().sum::<f64>() / losses.len() as f64;
+                losses.clear();
+                self.history.push(vec![self.state.step as f64, self.state.seconds, mean, rate]);
+                events.scalars(self.state.step, &[("loss", mean), ("learning_rate", rate)])?;
+                bar.message(format!("loss {mean:.4}"));
+                write_rows(&self.folder.join("history.csv"), &HISTORY_COLUMNS, &self.history)?;
+            }
+            if self.state.step.is_multiple_of(settings.validate_every) || last {
+                let found = self.validate(&linear, &mut events, bar)?;
+                scores = Some(found);
+            }
+            if self.state.step.is_multiple_of(settings.store_every) || last {
+                self.store("last.safetensors")?;
+            }
+        }
+        let scores = match scores {
+            Some(scores) => scores,
+            None => self.score(&self.predictor()?)?,
+        };
+        Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
+    }
+
+    /// One update; the mean loss of its batch.
+    ///
+    /// # Errors
+    /// A loss or gradient that is not finite, tensors.
+    pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
+        let (settings, step) = (self.settings, self.state.step);
+        let plain = detached(&*self.model);
+        let share = 1.0 / settings.batch_size as f64;
+        let mut mean = 0.0;
+        let mut sum: Vec<Tensor> = Vec::new();
+        for place in 0..settings.batch_size {
+            let sample = samples.sample(step, place as u64, &*self.model, &plain)?;
+            let (value, gradients) = gradient(&*self.model, &sample, settings.temperature_weight, self.metadata.dim)?;
+            mean += share * value;
+            if settings.batch_size == 1 {
+                sum = gradients;
+                break;
+            }
+            let gradients = gradients.iter().map(|g| g.affine(share, 0.0)).collect::<candle_core::Result<Vec<_>>>()?;
+            sum = if sum.is_empty() {
+                gradients
+            } else {
+                sum.iter().zip(&gradients).map(|(a, b)| a + b).collect::<candle_core::Result<_>>()?
+            };
+        }
+        let mut square = 0.0;
+        for gradient in &sum {
+            square += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
+        }
+        if !mean.is_finite() || !square.is_finite() {
+            return Err(Error::run(
+                format!("step {step}: the loss is {mean}, the gradient's norm {}: the training has diverged", square.sqrt()),
+                "a smaller learning rate (--set learning_rate=1e-4) or clipping (--set clip=1); `--resume` begins at the last checkpoint",
+            )
+            .into());
+        }
+        if settings.clip > 0.0 && square.sqrt() > settings.clip {
+            let factor = settings.clip / square.sqrt();
+            sum = sum.iter().map(|g| g.affine(factor, 0.0)).collect::<candle_core::Result<_>>()?;
+        }
+        self.state.optimiser.step(variables, &sum, rate)?;
+        if let Some(average) = &mut self.state.average {
+            for (average, parameter) in average.iter_mut().zip(self.model.parameters()) {
+                let now = parameter.values.as_detached_tensor();
+                *average = (average.affine(settings.ema, 0.0)? + now.affine(1.0 - settings.ema, 0.0)?)?;
+            }
+        }
+        Ok(mean)
+    }
+
+    /// The model as it would be used: with averaged parameters if there are any.
+    pub fn predictor(&self) -> anyhow::Result<Learned> {
+        let mut learned =
+            Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.model.clone());
+        if let Some(average) = &self.state.average {
+            learned.parameters = average.clone();
+        }
+        Ok(learned)
+    }
+
+    fn score(&self, predictor: &dyn crate::surrogate::predictor::Predictor) -> anyhow::Result<Scores> {
+        let options = Options {
+            steps: self.settings.validation_steps,
+            windows: Some(self.settings.validation_windows),
+            ..Options::default()
+        };
+        evaluate_windows(predictor, self.metadata, self.valid, &options)
+    }
+
+    /// How good it is: position MSE, and with heat temperature MSE, over the linear baseline's. Smaller is better.
+    fn merit(scores: &Scores, linear: &Scores) -> f64 {
+        let heat = match (scores.temperature_mse, linear.temperature_mse) {
+            (Some(ours), Some(linear)) if linear > 0.0 => ours / linear,
+            _ => 0.0,
+        };
+        scores.mse / linear.mse.max(f64::MIN_POSITIVE) + heat
+    }
+
+    fn validate(&mut self, linear: &Scores, events: &mut EventFile, bar: &Progress) -> anyhow::Result<Scores> {
+        let scores = self.score(&self.predictor()?)?;
+        let none = f64::NAN;
+        let row = vec![
+            self.state.step as f64,
+            self.state.seconds,
+            scores.mse_1.unwrap_or(none),
+            scores.mse_5.unwrap_or(none),
+            scores.mse_10.unwrap_or(none),
+            scores.mse_20.unwrap_or(none),
+            scores.sinkhorn.unwrap_or(none),
+            scores.e_kin.unwrap_or(none),
+            scores.temperature_mse.unwrap_or(none),
+        ];
+        let tags = METRICS.iter().zip(&row[2..]).filter(|(_, v)| v.is_finite());
+        let tags: Vec<(String, f64)> = tags.map(|(name, &value)| (format!("validation/{name}"), value)).collect();
+        events.scalars(self.state.step, &tags.iter().map(|(name, v)| (name.as_str(), *v)).collect::<Vec<_>>())?;
+        self.validation.push(row);
+        write_rows(
+            &self.folder.join("validation.csv"),
+            &[&["step", "seconds"], &METRICS[..]].concat(),
+            &self.validation,
+        )?;
+        let merit = Self::merit(&scores, linear);
+        if merit < self.state.best {
+            self.state.best = merit;
+            self.store("best.safetensors")?;
+        }
+        let broken =
+            if scores.broken.is_empty() { String::new() } else { format!(", {} windows broke", scores.broken.len()) };
+        let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.2e}"));
+        bar.log(&format!(
+            "step {}: MSE_1 {} MSE_5 {} MSE_20 {}{}{broken} ({:.2} of linear, {:.0} s)",
+            self.state.step,
+            digits(scores.mse_1),
+            digits(scores.mse_5),
+            digits(scores.mse_20),
+            scores.temperature_mse.map_or(String::new(), |t| format!(" temperature {t:.2e}")),
+            merit,
+            self.state.seconds,
+        ));
+        let curves = TrainingCurves { history: &self.history, validation: &self.validation, linear };
+        training_curves(&self.folder.join("curves"), &curves)?;
+        Ok(scores)
+    }
+
+    /// The step that the best checkpoint was taken at.
+    fn best_step(&self) -> Option<u64> {
+        Some(checkpoint::read(&self.folder.join("best.safetensors")).ok()?.step)
+    }
+
+    fn store(&self, name: &str) -> anyhow::Result<()> {
+        checkpoint::write(&self.folder.join(name), self.settings, self.setup, &*self.model, &self.state)
+    }
+}
+
+/// Rows of numbers, the first of them an integer, as a table.
+fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result<()> {
+    let cells = |row: &Vec<f64>| {
+        row.iter()
+            .enumerate()
+            .map(|(k, &v)| {
+                if k == 0 {
+                    Cell::Integer(v as i64)
+                } else if v.is_nan() {
+                    Cell::Text(String::new())
+                } else {
+                    Cell::Number(v)
+                }
+            })
+            .collect()
+    };
+    let rows: Vec<Vec<Cell>> = rows.iter().map(cells).collect();
+    Ok(write_table(path, header, &rows)?)
+}
+
+/// Rows of a table of [`Training`], up to a step: what a resumed training goes on with. Empty cells are not-a-number.
+pub fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
+    let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
+    let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();
+    Ok(text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect())
+}
