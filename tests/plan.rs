@@ -3,7 +3,7 @@
 mod support;
 
 use hydrograd::adjoint::schedule::{Costs, Schedule};
-use hydrograd::neighbours::NeighbourList;
+use hydrograd::particles::NeighbourList;
 use hydrograd::particles::tag;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::plan::{sound_speed, Plan};
