@@ -2,20 +2,24 @@
 
 mod support;
 
+use candle_core::Tensor;
+use hydrograd::adjoint::gradient::{gradient, Gradient};
 use hydrograd::adjoint::schedule::Schedule;
-use hydrograd::adjoint::segments::{gradient, Gradient, Objective, Sph};
+use hydrograd::adjoint::Fields;
+use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::diagnostics::start;
-use hydrograd::design::objective::Outflow;
+use hydrograd::design::objectives::{HeatOutflow, Samples};
 use hydrograd::design::shape::Shape;
-use hydrograd::numerics::lanes::Real;
 use hydrograd::scene::heated_channel::HeatedChannel;
-use hydrograd::sph::solver::{Snapshot, Solver, SolverError, TensorSolver};
+use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::solver::{Snapshot, Solver};
+use hydrograd::sph::Sweeps;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 use std::sync::Mutex;
-use support::final_sum::FinalSum;
+use support::final_sum::{FinalSum, Summed};
 
 /// Counts the bytes that are allocated now, and the most there have been.
 struct Counting;
@@ -44,7 +48,7 @@ static ALLOCATOR: Counting = Counting;
 static TURN: Mutex<()> = Mutex::new(());
 
 /// A short run of the heated channel with an uneven wall.
-fn channel<R: Real>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapshot<R>) {
+fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapshot<R>) {
     let mut all = vec![format!("time.steps={steps}"), "objective.window=0".into(), "design.shape=\"sine\"".into()];
     all.extend(sets.iter().map(|s| s.to_string()));
     let config = Config::load(None, None, &all).unwrap().config;
@@ -55,22 +59,19 @@ fn channel<R: Real>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapshot<
 }
 
 /// Q at several steps and the fluid's heat at the last.
-struct Both(Outflow, FinalSum);
+struct Both(HeatOutflow, FinalSum);
 
-impl<R: Real> Objective<Sph<R>> for Both {
+impl Objective for Both {
+    fn name(&self) -> &str {
+        "both"
+    }
     fn weight(&self, step: usize) -> Option<f64> {
-        let (a, b) = (Objective::<Sph<R>>::weight(&self.0, step), Objective::<Sph<R>>::weight(&self.1, step));
-        a.or(b)
+        self.0.weight(step).or(self.1.weight(step))
     }
-    fn value(&self, run: &mut Solver<R>) -> Result<f64, SolverError> {
-        let warmth = if run.step == self.1.steps { self.1.value(run)? } else { 0.0 };
-        Ok(1e3 * self.0.value(run)? + warmth)
-    }
-    fn tensor(&self, run: &TensorSolver<R>, state: &candle_core::Tensor) -> Result<candle_core::Tensor, SolverError> {
-        let failed = |source| SolverError::Tensor { step: run.step, source };
-        let q = self.0.tensor(run, state)?.affine(1e3, 0.0).map_err(failed)?;
-        match run.step == self.1.steps {
-            true => (q + self.1.tensor(run, state)?).map_err(failed),
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
+        let q = self.0.value(fields)?.affine(1e3, 0.0)?;
+        match fields.step == self.1.steps {
+            true => q + self.1.value(fields)?,
             false => Ok(q),
         }
     }
@@ -78,29 +79,26 @@ impl<R: Real> Objective<Sph<R>> for Both {
 
 /// An objective that looks at steps within, at the start and at the end of segments. Targets over the hot section,
 /// where a short run has heat already.
-fn objective<R: Real>(channel: &HeatedChannel<R>) -> Both {
+fn objective<R: Sweeps>(channel: &HeatedChannel<R>) -> Both {
     let steps = channel.steps;
-    let targets = channel.objective.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
+    let mut outflow = channel.objective.clone();
+    let targets = outflow.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
+    outflow.interpolation.targets = std::sync::Arc::new(targets);
     let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
-    let outflow = Outflow {
-        targets: std::sync::Arc::new(targets),
-        samples: BTreeMap::from(samples),
-        ..channel.objective.clone()
-    };
-    let row = channel.model.layout.temperature();
-    Both(outflow, FinalSum { steps, row, rows: 1, squared: false, fluid_only: true })
+    outflow.samples = Samples(BTreeMap::from(samples));
+    Both(outflow, FinalSum { steps, of: Summed::Heat })
 }
 
-fn run<R: Real>(channel: &HeatedChannel<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
-    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+fn run<R: Sweeps>(channel: &HeatedChannel<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     gradient(&dynamics, start, &schedule, &objective(channel), &mut |_| ()).unwrap()
 }
 
-fn numbers<R: Real>(gradient: &Gradient) -> Vec<R> {
+fn numbers<R: Sweeps>(gradient: &Gradient) -> Vec<R> {
     gradient.state.flatten_all().unwrap().to_vec1::<R>().unwrap()
 }
 
-fn segments_equal_one_tape<R: Real>() {
+fn segments_equal_one_tape<R: Sweeps>() {
     let steps = 60;
     // A new list every few steps: segments begin with lists of their own age, and rebuild them at their own times.
     let (channel, start) = channel::<R>(steps, &["time.cfl=0.5", "time.skin=0.4"]);
@@ -153,9 +151,8 @@ fn segments_equal_one_tape_bit_for_bit_in_f32() {
 fn a_truncated_gradient_is_that_of_the_last_steps() {
     let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
     let (channel, start) = channel::<f64>(40, &[]);
-    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
-    let warmth =
-        |steps| FinalSum { steps, row: channel.model.layout.temperature(), rows: 1, squared: true, fluid_only: true };
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
+    let warmth = |steps| FinalSum { steps, of: Summed::SquaredHeat };
     let truncated = gradient(&dynamics, &start, &Schedule::truncated(40, 15, 4), &warmth(40), &mut |_| ()).unwrap();
     // The same run by hand: 25 steps, then a gradient over what remains.
     let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
@@ -174,9 +171,8 @@ fn composed_operators_give_the_same_gradient() {
     let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
     let (channel, start) = channel::<f64>(12, &[]);
     let of = |kernels| {
-        let dynamics = Sph { model: channel.model.clone(), kernels };
-        let row = channel.model.layout.temperature();
-        let warmth = FinalSum { steps: 12, row, rows: 1, squared: false, fluid_only: true };
+        let dynamics = Sph::new(channel.model.clone(), kernels);
+        let warmth = FinalSum { steps: 12, of: Summed::Heat };
         numbers::<f64>(&gradient(&dynamics, &start, &Schedule::segments(12, 5), &warmth, &mut |_| ()).unwrap())
     };
     let (fused, composed) = (of(Kernels::Fused), of(Kernels::Composed));
@@ -189,10 +185,10 @@ fn composed_operators_give_the_same_gradient() {
 }
 
 /// A gradient's peak of the bytes that the executor holds and of all that is allocated, each measured and predicted.
-fn peak<R: Real>(steps: usize, schedule: Schedule) -> [(f64, f64); 2] {
+fn peak<R: Sweeps>(steps: usize, schedule: Schedule) -> [(f64, f64); 2] {
     let scene = || channel::<R>(steps, &["time.cfl=0.5"]);
     let (warm, start) = scene();
-    let dynamics = Sph { model: warm.model.clone(), kernels: Kernels::Fused };
+    let dynamics = Sph::new(warm.model.clone(), Kernels::Fused);
     let costs = dynamics.costs_from(&start.state).unwrap();
     // Once for what any run leaves, such as thread pools. Then a scene of its own: a model's scratch buffers are part of
     // what a gradient takes.

@@ -2,21 +2,21 @@
 
 mod support;
 
-use candle_core::{Device, Tensor, Var};
+use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
-use hydrograd::adjoint::segments::{gradient, Objective, Sph};
+use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::optimise;
-use hydrograd::design::parametrisation::Deform;
 use hydrograd::design::shape::Shape;
 use hydrograd::design::{diagnostics, diagnostics::start};
-use hydrograd::numerics::lanes::Real;
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::heated_channel::HeatedChannel;
-use support::final_sum::FinalSum;
+use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::Sweeps;
+use support::final_sum::{FinalSum, Summed};
 
-fn scene<R: Real>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {
+fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
     let shape = Shape::from_config(&config).unwrap();
@@ -108,20 +108,6 @@ fn the_adjoint_of_the_deformation_is_its_derivative() {
             assert!((adjoint[k] - expected).abs() < 1e-10, "{sets:?}: variable {k}: {} is not {expected}", adjoint[k]);
             assert!(adjoint[k] != 0.0);
         }
-        // On the graph: the same values, the same gradient.
-        let variable = Var::from_vec(offsets.clone(), offsets.len(), &Device::Cpu).unwrap();
-        let op = Deform::<f64>(deformation.clone(), std::marker::PhantomData);
-        let state = variable.apply_op1(op).unwrap();
-        let (rows, n) = (channel.model.layout.state_rows(), channel.model.particles());
-        assert_eq!(state.dims(), [rows, n]);
-        assert_eq!(state.flatten_all().unwrap().to_vec1::<f64>().unwrap(), deformation.state::<f64>(&offsets));
-        let bar = Tensor::from_vec(bar, (rows, n), &Device::Cpu).unwrap();
-        let gradients = (state * bar).unwrap().sum_all().unwrap().backward().unwrap();
-        assert_eq!(gradients.get(&variable).unwrap().to_vec1::<f64>().unwrap(), adjoint);
-        // Single precision: offsets stay in f64.
-        let op = Deform::<f32>(deformation.clone(), std::marker::PhantomData);
-        let single = variable.apply_op1(op).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(single, deformation.state::<f32>(&offsets));
     }
 }
 
@@ -138,12 +124,12 @@ fn a_truncated_gradient_drops_what_the_fluid_was() {
 }
 
 /// Gradient of an objective by the offsets, without regularisation.
-fn design_gradient<R: Real, O: Objective<Sph<R>> + Sync>(
+fn design_gradient<R: Sweeps, O: Objective>(
     channel: &HeatedChannel<R>,
     offsets: &[f64],
     objective: &O,
 ) -> (f64, Vec<f64>) {
-    let dynamics = Sph { model: channel.model.clone(), kernels: Kernels::Fused };
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     let schedule = Schedule::segments(channel.steps, 20);
     let found = gradient(&dynamics, &start(channel, offsets), &schedule, objective, &mut |_| ()).unwrap();
     let bar = found.state.flatten_all().unwrap().to_vec1::<R>().unwrap();
@@ -183,15 +169,15 @@ fn design_gradient_over_500_steps_is_the_derivative() {
 }
 
 /// Relative to the f64 gradient's norm.
-fn single_precision_error<O>(steps: usize, cfl: &str, objective: impl Fn(usize, usize) -> Option<O>) -> (f64, f64)
+fn single_precision_error<O>(steps: usize, cfl: &str, objective: impl Fn(usize) -> Option<O>) -> (f64, f64)
 where
-    O: Objective<Sph<f64>> + Objective<Sph<f32>> + Sync,
+    O: Objective,
 {
     let (steps_set, cfl_set) = (format!("time.steps={steps}"), format!("time.cfl={cfl}"));
     let sets = [steps_set.as_str(), cfl_set.as_str(), "objective.window=0"];
     let (_, shape, double) = scene::<f64>(&sets);
     let single = scene::<f32>(&sets).2;
-    let chosen = objective(steps, double.model.layout.temperature());
+    let chosen = objective(steps);
     let ((_, exact), (_, found)) = match &chosen {
         Some(o) => (design_gradient(&double, &shape.offsets, o), design_gradient(&single, &shape.offsets, o)),
         None => (
@@ -203,20 +189,20 @@ where
     (norm(&gap) / norm(&exact), norm(&exact))
 }
 
-/// JAX-SPH's f32 gradient of 2000 steps is 1e23 times too large: self pairs in sums of kernel slopes (DESIGN.md 3).
+/// JAX-SPH's f32 gradient of 2000 steps is 1e23 times too large: self pairs in sums of kernel slopes.
 #[test]
 fn single_precision_gradient_agrees_with_double() {
-    let warmth = |steps, row| Some(FinalSum { steps, row, rows: 1, squared: false, fluid_only: true });
+    let warmth = |steps| Some(FinalSum { steps, of: Summed::Heat });
     let mut cases = Vec::new();
     for steps in [20, 100, 500, 2000] {
-        cases.push(("Q", steps, single_precision_error(steps, "0.25", |_, _| None::<FinalSum>)));
+        cases.push(("Q", steps, single_precision_error(steps, "0.25", |_| None::<FinalSum>)));
     }
     // Q has barely seen the wall after 20 steps; the fluid's heat has.
     for steps in [20, 100, 500] {
         cases.push(("heat", steps, single_precision_error(steps, "0.25", warmth)));
     }
     // The largest time step of a usual run.
-    cases.push(("Q at cfl 2", 100, single_precision_error(100, "2.0", |_, _| None::<FinalSum>)));
+    cases.push(("Q at cfl 2", 100, single_precision_error(100, "2.0", |_| None::<FinalSum>)));
     for (name, steps, (error, norm)) in cases {
         println!("{name}, {steps} steps: f32 differs by {error:.1e} (|gradient| {norm:.3e})");
         assert!(error <= 1e-3, "{name}, {steps} steps: f32 differs by {error:e} of {norm:e}");

@@ -1,15 +1,15 @@
 //! Verification flows against their exact solutions.
 
-use hydrograd::numerics::lanes::Real;
 use hydrograd::scene::flow::{Flow, FlowFigures};
 use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
 use hydrograd::scene::poiseuille::Poiseuille;
 use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
 use hydrograd::scene::taylor_green::TaylorGreen;
 use hydrograd::sph::solver::Solver;
+use hydrograd::sph::Sweeps;
 
 /// Figures after every step up to `end`, the start first.
-fn run<R: Real>(flow: &Flow<R>, end: f64) -> Vec<FlowFigures> {
+fn run<R: Sweeps>(flow: &Flow<R>, end: f64) -> Vec<FlowFigures> {
     let steps = (end / flow.model.dt).round() as usize;
     let mut solver = Solver::new(flow.model.clone(), flow.state.clone()).unwrap();
     let mut all = vec![flow.figures(&solver.state, 0.0)];

@@ -1,9 +1,9 @@
 //! The neighbour list against brute force.
 
-use hydrograd::particles::NeighbourList;
 use hydrograd::numerics::lanes::Real;
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::particles::neighbour_list::NeighbourError;
+use hydrograd::particles::NeighbourList;
 use hydrograd::particles::{tag, Domain};
 use rand_chacha::ChaCha8Rng;
 

@@ -3,24 +3,26 @@
 mod support;
 
 use candle_core::{DType, Device, Tensor, Var};
+use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
-use hydrograd::adjoint::segments::{gradient, Sph};
-use hydrograd::config::scene::Config;
+use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::diagnostics::start;
 use hydrograd::design::shape::Shape;
-use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::candle::{apply1, apply2};
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::sph::chain::{Chain, Step};
+use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::model::Model;
 use hydrograd::sph::operators::composed::{quintic, Pairs};
-use hydrograd::sph::operators::interpolation::{Interpolation, Mode};
+use hydrograd::sph::operators::interpolation::Interpolation;
 use hydrograd::sph::operators::{assemble, density, drift, rates, wall_condition};
-use hydrograd::sph::solver::Solver;
-use hydrograd::sph::step::{Chain, Step};
+use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
+use hydrograd::sph::Sweeps;
 use std::sync::Arc;
-use support::final_sum::FinalSum;
+use support::final_sum::{FinalSum, Summed};
 use support::random_scene::{permute, Options, RandomScene, DX};
 
 /// Fused against composed, relative to the largest value of the row.
@@ -52,7 +54,7 @@ impl Operator {
     }
 }
 
-fn tensor<R: Real>(values: &[R], n: usize) -> Tensor {
+fn tensor<R: Sweeps>(values: &[R], n: usize) -> Tensor {
     Tensor::from_slice(values, (values.len() / n, n), &Device::Cpu).unwrap()
 }
 
@@ -62,22 +64,24 @@ fn numbers(tensor: &Tensor) -> Vec<f64> {
 }
 
 /// Every operator of a step on the states that a step of this scene gives it.
-fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
+fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
     let (model, n) = (scene.model::<R>(), scene.particles());
     let state = tensor(&scene.state::<R>(), n);
-    let moved = Step::drift(&model, model.dt, &state, true).unwrap();
+    let moved = apply1(drift::Drift(model.clone(), model.dt), &state).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
-    let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
-    let primitives = moved.apply_op2(&density, wall_condition::Primitives(Chain::new(step.clone()))).unwrap();
-    let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step.clone()))).unwrap();
+    let density = apply1(density::Density(Chain::new(step.clone())), &moved).unwrap();
+    let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
+    let rates = apply2(rates::Rates(Chain::new(step.clone())), &moved, &primitives).unwrap();
     let targets = targets(&model, scene);
-    let interpolation = |mode: Mode| Interpolation { step: step.clone(), targets: targets.clone(), mode };
+    let interpolation = Interpolation { kernel: model.kernel, domain: model.domain, targets, kernels: Kernels::Fused };
+    let taken: Arc<Vec<bool>> = Arc::new((0..n).map(|i| i % 7 != 3).collect());
+    let (position, fields) = (moved.narrow(0, 0, model.layout.dimension).unwrap(), primitives.clone());
 
     let supported = supported(&step, &moved);
     let mut all = Vec::new();
     let mut add = |name, inputs: &[&Tensor], fused: Function, composed: Function| {
         let inputs = inputs.iter().map(|t| (*t).clone()).collect();
-        let seen = (name == "primitives").then(|| supported.clone());
+        let seen = (name == "wall condition").then(|| supported.clone());
         all.push(Operator { name, inputs, fused, composed, seen });
     };
     let (m, dt) = (model.clone(), model.dt);
@@ -85,64 +89,62 @@ fn operators<R: Real>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "drift",
         &[&state],
-        Box::new(move |t| t[0].apply_op1(drift::Drift(m.clone(), dt))),
+        Box::new(move |t| apply1(drift::Drift(m.clone(), dt), &t[0])),
         Box::new(move |t| drift::composed(&m2, dt, &t[0])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
         "density",
         &[&moved],
-        Box::new(move |t| t[0].apply_op1(density::Density(Chain::new(s.clone())))),
+        Box::new(move |t| apply1(density::Density(Chain::new(s.clone())), &t[0])),
         Box::new(move |t| density::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
-        "primitives",
+        "wall condition",
         &[&moved, &density],
-        Box::new(move |t| t[0].apply_op2(&t[1], wall_condition::Primitives(Chain::new(s.clone())))),
+        Box::new(move |t| apply2(wall_condition::WallCondition(Chain::new(s.clone())), &t[0], &t[1])),
         Box::new(move |t| wall_condition::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
         "rates",
         &[&moved, &primitives],
-        Box::new(move |t| t[0].apply_op2(&t[1], rates::Rates(Chain::new(s.clone())))),
+        Box::new(move |t| apply2(rates::Rates(Chain::new(s.clone())), &t[0], &t[1])),
         Box::new(move |t| rates::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
-        "advance",
+        "assemble",
         &[&moved, &rates],
-        Box::new(move |t| t[0].apply_op2(&t[1], assemble::Advance(Chain::new(s.clone())))),
+        Box::new(move |t| apply2(assemble::Assemble(Chain::new(s.clone())), &t[0], &t[1])),
         Box::new(move |t| assemble::composed(&s2, &t[0], &t[1])),
     );
-    for (name, mode) in [
-        ("interpolation over fluid", Mode::Fluid),
-        ("interpolation over fluid and walls", Mode::FluidAndWalls),
-        ("interpolation of fluxes", Mode::Flux),
-    ] {
-        let (of_fused, of_composed) = (interpolation(mode), interpolation(mode));
-        add(
-            name,
-            &[&moved, &primitives],
-            Box::new(move |t| t[0].apply_op2(&t[1], of_fused.clone())),
-            Box::new(move |t| of_composed.composed(&t[0], &t[1])),
-        );
-    }
-    let (s, s2) = (step.clone(), step);
+    let (of_fused, of_composed) = (interpolation.clone(), interpolation);
+    let (t1, t2) = (taken.clone(), taken);
     add(
-        "step",
-        &[&state],
-        Box::new(move |t| s.fused(&Step::drift(&s.model, s.model.dt, &t[0], true)?, None)),
-        Box::new(move |t| s2.composed(&Step::drift(&s2.model, s2.model.dt, &t[0], false)?)),
+        "interpolation",
+        &[&position, &fields],
+        Box::new(move |t| of_fused.sums(&t[0], &t[1], &t1)),
+        Box::new(move |t| of_composed.composed(&t[0], &t[1], &t2)),
     );
+    let first = Snapshot::first(&model, scene.state::<R>());
+    let run = move |kernels| {
+        let (model, first) = (model.clone(), first.clone());
+        let advance = move |t: &[Tensor]| {
+            let mut run = TensorSolver::restore(model.clone(), &first, kernels).unwrap();
+            run.advance(&t[0]).map_err(|e| candle_core::Error::Msg(e.to_string()))
+        };
+        Box::new(advance) as Function
+    };
+    add("step", &[&state], run(Kernels::Fused), run(Kernels::Composed));
     all
 }
 
 /// 1 for fluid, and for walls that fluid supports. The averages of a wall whose only fluid neighbour is about to leave
 /// its support change from one thing to another within 1e-3 spacings and are ill-conditioned there: no difference
 /// quotient resolves that, and rounding shows. What such a wall adds to the fluid is as small as its weights.
-fn supported<R: Real>(step: &Arc<Step<R>>, moved: &Tensor) -> Tensor {
+fn supported<R: Sweeps>(step: &Arc<Step<R>>, moved: &Tensor) -> Tensor {
     let (model, n) = (&*step.model, step.model.particles());
     let pairs = Pairs::new(step, moved).unwrap();
     let fluid = pairs.other(&pairs.is_fluid).unwrap();
@@ -153,7 +155,7 @@ fn supported<R: Real>(step: &Arc<Step<R>>, moved: &Tensor) -> Tensor {
 }
 
 /// Points between particles, across the periodic seam, and one on top of a particle.
-fn targets<R: Real>(model: &Model<R>, scene: &RandomScene) -> Arc<Vec<[f64; 3]>> {
+fn targets<R: Sweeps>(model: &Model<R>, scene: &RandomScene) -> Arc<Vec<[f64; 3]>> {
     let (n, size) = (model.particles(), scene.size);
     let mut targets: Vec<[f64; 3]> =
         (0..7).map(|k| [0.05 * DX + 0.13 * k as f64 * size[0], 0.25 * size[1] + k as f64 * DX, 0.01]).collect();
@@ -301,13 +303,13 @@ fn direction(input: &Tensor, n: usize, dimension: usize, normal: &mut Normal) ->
 }
 
 /// Rates of a scene, and the mass of every particle.
-fn rates_of<R: Real>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
+fn rates_of<R: Sweeps>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
     let (model, n) = (scene.model::<R>(), scene.particles());
-    let moved = Step::drift(&model, model.dt, &tensor(&scene.state::<R>(), n), true).unwrap();
+    let moved = apply1(drift::Drift(model.clone(), model.dt), &tensor(&scene.state::<R>(), n)).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
-    let density = moved.apply_op1(density::Density(Chain::new(step.clone()))).unwrap();
-    let primitives = moved.apply_op2(&density, wall_condition::Primitives(Chain::new(step.clone()))).unwrap();
-    let rates = moved.apply_op2(&primitives, rates::Rates(Chain::new(step))).unwrap();
+    let density = apply1(density::Density(Chain::new(step.clone())), &moved).unwrap();
+    let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
+    let rates = apply2(rates::Rates(Chain::new(step)), &moved, &primitives).unwrap();
     let mass = match scene.options.mass {
         true => scene.state[model.layout.state_mass() * n..].to_vec(),
         false => vec![model.mass; n],
@@ -416,7 +418,7 @@ fn single_precision_agrees_with_double() {
                 .map(|(single, double)| difference(&single.to_dtype(DType::F64).unwrap(), double))
                 .fold(0.0, f64::max);
             // Averages of walls with little support divide by small sums of weights.
-            let allowed = if double.name == "primitives" { 2e-3 } else { 2e-5 };
+            let allowed = if double.name == "wall condition" { 2e-3 } else { 2e-5 };
             let what = format!("{}, {options:?}", double.name);
             assert!(value_gap <= allowed, "{what}: values differ by {value_gap:e}");
             assert!(gradient_gap <= allowed, "{what}: gradients differ by {gradient_gap:e}");
@@ -461,9 +463,8 @@ fn state_and_gradient_of_a_run() {
     let start = start::<f64>(&channel, &shape.offsets);
     let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
     (0..50).for_each(|_| solver.advance().unwrap());
-    let dynamics = Sph { model: channel.model.clone(), kernels: config.run.kernels };
-    let warmth =
-        FinalSum { steps: 50, row: channel.model.layout.temperature(), rows: 1, squared: true, fluid_only: true };
+    let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
+    let warmth = FinalSum { steps: 50, of: Summed::SquaredHeat };
     let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
     let mut numbers = solver.state.clone();
     numbers.extend(self::numbers(&found.state));

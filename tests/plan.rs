@@ -3,8 +3,8 @@
 mod support;
 
 use hydrograd::adjoint::schedule::{Costs, Schedule};
-use hydrograd::particles::NeighbourList;
 use hydrograd::particles::tag;
+use hydrograd::particles::NeighbourList;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::plan::{sound_speed, Plan};
 use support::random_scene::{Options, RandomScene};
@@ -94,7 +94,7 @@ fn pairs_and_dead_walls_are_counted() {
             }
             r * r
         };
-        i != j && (0..2).map(square).sum::<f64>() < model.reach().powi(2)
+        i != j && (0..2).map(square).sum::<f64>() < model.reach().distance().powi(2)
     };
     let fluid = |i: usize| scene.tags[i] == tag::FLUID;
     let reached: Vec<usize> =
@@ -104,7 +104,7 @@ fn pairs_and_dead_walls_are_counted() {
     assert!(dead > 0, "the scene should have walls that no fluid reaches");
     assert_eq!(plan.particles.walls_without_row, dead);
     assert!(has(&plan, &format!("rows of {dead} wall particles")));
-    let list = NeighbourList::build(&state[..2 * n], &scene.tags, &model.domain, model.reach(), 0).unwrap();
+    let list = NeighbourList::build(&state[..2 * n], &scene.tags, &model.domain, model.reach().distance(), 0).unwrap();
     assert_eq!((plan.list.bytes, plan.list.capacity), (list.bytes(), list.capacity));
     let pairs: usize = plan.operators.iter().filter(|o| o.name != "rates").map(|o| o.pairs).sum();
     assert_eq!(pairs, plan.list.directed_pairs);

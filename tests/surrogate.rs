@@ -3,6 +3,7 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::dataset::Metadata;
+use hydrograd::numerics::candle::{apply2, apply3};
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::models::egnn::Egnn;
 use hydrograd::surrogate::models::gns::{Gns, Sizes};
@@ -138,7 +139,7 @@ fn fused_perceptron_is_composed() {
         for rows in [1, 37, 1500] {
             let (x, p) = (random(&[rows, shape.inputs], 11), random(&[shape.parameters()], 12));
             let memory = Memory::<f64>::default();
-            let fused = || x.apply_op2(&p, Mlp::<f64>::new(shape, &memory)).unwrap();
+            let fused = || apply2(Mlp::<f64>::new(shape, &memory), &x, &p).unwrap();
             let composed = || composed::mlp(&shape, &x, &p).unwrap();
             assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12, "{shape:?} {rows}");
             let (a, b) = (weighted(&fused()).backward().unwrap(), weighted(&composed()).backward().unwrap());
@@ -164,7 +165,7 @@ fn fused_rounds_are_composed() {
         let memory = Memory::<f64>::default();
         let fused = || {
             let op = Rounds::<f64>::new(&graph, (latent, latent, linears), rounds, true, &memory, None);
-            x.apply_op3(&y, &p, op).unwrap()
+            apply3(op, &x, &y, &p).unwrap()
         };
         let composed = || {
             let (mut a, mut b) = (x.as_tensor().clone(), y.as_tensor().clone());

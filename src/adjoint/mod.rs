@@ -1,4 +1,9 @@
-//! Gradients of long runs in bounded memory.
+//! Gradients of long runs in bounded memory: of anything that advances in steps. Knows no SPH.
 pub mod check;
+pub mod dynamics;
+pub mod gradient;
+pub mod run;
 pub mod schedule;
-pub mod segments;
+
+pub use dynamics::{Dynamics, Fields, Objective, RunError};
+pub use run::{run, Observer};

@@ -9,12 +9,12 @@ use crate::design::diagnostics::evaluate;
 use crate::design::optimise;
 use crate::error::Error;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
-use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, uniform};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
+use crate::sph::Sweeps;
 use serde_json::json;
 
 /// Largest relative error of a directional derivative.
@@ -133,7 +133,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     Ok(())
 }
 
-fn gradient<R: Real>(config: &Config) -> anyhow::Result<(Vec<f64>, optimise::Evaluation)> {
+fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<(Vec<f64>, optimise::Evaluation)> {
     let (channel, shape) = build::<R>(config)?;
     let schedule = optimise::schedule(config, &channel)?;
     let found = optimise::evaluate(config, &channel, &schedule, &shape.offsets, &mut |_| ())?;

@@ -5,10 +5,10 @@ use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::start;
 use crate::design::optimise;
 use crate::error::Error;
-use crate::numerics::lanes::Real;
 use crate::scene::flow::Flow;
 use crate::scene::load::Loaded;
 use crate::sph::plan::Plan;
+use crate::sph::Sweeps;
 
 /// Prints the plan of a scene, with that of its gradient if one would be taken.
 pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
@@ -22,7 +22,7 @@ pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn plan<R: Real>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
+fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     let failed = |e: crate::particles::neighbour_list::NeighbourError| {
         Error::run(e.to_string(), "another resolution.dx or time.skin")
     };

@@ -6,11 +6,11 @@ use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::{write_columns, write_table, Cell};
 use crate::io::state_file::{write_state, State};
 use crate::io::vtk::ParticleFrame;
-use crate::numerics::lanes::Real;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::{temperature_particles, TemperaturePanel};
 use crate::scene::load::Loaded;
 use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
 
@@ -85,7 +85,7 @@ pub struct Fields {
 
 impl Fields {
     /// Reads a run's present state; fills its primitives for that.
-    pub fn of<R: Real>(solver: &mut Solver<R>) -> Self {
+    pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Self {
         solver.look();
         let model = solver.model.clone();
         let (n, l) = (model.particles(), model.layout);

@@ -14,12 +14,12 @@ use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, Tensors};
 use crate::io::vtk::VtkSeries;
-use crate::numerics::lanes::Real;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::load::Loaded;
+use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -112,7 +112,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     Ok(())
 }
 
-fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
+fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
     let (channel, shape) = build::<R>(config)?;
     let schedule = optimise::schedule(config, &channel)?;
@@ -156,7 +156,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &st
 }
 
 /// Runs the first and the best design once more, with figures, and writes everything that is made of them.
-fn report<R: Real>(
+fn report<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
     channel: &HeatedChannel<R>,

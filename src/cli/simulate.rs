@@ -5,17 +5,19 @@ use super::files::{self, Fields};
 use super::prepare::{build, difference, set_threads};
 use super::simulate_flow;
 use super::SimulateArguments;
+use crate::adjoint::Dynamics;
 use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, start};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::io::vtk::VtkSeries;
-use crate::numerics::lanes::Real;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
+use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -40,7 +42,7 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
 }
 
-fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
+fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
     let config = &loaded.config;
     let (channel, shape) = build::<R>(config)?;
     let first = match resume {
@@ -67,6 +69,7 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
     };
     let mut before: Option<Fields> = None;
     let resumed = first.step;
+    let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
     let finished = simulate(&channel, config.run.kernels, first, |solver| {
         let step = solver.step;
         if step == resumed {
@@ -79,9 +82,8 @@ fn go<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow:
         }
         if step % history_every == 0 || step == channel.steps {
             write_history(folder, &history)?;
-            let fields = channel.objective.fields(solver);
-            let q = channel.objective.outflow(&fields) / channel.objective.scale * channel.spacing;
-            let flow = channel.spacing * channel.objective.volume_flow(&fields);
+            let flows = channel.objective.numbers(&dynamics.look(solver)?)?;
+            let (q, flow) = (channel.spacing * flows.heat, channel.spacing * flows.volume);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);
             bar.message(format!("Q {q:.5}"));
@@ -162,7 +164,7 @@ pub fn earlier_history(folder: &Path, header: &[&str], time: f64) -> Vec<Vec<f64
 
 /// A run that failed, with advice.
 pub fn diverged(error: anyhow::Error) -> anyhow::Error {
-    if error.downcast_ref::<crate::sph::solver::SolverError>().is_some() {
+    if error.downcast_ref::<crate::adjoint::RunError>().is_some() {
         let advice = "a smaller time step (--set time.cfl=0.5), or a gentler wall (--set design.amplitude=...)";
         return Error::run(error.to_string(), advice).into();
     }
@@ -183,7 +185,7 @@ pub fn check_unfinished(step: usize, steps: usize) -> Result<(), BadInput> {
 /// Keys that may change between a simulation and its continuation.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-pub fn write_checkpoint<R: Real>(path: &Path, solver: &Solver<R>, loaded: &Loaded) -> anyhow::Result<()> {
+pub fn write_checkpoint<R: Sweeps>(path: &Path, solver: &Solver<R>, loaded: &Loaded) -> anyhow::Result<()> {
     let n = solver.model.particles();
     let data = |values: &[R]| Data::F64(values.iter().map(|x| x.f64()).collect());
     let mut tensors: Tensors = BTreeMap::new();
@@ -199,7 +201,7 @@ pub fn write_checkpoint<R: Real>(path: &Path, solver: &Solver<R>, loaded: &Loade
     Ok(write_tensors(path, &tensors, &metadata)?)
 }
 
-pub fn read_checkpoint<R: Real>(
+pub fn read_checkpoint<R: Sweeps>(
     path: &Path,
     config: &Config,
     model: &crate::sph::model::Model<R>,

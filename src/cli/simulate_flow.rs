@@ -2,17 +2,19 @@
 
 use super::files::{self, Fields, VERSION};
 use super::simulate::{check_unfinished, earlier_history, read_checkpoint, write_checkpoint, CHECKPOINTS, HISTORY};
-use crate::adjoint::segments::{Dynamics, Sph};
+use crate::adjoint::Dynamics;
+use crate::adjoint::RunError;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::vtk::VtkSeries;
-use crate::numerics::lanes::Real;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::scene::flow::{Exact, Flow, FlowFigures};
 use crate::scene::load::Loaded;
-use crate::sph::solver::{Snapshot, SolverError};
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Snapshot;
+use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
 use std::sync::Arc;
@@ -20,7 +22,7 @@ use std::sync::Arc;
 /// Points of the exact profile's curve.
 const PROFILE: usize = 100;
 
-pub fn run<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
+pub fn run<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
     let config = &loaded.config;
     let flow = Flow::<R>::from_config(config).ok_or_else(|| BadInput::new("the scene is no verification flow"))?;
     let (model, steps) = (flow.model.clone(), config.steps());
@@ -49,7 +51,7 @@ pub fn run<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> an
     let mut history = resume.map_or(Vec::new(), |from| earlier_history(from, columns, resumed as f64 * dt));
 
     let clock = std::time::Instant::now();
-    let dynamics = Sph { model: model.clone(), kernels: config.run.kernels };
+    let dynamics = Sph::new(model.clone(), config.run.kernels);
     let mut solver = dynamics.start(&first).map_err(failed)?;
     loop {
         let step = solver.step;
@@ -118,7 +120,7 @@ pub fn run<R: Real>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> an
     Ok(())
 }
 
-fn failed(error: SolverError) -> anyhow::Error {
+fn failed(error: RunError) -> anyhow::Error {
     let advice = "a smaller time step: --set time.cfl=0.5, or --set time.diffusion_number=0.125";
     Error::run(error.to_string(), advice).into()
 }
@@ -152,7 +154,7 @@ fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
 }
 
 /// `profile.png` and `.svg`: the velocity along the channel over the height.
-fn plot_profile<R: Real>(folder: &Path, flow: &Flow<R>, fields: &Fields, highest: f64) -> anyhow::Result<()> {
+fn plot_profile<R: Sweeps>(folder: &Path, flow: &Flow<R>, fields: &Fields, highest: f64) -> anyhow::Result<()> {
     let n = flow.model.particles();
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
     let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], fields.velocity[i])).collect();

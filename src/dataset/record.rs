@@ -5,18 +5,20 @@
 
 use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
-use crate::adjoint::segments::{Dynamics, Sph};
+use crate::adjoint::Dynamics;
+use crate::adjoint::RunError;
 use crate::config::scene::{Config, Scene};
 use crate::design::diagnostics::start;
 use crate::design::shape::Shape;
 use crate::error::Error;
-use crate::numerics::lanes::Real;
 use crate::particles::tag;
 use crate::scene::flow::Flow;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::taylor_green::TaylorGreen;
+use crate::sph::dynamics::Sph;
 use crate::sph::model::Model;
-use crate::sph::solver::{Snapshot, Solver, SolverError};
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
 use std::sync::Arc;
 
 /// The box that holds every particle of a data set, walls included.
@@ -48,7 +50,7 @@ impl Frame {
     }
 }
 
-fn stage<R: Real>(config: &Config) -> Result<Stage<R>, Error> {
+fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let dx = config.resolution.dx;
     if let Some(flow) = Flow::<R>::from_config(config) {
         let (model, origin) = (flow.model, flow.corner);
@@ -79,7 +81,7 @@ fn stage<R: Real>(config: &Config) -> Result<Stage<R>, Error> {
 
 /// The cavity's fluid and the innermost row of its walls, as in LagrangeBench: 2708 particles of 3136. The lid's row is
 /// as long as the box.
-fn is_inner<R: Real>(model: &Model<R>, state: &[R], i: usize) -> bool {
+fn is_inner<R: Sweeps>(model: &Model<R>, state: &[R], i: usize) -> bool {
     let (n, dx) = (model.particles(), model.kernel.smoothing_length);
     // How far outside of the fluid's square, which three rows surround.
     let outside = |d: usize| {
@@ -89,7 +91,7 @@ fn is_inner<R: Real>(model: &Model<R>, state: &[R], i: usize) -> bool {
     outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
 }
 
-fn snapshot<R: Real>(model: &Model<R>, state: Vec<R>) -> Snapshot<R> {
+fn snapshot<R: Sweeps>(model: &Model<R>, state: Vec<R>) -> Snapshot<R> {
     let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
     Snapshot { step: 0, state, reference }
 }
@@ -98,7 +100,7 @@ fn snapshot<R: Real>(model: &Model<R>, state: Vec<R>) -> Snapshot<R> {
 ///
 /// # Errors
 /// The run diverges, or a particle leaves the box.
-pub fn record<R: Real>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<Trajectory> {
+pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<Trajectory> {
     let config = &ready.config;
     let mut stage = stage::<R>(config)?;
     if let Some((rest, steps)) = &ready.relaxation {
@@ -106,7 +108,7 @@ pub fn record<R: Real>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<Tra
         restart(config, &stage.model, &mut stage.start, &relaxed);
     }
     let model = stage.model.clone();
-    let dynamics = Sph { model: model.clone(), kernels: config.run.kernels };
+    let dynamics = Sph::new(model.clone(), config.run.kernels);
     let mut solver = dynamics.start(&stage.start).map_err(|error| failed(ready, error))?;
     let (frames, dimension, n) = (frames(ready), stage.frame.dimension, stage.kept.len());
     let mut trajectory = Trajectory {
@@ -157,7 +159,7 @@ fn kind_of(tag: u8) -> i32 {
 }
 
 /// Appends the positions `[N, D]` of a frame.
-fn write_positions<R: Real>(
+fn write_positions<R: Sweeps>(
     ready: &Ready,
     stage: &Stage<R>,
     solver: &Solver<R>,
@@ -188,7 +190,7 @@ fn write_positions<R: Real>(
 
 /// Temperatures `[N]` of the present state. Walls of set temperature have that one; others what the solver extrapolates
 /// to them, and where no fluid is in reach the last that they had.
-fn look_at_temperatures<R: Real>(config: &Config, solver: &mut Solver<R>, last: &mut [f64]) {
+fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last: &mut [f64]) {
     solver.look();
     let model = solver.model.clone();
     let (n, Some(heat)) = (model.particles(), &model.heat) else { return };
@@ -211,9 +213,9 @@ fn look_at_temperatures<R: Real>(config: &Config, solver: &mut Solver<R>, last: 
 }
 
 /// Positions `[D, N]` after a run from rest without forces: disordered and evenly spread.
-fn relaxed<R: Real>(config: &Config, steps: usize) -> Result<Vec<R>, SolverError> {
+fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> Result<Vec<R>, RunError> {
     let Some(flow) = Flow::<R>::at_rest(config) else { return Ok(Vec::new()) };
-    let dynamics = Sph { model: flow.model.clone(), kernels: config.run.kernels };
+    let dynamics = Sph::new(flow.model.clone(), config.run.kernels);
     let mut solver = dynamics.start(&snapshot(&flow.model, flow.state))?;
     for _ in 0..steps {
         dynamics.advance(&mut solver)?;
@@ -223,7 +225,7 @@ fn relaxed<R: Real>(config: &Config, steps: usize) -> Result<Vec<R>, SolverError
 }
 
 /// The start of a flow with the fluid at other places, and the velocity that it starts with there.
-fn restart<R: Real>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, position: &[R]) {
+fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, position: &[R]) {
     let (n, l) = (model.particles(), model.layout);
     let vortices = TaylorGreen { dimension: l.dimension, ..Default::default() };
     for i in (0..n).filter(|&i| model.is_fluid(i)) {
@@ -241,7 +243,7 @@ fn restart<R: Real>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, 
     start.reference = Arc::new(start.state[..l.dimension * n].to_vec());
 }
 
-fn failed(ready: &Ready, error: SolverError) -> anyhow::Error {
+fn failed(ready: &Ready, error: RunError) -> anyhow::Error {
     let advice = "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)";
     Error::run(format!("{}: {error}", ready.job), advice).into()
 }

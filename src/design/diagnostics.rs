@@ -1,13 +1,14 @@
 //! What a run of the heated channel did, in numbers that one can check against each other.
 
-use super::objective::Outflow;
-use crate::adjoint::segments::{Dynamics, Sph};
+use super::objectives::HeatOutflow;
+use crate::adjoint::gradient::value;
+use crate::adjoint::{Dynamics, Objective, RunError};
 use crate::config::scene::Kernels;
-use crate::numerics::lanes::Real;
 use crate::scene::heated_channel::HeatedChannel;
+use crate::sph::dynamics::Sph;
 use crate::sph::laws::conduction;
-use crate::sph::solver::{Snapshot, Solver, SolverError};
-use std::sync::Arc;
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
 
 /// Most samples of the window that the averages take.
 const SAMPLES: usize = 100;
@@ -41,14 +42,14 @@ pub struct Finished<R> {
 }
 
 /// Runs a design forward and measures it. `visit` sees the run after each step (and before the first).
-pub fn simulate<R: Real>(
+pub fn simulate<R: Sweeps>(
     channel: &HeatedChannel<R>,
     kernels: Kernels,
     start: Snapshot<R>,
     mut visit: impl FnMut(&mut Solver<R>) -> anyhow::Result<()>,
 ) -> anyhow::Result<Finished<R>> {
     let clock = std::time::Instant::now();
-    let dynamics = Sph { model: channel.model.clone(), kernels };
+    let dynamics = Sph::new(channel.model.clone(), kernels);
     let mut solver = dynamics.start(&start)?;
     let mut measured = Measured::default();
     let first = channel.steps - channel.window;
@@ -57,7 +58,7 @@ pub fn simulate<R: Real>(
     while solver.step < channel.steps {
         dynamics.advance(&mut solver)?;
         if solver.step >= first && (channel.steps - solver.step).is_multiple_of(stride) {
-            measured.sample(channel, &mut solver);
+            measured.sample(channel, &dynamics, &mut solver)?;
         }
         if solver.step % 64 == 0 || solver.step == channel.steps {
             solver.check_finite()?;
@@ -69,21 +70,20 @@ pub fn simulate<R: Real>(
 }
 
 /// The start of a design.
-pub fn start<R: Real>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Snapshot<R> {
-    let state = channel.deformation.state::<R>(offsets);
-    let positions = state[..channel.model.layout.dimension * channel.model.particles()].to_vec();
-    Snapshot { step: 0, state, reference: Arc::new(positions) }
+pub fn start<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Snapshot<R> {
+    Snapshot::first(&channel.model, channel.deformation.state::<R>(offsets))
 }
 
 /// Q of a design by the objective alone.
-pub fn evaluate<R: Real>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<f64, SolverError> {
-    let mut solver = Solver::restore(channel.model.clone(), &start(channel, offsets))?;
+pub fn evaluate<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<f64, RunError> {
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
+    let mut solver = dynamics.start(&start(channel, offsets))?;
     let mut q = 0.0;
     while solver.step < channel.steps {
         solver.advance()?;
-        if let Some(weight) = channel.objective.samples.get(&solver.step) {
-            let fields = channel.objective.fields(&mut solver);
-            q += weight * channel.objective.outflow(&fields);
+        if let Some(weight) = channel.objective.weight(solver.step) {
+            let fields = dynamics.look(&mut solver)?;
+            q += weight * value(&channel.objective, &fields).map_err(RunError::tensor(solver.step))?;
         }
     }
     Ok(q)
@@ -104,17 +104,22 @@ struct Measured {
 }
 
 impl Measured {
-    fn sample<R: Real>(&mut self, channel: &HeatedChannel<R>, solver: &mut Solver<R>) {
-        let (model, objective): (_, &Outflow) = (channel.model.clone(), &channel.objective);
+    fn sample<R: Sweeps>(
+        &mut self,
+        channel: &HeatedChannel<R>,
+        dynamics: &Sph<R>,
+        solver: &mut Solver<R>,
+    ) -> anyhow::Result<()> {
+        let (model, objective): (_, &HeatOutflow) = (channel.model.clone(), &channel.objective);
         let (n, l) = (model.particles(), model.layout);
-        let fields = objective.fields(solver);
+        let flows = objective.numbers(&dynamics.look(solver)?)?;
         let scale = channel.spacing;
         self.count += 1.0;
-        self.q += objective.outflow(&fields) / objective.scale * scale;
-        self.flow += scale * objective.volume_flow(&fields);
-        self.mass_flow += scale * objective.mass_flow(&fields);
+        self.q += scale * flows.heat;
+        self.flow += scale * flows.volume;
+        self.mass_flow += scale * flows.mass;
         let step = solver.step_now();
-        let target_x = objective.targets[0][0];
+        let target_x = objective.place();
         self.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
@@ -131,9 +136,10 @@ impl Measured {
         self.density += density / fluids;
         self.u_max += fastest;
         self.heat.push((solver.step as f64 * model.dt, heat));
+        Ok(())
     }
 
-    fn finish<R: Real>(self, channel: &HeatedChannel<R>) -> Diagnostics {
+    fn finish<R: Sweeps>(self, channel: &HeatedChannel<R>) -> Diagnostics {
         let mean = |sum: f64| sum / self.count.max(1.0);
         let inlet = channel.model.heat.as_ref().map_or(0.0, |h| h.reference);
         let stored = slope(&self.heat);

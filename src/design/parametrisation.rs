@@ -6,9 +6,6 @@
 //! it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is linear in the offsets.
 
 use crate::numerics::lanes::Real;
-use crate::sph::step::{input, output, read};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
-use std::sync::Arc;
 
 /// The map offsets `[K]` -> state `[F, N]`.
 #[derive(Debug, Clone)]
@@ -77,23 +74,5 @@ impl Deformation {
         for i in (0..n).filter(|&i| is_fluid(i)) {
             state_bar[n + i] = R::default();
         }
-    }
-}
-
-/// [`Deformation`] on the graph: offsets `[K]` in f64 -> state `[F, N]` in the run's precision.
-pub struct Deform<R>(pub Arc<Deformation>, pub std::marker::PhantomData<R>);
-
-impl<R: Real> CustomOp1 for Deform<R> {
-    fn name(&self) -> &'static str {
-        "deform"
-    }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        let state: Vec<R> = self.0.state(input::<f64>(s, l)?);
-        let rows = state.len() / self.0.particles;
-        Ok(output(state, (rows, self.0.particles)))
-    }
-    fn bwd(&self, offsets: &Tensor, _: &Tensor, state_bar: &Tensor) -> Result<Option<Tensor>> {
-        let gradient = read(&state_bar.contiguous()?, |bar: &[R]| Ok(self.0.adjoint(bar)))?;
-        Ok(Some(Tensor::from_vec(gradient, offsets.dims(), offsets.device())?))
     }
 }

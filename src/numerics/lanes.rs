@@ -12,8 +12,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub trait Real:
     WithDType
     + bytemuck::Pod
-    // Not a property of a number, but of the two that the kernels are compiled for.
-    + crate::sph::sweeps::Sweeps
     + Default
     + PartialOrd
     + Neg<Output = Self>

@@ -4,11 +4,12 @@ use super::flow::{Flow, Numerics};
 use super::heated_channel::HeatedChannel;
 use super::poiseuille::Poiseuille;
 use super::taylor_green::TaylorGreen;
+use crate::adjoint::RunError;
 use crate::config::scene::{Config, Kernels, Precision};
 use crate::design::diagnostics::{simulate, start};
 use crate::design::shape::Shape;
-use crate::numerics::lanes::Real;
-use crate::sph::solver::{Solver, SolverError};
+use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
 use serde::Serialize;
 use std::f64::consts::{LN_2, PI};
 use std::time::Instant;
@@ -118,7 +119,7 @@ fn even_steps(end: f64, limit: f64) -> (usize, f64) {
 
 impl Run {
     /// The flow with a time step that divides the run, and the number of steps.
-    fn flow<R: Real>(&self) -> Option<(Flow<R>, usize)> {
+    fn flow<R: Sweeps>(&self) -> Option<(Flow<R>, usize)> {
         match self {
             Self::TaylorGreen(scene) => {
                 let (steps, dt) = even_steps(scene.half_life(), scene.time_step());
@@ -142,7 +143,7 @@ impl Run {
         }
     }
 
-    fn point<R: Real>(&self, precision: Precision) -> anyhow::Result<Point> {
+    fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<Point> {
         let (scene, spacing, velocity_scale, particles, steps, dt, (seconds, error)) = match self {
             Self::HeatedChannel(config) => {
                 let channel = HeatedChannel::<R>::new(config, &Shape::from_config(config)?);
@@ -172,7 +173,7 @@ impl Run {
 }
 
 /// Seconds and velocity error of a flow.
-fn velocity<R: Real>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Option<f64>)> {
+fn velocity<R: Sweeps>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Option<f64>)> {
     let mut solver = Solver::new(flow.model.clone(), flow.state.clone())?;
     let clock = Instant::now();
     let result = (0..steps).try_for_each(|_| solver.advance()).and_then(|()| solver.check_finite());
@@ -184,24 +185,24 @@ fn velocity<R: Real>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Optio
 }
 
 /// Seconds and error of Q.
-fn heated_channel<R: Real>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, Option<f64>)> {
+fn heated_channel<R: Sweeps>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, Option<f64>)> {
     let offsets = vec![0.0; channel.deformation.variables];
     let clock = Instant::now();
     match simulate(channel, Kernels::Fused, start(channel, &offsets), |_| Ok(())) {
         Ok(finished) => Ok((finished.seconds, Some((finished.diagnostics.q / HEATED_CHANNEL_Q - 1.0).abs()))),
         Err(error) => {
             let seconds = clock.elapsed().as_secs_f64();
-            diverged(error.downcast::<SolverError>()?).map(|()| (seconds, None))
+            diverged(error.downcast::<RunError>()?).map(|()| (seconds, None))
         }
     }
 }
 
 /// A run that diverged is a result; anything else that went wrong is not.
-fn diverged(error: SolverError) -> anyhow::Result<()> {
+fn diverged(error: RunError) -> anyhow::Result<()> {
     use crate::particles::neighbour_list::NeighbourError::BoxTooSmall;
     match error {
-        SolverError::Tensor { .. } | SolverError::Neighbours { source: BoxTooSmall { .. }, .. } => Err(error.into()),
-        SolverError::Neighbours { .. } | SolverError::NotFinite { .. } => Ok(()),
+        RunError::Tensor { .. } | RunError::Neighbours { source: BoxTooSmall { .. }, .. } => Err(error.into()),
+        RunError::Neighbours { .. } | RunError::NotFinite { .. } => Ok(()),
     }
 }
 

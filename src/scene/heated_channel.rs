@@ -3,8 +3,10 @@
 //! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
-use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation, MassConvention, ObjectiveForm, Start};
-use crate::design::objective::Outflow;
+use crate::config::scene::{
+    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, ObjectiveForm, Start,
+};
+use crate::design::objectives::{HeatOutflow, Samples};
 use crate::design::parametrisation::Deformation;
 use crate::design::shape::Shape;
 use crate::numerics::lanes::Real;
@@ -14,13 +16,14 @@ use crate::sph::kernel::Quintic;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Heat, Layout, Model, Scratch};
+use crate::sph::operators::interpolation::Interpolation;
 use std::sync::Arc;
 
 /// A scene ready to run.
 pub struct HeatedChannel<R> {
     pub model: Arc<Model<R>>,
     pub deformation: Arc<Deformation>,
-    pub objective: Outflow,
+    pub objective: HeatOutflow,
     pub steps: usize,
     /// Steps of the objective's window.
     pub window: usize,
@@ -29,11 +32,6 @@ pub struct HeatedChannel<R> {
 }
 
 impl<R: Real> HeatedChannel<R> {
-    /// Bytes of a neighbour list: about 36 neighbours within the skin, padded to 48.
-    pub fn list_bytes(&self) -> usize {
-        (48 + 4) * 4 * self.model.particles()
-    }
-
     /// Builds the scene of a checked configuration for the nodes of `shape` (its offsets do not matter here).
     pub fn new(config: &Config, shape: &Shape) -> Self {
         let dx = config.resolution.dx;
@@ -148,17 +146,22 @@ impl<R: Real> HeatedChannel<R> {
         let steps = config.steps();
         let window = ((config.objective.window / model.dt).round() as usize).clamp(1, steps);
         // Fluxes: three more targets beyond each wall, so that every particle counts with its whole kernel.
-        let beyond = if config.objective.interpolation == Interpolation::Flux { 3 } else { 0 };
+        let beyond = if config.objective.interpolation == Mode::Flux { 3 } else { 0 };
         let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
         let targets = (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
-        let objective = Outflow {
-            targets: Arc::new(targets),
+        let objective = HeatOutflow {
+            interpolation: Interpolation {
+                kernel: model.kernel,
+                domain: model.domain,
+                targets: Arc::new(targets),
+                kernels: config.run.kernels,
+            },
             scale: match config.objective.form {
                 ObjectiveForm::Flux => dx,
                 ObjectiveForm::Sum => 1.0,
             },
             mode: config.objective.interpolation,
-            samples: Outflow::window(steps, window, config.objective.samples),
+            samples: Samples::window(steps, window, config.objective.samples),
         };
         Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window, spacing: dx }
     }

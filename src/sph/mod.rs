@@ -1,4 +1,6 @@
 //! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
+pub mod chain;
+pub mod dynamics;
 pub mod kernel;
 pub mod laws;
 pub mod model;
@@ -7,3 +9,5 @@ pub mod plan;
 pub mod solver;
 pub mod step;
 pub mod sweeps;
+
+pub use sweeps::Sweeps;

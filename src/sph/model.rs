@@ -2,11 +2,11 @@
 
 use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
-use crate::particles::Domain;
+use crate::particles::{Domain, Reach};
 use crate::sph::kernel::Quintic;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::operators::pairs::Kept;
+use crate::sph::operators::pairs::PairCache;
 use std::sync::Mutex;
 
 /// Which fields exist in a scene, and where they stand in the packed tensors `[fields, N]`.
@@ -144,9 +144,9 @@ impl<R: Real> Model<R> {
     pub fn particles(&self) -> usize {
         self.tags.len()
     }
-    /// Cut-off and skin.
-    pub fn reach(&self) -> f64 {
-        self.kernel.cutoff() + self.skin
+    /// Who the particles are, and how far they see.
+    pub fn reach(&self) -> Reach<'_> {
+        Reach { tags: &self.tags, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin }
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == crate::particles::tag::FLUID
@@ -160,7 +160,7 @@ impl<R: Real> Model<R> {
 #[derive(Debug, Default)]
 pub struct Scratch<R> {
     buffers: Mutex<Vec<Vec<R>>>,
-    kept: Mutex<Vec<Kept<R>>>,
+    caches: Mutex<Vec<PairCache<R>>>,
     /// States that a gradient keeps, and such rounded to single precision.
     pub states: Blocks,
     pub rounded_states: Blocks,
@@ -180,11 +180,11 @@ impl<R: Real> Scratch<R> {
     }
 
     /// For a chain of operators, with arbitrary content that is not marked as such.
-    pub fn take_kept(&self) -> Kept<R> {
-        let kept = self.kept.lock().unwrap_or_else(|e| e.into_inner()).pop().unwrap_or_default();
-        Kept { has_pairs: false, has_records: false, ..kept }
+    pub fn take_cache(&self) -> PairCache<R> {
+        let kept = self.caches.lock().unwrap_or_else(|e| e.into_inner()).pop().unwrap_or_default();
+        PairCache { has_pairs: false, has_records: false, ..kept }
     }
-    pub fn give_back_kept(&self, kept: Kept<R>) {
-        self.kept.lock().unwrap_or_else(|e| e.into_inner()).push(kept);
+    pub fn give_back_cache(&self, kept: PairCache<R>) {
+        self.caches.lock().unwrap_or_else(|e| e.into_inner()).push(kept);
     }
 }

@@ -3,13 +3,14 @@
 //! It is read off the same [`Model`], [`super::model::Layout`] and first neighbour list that the operators run on.
 
 use super::model::Model;
-use super::step::Neighbourhood;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
-use crate::numerics::lanes::{InstructionSet, Real};
+use crate::numerics::lanes::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
+use crate::particles::Neighbourhood;
 use crate::report::table::Table;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::Sweeps;
 use serde::Serialize;
 use std::fmt;
 
@@ -132,8 +133,8 @@ pub struct GradientPlan {
 impl Plan {
     /// The plan of a scene in a state (its positions make the list). `limited_by` says what the time step was chosen
     /// by; a model does not know that.
-    pub fn of<R: Real>(model: &Model<R>, state: &[R], limited_by: Option<String>) -> Result<Self, NeighbourError> {
-        let list = Neighbourhood::build(model, state, 0)?.list;
+    pub fn of<R: Sweeps>(model: &Model<R>, state: &[R], limited_by: Option<String>) -> Result<Self, NeighbourError> {
+        let list = Neighbourhood::build(&model.reach(), state)?.list;
         let fluid = list.fluid_rows.len();
         let walls = list.wall_rows.len();
         let particles =
@@ -156,7 +157,7 @@ impl Plan {
                 neighbours: list.pairs() as f64 / with_neighbours.max(1) as f64,
                 capacity: list.capacity,
                 bytes: list.bytes(),
-                reach: model.reach(),
+                reach: model.reach().distance(),
                 skin: model.skin,
             },
             time_step: TimeStep {
@@ -173,7 +174,7 @@ impl Plan {
     }
 
     /// Adds how the gradient is computed.
-    pub fn with_gradient<R: Real>(
+    pub fn with_gradient<R: Sweeps>(
         mut self,
         model: &Model<R>,
         schedule: &Schedule,
@@ -208,7 +209,7 @@ fn components(name: &str, dimension: usize) -> Vec<String> {
     ["x", "y", "z"][..dimension].iter().map(|c| format!("{name} {c}")).collect()
 }
 
-fn fields<R: Real>(model: &Model<R>) -> Vec<Field> {
+fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
     let l = model.layout;
     let vector = |name: &str| components(name, l.dimension);
     let optional = |wanted: bool, names: Vec<String>| if wanted { names } else { vec![] };
@@ -255,7 +256,7 @@ fn fields<R: Real>(model: &Model<R>) -> Vec<Field> {
         .collect()
 }
 
-fn operators<R: Real>(model: &Model<R>, list: &crate::particles::NeighbourList) -> Vec<Operator> {
+fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList) -> Vec<Operator> {
     let (l, n, number) = (model.layout, model.particles(), std::mem::size_of::<R>());
     let d = l.dimension;
     let row = |rows: usize| rows * n * number;
@@ -344,7 +345,7 @@ fn operators<R: Real>(model: &Model<R>, list: &crate::particles::NeighbourList) 
     all
 }
 
-fn left_out<R: Real>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> {
+fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> {
     let l = model.layout;
     let mut all = Vec::new();
     if !l.heat {
@@ -379,7 +380,7 @@ fn left_out<R: Real>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> {
     all
 }
 
-fn without_adjoint<R: Real>(model: &Model<R>, schedule: &Schedule) -> Vec<Dropped> {
+fn without_adjoint<R: Sweeps>(model: &Model<R>, schedule: &Schedule) -> Vec<Dropped> {
     let mut all = vec![
         dropped("neighbour list", "a sum does not change when a pair outside of the kernel's support comes or goes"),
         dropped("viscosity, masses' constant part, time step, equation of state", "the design does not change them"),

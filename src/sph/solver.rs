@@ -1,25 +1,19 @@
 //! Advancing a state: without a graph (buffers reused), or as candle tensors (a graph per step).
 
+use super::chain::{Chain, Step};
+use super::model::Model;
+use super::operators::composed::Pairs;
+use super::operators::pairs::PairCache;
+use super::operators::{assemble, density, drift, rates, wall_condition};
+use super::step::{self, Execution};
+use super::sweeps::Sweeps;
+use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
+use crate::numerics::candle::{apply1, apply2, read};
 use crate::numerics::lanes::Real;
-use crate::particles::neighbour_list::NeighbourError;
-use crate::sph::model::Model;
-use crate::sph::operators::pairs::Kept;
-use crate::sph::step;
-use crate::sph::step::{Neighbourhood, Step};
-use candle_core::Tensor;
+use crate::particles::Neighbourhood;
+use candle_core::{Device, Tensor};
 use std::sync::Arc;
-
-/// A run that could not go on.
-#[derive(Debug, thiserror::Error)]
-pub enum SolverError {
-    #[error("step {step}: {source}")]
-    Neighbours { step: usize, source: NeighbourError },
-    #[error("step {step}: {source}")]
-    Tensor { step: usize, source: candle_core::Error },
-    #[error("step {step}: {field} of particle {particle} is {value}: the run has diverged; try a smaller time.cfl")]
-    NotFinite { step: usize, field: &'static str, particle: usize, value: f64 },
-}
 
 /// A state to come back to: everything that the steps behind it depend on.
 #[derive(Debug, Clone)]
@@ -32,6 +26,14 @@ pub struct Snapshot<R> {
     pub reference: Arc<Vec<R>>,
 }
 
+impl<R: Real> Snapshot<R> {
+    /// A run's first state.
+    pub fn first(model: &Model<R>, state: Vec<R>) -> Self {
+        let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
+        Self { step: 0, state, reference }
+    }
+}
+
 /// Advances a state without a graph.
 #[derive(Debug)]
 pub struct Solver<R> {
@@ -42,39 +44,41 @@ pub struct Solver<R> {
     pub neighbourhood: Neighbourhood<R>,
     moved: Vec<R>,
     density: Vec<R>,
-    kept: Kept<R>,
+    kept: PairCache<R>,
     /// Of the last [`Self::look`], walls included, `[C, N]`.
     pub primitives: Vec<R>,
     rates: Vec<R>,
+    /// Whether somebody reads the primitives: the step itself needs the records only.
+    shows_primitives: bool,
 }
 
-impl<R: Real> Solver<R> {
-    pub fn new(model: Arc<Model<R>>, state: Vec<R>) -> Result<Self, SolverError> {
-        let neighbourhood =
-            Neighbourhood::build(&model, &state, 0).map_err(|source| SolverError::Neighbours { step: 0, source })?;
-        Ok(Self::with_list(model, state, 0, neighbourhood))
+impl<R: Sweeps> Solver<R> {
+    /// # Errors
+    /// A state for which there is no neighbour list.
+    pub fn new(model: Arc<Model<R>>, state: Vec<R>) -> Result<Self, RunError> {
+        let first = Snapshot::first(&model, state);
+        Self::restore(model, &first)
     }
 
-    fn with_list(model: Arc<Model<R>>, state: Vec<R>, step: usize, neighbourhood: Neighbourhood<R>) -> Self {
+    /// # Errors
+    /// As for [`Self::new`].
+    pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>) -> Result<Self, RunError> {
+        let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
+            .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
         let (n, l) = (model.particles(), model.layout);
         let rows = |rows: usize| vec![R::default(); rows * n];
-        Self {
+        Ok(Self {
             moved: rows(l.moved_rows()),
             density: rows(1),
-            kept: Kept::default(),
+            kept: PairCache::default(),
             primitives: Vec::new(),
             rates: rows(l.rate_rows()),
             model,
-            state,
-            step,
+            state: snapshot.state.clone(),
+            step: snapshot.step,
             neighbourhood,
-        }
-    }
-
-    pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>) -> Result<Self, SolverError> {
-        let neighbourhood = Neighbourhood::build(&model, &snapshot.reference, 0)
-            .map_err(|source| SolverError::Neighbours { step: snapshot.step, source })?;
-        Ok(Self::with_list(model, snapshot.state.clone(), snapshot.step, neighbourhood))
+            shows_primitives: false,
+        })
     }
 
     pub fn snapshot(&self) -> Snapshot<R> {
@@ -82,17 +86,12 @@ impl<R: Real> Solver<R> {
     }
 
     /// One time step.
-    pub fn advance(&mut self) -> Result<(), SolverError> {
+    ///
+    /// # Errors
+    /// Particles that are lost or too fast.
+    pub fn advance(&mut self) -> Result<(), RunError> {
         let dt = self.model.dt;
-        R::drift(&self.model, dt, &self.state, &mut self.moved);
-        self.neighbourhood
-            .update(&self.model, &self.moved)
-            .map_err(|source| SolverError::Neighbours { step: self.step, source })?;
-        let step = self.step_now();
-        R::density(&step, &self.moved, &mut self.kept, false, &mut self.density);
-        R::primitives(&step, &self.moved, &self.density, &mut self.kept, None);
-        R::rates(&step, &self.moved, &self.kept, &mut self.rates);
-        R::advance(&step, &self.moved, &self.rates, &mut self.state);
+        step::advance(self, dt, &())?;
         self.step += 1;
         Ok(())
     }
@@ -104,11 +103,11 @@ impl<R: Real> Solver<R> {
 
     /// Fills [`Self::primitives`] for the present state without advancing it.
     pub fn look(&mut self) {
-        R::drift(&self.model, 0.0, &self.state, &mut self.moved);
-        let step = self.step_now();
-        R::density(&step, &self.moved, &mut self.kept, false, &mut self.density);
         self.primitives.resize(self.model.layout.primitive_rows() * self.model.particles(), R::default());
-        R::primitives(&step, &self.moved, &self.density, &mut self.kept, Some(&mut self.primitives));
+        self.shows_primitives = true;
+        // On buffers nothing fails but the list, which stays as it is.
+        let _ = step::look(self, &());
+        self.shows_primitives = false;
     }
 
     /// The moved state of the last [`Self::advance`] or [`Self::look`], `[M, N]`.
@@ -123,7 +122,10 @@ impl<R: Real> Solver<R> {
     }
 
     /// An error if a number of the state is not finite.
-    pub fn check_finite(&self) -> Result<(), SolverError> {
+    ///
+    /// # Errors
+    /// That one.
+    pub fn check_finite(&self) -> Result<(), RunError> {
         let (n, l) = (self.model.particles(), self.model.layout);
         for (place, value) in self.state.iter().enumerate() {
             if !value.f64().is_finite() {
@@ -134,9 +136,42 @@ impl<R: Real> Solver<R> {
                     _ if row < l.temperature() => "acceleration",
                     _ => "temperature",
                 };
-                return Err(SolverError::NotFinite { step: self.step, field, particle: place % n, value: value.f64() });
+                return Err(RunError::NotFinite { step: self.step, field, particle: place % n, value: value.f64() });
             }
         }
+        Ok(())
+    }
+}
+
+/// On the solver's own buffers: each field has its place, so none is handed around.
+impl<R: Sweeps> Execution for Solver<R> {
+    type Field = ();
+
+    fn drift(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
+        R::drift(&self.model, dt, &self.state, &mut self.moved);
+        Ok(())
+    }
+    fn neighbours(&mut self, _: &()) -> Result<(), RunError> {
+        let step = self.step;
+        let updated = self.neighbourhood.update(&self.model.reach(), &self.moved);
+        updated.map_err(|source| RunError::Neighbours { step, source })
+    }
+    fn density(&mut self, _: &()) -> Result<(), RunError> {
+        R::density(&self.step_now(), &self.moved, &mut self.kept, false, &mut self.density);
+        Ok(())
+    }
+    fn wall_condition(&mut self, _: &(), _: &()) -> Result<(), RunError> {
+        let step = self.step_now();
+        let primitives = self.shows_primitives.then_some(self.primitives.as_mut_slice());
+        R::primitives(&step, &self.moved, &self.density, &mut self.kept, primitives);
+        Ok(())
+    }
+    fn rates(&mut self, _: &(), _: &()) -> Result<(), RunError> {
+        R::rates(&self.step_now(), &self.moved, &self.kept, &mut self.rates);
+        Ok(())
+    }
+    fn assemble(&mut self, _: &(), _: &()) -> Result<(), RunError> {
+        R::assemble(&self.step_now(), &self.moved, &self.rates, &mut self.state);
         Ok(())
     }
 }
@@ -149,41 +184,184 @@ pub struct TensorSolver<R> {
     pub kernels: Kernels,
 }
 
-impl<R: Real> TensorSolver<R> {
+impl<R: Sweeps> TensorSolver<R> {
     /// Starts at a snapshot's step and neighbour list.
-    pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>, kernels: Kernels) -> Result<Self, SolverError> {
-        let neighbourhood = Neighbourhood::build(&model, &snapshot.reference, 0)
-            .map_err(|source| SolverError::Neighbours { step: snapshot.step, source })?;
+    ///
+    /// # Errors
+    /// A state for which there is no neighbour list.
+    pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>, kernels: Kernels) -> Result<Self, RunError> {
+        let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
+            .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
         Ok(Self { model, neighbourhood, step: snapshot.step, kernels })
     }
 
     /// One time step: state `[F, N]` -> state `[F, N]`, on the graph.
-    pub fn advance(&mut self, state: &Tensor) -> Result<Tensor, SolverError> {
+    ///
+    /// # Errors
+    /// Particles that are lost or too fast; tensor errors.
+    pub fn advance(&mut self, state: &Tensor) -> Result<Tensor, RunError> {
         self.advance_to(state, None)
     }
 
     /// The same; `after` is the state that it leads to, if that is known to the bit: the fused operators then leave out
     /// what the adjoint does not read.
-    pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, SolverError> {
-        let at = self.step;
-        let failed = |source| SolverError::Tensor { step: at, source };
-        let fused = self.kernels == Kernels::Fused;
+    ///
+    /// # Errors
+    /// As for [`Self::advance`].
+    pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
         let dt = self.model.dt;
-        let moved = Step::drift(&self.model, dt, state, fused).map_err(failed)?;
-        let mut updated = Ok(());
-        step::read(&moved.contiguous().map_err(failed)?, |position: &[R]| {
-            updated = self.neighbourhood.update(&self.model, position);
-            Ok(())
-        })
-        .map_err(failed)?;
-        updated.map_err(|source| SolverError::Neighbours { step: at, source })?;
-        let step = self.step_now();
+        let next = match self.kernels {
+            Kernels::Fused => {
+                let after = after.map(Tensor::detach);
+                step::advance(&mut Fused { run: self, carries: true, after, chain: None }, dt, state)
+            }
+            Kernels::Composed => step::advance(&mut Composed { run: self, pairs: None }, dt, state),
+        }?;
         self.step += 1;
-        if fused { step.fused(&moved, after) } else { step.composed(&moved) }.map_err(failed)
+        Ok(next)
+    }
+
+    /// Moved state `[M, N]` and primitives `[C, N]` of a state as it is, on the graph.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn look(&self, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
+        // Nothing of the run changes: the list is looked at as it is.
+        let mut run = Self {
+            model: self.model.clone(),
+            neighbourhood: self.neighbourhood.shared(),
+            step: self.step,
+            kernels: self.kernels,
+        };
+        match self.kernels {
+            Kernels::Fused => step::look(&mut Fused { run: &mut run, carries: false, after: None, chain: None }, state),
+            Kernels::Composed => step::look(&mut Composed { run: &mut run, pairs: None }, state),
+        }
     }
 
     /// The operators' context at the present list.
     pub fn step_now(&self) -> Arc<Step<R>> {
         Arc::new(Step { model: self.model.clone(), list: self.neighbourhood.list.clone() })
+    }
+
+    /// Makes sure that the list holds for a moved state on any device.
+    fn update_list(&mut self, moved: &Tensor) -> Result<(), RunError> {
+        let (step, l) = (self.step, self.model.layout);
+        let failed = RunError::tensor(step);
+        let position = moved.detach().narrow(0, 0, l.dimension).and_then(|position| position.to_device(&Device::Cpu));
+        let mut updated = Ok(());
+        read(&position.map_err(&failed)?, |position: &[R]| {
+            updated = self.neighbourhood.update(&self.model.reach(), position);
+            Ok(())
+        })
+        .map_err(&failed)?;
+        updated.map_err(|source| RunError::Neighbours { step, source })
+    }
+}
+
+/// Fused operators, chained by candle.
+struct Fused<'a, R: Sweeps> {
+    run: &'a mut TensorSolver<R>,
+    /// See [`Chain::carrying`].
+    carries: bool,
+    after: Option<Tensor>,
+    chain: Option<Arc<Chain<R>>>,
+}
+
+impl<R: Sweeps> Fused<'_, R> {
+    fn failed(&self) -> impl Fn(candle_core::Error) -> RunError {
+        RunError::tensor(self.run.step)
+    }
+
+    /// The operators of this step: begun by the first that asks.
+    fn chain(&mut self) -> Arc<Chain<R>> {
+        let (run, carries, after) = (&*self.run, self.carries, &mut self.after);
+        let begin = || match carries {
+            true => Chain::carrying(run.step_now(), after.take()),
+            false => Chain::new(run.step_now()),
+        };
+        self.chain.get_or_insert_with(begin).clone()
+    }
+}
+
+impl<R: Sweeps> Execution for Fused<'_, R> {
+    type Field = Tensor;
+
+    fn drift(&mut self, dt: f64, state: &Tensor) -> Result<Tensor, RunError> {
+        apply1(drift::Drift(self.run.model.clone(), dt), state).map_err(self.failed())
+    }
+    fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
+        self.run.update_list(moved)
+    }
+    fn density(&mut self, moved: &Tensor) -> Result<Tensor, RunError> {
+        apply1(density::Density(self.chain()), moved).map_err(self.failed())
+    }
+    fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
+        let chain = self.chain();
+        apply2(wall_condition::WallCondition(chain.clone()), &chain.shared(moved), density).map_err(self.failed())
+    }
+    fn rates(&mut self, moved: &Tensor, primitives: &Tensor) -> Result<Tensor, RunError> {
+        let chain = self.chain();
+        apply2(rates::Rates(chain.clone()), &chain.shared(moved), primitives).map_err(self.failed())
+    }
+    fn assemble(&mut self, moved: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
+        let chain = self.chain();
+        apply2(assemble::Assemble(chain.clone()), &chain.shared(moved), rates).map_err(self.failed())
+    }
+}
+
+/// The same from ordinary candle operators, on any device.
+struct Composed<'a, R: Sweeps> {
+    run: &'a mut TensorSolver<R>,
+    pairs: Option<(Arc<Step<R>>, Pairs)>,
+}
+
+impl<R: Sweeps> Composed<'_, R> {
+    fn failed(&self) -> impl Fn(candle_core::Error) -> RunError {
+        RunError::tensor(self.run.step)
+    }
+
+    fn pairs(&mut self, moved: &Tensor) -> Result<&(Arc<Step<R>>, Pairs), RunError> {
+        let failed = self.failed();
+        let found = match self.pairs.take() {
+            Some(pairs) => pairs,
+            None => {
+                let step = self.run.step_now();
+                let pairs = Pairs::new(&step, moved).map_err(failed)?;
+                (step, pairs)
+            }
+        };
+        Ok(self.pairs.insert(found))
+    }
+}
+
+impl<R: Sweeps> Execution for Composed<'_, R> {
+    type Field = Tensor;
+
+    fn drift(&mut self, dt: f64, state: &Tensor) -> Result<Tensor, RunError> {
+        drift::composed(&self.run.model, dt, state).map_err(self.failed())
+    }
+    fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
+        self.run.update_list(moved)
+    }
+    fn density(&mut self, moved: &Tensor) -> Result<Tensor, RunError> {
+        let failed = self.failed();
+        let (step, pairs) = self.pairs(moved)?;
+        density::composed(step, pairs, moved).map_err(failed)
+    }
+    fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
+        let failed = self.failed();
+        let (step, pairs) = self.pairs(moved)?;
+        wall_condition::composed(step, pairs, moved, density).map_err(failed)
+    }
+    fn rates(&mut self, moved: &Tensor, primitives: &Tensor) -> Result<Tensor, RunError> {
+        let failed = self.failed();
+        let (step, pairs) = self.pairs(moved)?;
+        rates::composed(step, pairs, moved, primitives).map_err(failed)
+    }
+    fn assemble(&mut self, moved: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
+        let failed = self.failed();
+        let (step, _) = self.pairs(moved)?;
+        assemble::composed(step, moved, rates).map_err(failed)
     }
 }

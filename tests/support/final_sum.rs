@@ -1,40 +1,41 @@
-//! An objective that sees every particle: a sum over rows of the final state.
+//! An objective that sees every particle: a sum over the fluid in the final state.
 
-use candle_core::Tensor;
-use hydrograd::adjoint::segments::{Objective, Sph};
-use hydrograd::numerics::lanes::Real;
-use hydrograd::sph::solver::{Solver, SolverError, TensorSolver};
+use candle_core::{Result, Tensor};
+use hydrograd::adjoint::{Fields, Objective};
+use hydrograd::particles::tag;
+
+#[derive(Clone, Copy, PartialEq)]
+pub enum Summed {
+    /// u^2 / 2.
+    KineticEnergy,
+    /// Temperature above the reference.
+    Heat,
+    /// Half the square of that.
+    SquaredHeat,
+}
 
 pub struct FinalSum {
     pub steps: usize,
-    pub row: usize,
-    pub rows: usize,
-    /// Half the sum of squares, or the plain sum.
-    pub squared: bool,
-    pub fluid_only: bool,
+    pub of: Summed,
 }
 
-impl<R: Real> Objective<Sph<R>> for FinalSum {
+impl Objective for FinalSum {
+    fn name(&self) -> &str {
+        "sum"
+    }
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.steps).then_some(1.0)
     }
-    fn value(&self, run: &mut Solver<R>) -> Result<f64, SolverError> {
-        let n = run.model.particles();
-        Ok((0..self.rows * n)
-            .filter(|k| !self.fluid_only || run.model.is_fluid(k % n))
-            .map(|k| run.state[self.row * n + k].f64())
-            .map(|x| if self.squared { 0.5 * x * x } else { x })
-            .sum())
-    }
-    fn tensor(&self, run: &TensorSolver<R>, state: &Tensor) -> Result<Tensor, SolverError> {
-        let go = || {
-            let n = run.model.particles();
-            let rows = state.narrow(0, self.row, self.rows)?;
-            let rows = if self.squared { rows.sqr()?.affine(0.5, 0.0)? } else { rows };
-            let keep: Vec<R> =
-                (0..n).map(|i| R::of((!self.fluid_only || run.model.is_fluid(i)) as u8 as f64)).collect();
-            rows.broadcast_mul(&Tensor::from_vec(keep, (1, n), state.device())?)?.sum_all()
+    fn value(&self, fields: &Fields) -> Result<Tensor> {
+        let fluid: Vec<f64> = fields.tags.iter().map(|&t| f64::from(u8::from(t == tag::FLUID))).collect();
+        let n = fluid.len();
+        let fluid = Tensor::from_vec(fluid, (1, n), fields.position.device())?.to_dtype(fields.position.dtype())?;
+        let temperature = || fields.temperature.clone().expect("heat");
+        let summed = match self.of {
+            Summed::KineticEnergy => fields.velocity.sqr()?.affine(0.5, 0.0)?,
+            Summed::Heat => temperature(),
+            Summed::SquaredHeat => temperature().sqr()?.affine(0.5, 0.0)?,
         };
-        go().map_err(|source| SolverError::Tensor { step: run.step, source })
+        summed.broadcast_mul(&fluid)?.sum_all()
     }
 }

@@ -1,13 +1,14 @@
 //! Random particles for which every term of every operator counts: jittered lattices with random fields.
 
-use hydrograd::numerics::lanes::Real;
 use hydrograd::numerics::random::{stream, Normal};
+use hydrograd::particles::Neighbourhood;
 use hydrograd::particles::{tag, Domain};
+use hydrograd::sph::chain::Step;
 use hydrograd::sph::kernel::Quintic;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
-use hydrograd::sph::step::{Neighbourhood, Step};
+use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
 /// What a random scene has.
@@ -128,7 +129,7 @@ impl RandomScene {
         self.tags.len()
     }
 
-    pub fn model<R: Real>(&self) -> Arc<Model<R>> {
+    pub fn model<R: Sweeps>(&self) -> Arc<Model<R>> {
         let options = self.options;
         let convert = |x: &[f64]| x.iter().map(|&x| R::of(x)).collect::<Vec<R>>();
         let (density, sound_speed) = (1.2, 5.0);
@@ -163,13 +164,13 @@ impl RandomScene {
         })
     }
 
-    pub fn state<R: Real>(&self) -> Vec<R> {
+    pub fn state<R: Sweeps>(&self) -> Vec<R> {
         self.state.iter().map(|&x| R::of(x)).collect()
     }
 
     /// The operators' context with the list of these positions.
-    pub fn step<R: Real>(&self, model: &Arc<Model<R>>, position: &[R]) -> Arc<Step<R>> {
-        let neighbourhood = Neighbourhood::build(model, position, 0).unwrap();
+    pub fn step<R: Sweeps>(&self, model: &Arc<Model<R>>, position: &[R]) -> Arc<Step<R>> {
+        let neighbourhood = Neighbourhood::build(&model.reach(), position).unwrap();
         Arc::new(Step { model: model.clone(), list: neighbourhood.list })
     }
 

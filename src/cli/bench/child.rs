@@ -7,21 +7,25 @@ use serde::{Deserialize, Serialize};
 
 use super::arguments::Size;
 use super::cases::{Case, Keeping, Kind, Length, Request, Source};
-use super::goal::Goal;
+use super::goal::SquaredVelocity;
 use super::{pairs, plan, surrogate};
+use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
-use crate::adjoint::segments::{gradient, Dynamics, Sph};
+use crate::adjoint::{Dynamics, Objective, RunError};
 use crate::cli::prepare::build;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::start;
+use crate::design::objectives::HeatOutflow;
 use crate::error::{BadInput, Error};
-use crate::numerics::lanes::{InstructionSet, Real};
+use crate::numerics::candle::read;
+use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::scene::accuracy::points;
 use crate::scene::taylor_green::TaylorGreen;
+use crate::sph::dynamics::Sph;
 use crate::sph::model::Model;
-use crate::sph::solver::{Snapshot, SolverError};
-use crate::sph::step;
+use crate::sph::solver::Snapshot;
+use crate::sph::Sweeps;
 
 /// Steps after which a scene with everything on is compared with its plan.
 const COMPARED_STEPS: usize = 50;
@@ -85,20 +89,21 @@ pub fn run(request: &str) -> anyhow::Result<()> {
 struct Ready<R> {
     dynamics: Sph<R>,
     start: Snapshot<R>,
-    goal: Goal,
+    /// Of a channel: tied to the scene's steps.
+    outflow: Option<HeatOutflow>,
 }
 
-impl<R: Real> Ready<R> {
+impl<R: Sweeps> Ready<R> {
     fn new(case: &Case, source: &Source) -> Result<Self, Error> {
-        let (model, start, goal) = match source {
+        let (model, start, outflow) = match source {
             Source::Channel(scene) => {
                 let config = scene.load()?.config;
                 let (channel, shape) = build::<R>(&config)?;
-                (channel.model.clone(), start(&channel, &shape.offsets), Goal::Outflow(channel.objective))
+                (channel.model.clone(), start(&channel, &shape.offsets), Some(channel.objective))
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);
-                (Arc::new(model), at_rest(state), Goal::SquaredVelocity { steps: 0 })
+                (Arc::new(model), at_rest(state), None)
             }
             Source::Plan { scene, lacking, forced } => {
                 let (mut model, mut state) = match lacking.size() {
@@ -111,17 +116,17 @@ impl<R: Real> Ready<R> {
                     }
                 };
                 lacking.apply(&mut model, &mut state, *forced);
-                (Arc::new(model), at_rest(state), Goal::SquaredVelocity { steps: 0 })
+                (Arc::new(model), at_rest(state), None)
             }
             Source::Network(_) => unreachable!("networks are measured by `surrogate`"),
         };
         let rows = model.layout.dimension * model.particles();
         let start = Snapshot { reference: Arc::new(start.state[..rows].to_vec()), ..start };
-        Ok(Self { dynamics: Sph { model, kernels: case.kernels }, start, goal })
+        Ok(Self { dynamics: Sph::new(model, case.kernels), start, outflow })
     }
 
     /// The state after some steps, as a start.
-    fn after(&self, steps: usize) -> Result<Snapshot<R>, SolverError> {
+    fn after(&self, steps: usize) -> Result<Snapshot<R>, RunError> {
         let mut solver = self.dynamics.start(&self.start)?;
         for _ in 0..steps {
             self.dynamics.advance(&mut solver)?;
@@ -130,21 +135,21 @@ impl<R: Real> Ready<R> {
         Ok(Snapshot { step: 0, ..solver.snapshot() })
     }
 
-    /// The goal at the end of so many steps; the channel's own is tied to the scene's steps.
-    fn goal(&mut self, steps: usize) -> &Goal {
-        if let Goal::SquaredVelocity { steps: last } = &mut self.goal {
-            *last = steps;
+    /// What is differentiated: the channel's own objective, or the squared velocity after so many steps.
+    fn goal(&self, steps: usize) -> Box<dyn Objective> {
+        match &self.outflow {
+            Some(outflow) => Box::new(outflow.clone()),
+            None => Box::new(SquaredVelocity { steps }),
         }
-        &self.goal
     }
 
     /// What states and taped steps take, from the first neighbour list.
-    fn costs(&self) -> Result<Costs, SolverError> {
-        self.dynamics.costs_from(&self.start.state).map_err(|source| SolverError::Neighbours { step: 0, source })
+    fn costs(&self) -> Result<Costs, RunError> {
+        self.dynamics.costs_from(&self.start.state).map_err(|source| RunError::Neighbours { step: 0, source })
     }
 }
 
-fn taylor_green<R: Real>(size: Size) -> (Model<R>, Vec<R>) {
+fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
     let Size { dimension, per_side } = size;
     // A tenth of a spacing of disorder, as in the plain-C yardstick: a lattice would stay one for a while.
     let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
@@ -179,8 +184,8 @@ impl Keeping {
     }
 }
 
-fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
-    let failed = |e: SolverError| Error::run(format!("{}: {e}", case.label()), "a smaller time.cfl");
+fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
+    let failed = |e: RunError| Error::run(format!("{}: {e}", case.label()), "a smaller time.cfl");
     let mut ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;
@@ -235,15 +240,15 @@ fn measure<R: Real>(case: &Case) -> anyhow::Result<Outcome> {
     Ok(Outcome::Measured(measured))
 }
 
-fn forward<R: Real>(
+fn forward<R: Sweeps>(
     case: &Case,
     ready: &Ready<R>,
     begin: &Snapshot<R>,
     measured: &mut Measured,
-) -> Result<(), SolverError> {
+) -> Result<(), RunError> {
     let dynamics = &ready.dynamics;
     let mut solver = dynamics.start(begin)?;
-    let timed = |solver: &mut _, steps: usize| -> Result<f64, SolverError> {
+    let timed = |solver: &mut _, steps: usize| -> Result<f64, RunError> {
         let clock = Instant::now();
         for _ in 0..steps {
             dynamics.advance(solver)?;
@@ -269,17 +274,17 @@ fn forward<R: Real>(
     solver.check_finite()
 }
 
-fn backward<R: Real>(
+fn backward<R: Sweeps>(
     case: &Case,
     ready: &mut Ready<R>,
     begin: &Snapshot<R>,
     costs: Costs,
     measured: &mut Measured,
-) -> Result<(), SolverError> {
+) -> Result<(), RunError> {
     let dynamics = ready.dynamics.clone();
-    let mut timed = |steps: usize, schedule: &Schedule| -> Result<(f64, f64), SolverError> {
+    let timed = |steps: usize, schedule: &Schedule| -> Result<(f64, f64), RunError> {
         let clock = Instant::now();
-        let found = gradient(&dynamics, begin, schedule, ready.goal(steps), &mut |_| ())?;
+        let found = gradient(&dynamics, begin, schedule, &*ready.goal(steps), &mut |_| ())?;
         let seconds = clock.elapsed().as_secs_f64();
         Ok((seconds, found.forward_seconds))
     };
@@ -311,19 +316,18 @@ fn backward<R: Real>(
 }
 
 /// How far a scene with everything on is from its plan: states after some steps, or their gradients.
-fn difference<R: Real>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, SolverError> {
+fn difference<R: Sweeps>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, RunError> {
     let (a, b) = (own.dynamics.model.layout, forced.dynamics.model.layout);
     let n = own.dynamics.model.particles();
-    let result = |ready: &mut Ready<R>| -> Result<Vec<R>, SolverError> {
+    let result = |ready: &mut Ready<R>| -> Result<Vec<R>, RunError> {
         if kind == Kind::Forward {
             return Ok(ready.after(COMPARED_STEPS)?.state);
         }
         let (dynamics, start) = (ready.dynamics.clone(), ready.start.clone());
         let schedule = Schedule::segments(COMPARED_STEPS, 10);
-        let found = gradient(&dynamics, &start, &schedule, ready.goal(COMPARED_STEPS), &mut |_| ())?;
-        let contiguous = found.state.contiguous().map_err(|source| SolverError::Tensor { step: 0, source })?;
-        step::read(&contiguous, |values: &[R]| Ok(values.to_vec()))
-            .map_err(|source| SolverError::Tensor { step: 0, source })
+        let found = gradient(&dynamics, &start, &schedule, &*ready.goal(COMPARED_STEPS), &mut |_| ())?;
+        let contiguous = found.state.contiguous().map_err(|source| RunError::Tensor { step: 0, source })?;
+        read(&contiguous, |values: &[R]| Ok(values.to_vec())).map_err(|source| RunError::Tensor { step: 0, source })
     };
     let (own, forced) = (result(&mut own)?, result(&mut forced)?);
     Ok(plan::difference(n, (&own, a), (&forced, b)))

@@ -1,10 +1,10 @@
 //! How many pairs of particles interact, counted from the positions alone (not from a neighbour list with its skin).
 
-use crate::numerics::lanes::Real;
 use crate::sph::model::Model;
+use crate::sph::Sweeps;
 
 /// Directed pairs (i, j), i fluid, j any other particle within the cut-off: what the force on the fluid sums.
-pub fn count<R: Real>(model: &Model<R>, position: &[R]) -> usize {
+pub fn count<R: Sweeps>(model: &Model<R>, position: &[R]) -> usize {
     let (n, dimension) = (model.particles(), model.domain.dimension);
     let cutoff = model.kernel.cutoff();
     let (size, inverse) = (model.domain.size, model.domain.inverse_period());

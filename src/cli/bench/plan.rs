@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::arguments::Size;
 use super::cases::particles;
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::model::{Heat, Layout, Model};
+use crate::sph::Sweeps;
 
 /// A viscosity that no rounding sees (and that does not underflow in f32): the viscous terms are computed, not felt.
 const NO_VISCOSITY: f64 = 1e-20;
@@ -55,7 +55,7 @@ impl Lacking {
     }
 
     /// The scene's own plan, or the one with everything on, from a scene as it was built.
-    pub fn apply<R: Real>(self, model: &mut Model<R>, state: &mut Vec<R>, forced: bool) {
+    pub fn apply<R: Sweeps>(self, model: &mut Model<R>, state: &mut Vec<R>, forced: bool) {
         let has = model.layout;
         let own = match self {
             Self::Heat => Layout { heat: false, ..has },
@@ -85,7 +85,7 @@ impl Lacking {
 }
 
 /// Conduction without any difference to conduct: every temperature is the reference's.
-fn no_heat<R: Real>(model: &Model<R>) -> Heat<R> {
+fn no_heat<R: Sweeps>(model: &Model<R>) -> Heat<R> {
     let n = model.particles();
     Heat {
         conductivity: 1.0,
@@ -100,7 +100,7 @@ fn no_heat<R: Real>(model: &Model<R>) -> Heat<R> {
 }
 
 /// The state's rows in another layout: what it does not have begins with zero, masses with the model's.
-fn repacked<R: Real>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
+fn repacked<R: Sweeps>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
     let (from, n) = (model.layout, model.particles());
     let mut packed = vec![R::default(); to.state_rows() * n];
     let mut copy = |target: usize, source: usize, rows: usize| {
@@ -123,7 +123,7 @@ fn repacked<R: Real>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
 }
 
 /// Largest difference between two states in the rows that both layouts have, over each row's largest value.
-pub fn difference<R: Real>(n: usize, (a, from): (&[R], Layout), (b, to): (&[R], Layout)) -> f64 {
+pub fn difference<R: Sweeps>(n: usize, (a, from): (&[R], Layout), (b, to): (&[R], Layout)) -> f64 {
     let d = from.dimension;
     let mut fields = vec![(0, 0, d), (d, d, d)];
     if from.heat && to.heat {

@@ -1,5 +1,8 @@
 //! Body force: a given acceleration of the fluid.
 
+use crate::sph::operators::composed::{above, below};
+use candle_core::{Result, Tensor};
+
 /// An acceleration along x, by place. It is piecewise constant, so its derivative is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BodyForce {
@@ -40,6 +43,19 @@ impl BodyForce {
                     strength
                 }
             }
+        }
+    }
+
+    /// The same of heights `[1, N]`. Piecewise constant, so without derivative.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn composed(&self, y: &Tensor) -> Result<Tensor> {
+        match *self {
+            Self::None => y.zeros_like(),
+            Self::Uniform(g) => y.detach().affine(0.0, g),
+            Self::Band { strength, from, to } => above(y, from)?.mul(&below(y, to)?)?.affine(strength, 0.0),
+            Self::Reversing { strength, turn } => above(y, turn)?.affine(-2.0 * strength, strength),
         }
     }
 }

@@ -5,11 +5,11 @@
 //! the outlet strip has rate 0.
 
 use crate::numerics::lanes::{Lanes, PortableF64, Real};
+use crate::sph::chain::Step;
 use crate::sph::model::Model;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs::Masses;
 use crate::sph::operators::rates::{Side, SideBar};
-use crate::sph::step::Step;
 use candle_core::{Result, Tensor};
 
 /// 2 k/c_p.
@@ -21,6 +21,16 @@ pub fn factor<R>(model: &Model<R>) -> f64 {
 #[inline(always)]
 pub fn conducts<R: Real>(model: &Model<R>, x: R) -> bool {
     model.heat.as_ref().is_some_and(|h| !(x < R::of(h.inlet_below) || x > R::of(h.outlet_above)))
+}
+
+/// 1 where fluid at x `[1, N]` conducts, else 0.
+pub fn conducts_composed<R: Real>(model: &Model<R>, x: &Tensor) -> Result<Tensor> {
+    match &model.heat {
+        Some(heat) => {
+            (composed::below(x, heat.inlet_below)? + composed::above(x, heat.outlet_above)?)?.affine(-1.0, 1.0)
+        }
+        None => x.zeros_like(),
+    }
 }
 
 /// Whether fluid at this x is reset to the inlet temperature.
@@ -37,7 +47,6 @@ pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: 
     let mass = Masses::new(model, moved);
     let volume = |i: usize| (mass.of(i) / primitives[i]).f64();
     let temperature = |i: usize| primitives[l.primitive_temperature() * n + i].f64();
-    let inverse = model.domain.inverse_period();
     let kernel = model.kernel.lanes::<PortableF64>();
     let mut sum = 0.0;
     for &i in &list.fluid_rows {
@@ -49,8 +58,7 @@ pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: 
             let j = j as usize;
             let mut r2 = 0.0;
             for d in 0..l.dimension {
-                let mut dr = moved[d * n + i].f64() - moved[d * n + j].f64();
-                dr -= model.domain.size[d] * (dr * inverse[d]).round();
+                let dr = model.domain.nearest(d, moved[d * n + i].f64() - moved[d * n + j].f64());
                 r2 += dr * dr;
             }
             let slope = kernel.slope(PortableF64::splat(r2)).sum() / PortableF64::COUNT as f64;

@@ -2,16 +2,19 @@
 //!
 //! The reset cuts the gradient, which is right: what the fluid carried before the inlet does not matter behind it.
 
+use super::composed::{below, fluid_mask};
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::chain::{Chain, Step};
 use crate::sph::laws::conduction;
 use crate::sph::model::Model;
-use crate::sph::step::{input, output, read, tensor, Chain, Step};
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]`, rates `[A, N]` -> state `[F, N]`.
-pub struct Advance<R: Real>(pub Arc<Chain<R>>);
+pub struct Assemble<R: Sweeps>(pub Arc<Chain<R>>);
 
 struct Forward<'a, R> {
     model: &'a Model<R>,
@@ -97,47 +100,35 @@ pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar
     run_rows(&Backward { model, moved, state_bar, moved_bar, rates_bar }, model.particles());
 }
 
-impl<R: Real> CustomOp2 for Advance<R> {
-    fn name(&self) -> &'static str {
-        "advance"
-    }
-    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+impl<R: Sweeps> Operator<2> for Assemble<R> {
+    type Real = R;
+    const NAME: &'static str = "assemble";
+
+    fn forward(&self, [moved, rates]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
         let mut state = vec![R::default(); rows * n];
-        R::advance(step, input(s1, l1)?, input(s2, l2)?, &mut state);
-        Ok(output(state, (rows, n)))
+        R::assemble(step, moved, rates, &mut state);
+        Ok((state, (rows, n).into()))
     }
-    fn bwd(
-        &self,
-        moved: &Tensor,
-        _: &Tensor,
-        _: &Tensor,
-        state_bar: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+
+    fn adjoint(&self, [moved, _]: [&[R]; 2], _: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let step = &self.0.step;
-        let (l, n) = (step.model.layout, step.model.particles());
         let mut moved_bar = self.0.moved_bar();
-        let mut rates_bar = vec![R::default(); l.rate_rows() * n];
-        read(moved, |m| {
-            read(&state_bar.contiguous()?, |bar| {
-                R::advance_bar(step, m, bar, &mut moved_bar, &mut rates_bar);
-                Ok(())
-            })
-        })?;
-        Ok((self.0.pass_on(moved_bar)?, Some(tensor(rates_bar, l.rate_rows(), n)?)))
+        let mut rates_bar = vec![R::default(); step.model.layout.rate_rows() * step.model.particles()];
+        R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
+        Ok([self.0.pass_on(moved_bar), Some(rates_bar)])
     }
 }
 
 /// The same from ordinary candle ops: the oracle.
 pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, rates: &Tensor) -> Result<Tensor> {
-    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
+    let (model, l) = (&*step.model, step.model.layout);
     let mut rows = vec![moved.narrow(0, 0, 2 * l.dimension)?, rates.narrow(0, 0, l.rate_temperature())?];
-    if l.heat {
-        let kept: Vec<R> = read(&moved.narrow(0, 0, 1)?.contiguous()?, |x: &[R]| {
-            Ok((0..n).map(|i| R::of(!(model.is_fluid(i) && conduction::is_inlet(model, x[i])) as u8 as f64)).collect())
-        })?;
-        let kept = Tensor::from_vec(kept, (1, n), moved.device())?;
+    if let Some(heat) = &model.heat {
+        let fluid = fluid_mask(model, moved)?;
+        let inlet = below(&moved.narrow(0, 0, 1)?, heat.inlet_below)?;
+        let kept = fluid.mul(&inlet)?.affine(-1.0, 1.0)?;
         rows.push(moved.narrow(0, l.moved_temperature(), 1)?.mul(&kept)?);
         rows.push(rates.narrow(0, l.rate_temperature(), 1)?);
     }

@@ -4,11 +4,10 @@
 //! devices without them.
 
 use crate::numerics::lanes::Real;
+use crate::sph::chain::Step;
 use crate::sph::kernel::Quintic;
-use crate::sph::operators::{assemble, density, drift, rates, wall_condition};
-use crate::sph::step::Step;
+use crate::sph::model::Model;
 use candle_core::{Result, Tensor};
-use std::sync::Arc;
 
 /// The pairs of a list as tensors.
 pub struct Pairs {
@@ -34,7 +33,6 @@ impl Pairs {
         let index = Tensor::from_vec(list.index.clone(), n * k, device)?;
         let mask: Vec<R> = (0..n * k).map(|e| R::of(((e % k) < list.count[e / k] as usize) as u8 as f64)).collect();
         let mask = Tensor::from_vec(mask, (1, n, k), device)?;
-        let is_fluid: Vec<R> = (0..n).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
         let mut pairs = Self {
             particles: n,
             capacity: k,
@@ -42,21 +40,11 @@ impl Pairs {
             difference: mask.clone(),
             distance: mask.clone(),
             mask,
-            is_fluid: Tensor::from_vec(is_fluid, (1, n), device)?,
+            is_fluid: fluid_mask(model, moved)?,
         };
         let position = moved.narrow(0, 0, d)?;
         let raw = (pairs.own(&position)? - pairs.other(&position)?)?;
-        let mut images = Vec::new();
-        for c in 0..d {
-            let x = raw.narrow(0, c, 1)?;
-            images.push(if model.domain.periodic[c] {
-                let size = model.domain.size[c];
-                // round() has no derivative in candle, and needs none.
-                (&x - x.detach().affine(1.0 / size, 0.0)?.round()?.affine(size, 0.0)?)?
-            } else {
-                x
-            });
-        }
+        let images = (0..d).map(|c| model.domain.nearest_of(c, &raw.narrow(0, c, 1)?)).collect::<Result<Vec<_>>>()?;
         pairs.difference = Tensor::cat(&images, 0)?;
         // The padding names the particle itself: distance 0, whose root has no derivative. Moved far away instead.
         let far = pairs.mask.affine(-1.0, 1.0)?.affine((10.0 * model.kernel.smoothing_length).powi(2), 0.0)?;
@@ -107,22 +95,21 @@ pub fn mass<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Tensor> {
     }
 }
 
-impl<R: Real> Step<R> {
-    /// [`Step::fused`] from ordinary candle ops.
-    pub fn composed(&self, moved: &Tensor) -> Result<Tensor> {
-        let pairs = Pairs::new(self, moved)?;
-        let density = density::composed(self, &pairs, moved)?;
-        let primitives = wall_condition::composed(self, &pairs, moved, &density)?;
-        let rates = rates::composed(self, &pairs, moved, &primitives)?;
-        assemble::composed(self, moved, &rates)
-    }
+/// 1 for fluid, 0 for walls, `[1, N]`, of the type and on the device of `like`.
+pub fn fluid_mask<R: Real>(model: &Model<R>, like: &Tensor) -> Result<Tensor> {
+    let n = model.particles();
+    let mask: Vec<R> = (0..n).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
+    Tensor::from_vec(mask, (1, n), like.device())
+}
 
-    /// The first half of a step, fused or composed.
-    pub fn drift(model: &Arc<crate::sph::model::Model<R>>, dt: f64, state: &Tensor, fused: bool) -> Result<Tensor> {
-        if fused {
-            state.apply_op1(drift::Drift(model.clone(), dt))
-        } else {
-            drift::composed(model, dt, state)
-        }
-    }
+/// 1 where x < limit, else 0: piecewise constant, so without derivative.
+pub fn below(x: &Tensor, limit: f64) -> Result<Tensor> {
+    let x = x.detach();
+    x.lt(limit)?.to_dtype(x.dtype())
+}
+
+/// 1 where x > limit, else 0.
+pub fn above(x: &Tensor, limit: f64) -> Result<Tensor> {
+    let x = x.detach();
+    x.gt(limit)?.to_dtype(x.dtype())
 }

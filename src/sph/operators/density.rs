@@ -5,18 +5,20 @@
 //! [`crate::sph::operators::wall_condition`]. Adjoint, gathered: with b_i = rho_bar_i m_i (0 for walls),
 //! r_bar_i = sum_j (b_i + b_j) F_ij r_ij and m_bar_i = rho_bar_i rho_i / m_i.
 
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::chain::{Chain, Step};
 use crate::sph::kernel::QuinticLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
-use crate::sph::operators::pairs::{pack_positions, Kept, Masses, RowGeometry};
-use crate::sph::step::{input, output, read, tensor, Chain, Step};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use crate::sph::operators::pairs::{pack_positions, Masses, PairCache, RowGeometry};
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]` -> density `[1, N]`, 0 for walls.
-pub struct Density<R: Real>(pub Arc<Chain<R>>);
+pub struct Density<R: Sweeps>(pub Arc<Chain<R>>);
 
 struct Forward<'a, R, const D: usize, const CURVATURE: bool> {
     step: &'a Step<R>,
@@ -84,7 +86,7 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
 
 /// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated. `density` must be zero
 /// for walls.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>, differentiate: bool, density: &mut [R]) {
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, differentiate: bool, density: &mut [R]) {
     let (model, list) = (&*step.model, &*step.list);
     pack_positions(model, moved, None, &mut kept.position);
     kept.slope.resize(list.index.len(), R::default());
@@ -114,8 +116,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>, differe
     }
 }
 
-/// [`Kept`]'s pairs for an operator that is used without the density in front of it.
-pub fn keep_pairs<R: Real>(step: &Step<R>, moved: &[R], kept: &mut Kept<R>) {
+/// [`PairCache`]'s pairs for an operator that is used without the density in front of it.
+pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
     if !kept.has_pairs {
         let mut density = step.model.scratch.take(step.model.particles());
         R::density(step, moved, kept, true, &mut density);
@@ -181,7 +183,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
-    kept: &Kept<R>,
+    kept: &PairCache<R>,
     density: &[R],
     density_bar: &[R],
     moved_bar: &mut [R],
@@ -215,30 +217,22 @@ pub fn backward<R: Real>(
     }
 }
 
-impl<R: Real> CustomOp1 for Density<R> {
-    fn name(&self) -> &'static str {
-        "density"
-    }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+impl<R: Sweeps> Operator<1> for Density<R> {
+    type Real = R;
+    const NAME: &'static str = "density";
+
+    fn forward(&self, [moved]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let step = &self.0.step;
         let n = step.model.particles();
         let mut density = vec![R::default(); n];
-        R::density(step, input(s, l)?, &mut self.0.kept(), true, &mut density);
-        Ok(output(density, (1, n)))
+        R::density(step, moved, &mut self.0.kept(), true, &mut density);
+        Ok((density, (1, n).into()))
     }
-    fn bwd(&self, moved: &Tensor, density: &Tensor, density_bar: &Tensor) -> Result<Option<Tensor>> {
-        let step = &self.0.step;
-        let (rows, n) = (step.model.layout.moved_rows(), step.model.particles());
+
+    fn adjoint(&self, [moved]: [&[R]; 1], density: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let mut moved_bar = self.0.moved_bar();
-        read(moved, |m| {
-            read(density, |rho| {
-                read(&density_bar.contiguous()?, |bar| {
-                    R::density_bar(step, m, &self.0.kept(), rho, bar, &mut moved_bar);
-                    Ok(())
-                })
-            })
-        })?;
-        Ok(Some(tensor(moved_bar, rows, n)?))
+        R::density_bar(&self.0.step, moved, &self.0.kept(), density, bar, &mut moved_bar);
+        Ok([Some(moved_bar)])
     }
 }
 

@@ -4,11 +4,11 @@
 //! T' = T + dt dT/dt, where b is the transport acceleration and f its strength (Adami, Hu and Adams 2013,
 //! eq. 15, with their p_b = -p(0)).
 
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::model::Model;
-use crate::sph::step;
-use crate::sph::step::output;
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -127,24 +127,21 @@ pub fn backward<R: Real>(model: &Model<R>, dt: f64, moved_bar: &[R], state_bar: 
     run_rows(&Backward { model, dt, moved_bar, state_bar: Shared::new(state_bar) }, model.particles());
 }
 
-impl<R: Real> CustomOp1 for Drift<R> {
-    fn name(&self) -> &'static str {
-        "drift"
-    }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+impl<R: Sweeps> Operator<1> for Drift<R> {
+    type Real = R;
+    const NAME: &'static str = "drift";
+
+    fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let (rows, n) = (self.0.layout.moved_rows(), self.0.particles());
         let mut moved = vec![R::default(); rows * n];
-        R::drift(&self.0, self.1, step::input(s, l)?, &mut moved);
-        Ok(output(moved, (rows, n)))
+        R::drift(&self.0, self.1, state, &mut moved);
+        Ok((moved, (rows, n).into()))
     }
-    fn bwd(&self, _: &Tensor, _: &Tensor, moved_bar: &Tensor) -> Result<Option<Tensor>> {
-        let (rows, n) = (self.0.layout.state_rows(), self.0.particles());
-        let mut state_bar = vec![R::default(); rows * n];
-        step::read(&moved_bar.contiguous()?, |bar| {
-            R::drift_bar(&self.0, self.1, bar, &mut state_bar);
-            Ok(())
-        })?;
-        Ok(Some(step::tensor(state_bar, rows, n)?))
+
+    fn adjoint(&self, _: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        let mut state_bar = vec![R::default(); self.0.layout.state_rows() * self.0.particles()];
+        R::drift_bar(&self.0, self.1, bar, &mut state_bar);
+        Ok([Some(state_bar)])
     }
 }
 
@@ -161,18 +158,7 @@ pub fn composed<R: Real>(model: &Model<R>, dt: f64, state: &Tensor) -> Result<Te
         rows.push(shift);
     }
     let position = (state.narrow(0, 0, d)? + drift.affine(dt, 0.0)?)?;
-    // The wrap is a constant as far as derivatives go.
-    let mut wrapped = Vec::new();
-    for k in 0..d {
-        let x = position.narrow(0, k, 1)?;
-        wrapped.push(if model.domain.periodic[k] {
-            let size = model.domain.size[k];
-            let turns = x.detach().affine(1.0 / size, 0.0)?.floor()?;
-            (x - turns.affine(size, 0.0)?)?
-        } else {
-            x
-        });
-    }
+    let wrapped = (0..d).map(|k| model.domain.wrapped_of(k, &position.narrow(0, k, 1)?)).collect::<Result<Vec<_>>>()?;
     rows.insert(0, Tensor::cat(&wrapped, 0)?);
     if l.heat {
         let t = state.narrow(0, l.temperature(), 1)?;

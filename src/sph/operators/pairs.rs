@@ -1,6 +1,7 @@
 //! What every sweep over pairs shares: rows, differences, masses, packing.
 
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::particles::domain::Images;
 use crate::particles::Domain;
 use crate::particles::NeighbourList;
 use crate::sph::model::Model;
@@ -8,8 +9,7 @@ use std::ops::Range;
 
 /// Differences of positions, in lanes.
 pub struct RowGeometry<L: Lanes, const D: usize> {
-    size: [L; D],
-    inverse: [L; D],
+    images: Images<L, D>,
     /// Between these no neighbour within the cut-off lies across a periodic edge.
     low: [L::Real; D],
     high: [L::Real; D],
@@ -18,12 +18,10 @@ pub struct RowGeometry<L: Lanes, const D: usize> {
 impl<L: Lanes, const D: usize> RowGeometry<L, D> {
     #[inline(always)]
     pub fn new(domain: &Domain, cutoff: f64) -> Self {
-        let inverse = domain.inverse_period();
         let of = L::Real::of;
         let edge = |d: usize, at: f64, none: f64| of(if domain.periodic[d] { at } else { none });
         Self {
-            size: std::array::from_fn(|d| L::splat(of(domain.size[d]))),
-            inverse: std::array::from_fn(|d| L::splat(of(inverse[d]))),
+            images: Images::new(domain),
             low: std::array::from_fn(|d| edge(d, cutoff, f64::NEG_INFINITY)),
             high: std::array::from_fn(|d| edge(d, domain.size[d] - cutoff, f64::INFINITY)),
         }
@@ -47,7 +45,7 @@ impl<L: Lanes, const D: usize> RowGeometry<L, D> {
         let mut difference = [L::zero(); D];
         for d in 0..D {
             let raw = here[d] - there[d];
-            let dr = if EDGE { raw - self.size[d] * (raw * self.inverse[d]).round() } else { raw };
+            let dr = if EDGE { self.images.nearest(d, raw) } else { raw };
             r2 = dr.mul_add(dr, r2);
             difference[d] = dr;
         }
@@ -194,7 +192,7 @@ pub fn splat_fields<L: Lanes>(record: &[L::Real], fields: usize) -> Fields<L> {
 
 /// What one sweep of a step leaves for those behind it, so that nothing is computed or packed twice.
 #[derive(Debug, Default)]
-pub struct Kept<R> {
+pub struct PairCache<R> {
     /// x y [z] in records of 4, `[N, 4]`.
     pub position: Vec<R>,
     /// F = W'(d)/d of every pair, `[N, K]`, rows as the neighbour list's, 0 in the padding and beyond the cut-off. Rows of

@@ -11,19 +11,21 @@
 //! scalar product of cotangent and rates, alpha = a_bar_i/m_i - a_bar_j/m_j and beta, gamma likewise; row i
 //! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
 
+use crate::numerics::candle::{read, Operator};
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::chain::{Chain, Step};
 use crate::sph::laws::pressure::Pressure;
 use crate::sph::laws::{conduction, transport_velocity, viscosity};
 use crate::sph::operators::pairs;
-use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Kept, Masses, RowGeometry};
+use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Masses, PairCache, RowGeometry};
 use crate::sph::operators::{composed, density};
-use crate::sph::step::{input, output, read, tensor, Chain, Step};
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
 /// moved `[M, N]`, primitives `[C, N]` -> rates `[A, N]`, zero for walls.
-pub struct Rates<R: Real>(pub Arc<Chain<R>>);
+pub struct Rates<R: Sweeps>(pub Arc<Chain<R>>);
 
 /// One particle of a pair: what its record holds.
 #[derive(Clone, Copy)]
@@ -105,8 +107,8 @@ impl<R: Real> RowKernel<R> for Packing<'_, R> {
     }
 }
 
-/// [`Kept`]'s records for an operator that is used without the primitives in front of it.
-pub fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut Kept<R>) {
+/// [`PairCache`]'s records for an operator that is used without the primitives in front of it.
+pub fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut PairCache<R>) {
     if !kept.has_records {
         let (n, l) = (step.model.particles(), step.model.layout);
         kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
@@ -147,7 +149,7 @@ fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
 
 struct Forward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    kept: &'a Kept<R>,
+    kept: &'a PairCache<R>,
     mass: Masses<'a, R>,
     rates: Shared<'a, R>,
 }
@@ -264,8 +266,8 @@ macro_rules! dispatch {
 }
 pub(super) use dispatch;
 
-/// The forward pass, on plain numbers, from [`Kept`]'s pairs and records. `rates` must be zero for walls.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &Kept<R>, rates: &mut [R]) {
+/// The forward pass, on plain numbers, from [`PairCache`]'s pairs and records. `rates` must be zero for walls.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates: &mut [R]) {
     let l = step.model.layout;
     let mass = Masses::new(&step.model, moved);
     macro_rules! go {
@@ -291,7 +293,7 @@ fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
 
 struct Backward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    kept: &'a Kept<R>,
+    kept: &'a PairCache<R>,
     /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
     bars: &'a [R],
     mass: Masses<'a, R>,
@@ -487,7 +489,7 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
-    kept: &Kept<R>,
+    kept: &PairCache<R>,
     rates: &[R],
     rates_bar: &[R],
     moved_bar: &mut [R],
@@ -526,15 +528,14 @@ pub fn backward<R: Real>(
     model.scratch.give_back(bars);
 }
 
-impl<R: Real> CustomOp2 for Rates<R> {
-    fn name(&self) -> &'static str {
-        "rates"
-    }
-    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+impl<R: Sweeps> Operator<2> for Rates<R> {
+    type Real = R;
+    const NAME: &'static str = "rates";
+
+    fn forward(&self, [moved, primitives]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.rate_rows(), step.model.particles());
         let mut rates = vec![R::default(); rows * n];
-        let (moved, primitives) = (input(s1, l1)?, input(s2, l2)?);
         let mut kept = self.0.kept();
         density::keep_pairs(step, moved, &mut kept);
         R::keep_records(step, moved, primitives, &mut kept);
@@ -545,28 +546,15 @@ impl<R: Real> CustomOp2 for Rates<R> {
             })?,
             None => R::rates(step, moved, &kept, &mut rates),
         }
-        Ok(output(rates, (rows, n)))
+        Ok((rates, (rows, n).into()))
     }
-    fn bwd(
-        &self,
-        moved: &Tensor,
-        _: &Tensor,
-        rates: &Tensor,
-        rates_bar: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+
+    fn adjoint(&self, [moved, _]: [&[R]; 2], rates: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let step = &self.0.step;
-        let (l, n) = (step.model.layout, step.model.particles());
         let mut moved_bar = self.0.moved_bar();
-        let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
-        read(moved, |m| {
-            read(rates, |a| {
-                read(&rates_bar.contiguous()?, |bar| {
-                    R::rates_bar(step, m, &self.0.kept(), a, bar, &mut moved_bar, &mut primitives_bar);
-                    Ok(())
-                })
-            })
-        })?;
-        Ok((self.0.pass_on(moved_bar)?, Some(tensor(primitives_bar, l.primitive_rows(), n)?)))
+        let mut primitives_bar = vec![R::default(); step.model.layout.primitive_rows() * step.model.particles()];
+        R::rates_bar(step, moved, &self.0.kept(), rates, bar, &mut moved_bar, &mut primitives_bar);
+        Ok([self.0.pass_on(moved_bar), Some(primitives_bar)])
     }
 }
 
@@ -595,16 +583,9 @@ pub fn composed<R: Real>(
     }
     let only_fluid = pairs.is_fluid.clone();
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
-    let mut acceleration = per_mass(force.broadcast_mul(&c)?.sum(2)?)?;
-    let given: Vec<R> = read(&moved.narrow(0, 1, 1)?.contiguous()?, |y: &[R]| {
-        Ok(y.iter()
-            .enumerate()
-            .map(|(i, y)| if model.is_fluid(i) { R::of(model.body_force.at(y.f64())) } else { R::default() })
-            .collect())
-    })?;
-    let mut rows = vec![R::default(); d * model.particles()];
-    rows[..model.particles()].copy_from_slice(&given);
-    acceleration = (acceleration + Tensor::from_vec(rows, (d, model.particles()), moved.device())?)?;
+    let pair_forces = per_mass(force.broadcast_mul(&c)?.sum(2)?)?;
+    let given = model.body_force.composed(&moved.narrow(0, 1, 1)?)?.mul(&only_fluid)?;
+    let acceleration = Tensor::cat(&[(pair_forces.narrow(0, 0, 1)? + given)?, pair_forces.narrow(0, 1, d - 1)?], 0)?;
     let mut rates = vec![acceleration];
     if l.transport {
         let spread = pairs.difference.broadcast_mul(&c)?.sum(2)?;
@@ -613,10 +594,7 @@ pub fn composed<R: Real>(
     if l.heat {
         let temperature = primitives.narrow(0, l.primitive_temperature(), 1)?;
         let warmth = conduction::composed(pairs, &volume, &temperature, &slope)?;
-        let open: Vec<R> = read(&moved.narrow(0, 0, 1)?.contiguous()?, |x: &[R]| {
-            Ok(x.iter().map(|x| R::of(conduction::conducts(model, *x) as u8 as f64)).collect())
-        })?;
-        let open = Tensor::from_vec(open, (1, model.particles()), moved.device())?;
+        let open = conduction::conducts_composed(model, &moved.narrow(0, 0, 1)?)?;
         rates.push(per_mass(warmth.affine(conduction::factor(model), 0.0)?)?.mul(&open)?);
     }
     Tensor::cat(&rates, 0)

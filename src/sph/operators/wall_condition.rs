@@ -15,16 +15,18 @@
 //! Adjoint: wall rows compute D = cotangents of their weighted sums; fluid rows gather them from the walls
 //! that they reach.
 
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::sph::chain::{Chain, Step};
 use crate::sph::kernel::QuinticLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{
-    gather_fields, pack_positions, splat_fields, stride, Fields, Kept, Masses, RowGeometry,
+    gather_fields, pack_positions, splat_fields, stride, Fields, Masses, PairCache, RowGeometry,
 };
 use crate::sph::operators::rates::{dispatch, record_fields, record_temperature};
-use crate::sph::step::{input, output, read, tensor, Chain, Step};
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor};
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -32,7 +34,7 @@ use std::sync::Arc;
 const EPSILON: f64 = f64::EPSILON;
 
 /// moved `[M, N]`, density `[1, N]` (fluid) -> primitives `[C, N]`.
-pub struct Primitives<R: Real>(pub Arc<Chain<R>>);
+pub struct WallCondition<R: Sweeps>(pub Arc<Chain<R>>);
 
 /// What walls average over their fluid neighbours.
 #[derive(Clone, Copy)]
@@ -267,12 +269,12 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     }
 }
 
-/// The forward pass, on plain numbers: fills [`Kept`]'s records, and `primitives` if somebody wants to read them.
+/// The forward pass, on plain numbers: fills [`PairCache`]'s records, and `primitives` if somebody wants to read them.
 pub fn forward<R: Real>(
     step: &Step<R>,
     moved: &[R],
     density: &[R],
-    kept: &mut Kept<R>,
+    kept: &mut PairCache<R>,
     mut primitives: Option<&mut [R]>,
 ) {
     let (model, list) = (&*step.model, &*step.list);
@@ -335,7 +337,7 @@ const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
 /// [temperature]), and of the walls' own position.
 struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    kept: &'a Kept<R>,
+    kept: &'a PairCache<R>,
     primitives_bar: &'a [R],
     sums_bar: Shared<'a, R>,
     moved_bar: Shared<'a, R>,
@@ -420,7 +422,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
 /// Fluid rows of the adjoint: gather from the walls in reach.
 struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    kept: &'a Kept<R>,
+    kept: &'a PairCache<R>,
     sums_bar: &'a [R],
     moved_bar: Shared<'a, R>,
     density_bar: Shared<'a, R>,
@@ -505,7 +507,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
 /// The adjoint, on plain numbers: adds to `moved_bar`; `density_bar` must be zero.
 pub fn backward<R: Real>(
     step: &Step<R>,
-    kept: &Kept<R>,
+    kept: &PairCache<R>,
     primitives_bar: &[R],
     moved_bar: &mut [R],
     density_bar: &mut [R],
@@ -571,33 +573,24 @@ pub fn backward<R: Real>(
     dispatch!(l, go);
 }
 
-impl<R: Real> CustomOp2 for Primitives<R> {
-    fn name(&self) -> &'static str {
-        "primitives"
-    }
-    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+impl<R: Sweeps> Operator<2> for WallCondition<R> {
+    type Real = R;
+    const NAME: &'static str = "wall condition";
+
+    fn forward(&self, [moved, density]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.primitive_rows(), step.model.particles());
         let mut primitives = vec![R::default(); rows * n];
-        R::primitives(step, input(s1, l1)?, input(s2, l2)?, &mut self.0.kept(), Some(&mut primitives));
-        Ok(output(primitives, (rows, n)))
+        R::primitives(step, moved, density, &mut self.0.kept(), Some(&mut primitives));
+        Ok((primitives, (rows, n).into()))
     }
-    fn bwd(
-        &self,
-        _: &Tensor,
-        _: &Tensor,
-        _: &Tensor,
-        primitives_bar: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+
+    fn adjoint(&self, _: [&[R]; 2], _: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let step = &self.0.step;
-        let n = step.model.particles();
         let mut moved_bar = self.0.moved_bar();
-        let mut density_bar = vec![R::default(); n];
-        read(&primitives_bar.contiguous()?, |bar| {
-            R::primitives_bar(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
-            Ok(())
-        })?;
-        Ok((self.0.pass_on(moved_bar)?, Some(tensor(density_bar, 1, n)?)))
+        let mut density_bar = vec![R::default(); step.model.particles()];
+        R::primitives_bar(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
+        Ok([self.0.pass_on(moved_bar), Some(density_bar)])
     }
 }
 

@@ -1,5 +1,6 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
+use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
@@ -74,15 +75,15 @@ impl Gns {
         let s = &self.sizes;
         let embedded = p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?;
         let nodes = Tensor::cat(&[&inputs.nodes, &embedded], 1)?;
-        let nodes = nodes.apply_op2(&p[1], Mlp::<R>::new(s.encoder(nodes.dim(1)?), memory))?;
-        let edges = inputs.edges.apply_op2(&p[2], Mlp::<R>::new(s.encoder(s.edge_features), memory))?;
+        let nodes = apply2(Mlp::<R>::new(s.encoder(nodes.dim(1)?), memory), &nodes, &p[1])?;
+        let edges = apply2(Mlp::<R>::new(s.encoder(s.edge_features), memory), &inputs.edges, &p[2])?;
         if let Some(trace) = &trace {
             trace.lock().unwrap_or_else(|e| e.into_inner()).push(Tensor::cat(&[&nodes, &edges], 0)?.detach());
         }
         let keeps = [&nodes, &edges, &p[3]].iter().any(|t| t.track_op());
         let rounds = Rounds::<R>::new(&inputs.graph, (s.latent, s.latent, s.linears), s.rounds, keeps, memory, trace);
-        let nodes = nodes.apply_op3(&edges, &p[3], rounds)?;
-        nodes.apply_op2(&p[4], Mlp::<R>::new(s.decoder(), memory))
+        let nodes = apply3(rounds, &nodes, &edges, &p[3])?;
+        apply2(Mlp::<R>::new(s.decoder(), memory), &nodes, &p[4])
     }
 
     /// As [`Model::apply`], with the state `[N + E, L]` behind the encoder and behind each round.

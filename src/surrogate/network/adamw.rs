@@ -3,10 +3,10 @@
 //! m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - lr (m^/(sqrt(v^) + eps) + decay x), with m^ = m/(1 - b1^t) and
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
+use crate::numerics::candle::{update as in_place, Update};
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
-use crate::sph::step;
 use crate::surrogate::network::row::each;
-use candle_core::{CpuStorage, DType, InplaceOp3, Layout, Result, Tensor, Var};
+use candle_core::{DType, Result, Tensor, Var};
 use std::ops::Range;
 
 pub const FIRST_DECAY: f64 = 0.9;
@@ -78,34 +78,12 @@ impl<R: Real> RowKernel<R> for Sweep<'_, R> {
     }
 }
 
-impl<R: Real> InplaceOp3 for Change<R> {
-    fn name(&self) -> &'static str {
-        "adamw"
-    }
+impl<R: Real> Update for Change<R> {
+    type Real = R;
+    const NAME: &'static str = "adamw";
 
-    fn cpu_fwd(
-        &self,
-        x: &mut CpuStorage,
-        x_layout: &Layout,
-        a: &CpuStorage,
-        a_layout: &Layout,
-        b: &CpuStorage,
-        b_layout: &Layout,
-    ) -> Result<()> {
-        let (a, b) = (step::input::<R>(a, a_layout)?, step::input::<R>(b, b_layout)?);
-        let x: &mut [R] = match x {
-            CpuStorage::F32(x) if R::DTYPE == DType::F32 => bytemuck::cast_slice_mut(x),
-            CpuStorage::F64(x) if R::DTYPE == DType::F64 => bytemuck::cast_slice_mut(x),
-            _ => candle_core::bail!("adamw: the types of the tensors differ"),
-        };
-        match x_layout.contiguous_offsets() {
-            Some((from, to)) if to - from == a.len() && a.len() == b.len() => {
-                let x = Shared::new(&mut x[from..to]);
-                run_rows(&Sweep { x, a, b, change: *self }, a.len().div_ceil(ROW));
-                Ok(())
-            }
-            _ => candle_core::bail!("adamw: the shapes of the tensors differ"),
-        }
+    fn update(&self, x: &mut [R], a: &[R], b: &[R]) {
+        run_rows(&Sweep { x: Shared::new(x), a, b, change: *self }, a.len().div_ceil(ROW));
     }
 }
 
@@ -147,9 +125,9 @@ fn update<R: Real>(
     let [b1, b2, c1, c2, epsilon] =
         [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
     let (g, m, v) = (gradient.contiguous()?.detach(), &moments.first, &moments.second);
-    m.inplace_op3(&g, &g, &Change::Mean { decay: b1, rest: c1 })?;
-    v.inplace_op3(&g, &g, &Change::Square { decay: b2, rest: c2 })?;
-    parameter.inplace_op3(m, v, &Change::Move { rate, first, second, epsilon, decay })
+    in_place(Change::Mean { decay: b1, rest: c1 }, m, &g, &g)?;
+    in_place(Change::Square { decay: b2, rest: c2 }, v, &g, &g)?;
+    in_place(Change::Move { rate, first, second, epsilon, decay }, parameter, m, v)
 }
 
 /// max(start factor^(step/interval), least): LagrangeBench's decay.

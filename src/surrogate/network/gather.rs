@@ -1,9 +1,9 @@
 //! Rows of a tensor by number, and sums of rows by number: each the other's adjoint.
 
+use crate::numerics::candle::{apply1, Operator};
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
-use crate::sph::step;
 use crate::surrogate::network::graph::Graph;
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
+use candle_core::{DType, Result, Shape, Tensor};
 use std::marker::PhantomData;
 use std::ops::Range;
 use std::sync::Arc;
@@ -34,11 +34,10 @@ pub fn segment_sum(x: &Tensor, graph: &Arc<Graph>, end: End) -> Result<Tensor> {
 }
 
 fn apply(x: &Tensor, graph: &Arc<Graph>, end: End, gathers: bool) -> Result<Tensor> {
-    let x = x.contiguous()?;
     let graph = graph.clone();
     match x.dtype() {
-        DType::F32 => x.apply_op1(Op::<f32> { graph, end, gathers, real: PhantomData }),
-        _ => x.apply_op1(Op::<f64> { graph, end, gathers, real: PhantomData }),
+        DType::F32 => apply1(Op::<f32> { graph, end, gathers, real: PhantomData }, x),
+        _ => apply1(Op::<f64> { graph, end, gathers, real: PhantomData }, x),
     }
 }
 
@@ -68,28 +67,34 @@ impl<R: Real> RowKernel<R> for Pass<'_, R> {
     }
 }
 
-impl<R: Real> CustomOp1 for Op<R> {
-    fn name(&self) -> &'static str {
-        if self.gathers {
-            "gather"
-        } else {
-            "segment_sum"
-        }
-    }
+impl<R: Real> Operator<1> for Op<R> {
+    type Real = R;
+    const NAME: &'static str = "gather or segment sum";
 
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (from, width) = layout.shape().dims2()?;
+    fn forward(&self, [x]: [&[R]; 1], [shape]: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
+        let (from, width) = shape.dims2()?;
         let (nodes, edges) = (self.graph.nodes(), self.graph.edges());
         let (wanted, rows) = if self.gathers { (nodes, edges) } else { (edges, nodes) };
         if from != wanted {
-            candle_core::bail!("{}: {from} rows, but the graph has {wanted}", self.name());
+            candle_core::bail!("{}: {from} rows, but the graph has {wanted}", Self::NAME);
         }
-        let mut y = vec![R::default(); rows * width];
-        run_rows(&Pass { op: self, x: step::input(storage, layout)?, width, y: Shared::new(&mut y) }, rows);
-        Ok(step::output(y, (rows, width)))
+        let y = self.pass(x, rows, width);
+        Ok((y, (rows, width).into()))
     }
 
-    fn bwd(&self, _: &Tensor, _: &Tensor, bar: &Tensor) -> Result<Option<Tensor>> {
-        Ok(Some(apply(bar, &self.graph, self.end, !self.gathers)?))
+    fn adjoint(&self, [x]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        let (nodes, edges) = (self.graph.nodes(), self.graph.edges());
+        let rows = if self.gathers { nodes } else { edges };
+        let other = Self { graph: self.graph.clone(), end: self.end, gathers: !self.gathers, real: PhantomData };
+        Ok([Some(other.pass(bar, rows, x.len() / rows.max(1)))])
+    }
+}
+
+impl<R: Real> Op<R> {
+    /// `[rows, width]`.
+    fn pass(&self, x: &[R], rows: usize, width: usize) -> Vec<R> {
+        let mut y = vec![R::default(); rows * width];
+        run_rows(&Pass { op: self, x, width, y: Shared::new(&mut y) }, rows);
+        y
     }
 }

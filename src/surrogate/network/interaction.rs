@@ -8,8 +8,8 @@
 //! All rounds are one operator: between operators candle clears, adds and copies a cotangent `[N + E, L]` each time, which
 //! took a fifth of a training step. Here it is one buffer from the last round to the first.
 
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
-use crate::sph::step;
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::memory::{Memory, Owned};
@@ -17,7 +17,7 @@ use crate::surrogate::network::mlp;
 use crate::surrogate::network::mlp::{Cotangents, Kept, Layers, Shape};
 use crate::surrogate::network::row;
 use crate::surrogate::network::row::each;
-use candle_core::{CpuStorage, CustomOp3, Device, Layout, Result, Tensor};
+use candle_core::{Device, Result, Tensor};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
@@ -418,7 +418,7 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
 impl<R: Real> Rounds<R> {
     /// One round: nodes behind it, and what the adjoint needs. The edges behind it come to stand in `edges_out`, where those
     /// before it stand if there are no `edges`.
-    fn forward(
+    fn forward_round(
         &self,
         round: usize,
         nodes: &[R],
@@ -455,7 +455,7 @@ impl<R: Real> Rounds<R> {
 
     /// Its adjoint: `nodes_bar` and `edges_bar` go from behind the round to before it, the gradient is put into `p_bar`.
     #[allow(clippy::too_many_arguments)]
-    fn backward(
+    fn backward_round(
         &self,
         round: usize,
         (nodes, edges): (&[R], &[R]),
@@ -503,23 +503,16 @@ impl<R: Real> Rounds<R> {
     }
 }
 
-impl<R: Real> CustomOp3 for Rounds<R> {
-    fn name(&self) -> &'static str {
-        "rounds"
-    }
+impl<R: Real> Operator<3> for Rounds<R> {
+    type Real = R;
+    const NAME: &'static str = "rounds";
 
-    fn cpu_fwd(
+    fn forward(
         &self,
-        nodes: &CpuStorage,
-        nodes_layout: &Layout,
-        edges: &CpuStorage,
-        edges_layout: &Layout,
-        p: &CpuStorage,
-        p_layout: &Layout,
-    ) -> Result<(CpuStorage, candle_core::Shape)> {
+        [nodes, edges, p]: [&[R]; 3],
+        _: [&candle_core::Shape; 3],
+    ) -> Result<(Vec<R>, candle_core::Shape)> {
         let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
-        let (nodes, edges) = (step::input::<R>(nodes, nodes_layout)?, step::input::<R>(edges, edges_layout)?);
-        let p = step::input::<R>(p, p_layout)?;
         if nodes.len() != n * l || edges.len() != e * l || p.len() != self.parameters(self.rounds).0.start {
             candle_core::bail!("rounds: {} and {} numbers, not {n} x {l} and {e} x {l}", nodes.len(), edges.len());
         }
@@ -532,7 +525,7 @@ impl<R: Real> CustomOp3 for Rounds<R> {
             let mut edges_out =
                 own.unwrap_or_else(|| self.memory.take(if self.gives_edges(round) { e * l } else { 0 }));
             let from = nodes_now.as_deref().map_or(nodes, |nodes| nodes);
-            let (nodes_out, one) = self.forward(round, from, given, &mut edges_out, p);
+            let (nodes_out, one) = self.forward_round(round, from, given, &mut edges_out, p);
             if let Some(trace) = &self.trace {
                 let state = Tensor::from_vec([&nodes_out[..], &edges_out[..]].concat(), (n + e, l), &Device::Cpu)?;
                 trace.lock().unwrap_or_else(|e| e.into_inner()).push(state);
@@ -542,42 +535,29 @@ impl<R: Real> CustomOp3 for Rounds<R> {
         }
         *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = kept;
         let out = nodes_now.as_deref().map_or(nodes, |nodes| nodes).to_vec();
-        Ok(step::output(out, (n, l)))
+        Ok((out, (n, l).into()))
     }
 
-    fn bwd(
+    fn adjoint(
         &self,
-        nodes: &Tensor,
-        edges: &Tensor,
-        p: &Tensor,
-        _: &Tensor,
-        out_bar: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        [nodes, edges, p]: [&[R]; 3],
+        _: &[R],
+        out_bar: &[R],
+        _: [bool; 3],
+    ) -> Result<[Option<Vec<R>>; 3]> {
         let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
         if kept.len() != self.rounds {
             candle_core::bail!("rounds: the gradient was asked for without a forward pass that keeps activations")
         }
-        let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
-        let mut nodes_bar = step::read(&out_bar.contiguous()?, |bar: &[R]| Ok(bar.to_vec()))?;
-        let mut edges_bar = vec![R::default(); e * l];
-        let mut p_bar = vec![R::default(); p.elem_count()];
-        step::read(nodes, |nodes| {
-            step::read(edges, |edges| {
-                step::read(p, |p| {
-                    for (round, kept) in kept.iter_mut().enumerate().rev() {
-                        let before = kept.before.take();
-                        let state = before.as_ref().map_or((nodes, edges), |(nodes, edges)| (&nodes[..], &edges[..]));
-                        self.backward(round, state, p, kept, &mut nodes_bar, &mut edges_bar, &mut p_bar);
-                        kept.before = before;
-                    }
-                    Ok(())
-                })
-            })
-        })?;
-        Ok((
-            Some(Tensor::from_vec(nodes_bar, (n, l), nodes.device())?),
-            Some(Tensor::from_vec(edges_bar, (e, l), nodes.device())?),
-            Some(Tensor::from_vec(p_bar, p.elem_count(), nodes.device())?),
-        ))
+        let mut nodes_bar = out_bar.to_vec();
+        let mut edges_bar = vec![R::default(); edges.len()];
+        let mut p_bar = vec![R::default(); p.len()];
+        for (round, kept) in kept.iter_mut().enumerate().rev() {
+            let before = kept.before.take();
+            let state = before.as_ref().map_or((nodes, edges), |(nodes, edges)| (&nodes[..], &edges[..]));
+            self.backward_round(round, state, p, kept, &mut nodes_bar, &mut edges_bar, &mut p_bar);
+            kept.before = before;
+        }
+        Ok([Some(nodes_bar), Some(edges_bar), Some(p_bar)])
     }
 }

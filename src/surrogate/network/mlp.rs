@@ -4,12 +4,12 @@
 //! Kiros and Hinton 2016, with the biased variance). Weights are stored `[in, out]`. Rows go through in blocks that
 //! stay in a core's cache; what the adjoint needs again (activations behind each ReLU, normalised rows) is kept.
 
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
-use crate::sph::step;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::memory::{Memory, Owned};
 use crate::surrogate::network::row;
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Tensor};
+use candle_core::Result;
 use std::ops::Range;
 use std::sync::Mutex;
 
@@ -434,20 +434,12 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
     }
 }
 
-impl<R: Real> CustomOp2 for Mlp<R> {
-    fn name(&self) -> &'static str {
-        "mlp"
-    }
+impl<R: Real> Operator<2> for Mlp<R> {
+    type Real = R;
+    const NAME: &'static str = "mlp";
 
-    fn cpu_fwd(
-        &self,
-        x: &CpuStorage,
-        lx: &Layout,
-        p: &CpuStorage,
-        lp: &Layout,
-    ) -> Result<(CpuStorage, candle_core::Shape)> {
+    fn forward(&self, [x, p]: [&[R]; 2], _: [&candle_core::Shape; 2]) -> Result<(Vec<R>, candle_core::Shape)> {
         let shape = &self.shape;
-        let (x, p) = (step::input::<R>(x, lx)?, step::input::<R>(p, lp)?);
         let rows = x.len() / shape.inputs;
         let mut kept = Kept::new(&self.memory, shape, rows);
         let mut y = vec![R::default(); rows * shape.outputs];
@@ -455,10 +447,17 @@ impl<R: Real> CustomOp2 for Mlp<R> {
         let layers = kept.shared();
         run_rows(&Forward { shape, x, p, layers, y: Shared::new(&mut y), rows, parts }, parts);
         *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = Some(kept);
-        Ok(step::output(y, (rows, shape.outputs)))
+        Ok((y, (rows, shape.outputs).into()))
     }
 
-    fn bwd(&self, x: &Tensor, p: &Tensor, _: &Tensor, y_bar: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
+    fn adjoint(
+        &self,
+        [x, p]: [&[R]; 2],
+        _: &[R],
+        y_bar: &[R],
+        // Features are data more often than not: nobody asks for their gradient then.
+        [wants_x, _]: [bool; 2],
+    ) -> Result<[Option<Vec<R>>; 2]> {
         let shape = &self.shape;
         let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
         let Some(kept) = kept.as_mut() else {
@@ -466,26 +465,24 @@ impl<R: Real> CustomOp2 for Mlp<R> {
         };
         let rows = kept.rows;
         let parts = parts(rows);
-        // Features are data more often than not: nobody asks for their gradient then.
-        let wants_x = x.track_op();
-        let mut x_bar = vec![R::default(); if wants_x { rows * shape.inputs } else { 0 }];
-        let mut p_bar = self.memory.take(parts * shape.parameters());
-        step::read(&y_bar.contiguous()?, |y_bar| {
-            step::read(x, |x| {
-                step::read(p, |p| {
-                    let (x_bar, p_bar) = (Shared::new(&mut x_bar), Shared::new(&mut p_bar));
-                    let layers = kept.shared();
-                    let memory = &self.memory;
-                    let pass = Backward { shape, memory, x, p, layers, y_bar, x_bar, wants_x, p_bar, rows, parts };
-                    run_rows(&pass, parts);
-                    Ok(())
-                })
-            })
-        })?;
-        let mut sum = vec![R::default(); shape.parameters()];
-        sum_of_parts(&mut sum, &p_bar);
-        let p_bar = Tensor::from_vec(sum, shape.parameters(), x.device())?;
-        let x_bar = if wants_x { Some(Tensor::from_vec(x_bar, (rows, shape.inputs), x.device())?) } else { None };
-        Ok((x_bar, Some(p_bar)))
+        let mut x_bar = vec![R::default(); if wants_x { x.len() } else { 0 }];
+        let mut parts_bar = self.memory.take(parts * shape.parameters());
+        let pass = Backward {
+            shape,
+            memory: &self.memory,
+            x,
+            p,
+            layers: kept.shared(),
+            y_bar,
+            x_bar: Shared::new(&mut x_bar),
+            wants_x,
+            p_bar: Shared::new(&mut parts_bar),
+            rows,
+            parts,
+        };
+        run_rows(&pass, parts);
+        let mut p_bar = vec![R::default(); shape.parameters()];
+        sum_of_parts(&mut p_bar, &parts_bar);
+        Ok([wants_x.then_some(x_bar), Some(p_bar)])
     }
 }

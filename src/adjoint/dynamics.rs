@@ -1,0 +1,117 @@
+//! What a gradient needs to know of something that advances in steps, and of what is asked of it.
+//!
+//! The solver and a surrogate are both [`Dynamics`]: their state is one tensor, they advance it with and without a graph,
+//! and show it as [`Fields`]. An [`Objective`] sees fields only, an [`super::run::Observer`] a run.
+
+use crate::particles::neighbour_list::NeighbourError;
+use candle_core::Tensor;
+use std::sync::Arc;
+
+/// A run that could not go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    #[error("step {step}: {source}")]
+    Neighbours { step: usize, source: NeighbourError },
+    #[error("step {step}: {source}")]
+    Tensor { step: usize, source: candle_core::Error },
+    #[error("step {step}: {field} of particle {particle} is {value}: the run has diverged; try a smaller time.cfl")]
+    NotFinite { step: usize, field: &'static str, particle: usize, value: f64 },
+}
+
+impl RunError {
+    /// A failed tensor operation in a step.
+    pub fn tensor(step: usize) -> impl Fn(candle_core::Error) -> Self {
+        move |source| Self::Tensor { step, source }
+    }
+}
+
+/// The particles at one time, walls included, in physical units. On the graph, if they came from one.
+#[derive(Debug, Clone)]
+pub struct Fields {
+    /// Steps behind the state.
+    pub step: usize,
+    /// Its time.
+    pub time: f64,
+    /// `[D, N]`.
+    pub position: Tensor,
+    /// `[D, N]`.
+    pub velocity: Tensor,
+    /// `[1, N]`.
+    pub density: Tensor,
+    /// `[1, N]`.
+    pub mass: Tensor,
+    /// Above the reference (in a channel: the inlet's), `[1, N]`; none without heat.
+    pub temperature: Option<Tensor>,
+    /// See [`crate::particles::tag`], `[N]`.
+    pub tags: Arc<Vec<u8>>,
+    /// Whether a particle takes part in the flow: fluid, and walls with fluid in reach, `[N]`.
+    pub active: Arc<Vec<bool>>,
+}
+
+/// Something that advances a state, with and without a graph: the solver, a surrogate.
+pub trait Dynamics: Sync {
+    /// A state to start from, or to come back to.
+    type Start: Sync;
+    /// The same as a schedule keeps it, perhaps rounded.
+    type Kept;
+    /// A run without a graph.
+    type Run;
+    /// A run on the graph.
+    type Tape;
+
+    fn start(&self, from: &Self::Start) -> Result<Self::Run, RunError>;
+    /// One step.
+    fn advance(&self, run: &mut Self::Run) -> Result<(), RunError>;
+    /// Steps that a run has made, those before its start included.
+    fn step(&self, run: &Self::Run) -> usize;
+    /// An error if a number of the state is not finite.
+    fn check(&self, run: &Self::Run) -> Result<(), RunError>;
+    /// The present state as fields.
+    fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
+
+    /// A start's state as a tensor of its own.
+    fn tensor(&self, from: &Self::Start) -> Result<Tensor, RunError>;
+    /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.
+    fn advance_taped(&self, tape: &mut Self::Tape, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError>;
+    /// A state of the tape as fields, on the graph.
+    fn fields(&self, tape: &Self::Tape, state: &Tensor) -> Result<Fields, RunError>;
+
+    /// Keeps the present state, `rounded` to single precision or exactly.
+    fn keep(&self, run: &Self::Run, rounded: bool) -> Result<Self::Kept, RunError>;
+    /// `run` has made the step behind the kept state: what was found in it need not be found again.
+    fn settle(&self, kept: &mut Self::Kept, run: &Self::Run);
+    /// Takes `run` back to a kept state.
+    fn resume(&self, run: &mut Self::Run, kept: &Self::Kept) -> Result<(), RunError>;
+    /// Starts on the graph at a kept state: the tape, and the state as a tensor of its own. `last` is the tape before
+    /// this one and `run` the run without a graph, to take over what they share with the new one.
+    fn tape(
+        &self,
+        kept: &Self::Kept,
+        last: Option<Self::Tape>,
+        run: &Self::Run,
+    ) -> Result<(Self::Tape, Tensor), RunError>;
+
+    /// Bytes of a kept state.
+    fn kept_bytes(&self, kept: &Self::Kept) -> Bytes;
+    /// Bytes that the last step of `tape` put on it.
+    fn taped_bytes(&self, tape: &Self::Tape) -> Bytes;
+}
+
+/// Memory of something that shares a part with others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bytes {
+    pub own: usize,
+    pub shared: usize,
+    /// Tells one shared part from another: its address.
+    pub identity: usize,
+}
+
+/// A scalar function of a run: a weighted sum over some of its states.
+pub trait Objective: Sync {
+    /// What it is called in tables.
+    fn name(&self) -> &str;
+    /// The weight of the state after `step` steps; `None` if the objective does not look at it.
+    fn weight(&self, step: usize) -> Option<f64>;
+    /// Its value of a state: a scalar, on the graph if the fields are.
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor>;
+}

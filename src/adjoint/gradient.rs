@@ -1,0 +1,332 @@
+//! The gradient of a run by its initial state, by the actions of a [`Schedule`].
+//!
+//! Forward without a graph, keeping states. Then, last step to first: make a kept state a variable, run a segment (one
+//! step or more) on the graph, multiply its end with the cotangent that the segment behind it left, call candle's
+//! `backward`, and read the cotangent of the segment's start. Everything that a segment adds to the derivative by a
+//! design travels in that cotangent: positions and masses of wall particles are rows of the state, and each step adds
+//! its share to their cotangent. So the sums are the same, in the same order, whatever the schedule: bit for bit equal
+//! to one tape.
+
+use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
+use super::schedule::{Action, Schedule};
+use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor, Var};
+use std::collections::{BTreeMap, HashMap};
+
+/// What a gradient run found.
+pub struct Gradient {
+    /// The objective.
+    pub value: f64,
+    /// Its derivative by the state at the schedule's first step, `[F, N]`.
+    pub state: Tensor,
+    /// Seconds of the first run through, without a graph, and of everything behind it.
+    pub forward_seconds: f64,
+    pub backward_seconds: f64,
+    /// Most bytes that were kept and on the tape at the same time: what [`Schedule::storage`] predicts.
+    pub storage: usize,
+    /// Steps that were run without and with graph.
+    pub plain_steps: usize,
+    pub differentiated_steps: usize,
+}
+
+/// An objective's value of a state, as a number.
+///
+/// # Errors
+/// Tensor errors.
+pub fn value<O: Objective + ?Sized>(objective: &O, fields: &Fields) -> candle_core::Result<f64> {
+    objective.value(fields)?.to_dtype(DType::F64)?.to_scalar()
+}
+
+/// Called after each segment (or each forward step) with the share of the work that is done.
+pub type Progress<'a> = &'a mut dyn FnMut(f64);
+
+/// Runs `schedule` from `start` and differentiates.
+///
+/// Long segments recurse deeply in candle's `backward` and `Drop` (about 250 bytes of stack per chained operator);
+/// this runs on a thread with a stack of 1 GiB of virtual memory, enough for a million operators.
+pub fn gradient<D, O>(
+    dynamics: &D,
+    start: &D::Start,
+    schedule: &Schedule,
+    objective: &O,
+    progress: Progress<'_>,
+) -> Result<Gradient, RunError>
+where
+    D: Dynamics,
+    O: Objective + ?Sized,
+{
+    // The closure is only borrowed by one thread at a time.
+    let progress = std::sync::Mutex::new(SendPointer(progress));
+    std::thread::scope(|scope| {
+        let worker = std::thread::Builder::new()
+            .name("gradient".into())
+            .stack_size(1 << 30)
+            .spawn_scoped(scope, || {
+                let mut guard = progress.lock().unwrap_or_else(|e| e.into_inner());
+                run(dynamics, start, schedule, objective, guard.0)
+            })
+            .map_err(|source| RunError::Tensor { step: 0, source: candle_core::Error::Io(source) })?;
+        match worker.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
+    })
+}
+
+struct SendPointer<'a>(Progress<'a>);
+// SAFETY: the calling thread waits in `scope` while the worker uses the closure, so only one thread ever does.
+unsafe impl Send for SendPointer<'_> {}
+
+/// Bytes held now and at most. Shared parts count once.
+#[derive(Debug, Default)]
+struct Held {
+    now: usize,
+    peak: usize,
+    sharing: HashMap<usize, usize>,
+}
+
+impl Held {
+    fn add(&mut self, bytes: Bytes) {
+        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
+        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
+        *sharing += 1;
+        self.peak = self.peak.max(self.now);
+    }
+
+    fn remove(&mut self, bytes: Bytes) {
+        self.now -= bytes.own;
+        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
+            *sharing -= 1;
+            if *sharing == 0 {
+                self.sharing.remove(&bytes.identity);
+                self.now -= bytes.shared;
+            }
+        }
+    }
+}
+
+/// A schedule at work.
+struct Executor<'a, D: Dynamics, O: ?Sized> {
+    dynamics: &'a D,
+    objective: &'a O,
+    plain: D::Run,
+    tape: Option<D::Tape>,
+    kept: BTreeMap<usize, D::Kept>,
+    held: Held,
+    /// Steps that the plain run has been through: the objective has their values.
+    seen: usize,
+    value: f64,
+    plain_steps: usize,
+    /// Where the last segment began, and the state there: where the one before it ends.
+    began: Option<(usize, Tensor)>,
+    /// Whether every kept state is a state of the run, not a rounded one.
+    exact: bool,
+}
+
+fn run<D: Dynamics, O: Objective + ?Sized>(
+    dynamics: &D,
+    start: &D::Start,
+    schedule: &Schedule,
+    objective: &O,
+    progress: Progress<'_>,
+) -> Result<Gradient, RunError> {
+    let clock = std::time::Instant::now();
+    let counts = schedule.counts();
+    // A taped step costs about as much as three without a graph.
+    let total = (counts.plain_steps + 3 * counts.differentiated_steps).max(1) as f64;
+    let mut executor = Executor {
+        dynamics,
+        objective,
+        plain: dynamics.start(start)?,
+        tape: None,
+        kept: BTreeMap::new(),
+        held: Held::default(),
+        seen: 0,
+        value: 0.0,
+        plain_steps: 0,
+        began: None,
+        exact: true,
+    };
+    let mut cotangent: Option<Tensor> = None;
+    let mut forward_seconds = None;
+    let mut differentiated_steps = 0;
+    // The present state is this kept one; none: that of the plain run.
+    let mut present = None;
+    for action in schedule.actions() {
+        match action {
+            Action::Advance { from, to } => {
+                if let Some(step) = present.take() {
+                    executor.resume(step)?;
+                }
+                for step in from..to {
+                    executor.advance(step)?;
+                    if executor.plain_steps.is_multiple_of(16) {
+                        progress((executor.plain_steps + 3 * differentiated_steps) as f64 / total);
+                    }
+                }
+            }
+            Action::Store { step } => executor.store(step, schedule.is_rounded())?,
+            Action::Restore { step } => present = Some(step),
+            Action::Discard { step } => executor.discard(step),
+            Action::Tape { from, to } => {
+                forward_seconds.get_or_insert_with(|| clock.elapsed().as_secs_f64());
+                let transient = match present.take() {
+                    Some(_) => None,
+                    None => Some(dynamics.keep(&executor.plain, false)?),
+                };
+                cotangent = Some(executor.tape(from, to, transient, cotangent)?);
+                differentiated_steps += to - from;
+                progress((executor.plain_steps + 3 * differentiated_steps) as f64 / total);
+            }
+        }
+    }
+    let state = match cotangent {
+        Some(c) => c,
+        None => dynamics.tensor(start)?.zeros_like().map_err(|source| RunError::Tensor { step: 0, source })?,
+    };
+    let seconds = clock.elapsed().as_secs_f64();
+    let forward_seconds = forward_seconds.unwrap_or(seconds);
+    Ok(Gradient {
+        value: executor.value,
+        state,
+        forward_seconds,
+        backward_seconds: seconds - forward_seconds,
+        storage: executor.held.peak,
+        plain_steps: executor.plain_steps,
+        differentiated_steps,
+    })
+}
+
+impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
+    /// One step of the plain run.
+    fn advance(&mut self, step: usize) -> Result<(), RunError> {
+        self.dynamics.advance(&mut self.plain)?;
+        self.plain_steps += 1;
+        if let Some(kept) = self.kept.get_mut(&step) {
+            self.held.remove(self.dynamics.kept_bytes(kept));
+            self.dynamics.settle(kept, &self.plain);
+            self.held.add(self.dynamics.kept_bytes(kept));
+        }
+        if step == self.seen {
+            self.seen += 1;
+            if let Some(weight) = self.objective.weight(self.seen) {
+                let fields = self.dynamics.look(&mut self.plain)?;
+                self.value += weight * value(self.objective, &fields).map_err(RunError::tensor(step))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn kept(&self, step: usize) -> Result<&D::Kept, RunError> {
+        self.kept.get(&step).ok_or_else(|| RunError::Tensor {
+            step,
+            source: candle_core::Error::Msg("the schedule goes back to a state that it has not kept".into()),
+        })
+    }
+
+    fn store(&mut self, step: usize, rounded: bool) -> Result<(), RunError> {
+        let kept = self.dynamics.keep(&self.plain, rounded)?;
+        self.held.add(self.dynamics.kept_bytes(&kept));
+        self.kept.insert(step, kept);
+        self.exact &= !rounded;
+        Ok(())
+    }
+
+    fn discard(&mut self, step: usize) {
+        if let Some(kept) = self.kept.remove(&step) {
+            self.held.remove(self.dynamics.kept_bytes(&kept));
+        }
+    }
+
+    /// Takes the plain run back to a kept state.
+    fn resume(&mut self, step: usize) -> Result<(), RunError> {
+        let kept = self.kept.get(&step);
+        match kept {
+            Some(kept) => self.dynamics.resume(&mut self.plain, kept),
+            None => self.kept(step).map(|_| ()),
+        }
+    }
+
+    /// The cotangent of the state before step `from` from that of the state before step `to`. Begins at `transient`,
+    /// or else at the kept state of `from`.
+    fn tape(
+        &mut self,
+        from: usize,
+        to: usize,
+        transient: Option<D::Kept>,
+        cotangent: Option<Tensor>,
+    ) -> Result<Tensor, RunError> {
+        let failed = |source| RunError::Tensor { step: from, source };
+        // Steps that are taped as soon as they are reached: the objective's values come from the plain run.
+        for step in self.seen.max(from)..to {
+            self.advance(step)?;
+        }
+        let last = self.tape.take();
+        let begin = match &transient {
+            Some(kept) => kept,
+            None => self.kept(from)?,
+        };
+        let (mut tape, tensor) = self.dynamics.tape(begin, last, &self.plain)?;
+        let variable = Var::from_tensor(&tensor).map_err(failed)?;
+        drop(transient);
+        let end = self.began.replace((from, tensor)).filter(|(step, _)| *step == to && self.exact);
+        let end = end.map(|(_, state)| state);
+        let mut state = variable.as_tensor().clone();
+        let mut terms: Vec<Tensor> = Vec::new();
+        let mut taped = Vec::with_capacity(to - from);
+        for step in from..to {
+            let after = if step + 1 == to { end.as_ref() } else { None };
+            state = self.dynamics.advance_taped(&mut tape, &state, after)?;
+            let bytes = self.dynamics.taped_bytes(&tape);
+            self.held.add(bytes);
+            taped.push(bytes);
+            if let Some(weight) = self.objective.weight(step + 1) {
+                let fields = self.dynamics.fields(&tape, &state)?;
+                let value = self.objective.value(&fields).and_then(|value| value.affine(weight, 0.0));
+                terms.push(value.map_err(failed)?);
+            }
+        }
+        self.tape = Some(tape);
+        if let Some(cotangent) = cotangent {
+            terms.push(state.apply_op1(Seed(cotangent)).map_err(failed)?);
+        }
+        let mut terms = terms.into_iter();
+        let found = match terms.next() {
+            None => variable.zeros_like().map_err(failed)?,
+            Some(mut loss) => {
+                for term in terms {
+                    loss = (loss + term).map_err(failed)?;
+                }
+                let mut gradients = loss.backward().map_err(failed)?;
+                gradients.remove(variable.as_tensor()).ok_or_else(|| RunError::Tensor {
+                    step: from,
+                    source: candle_core::Error::Msg("no gradient reached the start of the segment".into()),
+                })?
+            }
+        };
+        taped.into_iter().for_each(|bytes| self.held.remove(bytes));
+        Ok(found)
+    }
+}
+
+/// A scalar whose derivative by its argument is a given cotangent: the end of a segment, where candle's `backward`
+/// begins. (The scalar product of state and cotangent would do, with several more passes over the state; its value is of
+/// no use, so this one's is zero.)
+struct Seed(Tensor);
+
+impl CustomOp1 for Seed {
+    fn name(&self) -> &'static str {
+        "seed"
+    }
+    fn cpu_fwd(&self, storage: &CpuStorage, _: &Layout) -> candle_core::Result<(CpuStorage, Shape)> {
+        let zero = match storage {
+            CpuStorage::F32(_) => CpuStorage::F32(vec![0.0]),
+            CpuStorage::F64(_) => CpuStorage::F64(vec![0.0]),
+            _ => candle_core::bail!("a state is in f32 or f64"),
+        };
+        Ok((zero, Shape::from(())))
+    }
+    fn bwd(&self, _: &Tensor, _: &Tensor, _: &Tensor) -> candle_core::Result<Option<Tensor>> {
+        // The loss is a sum with this as a term, so the incoming derivative is 1.
+        Ok(Some(self.0.clone()))
+    }
+}

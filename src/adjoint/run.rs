@@ -1,0 +1,62 @@
+//! The run loop, without a graph: advance, check, show.
+
+use super::dynamics::Dynamics;
+
+/// Steps between two checks that all numbers are finite.
+const CHECK_EVERY: usize = 64;
+
+/// Somebody who looks at a run on its way.
+pub trait Observer<D: Dynamics> {
+    /// Sees the run at its start and after each step.
+    ///
+    /// # Errors
+    /// Whatever shall end the run.
+    fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;
+}
+
+impl<D: Dynamics, F: FnMut(&D, &mut D::Run) -> anyhow::Result<()>> Observer<D> for F {
+    fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()> {
+        self(dynamics, run)
+    }
+}
+
+/// Runs from `start` until `steps` steps are made in all; every observer sees the start and every step. Numbers are
+/// checked every 64 steps and at the end, before observers see them.
+///
+/// # Errors
+/// A [`super::RunError`] if the run can not go on; an observer's.
+pub fn run<D: Dynamics>(
+    dynamics: &D,
+    start: &D::Start,
+    steps: usize,
+    observers: &mut [&mut dyn Observer<D>],
+) -> anyhow::Result<D::Run> {
+    let mut run = dynamics.start(start)?;
+    go_on(dynamics, &mut run, steps, observers)?;
+    Ok(run)
+}
+
+/// [`run`] for one that has begun.
+///
+/// # Errors
+/// As for [`run`].
+pub fn go_on<D: Dynamics>(
+    dynamics: &D,
+    run: &mut D::Run,
+    steps: usize,
+    observers: &mut [&mut dyn Observer<D>],
+) -> anyhow::Result<()> {
+    loop {
+        let step = dynamics.step(run);
+        if step.is_multiple_of(CHECK_EVERY) || step >= steps {
+            dynamics.check(run)?;
+        }
+        for observer in observers.iter_mut() {
+            observer.see(dynamics, run)?;
+        }
+        if step >= steps {
+            return Ok(());
+        }
+        dynamics.advance(run)?;
+    }
+}

@@ -1,0 +1,278 @@
+//! The SPH solver as [`Dynamics`], and the memory that its gradient takes.
+
+use super::model::Model;
+use super::operators::pairs::stride;
+use super::operators::rates::record_fields;
+use super::solver::{Snapshot, Solver, TensorSolver};
+use super::sweeps::Sweeps;
+use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
+use crate::adjoint::schedule::Costs;
+use crate::config::scene::Kernels;
+use crate::numerics::blocks::Block;
+use crate::numerics::candle::read;
+use crate::particles::neighbour_list::NeighbourError;
+use crate::particles::neighbourhood::Neighbourhood;
+use crate::particles::NeighbourList;
+use candle_core::{Device, Tensor};
+use std::sync::Arc;
+
+/// The SPH solver as dynamics.
+#[derive(Clone)]
+pub struct Sph<R> {
+    pub model: Arc<Model<R>>,
+    pub kernels: Kernels,
+    tags: Arc<Vec<u8>>,
+}
+
+impl<R> Sph<R> {
+    pub fn new(model: Arc<Model<R>>, kernels: Kernels) -> Self {
+        let tags = Arc::new(model.tags.clone());
+        Self { model, kernels, tags }
+    }
+}
+
+/// A state that a schedule keeps.
+#[derive(Debug)]
+pub struct KeptState<R> {
+    step: usize,
+    /// In R, or in f32.
+    numbers: Block,
+    rounded: bool,
+    /// Positions that the neighbour list of the step behind this state is built from; shared between states of the
+    /// same list. Never rounded: the list must be the same one.
+    reference: Arc<Vec<R>>,
+}
+
+impl<R: Sweeps> Dynamics for Sph<R> {
+    type Start = Snapshot<R>;
+    type Kept = KeptState<R>;
+    type Run = Solver<R>;
+    type Tape = TensorSolver<R>;
+
+    fn start(&self, snapshot: &Snapshot<R>) -> Result<Solver<R>, RunError> {
+        Solver::restore(self.model.clone(), snapshot)
+    }
+    fn advance(&self, run: &mut Solver<R>) -> Result<(), RunError> {
+        if self.kernels == Kernels::Fused {
+            return run.advance();
+        }
+        // The composed operators exist on the graph only: run them there and drop the graph.
+        let failed = RunError::tensor(run.step);
+        let snapshot = run.snapshot();
+        let mut tape = TensorSolver::restore(self.model.clone(), &snapshot, self.kernels)?;
+        let state = tape.advance(&self.tensor(&snapshot)?)?;
+        read(&state.contiguous().map_err(&failed)?, |s: &[R]| {
+            run.state.copy_from_slice(s);
+            Ok(())
+        })
+        .map_err(&failed)?;
+        run.neighbourhood = tape.neighbourhood;
+        run.step += 1;
+        Ok(())
+    }
+    fn step(&self, run: &Solver<R>) -> usize {
+        run.step
+    }
+    fn check(&self, run: &Solver<R>) -> Result<(), RunError> {
+        run.check_finite()
+    }
+    fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
+        run.look();
+        let n = self.model.particles();
+        let tensor = |values: &[R]| Tensor::from_slice(values, (values.len() / n, n), &Device::Cpu);
+        let go = || self.fields_of(run.step, &tensor(run.moved())?, &tensor(&run.primitives)?, &run.neighbourhood.list);
+        go().map_err(RunError::tensor(run.step))
+    }
+    fn tensor(&self, snapshot: &Snapshot<R>) -> Result<Tensor, RunError> {
+        self.state_tensor(snapshot.step, &snapshot.state)
+    }
+    fn advance_taped(
+        &self,
+        tape: &mut TensorSolver<R>,
+        state: &Tensor,
+        after: Option<&Tensor>,
+    ) -> Result<Tensor, RunError> {
+        tape.advance_to(state, after)
+    }
+
+    fn fields(&self, tape: &TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
+        let (moved, primitives) = tape.look(state)?;
+        let fields = self.fields_of(tape.step, &moved, &primitives, &tape.neighbourhood.list);
+        fields.map_err(RunError::tensor(tape.step))
+    }
+
+    fn keep(&self, run: &Solver<R>, rounded: bool) -> Result<KeptState<R>, RunError> {
+        let (scratch, state) = (&self.model.scratch, &run.state);
+        let numbers = if rounded {
+            let round = |(to, from): (&mut f32, &R)| *to = from.f64() as f32;
+            scratch.rounded_states.keep(state.len(), |kept: &mut [f32]| kept.iter_mut().zip(state).for_each(round))
+        } else {
+            scratch.states.keep(state.len(), |kept: &mut [R]| kept.copy_from_slice(state))
+        };
+        let numbers = numbers.map_err(|e| RunError::Tensor { step: run.step, source: candle_core::Error::Io(e) })?;
+        Ok(KeptState { step: run.step, numbers, rounded, reference: run.neighbourhood.reference.clone() })
+    }
+    fn settle(&self, kept: &mut KeptState<R>, run: &Solver<R>) {
+        // If the step built a new list, a replay would build the old one first and then find that it is outdated.
+        kept.reference = run.neighbourhood.reference.clone();
+    }
+    fn resume(&self, run: &mut Solver<R>, kept: &KeptState<R>) -> Result<(), RunError> {
+        if kept.rounded {
+            let widen = |(to, from): (&mut R, &f32)| *to = R::of(*from as f64);
+            kept.numbers.read(|state: &[f32]| run.state.iter_mut().zip(state).for_each(widen));
+        } else {
+            kept.numbers.read(|state: &[R]| run.state.copy_from_slice(state));
+        }
+        run.step = kept.step;
+        if !Arc::ptr_eq(&run.neighbourhood.reference, &kept.reference) {
+            run.neighbourhood
+                .rebuild_at(&self.model.reach(), &kept.reference)
+                .map_err(|source| RunError::Neighbours { step: kept.step, source })?;
+        }
+        Ok(())
+    }
+    fn tape(
+        &self,
+        kept: &KeptState<R>,
+        last: Option<TensorSolver<R>>,
+        run: &Solver<R>,
+    ) -> Result<(TensorSolver<R>, Tensor), RunError> {
+        let neighbourhood = self.neighbourhood(kept, last, run)?;
+        let tape = TensorSolver { model: self.model.clone(), neighbourhood, step: kept.step, kernels: self.kernels };
+        let tensor = if kept.rounded {
+            let state: Vec<R> = kept.numbers.read(|state: &[f32]| state.iter().map(|&x| R::of(x as f64)).collect());
+            self.state_tensor(kept.step, &state)?
+        } else {
+            kept.numbers.read(|state: &[R]| self.state_tensor(kept.step, state))?
+        };
+        Ok((tape, tensor))
+    }
+
+    fn kept_bytes(&self, kept: &KeptState<R>) -> Bytes {
+        let own = kept.numbers.bytes();
+        let shared = std::mem::size_of_val(kept.reference.as_slice());
+        Bytes { own, shared, identity: Arc::as_ptr(&kept.reference) as usize }
+    }
+    fn taped_bytes(&self, tape: &TensorSolver<R>) -> Bytes {
+        let list = &tape.neighbourhood.list;
+        Bytes { own: self.tape_bytes(list.index.len()), shared: list.bytes(), identity: Arc::as_ptr(list) as usize }
+    }
+}
+
+impl<R: Sweeps> Sph<R> {
+    /// Fields from the moved state `[M, N]` and the primitives `[C, N]` of a state.
+    fn fields_of(
+        &self,
+        step: usize,
+        moved: &Tensor,
+        primitives: &Tensor,
+        list: &NeighbourList,
+    ) -> candle_core::Result<Fields> {
+        let (model, l) = (&*self.model, self.model.layout);
+        let n = model.particles();
+        let temperature = match l.heat {
+            true => Some(primitives.narrow(0, l.primitive_temperature(), 1)?),
+            false => None,
+        };
+        let mass = match l.mass {
+            true => moved.narrow(0, l.moved_mass(), 1)?,
+            false => Tensor::full(R::of(model.mass), (1, n), moved.device())?,
+        };
+        Ok(Fields {
+            step,
+            time: step as f64 * model.dt,
+            position: moved.narrow(0, 0, l.dimension)?,
+            velocity: primitives.narrow(0, l.primitive_velocity(), l.dimension)?,
+            density: primitives.narrow(0, 0, 1)?,
+            mass,
+            temperature,
+            tags: self.tags.clone(),
+            active: Arc::new((0..n).map(|i| model.is_fluid(i) || list.count[i] > 0).collect()),
+        })
+    }
+
+    fn state_tensor(&self, step: usize, state: &[R]) -> Result<Tensor, RunError> {
+        let rows = self.model.layout.state_rows();
+        Tensor::from_slice(state, (rows, self.model.particles()), &Device::Cpu)
+            .map_err(|source| RunError::Tensor { step, source })
+    }
+
+    /// The list of a kept state: one of the known ones if it is theirs, else built anew, in the last run's memory.
+    fn neighbourhood(
+        &self,
+        kept: &KeptState<R>,
+        last: Option<TensorSolver<R>>,
+        run: &Solver<R>,
+    ) -> Result<Neighbourhood<R>, RunError> {
+        let is_its = |one: &Neighbourhood<R>| Arc::ptr_eq(&one.reference, &kept.reference);
+        let mut last = last.map_or_else(Neighbourhood::empty, |tape| tape.neighbourhood);
+        if is_its(&last) {
+            return Ok(last);
+        }
+        if is_its(&run.neighbourhood) {
+            return Ok(run.neighbourhood.clone());
+        }
+        last.rebuild_at(&self.model.reach(), &kept.reference)
+            .map_err(|source| RunError::Neighbours { step: kept.step, source })?;
+        Ok(last)
+    }
+
+    /// Bytes of a number in every row of a field with `rows` rows.
+    fn field(&self, rows: usize) -> usize {
+        rows * self.model.particles() * std::mem::size_of::<R>()
+    }
+
+    /// What the operators of a step keep for each other, see [`super::operators::pairs::Kept`]: positions and records, and a
+    /// number or two (to differentiate) for each place of the neighbour list.
+    fn operators_bytes(&self, places: usize, differentiate: bool) -> usize {
+        let l = self.model.layout;
+        let records = stride(record_fields(l.dimension, l.transport, l.heat));
+        self.field(4 + records) + places * (1 + differentiate as usize) * std::mem::size_of::<R>()
+    }
+
+    /// What a fused step leaves on the tape: the tensors moved state, density, primitives, rates and state, and what its
+    /// operators keep.
+    fn tape_bytes(&self, places: usize) -> usize {
+        let l = self.model.layout;
+        let rows = l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows();
+        self.field(rows) + self.operators_bytes(places, true)
+    }
+
+    /// What a kept state and a taped step take, in bytes, in a run that begins with `state`: its list, and its speed
+    /// if that is above a tenth of the sound speed (which is chosen as ten times the fastest flow).
+    pub fn costs_from(&self, state: &[R]) -> Result<Costs, NeighbourError> {
+        let (l, n) = (self.model.layout, self.model.particles());
+        let list = Neighbourhood::build(&self.model.reach(), state)?.list;
+        let component = |i: usize, d: usize| state[(l.velocity() + d) * n + i].f64();
+        let speed = |i: usize| (0..l.dimension).map(|d| component(i, d).powi(2)).sum::<f64>().sqrt();
+        let fastest = (0..n).map(speed).fold(0.0, f64::max);
+        Ok(self.costs_at(&list, fastest))
+    }
+
+    fn costs_at(&self, list: &NeighbourList, fastest: f64) -> Costs {
+        // A list serves until a particle has moved half the skin.
+        let speed = fastest.max(0.1 * super::plan::sound_speed(&self.model.equation_of_state));
+        let steps_per_list = ((0.5 * self.model.skin / (speed * self.model.dt)).ceil() as usize).max(1);
+        let (l, n, places) = (self.model.layout, self.model.particles(), list.index.len());
+        let reference = self.field(l.dimension);
+        // The plain run's fields and list, and a list in the making.
+        let fields = l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
+        let run = self.field(fields) + self.operators_bytes(places, false) + reference + 2 * list.bytes();
+        // The variable, the cotangents of a state and of its parts, and the records of those of rates and primitives that
+        // pair passes read.
+        let records = stride(l.rate_rows()) + stride(l.primitive_rows() + 1);
+        let parts = 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
+        let cotangents = self.field(3 * l.state_rows() + parts + records);
+        // What the objective tapes of a step: the operators behind its fields, and fields of its own.
+        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows() + 8) + self.operators_bytes(places, true);
+        Costs {
+            state: self.field(l.state_rows()),
+            rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
+            shared: reference,
+            shared_steps: steps_per_list,
+            tape_step: self.tape_bytes(places),
+            tape_shared: list.bytes(),
+            working: run + cotangents + objective,
+        }
+    }
+}
