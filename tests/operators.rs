@@ -14,9 +14,10 @@ use hydrograd::particles::tag;
 use hydrograd::scene::heated_channel::HeatedChannel;
 use hydrograd::sph::chain::{Chain, Step};
 use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::kernels::KernelShape;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::model::Model;
-use hydrograd::sph::operators::composed::{quintic, Pairs};
+use hydrograd::sph::operators::composed::Pairs;
 use hydrograd::sph::operators::interpolation::Interpolation;
 use hydrograd::sph::operators::{assemble, density, drift, rates, wall_condition};
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
@@ -148,7 +149,7 @@ fn supported<R: Sweeps>(step: &Arc<Step<R>>, moved: &Tensor) -> Tensor {
     let (model, n) = (&*step.model, step.model.particles());
     let pairs = Pairs::new(step, moved).unwrap();
     let fluid = pairs.other(&pairs.is_fluid).unwrap();
-    let w = quintic(&model.kernel, &pairs.distance).unwrap().mul(&pairs.mask).unwrap().mul(&fluid).unwrap();
+    let w = model.kernel.composed(&pairs.distance).unwrap().0.mul(&pairs.mask).unwrap().mul(&fluid).unwrap();
     let weight = numbers(&w.sum(2).unwrap());
     let seen = |i: usize| model.is_fluid(i) || weight[i] == 0.0 || weight[i] > 1e-12 * model.kernel.at_zero();
     tensor(&(0..n).map(|i| R::of(seen(i) as u8 as f64)).collect::<Vec<R>>(), n)
@@ -199,7 +200,7 @@ fn difference(a: &Tensor, b: &Tensor) -> f64 {
 /// other options take turns.
 fn scenes() -> Vec<Options> {
     let mut all = Vec::new();
-    for k in 0..32u64 {
+    for k in 0..64u64 {
         let on = |bit: u64| k >> bit & 1 == 1;
         let walls = on(3);
         let turn = k + k / 4;
@@ -215,6 +216,10 @@ fn scenes() -> Vec<Options> {
             heat: on(1),
             mass: on(2) ^ on(4),
             gamma: if turn % 2 == 0 { 7 } else { 1 },
+            // Not the usual kernel and its smoothing length: the other laws and kernels with everything they may meet.
+            kernel: if on(5) { KernelShape::WendlandC2 } else { KernelShape::QuinticSpline },
+            smoothing: if on(5) { 1.4 } else { 1.0 },
+            artificial_viscosity: on(5),
             seed: k,
         });
     }

@@ -3,9 +3,10 @@
 use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::particles::{Domain, Reach};
-use crate::sph::kernel::Quintic;
+use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::laws::ArtificialViscosity;
 use crate::sph::operators::pairs::PairCache;
 use std::sync::Mutex;
 
@@ -122,7 +123,7 @@ pub struct Heat<R> {
 pub struct Model<R> {
     pub domain: Domain,
     pub layout: Layout,
-    pub kernel: Quintic,
+    pub kernel: Kernel,
     pub tags: Vec<u8>,
     /// Extra reach of the neighbour list.
     pub skin: f64,
@@ -132,6 +133,8 @@ pub struct Model<R> {
     pub equation_of_state: EquationOfState,
     /// Dynamic viscosity.
     pub viscosity: f64,
+    /// None where the scene has none.
+    pub artificial_viscosity: Option<ArtificialViscosity>,
     /// Strength of the transport velocity (0: off).
     pub transport: f64,
     pub body_force: BodyForce,

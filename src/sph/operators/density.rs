@@ -8,7 +8,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
-use crate::sph::kernel::QuinticLanes;
+use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{pack_positions, Masses, PairCache, RowGeometry};
@@ -34,7 +34,7 @@ impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
-        kernel: &QuinticLanes<L>,
+        kernel: &KernelLanes<L>,
         geometry: &RowGeometry<L, D>,
         i: usize,
     ) -> L {
@@ -238,7 +238,7 @@ impl<R: Sweeps> Operator<1> for Density<R> {
 
 /// The same from ordinary candle ops: the oracle.
 pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor) -> Result<Tensor> {
-    let w = composed::quintic(&step.model.kernel, &pairs.distance)?.mul(&pairs.mask)?;
+    let w = step.model.kernel.composed(&pairs.distance)?.0.mul(&pairs.mask)?;
     let sum = w.sum(2)?.affine(1.0, step.model.kernel.at_zero())?;
     let mass = composed::mass(step, moved)?;
     mass.mul(&sum)?.mul(&pairs.is_fluid)
