@@ -276,12 +276,17 @@ fn adjoints_are_derivatives() {
                     let out = (operator.fused)(&inputs).unwrap();
                     numbers(&out).iter().zip(numbers(&bar)).map(|(x, b)| x * b).sum()
                 };
-                // Fourth order, so that the step can be large enough for rounding.
-                let h = 1e-5;
-                let expected = (at(-2.0 * h) - 8.0 * at(-h) + 8.0 * at(h) - at(2.0 * h)) / (12.0 * h);
                 // Relative to the terms of the sum: the sum itself may happen to be small.
                 let terms: f64 = numbers(&gradient[k]).iter().zip(&direction).map(|(g, v)| (g * v).powi(2)).sum();
-                let gap = (slope - expected).abs() / terms.sqrt().max(1e-300);
+                // Fourth order, so that the step can be large enough for rounding.
+                let quotient = |h: f64| (at(-2.0 * h) - 8.0 * at(-h) + 8.0 * at(h) - at(2.0 * h)) / (12.0 * h);
+                let gap_of = |expected: f64| (slope - expected).abs() / terms.sqrt().max(1e-300);
+                let mut expected = quotient(1e-5);
+                // Artificial viscosity has a kink where a pair begins to approach; a smaller step rarely meets one.
+                if options.artificial_viscosity && gap_of(expected) > DERIVATIVE {
+                    expected = quotient(1e-6);
+                }
+                let gap = gap_of(expected);
                 let what = operator.name;
                 assert!(gap <= DERIVATIVE, "{what} by input {k}: {slope} is not {expected} ({gap:e}), {options:?}");
                 worst = worst.max(gap);

@@ -119,9 +119,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, di
 /// [`PairCache`]'s pairs for an operator that is used without the density in front of it.
 pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
     if !kept.has_pairs {
-        let mut density = step.model.scratch.take(step.model.particles());
+        let mut density = step.model.scratch.buffers.buffer(step.model.particles());
         R::density(step, moved, kept, true, &mut density);
-        step.model.scratch.give_back(density);
     }
 }
 
@@ -190,7 +189,7 @@ pub fn backward<R: Real>(
 ) {
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
-    let mut position = model.scratch.take(4 * n);
+    let mut position = model.scratch.buffers.buffer(4 * n);
     let mass = Masses::new(model, moved);
     let b = |i: usize| if model.is_fluid(i) { density_bar[i] * mass.of(i) } else { R::default() };
     pack_positions(model, moved, Some(&b), &mut position);
@@ -207,7 +206,6 @@ pub fn backward<R: Real>(
     } else {
         go!(3)
     }
-    model.scratch.give_back(position);
     if l.mass {
         for i in 0..n {
             if model.is_fluid(i) {

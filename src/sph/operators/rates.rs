@@ -435,7 +435,7 @@ pub fn backward<R: Real>(
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
     let mass = Masses::new(model, moved);
-    let mut bars = model.scratch.take(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
+    let mut bars = model.scratch.buffers.buffer(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
     let packing = PackingBars {
         step,
         moved,
@@ -451,7 +451,6 @@ pub fn backward<R: Real>(
         &Backward::<R, _, D> { step, laws, kept, bars: &bars, mass, moved_bar, primitives_bar },
         pairs::all_rows(&step.list),
     ));
-    model.scratch.give_back(bars);
 }
 
 impl<R: Sweeps> Operator<2> for Rates<R> {

@@ -545,7 +545,7 @@ pub fn backward<R: Real>(
     }
     macro_rules! go {
         ($d:literal, $transport:literal, $heat:literal) => {{
-            let mut sums_bar = model.scratch.take(stride(bar_fields($d, $transport, $heat)) * n);
+            let mut sums_bar = model.scratch.buffers.buffer(stride(bar_fields($d, $transport, $heat)) * n);
             sums_bar.fill(R::default());
             run_rows(
                 &WallRows::<R, $d, $transport, $heat> {
@@ -567,7 +567,6 @@ pub fn backward<R: Real>(
                 },
                 list.fluid_rows.len(),
             );
-            model.scratch.give_back(sums_bar);
         }};
     }
     dispatch!(l, go);
