@@ -4,7 +4,7 @@ mod support;
 
 use candle_core::{Device, Tensor};
 use hydrograd::numerics::lanes::{Lanes, PortableF32, PortableF64, Real};
-use hydrograd::sph::kernels::{Kernel, KernelShape};
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use support::jax_sph::{number, reference_file};
 
 /// W, F and G at distances, through one lane type.
@@ -66,9 +66,9 @@ fn lane_types() -> Vec<(&'static str, f64, Evaluate)> {
 }
 
 /// The shapes, JAX-SPH's name of each, and where their formulas change (the support last).
-const SHAPES: [(KernelShape, &str, &[f64]); 2] = [
-    (KernelShape::QuinticSpline, "QuinticKernel", &[1.0, 2.0, 3.0]),
-    (KernelShape::WendlandC2, "WendlandC2Kernel", &[2.0]),
+const SHAPES: [(KernelName, &str, &[f64]); 2] = [
+    (KernelName::QuinticSpline, "QuinticKernel", &[1.0, 2.0, 3.0]),
+    (KernelName::WendlandC2, "WendlandC2Kernel", &[2.0]),
 ];
 
 fn largest(values: &[f64]) -> f64 {
@@ -98,6 +98,7 @@ fn agrees_with_jax_sph() {
             let theirs = group.group(&format!("{theirs}_{dimension}d")).unwrap();
             let kernel = Kernel::new(shape, dimension, h);
             assert!((kernel.cutoff() - number(&theirs, "cutoff")).abs() < 1e-15);
+            assert_eq!(kernel.cutoff(), shape.support() * h);
             let w = theirs.dataset("w").unwrap().read_raw::<f64>().unwrap();
             let slope = theirs.dataset("grad_w").unwrap().read_raw::<f64>().unwrap();
             assert!((kernel.at_zero() / w[0] - 1.0).abs() < 1e-14);
@@ -189,7 +190,7 @@ fn integrates_to_one() {
                 _ => 2.0 * std::f64::consts::TAU * r * r,
             };
             let sum: f64 = w.iter().zip(&distance).map(|(w, r)| w * shell(*r) * step).sum();
-            let exact = dimension != 3 || shape != KernelShape::QuinticSpline;
+            let exact = dimension != 3 || shape != KernelName::QuinticSpline;
             let expected = if exact { 1.0 } else { 360.0 / 359.0 };
             assert!((sum - expected).abs() < 1e-6, "{shape:?}, {dimension}D: {sum}");
         }

@@ -14,7 +14,7 @@ use hydrograd::particles::tag;
 use hydrograd::scene::heated_channel::HeatedChannel;
 use hydrograd::sph::chain::{Chain, Step};
 use hydrograd::sph::dynamics::Sph;
-use hydrograd::sph::kernels::KernelShape;
+use hydrograd::sph::kernels::KernelName;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::model::Model;
 use hydrograd::sph::operators::composed::Pairs;
@@ -217,7 +217,7 @@ fn scenes() -> Vec<Options> {
             mass: on(2) ^ on(4),
             gamma: if turn % 2 == 0 { 7 } else { 1 },
             // Not the usual kernel and its smoothing length: the other laws and kernels with everything they may meet.
-            kernel: if on(5) { KernelShape::WendlandC2 } else { KernelShape::QuinticSpline },
+            kernel: if on(5) { KernelName::WendlandC2 } else { KernelName::QuinticSpline },
             smoothing: if on(5) { 1.4 } else { 1.0 },
             artificial_viscosity: on(5),
             seed: k,

@@ -351,15 +351,6 @@ pub enum Kernels {
     Composed,
 }
 
-/// The smoothing kernel; one file per shape in `src/sph/kernels/`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-pub enum KernelShape {
-    #[default]
-    QuinticSpline,
-    WendlandC2,
-}
-
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Output {

@@ -8,7 +8,7 @@ use crate::config::scene::{Config, Scene};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
-use crate::sph::kernels::{Kernel, KernelShape};
+use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Layout, Model, Scratch};
@@ -325,7 +325,7 @@ impl Parts {
         let model = Model {
             domain: Domain { dimension, size, periodic },
             layout,
-            kernel: Kernel::new(KernelShape::QuinticSpline, dimension, spacing),
+            kernel: Kernel::new(KernelName::QuinticSpline, dimension, spacing),
             tags,
             skin: numerics.skin * spacing,
             dt,

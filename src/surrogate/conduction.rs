@@ -13,7 +13,7 @@ use crate::dataset::{kind, Heat, Metadata};
 use crate::numerics::lanes::{Lanes, PortableF64};
 use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
-use crate::sph::kernels::{Kernel, KernelShape};
+use crate::sph::kernels::{Kernel, KernelName};
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;
@@ -38,7 +38,7 @@ impl<'a> Conduction<'a> {
             scenery: *scenery,
             heat,
             domain,
-            kernel: Kernel::new(KernelShape::QuinticSpline, metadata.dim, metadata.dx),
+            kernel: Kernel::new(KernelName::QuinticSpline, metadata.dim, metadata.dx),
             tags,
         })
     }

@@ -2,7 +2,7 @@
 
 use hdf5::{Group, Location};
 use hydrograd::particles::{tag, Domain};
-use hydrograd::sph::kernels::{Kernel, KernelShape};
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
@@ -158,7 +158,7 @@ impl Case {
                 heat: self.heat,
                 mass: everything,
             },
-            kernel: Kernel::new(KernelShape::QuinticSpline, d, h),
+            kernel: Kernel::new(KernelName::QuinticSpline, d, h),
             tags: self.tags.clone(),
             skin: 0.2 * self.dx,
             dt: self.dt,

@@ -4,7 +4,7 @@ use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::Neighbourhood;
 use hydrograd::particles::{tag, Domain};
 use hydrograd::sph::chain::Step;
-use hydrograd::sph::kernels::{Kernel, KernelShape};
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
@@ -22,7 +22,7 @@ pub struct Options {
     pub heat: bool,
     pub mass: bool,
     pub gamma: i32,
-    pub kernel: KernelShape,
+    pub kernel: KernelName,
     /// Smoothing length in spacings.
     pub smoothing: f64,
     pub artificial_viscosity: bool,
@@ -39,7 +39,7 @@ impl Options {
             heat: false,
             mass: false,
             gamma: 1,
-            kernel: KernelShape::QuinticSpline,
+            kernel: KernelName::QuinticSpline,
             smoothing: 1.0,
             artificial_viscosity: false,
             seed: 0,

@@ -9,13 +9,13 @@ pub mod wendland_c2;
 pub use quintic_spline::QuinticSpline;
 pub use wendland_c2::WendlandC2;
 
-pub use crate::config::scene::KernelShape;
+pub use crate::config::scene::KernelName;
 use crate::numerics::lanes::{Lanes, Real};
 use candle_core::{Result, Tensor};
 
 /// The shape of a kernel, as a function of q = d/h alone.
 pub trait SmoothingKernel: Copy {
-    /// Support radius in h: w(q) = 0 from there on.
+    /// Support radius in h: w(q) = 0 from there on. The same as [`KernelName::support`], which configurations are checked by.
     const SUPPORT: f64;
     /// w(0).
     const AT_ZERO: f64;
@@ -39,7 +39,7 @@ pub trait SmoothingKernel: Copy {
 /// A kernel of a smoothing length h in a number of dimensions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Kernel {
-    pub shape: KernelShape,
+    pub shape: KernelName,
     pub smoothing_length: f64,
     pub sigma: f64,
 }
@@ -48,11 +48,11 @@ pub struct Kernel {
 macro_rules! with_shape {
     ($shape:expr, $kernel:ident => $go:expr) => {
         match $shape {
-            KernelShape::QuinticSpline => {
+            KernelName::QuinticSpline => {
                 type $kernel = QuinticSpline;
                 $go
             }
-            KernelShape::WendlandC2 => {
+            KernelName::WendlandC2 => {
                 type $kernel = WendlandC2;
                 $go
             }
@@ -60,16 +60,9 @@ macro_rules! with_shape {
     };
 }
 
-impl KernelShape {
-    /// Support radius in h.
-    pub fn support(self) -> f64 {
-        with_shape!(self, K => K::SUPPORT)
-    }
-}
-
 impl Kernel {
     /// A shape in `dimension` dimensions (1, 2 or 3) with smoothing length h.
-    pub fn new(shape: KernelShape, dimension: usize, smoothing_length: f64) -> Self {
+    pub fn new(shape: KernelName, dimension: usize, smoothing_length: f64) -> Self {
         let h = smoothing_length;
         let normalisation = with_shape!(shape, K => K::normalisation(dimension));
         Self { shape, smoothing_length, sigma: normalisation / h.powi(dimension as i32) }
@@ -77,7 +70,7 @@ impl Kernel {
 
     /// The support radius.
     pub fn cutoff(&self) -> f64 {
-        self.shape.support() * self.smoothing_length
+        with_shape!(self.shape, K => K::SUPPORT) * self.smoothing_length
     }
 
     /// W(0): a particle's own share of its density sum.
@@ -123,7 +116,7 @@ impl Kernel {
 /// [`Kernel`] over lanes, as functions of the squared distance.
 #[derive(Clone, Copy)]
 pub struct KernelLanes<L> {
-    shape: KernelShape,
+    shape: KernelName,
     inverse_h: L,
     w: L,
     f: L,
