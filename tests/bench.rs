@@ -251,7 +251,6 @@ fn bad_input_is_refused() {
     refuses(at, &["--preset", "nothing", "--out", "unwritten"], &["nothing", "report"]);
     refuses(at, &["--set", "time.cfl=9", "--out", "unwritten"], &["time.cfl"]);
     refuses(at, &["--filter", "nothing", "--out", "unwritten"], &["--filter nothing", "group/scene/particles"]);
-    refuses(at, &["--floor", "nowhere", "--out", "unwritten"], &["--floor nowhere", "floor.c"]);
     refuses(at, &["--sizes", "7^2", "--out", "unwritten"], &["7^2", "N >= 8"]);
     refuses(at, &["--repeats", "0", "--out", "unwritten"], &["--repeats"]);
     refuses(at, &["--threads", "1,x", "--out", "unwritten"], &["--threads"]);

@@ -1,7 +1,6 @@
 //! The rows of a group as a table for the terminal, at most 120 columns wide.
 
-use super::arguments::Group;
-use super::cases::Kind;
+use super::case::{Group, Kind, EVERYTHING_ON, PLAN};
 use super::compare::Earlier;
 use super::rows::Row;
 use crate::report::table::Table;
@@ -64,7 +63,6 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         column("vs plan", &|row| against_plan(row, rows).map(|ratio| format!("{ratio:.2}x")));
         column("differs", &|row| row.difference.map(|difference| format!("{difference:.1e}")));
     }
-    column("floor", &|row| row.floor_ms_per_step.map(|floor| format!("{:.2}x", row.ms_per_step / floor)));
     column("new/old", &|row| earlier?.ratio(row).map(|ratio| format!("{ratio:.3}")));
 
     let mut lines = Table::new(table.iter().map(|(name, _)| name.clone()));
@@ -86,9 +84,9 @@ fn work(row: &Row) -> String {
 
 /// How many times the plan's time a row with everything on takes.
 fn against_plan(row: &Row, rows: &[Row]) -> Option<f64> {
-    if row.mode.as_deref() != Some(super::cases::EVERYTHING_ON) {
+    if row.mode.as_deref() != Some(EVERYTHING_ON) {
         return None;
     }
-    let plan = Row { mode: Some(super::cases::PLAN.into()), ..row.clone() }.label();
+    let plan = Row { mode: Some(PLAN.into()), ..row.clone() }.label();
     rows.iter().find(|other| other.label() == plan).map(|plan| row.ms_per_step / plan.ms_per_step)
 }
