@@ -16,13 +16,13 @@ const MOST_THREADS: usize = 1024;
 
 /// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
 ///
-/// Groups: step, gradient, scaling, plan (these four run if none is named), surrogate and accuracy. Variants that are compared
+/// Groups: step, gradient, scaling, plan (these four run if none is named), kernels, surrogate and accuracy. Variants that are compared
 /// take turns, so that a machine that gets slower hits all of them.
 #[derive(Debug, Clone, Args)]
 #[command(after_long_help = "\
 Examples:
   hydrograd bench --quick
-      all groups but surrogate and accuracy in under a minute
+      step, gradient, scaling and plan in under a minute
   hydrograd bench step gradient --threads 2 --precision f64
       the heated channel only, one variant
   hydrograd bench scaling --sizes 100^2,1000^2,40^3 --filter /f32/2/
@@ -31,12 +31,14 @@ Examples:
       a scene of your own
   hydrograd bench step --compare runs/before/bench.json --out runs/after
       ratios against an earlier run
+  hydrograd bench kernels --threads 2
+      what fused operators save against those composed of candle's own, step and gradient
   hydrograd bench surrogate --threads 2
       GNS-10-128 and GNS-5-64 on 950 particles, f32: training step and prediction, GFLOP/s against sgemm
   hydrograd bench accuracy --peers jax-sph.json
       run time against error, with another code's points in the same pictures")]
 pub struct BenchArguments {
-    /// Groups (step, gradient, scaling, plan, surrogate, accuracy) and at most one scene (name or TOML file) for step and
+    /// Groups (step, gradient, scaling, plan, kernels, surrogate, accuracy) and at most one scene (name or TOML file) for step and
     /// gradient [default: step gradient scaling plan].
     #[arg(value_name = "GROUP|SCENE")]
     pub words: Vec<String>,
@@ -55,7 +57,7 @@ pub struct BenchArguments {
     /// Numbers of threads, separated by commas; 0 for every core [default: 1,2].
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = threads)]
     pub threads: Vec<usize>,
-    /// Implementation of the operators.
+    /// Implementation of the operators (`kernels` measures both).
     #[arg(long, value_enum, default_value = "fused")]
     pub kernels: Kernels,
     /// Repeats of each row, each in a new process [default: 3; with --quick 1].

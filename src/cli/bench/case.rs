@@ -15,6 +15,9 @@ use crate::scene::load::Loaded;
 /// Modes of the rows of `plan`.
 pub const PLAN: &str = "plan";
 pub const EVERYTHING_ON: &str = "everything on";
+/// Modes of the rows of `kernels`.
+pub const FUSED: &str = "fused";
+pub const COMPOSED: &str = "composed";
 
 /// Particles along each side of the wall-free box.
 const WALL_FREE: Size = Size { per_side: 50, dimension: 2 };
@@ -31,6 +34,8 @@ pub enum Group {
     Scaling,
     /// What is saved by skipping what a scene does not need.
     Plan,
+    /// What fused operators save against the same formulas composed of candle's own.
+    Kernels,
     /// A training step and a prediction of graph network simulators, beside the machine's sgemm.
     Surrogate,
     /// Run time against error.
@@ -38,7 +43,7 @@ pub enum Group {
 }
 
 impl Group {
-    /// Those that run if none is named: what the solver does; `accuracy` takes long.
+    /// Those that run if none is named: what the solver does; `kernels` and `accuracy` take long.
     pub const DEFAULT: [Self; 4] = [Self::Step, Self::Gradient, Self::Scaling, Self::Plan];
 
     pub fn name(self) -> String {
@@ -61,6 +66,14 @@ impl Size {
 
     pub fn particles(self) -> usize {
         self.per_side.pow(self.dimension as u32)
+    }
+
+    /// Name of the scene.
+    pub fn scene(self) -> &'static str {
+        match self.dimension {
+            2 => "taylor-green",
+            _ => "taylor-green-3d",
+        }
     }
 
     pub fn parse(text: &str) -> Result<Self, String> {

@@ -2,9 +2,10 @@
 
 use super::arguments::BenchArguments;
 use super::case::{
-    particles, Case, Group, Keeping, Kind, Lacking, Length, Network, Scene, Size, Source, EVERYTHING_ON, PLAN,
+    particles, Case, Group, Keeping, Kind, Lacking, Length, Network, Scene, Size, Source, COMPOSED, EVERYTHING_ON,
+    FUSED, PLAN,
 };
-use crate::config::scene::Precision;
+use crate::config::scene::{Kernels, Precision};
 use crate::error::Error;
 
 /// Steps of a Taylor-Green run before it is measured: the particles leave their lattice.
@@ -39,6 +40,7 @@ impl<'a> Cases<'a> {
             Group::Gradient => self.gradient()?,
             Group::Scaling => self.scaling(),
             Group::Plan => self.plan()?,
+            Group::Kernels => self.kernels()?,
             Group::Surrogate => self.surrogate(),
             Group::Accuracy => vec![],
         };
@@ -172,12 +174,11 @@ impl<'a> Cases<'a> {
         let mut families = vec![];
         for size in self.sizes() {
             let n = size.particles();
-            let name = if size.dimension == 2 { "taylor-green" } else { "taylor-green-3d" };
             let seconds = if quick { 0.2 } else { 1.0 };
             let base = Case {
                 warm_up: warm_up(n, quick),
                 length: Length::Seconds { seconds, least: if quick { 4 } else { 16 } },
-                ..self.case(Group::Scaling, name, n, Source::TaylorGreen(size))
+                ..self.case(Group::Scaling, size.scene(), n, Source::TaylorGreen(size))
             };
             families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
             let gradient = Case {
@@ -221,6 +222,45 @@ impl<'a> Cases<'a> {
             }
         }
         Ok(families)
+    }
+
+    /// The report's channel and vortices in a box, each with fused and with composed operators, in turns.
+    fn kernels(&self) -> Result<Vec<Family>, Error> {
+        let quick = self.arguments.quick;
+        let steps = format!("time.steps={}", if quick { 10 } else { 100 });
+        let scene = Scene { preset: Some("report".into()), sets: self.arguments.sets.clone(), scene: None };
+        let scene = scene.with_defaults(&[&steps, "objective.window=0"]);
+        let config = scene.load()?.config;
+        let channel = Case {
+            length: Length::Steps(config.steps()),
+            ..self.case(Group::Kernels, "heated-channel", particles(&config), Source::Channel(scene))
+        };
+        let given = self.arguments.sizes.clone();
+        let sizes = match given.is_empty() {
+            false => given,
+            true => vec![Size { per_side: if quick { 31 } else { 100 }, dimension: 2 }],
+        };
+        let vortices = sizes.into_iter().map(|size| Case {
+            warm_up: warm_up(size.particles(), true),
+            length: Length::Steps(if quick { 2 } else { 10 }),
+            ..self.case(Group::Kernels, size.scene(), size.particles(), Source::TaylorGreen(size))
+        });
+        let bases = std::iter::once(channel).chain(vortices);
+        let family = |(base, kind): (Case, Kind)| -> Family {
+            let with = |kernels: Kernels, mode: &str, blocks: usize| Case {
+                kind,
+                kernels,
+                mode: Some(mode.into()),
+                blocks: if quick { 1 } else { blocks },
+                precision: self.arguments.precisions()[0],
+                threads: self.arguments.threads().last().copied().unwrap_or(1),
+                ..base.clone()
+            };
+            // Fused runs are short: their best needs more of them.
+            vec![with(Kernels::Fused, FUSED, 10), with(Kernels::Composed, COMPOSED, 2)]
+        };
+        let kinds = [Kind::Forward, Kind::Gradient];
+        Ok(bases.flat_map(|base| kinds.map(|kind| (base.clone(), kind))).map(family).collect())
     }
 
     /// Networks on one graph, in f32 alone: that is what they are trained in.
