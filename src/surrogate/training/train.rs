@@ -8,7 +8,7 @@ use crate::dataset::{Metadata, Trajectory};
 use crate::error::Error;
 use crate::io::csv::{write_table, Cell};
 use crate::io::tensorboard::EventFile;
-use crate::report::plots::{training_curves, TrainingCurves};
+use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
 use crate::surrogate::models::constant_velocity::Linear;
@@ -279,9 +279,28 @@ impl Training<'_> {
             merit,
             self.state.seconds,
         ));
-        let curves = TrainingCurves { history: &self.history, validation: &self.validation, linear };
-        training_curves(&self.folder.join("curves"), &curves)?;
+        self.plot(linear)?;
         Ok(scores)
+    }
+
+    /// `curves.png` and `.svg` from the rows of both tables.
+    fn plot(&self, linear: &Scores) -> anyhow::Result<()> {
+        let column = |rows: &[Vec<f64>], k: usize| rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
+        let errors = [
+            ("MSE_1", "mse_1", linear.mse_1),
+            ("MSE_5", "mse_5", linear.mse_5),
+            ("MSE_20", "mse_20", linear.mse_20),
+            ("temperature", "temperature_mse", linear.temperature_mse),
+        ];
+        let place = |metric: &str| METRICS.iter().position(|name| *name == metric);
+        let errors: Vec<ErrorCurve> = errors
+            .into_iter()
+            .filter_map(|(name, metric, baseline)| {
+                Some(ErrorCurve { name, points: column(&self.validation, 2 + place(metric)?), baseline })
+            })
+            .collect();
+        training_curves(&self.folder.join("curves"), &column(&self.history, 2), &errors, &linear.model)?;
+        Ok(())
     }
 
     /// The step that the best checkpoint was taken at.
