@@ -2,6 +2,7 @@
 //! differences, symmetries.
 
 use candle_core::{DType, Device, Tensor, Var};
+use hydrograd::config::scene::Kernels;
 use hydrograd::dataset::Metadata;
 use hydrograd::numerics::candle::{apply2, apply3};
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
@@ -13,8 +14,8 @@ use hydrograd::surrogate::network::graph::Graph;
 use hydrograd::surrogate::network::interaction::{edge_shape, node_shape, Rounds};
 use hydrograd::surrogate::network::layer_norm::layer_norm;
 use hydrograd::surrogate::network::memory::Memory;
-use hydrograd::surrogate::network::mlp::{Mlp, Shape};
-use hydrograd::surrogate::network::parameters::{detached, tracked, Model};
+use hydrograd::surrogate::network::mlp::{Mlp, MlpShape};
+use hydrograd::surrogate::network::parameters::{detached, tracked, Network};
 use hydrograd::surrogate::predictor::Scenery;
 use std::sync::Arc;
 
@@ -131,9 +132,9 @@ fn layer_norm_by_its_formula_and_its_gradient() {
 #[test]
 fn fused_perceptron_is_composed() {
     let shapes = [
-        Shape { inputs: 3, hidden: 13, outputs: 13, linears: 2, norm: true },
-        Shape { inputs: 5, hidden: 9, outputs: 2, linears: 3, norm: false },
-        Shape { inputs: 16, hidden: 32, outputs: 32, linears: 4, norm: true },
+        MlpShape { inputs: 3, hidden: 13, outputs: 13, linears: 2, norm: true },
+        MlpShape { inputs: 5, hidden: 9, outputs: 2, linears: 3, norm: false },
+        MlpShape { inputs: 16, hidden: 32, outputs: 32, linears: 4, norm: true },
     ];
     for shape in shapes {
         for rows in [1, 37, 1500] {
@@ -223,14 +224,14 @@ fn inputs(frames: &[Vec<f64>], kinds: &[i32], size: f64) -> Inputs {
 const SIZES: Sizes =
     Sizes { node_features: 10, edge_features: 3, outputs: 2, latent: 12, rounds: 3, linears: 2, embedding: 4 };
 
-fn models() -> Vec<(&'static str, Box<dyn Model>)> {
+fn models() -> Vec<(&'static str, Box<dyn Network>)> {
     vec![
-        ("gns", Box::new(Gns::new(SIZES, 1, DType::F64).unwrap()) as Box<dyn Model>),
+        ("gns", Box::new(Gns::new(SIZES, Kernels::Fused, 1, DType::F64).unwrap()) as Box<dyn Network>),
         ("egnn", Box::new(Egnn::new(SIZES, 6, 1, DType::F64).unwrap())),
     ]
 }
 
-fn answer(model: &dyn Model, frames: &[Vec<f64>], kinds: &[i32]) -> Vec<f64> {
+fn answer(model: &dyn Network, frames: &[Vec<f64>], kinds: &[i32]) -> Vec<f64> {
     plain(&model.apply(&inputs(frames, kinds, 1.0), &detached(model)).unwrap())
 }
 

@@ -1,6 +1,7 @@
 //! What `evaluate` and `rollout` begin with: a model and a split of a data set.
 
 use super::prepare::use_threads;
+use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
@@ -37,7 +38,7 @@ impl ModelDataArguments {
     pub fn read(&self) -> anyhow::Result<ModelData> {
         use_threads(self.threads);
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
-        let model = load_predictor(&self.model, &metadata)?;
+        let model = load_predictor(&self.model, &metadata, Kernels::Fused)?;
         if let Some(unlike) = model.unlike(&metadata) {
             eprintln!("warning: {unlike}: its predictions mean little there");
         }

@@ -3,6 +3,7 @@
 use super::arguments::{check_own, check_writable, TrainArguments};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
+use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::{read_split, Metadata, Split};
 use crate::error::BadInput;
@@ -99,11 +100,11 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         rollout::check_length(longest, 0, settings.validation_steps)
             .map_err(|bad| bad.advice("a smaller --set validation_steps"))?;
     }
-    let model = setup.model(settings.seed, DType::F32)?;
+    let network = setup.network(Kernels::Fused, settings.seed, DType::F32)?;
     let state = match &header {
         Some(header) => {
-            header.load_into(&*model, false)?;
-            header.state(&*model)?
+            header.load_into(&*network, false)?;
+            header.state(&*network)?
         }
         None => {
             if let Some((from, header)) = &init {
@@ -125,9 +126,9 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
                     .advice("leave --config and --set model.* out: the sizes are the file's then; data with heat for a model with heat")
                     .into());
                 }
-                header.load_into(&*model, true)?;
+                header.load_into(&*network, true)?;
             }
-            fresh(&settings, &*model)?
+            fresh(&settings, &*network)?
         }
     };
     prepare_output_folder(&folder)?;
@@ -138,7 +139,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         (read_rows(&folder.join("history.csv"), step)?, read_rows(&folder.join("validation.csv"), step)?);
     let (history, validation) = if header.is_some() { (history, validation) } else { (Vec::new(), Vec::new()) };
     let bar = Progress::new(settings.steps, "train");
-    let parameters: usize = model.parameters().iter().map(|p| p.count()).sum();
+    let parameters: usize = network.parameters().iter().map(|p| p.count()).sum();
     bar.line(&format!("{parameters} parameters, {} training trajectories of {} frames", train.len(), train[0].frames));
     let mut training = Training {
         settings: &settings,
@@ -146,7 +147,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         metadata: &metadata,
         train: &train,
         valid: &valid,
-        model: Arc::from(model),
+        network: Arc::from(network),
         state,
         folder: folder.clone(),
         history,

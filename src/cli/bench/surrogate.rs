@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cases::{Case, Kind, Length};
 use super::child::Measured;
+use crate::config::scene::Kernels;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::lanes::InstructionSet;
@@ -30,7 +31,7 @@ use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::graph::Graph;
-use crate::surrogate::network::parameters::Model;
+use crate::surrogate::network::parameters;
 use crate::surrogate::predictor::{Frame, Predictor};
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
@@ -112,7 +113,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let seen = settings.features.frames;
     let (metadata, trajectory) = flow(seen + 1 + settings.pushforward.most());
     let setup = Setup::new(&settings, &metadata)?;
-    let model: Arc<dyn Model> = Arc::from(setup.model(settings.seed, DType::F32)?);
+    let model: Arc<dyn parameters::Network> = Arc::from(setup.network(Kernels::Fused, settings.seed, DType::F32)?);
     let sizes = setup.sizes;
     let scenery = scenery(&metadata, &trajectory);
     let frames: Vec<Frame> = (0..seen).map(|frame| Frame::of(&trajectory, frame)).collect();
@@ -133,7 +134,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 metadata: &metadata,
                 train,
                 valid: &[],
-                model: model.clone(),
+                network: model.clone(),
                 state: fresh(&settings, &*model)?,
                 folder: PathBuf::new(),
                 history: vec![],

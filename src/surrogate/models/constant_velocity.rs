@@ -4,9 +4,9 @@ use crate::dataset::extent::Extent;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Linear;
+pub struct ConstantVelocity;
 
-impl Predictor for Linear {
+impl Predictor for ConstantVelocity {
     fn name(&self) -> String {
         "linear".into()
     }

@@ -12,8 +12,8 @@ use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::network::composed;
 use crate::surrogate::network::gather::{gather, segment_sum, End};
-use crate::surrogate::network::mlp::Shape;
-use crate::surrogate::network::parameters::{Model, Parameter};
+use crate::surrogate::network::mlp::MlpShape;
+use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
 
 pub struct Egnn {
@@ -33,7 +33,7 @@ impl Egnn {
         let mut rng = stream(seed, "weights");
         let network = Self { sizes, velocities: frames - 1, parameters: Vec::new() };
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
-        let mut add = |name: String, shape: Shape| -> Result<()> {
+        let mut add = |name: String, shape: MlpShape| -> Result<()> {
             parameters.push(Parameter::perceptron(&name, &shape, &mut rng, dtype)?);
             Ok(())
         };
@@ -60,31 +60,31 @@ impl Egnn {
         self.sizes.outputs - self.dimension()
     }
 
-    fn perceptron(&self, inputs: usize, outputs: usize, norm: bool) -> Shape {
-        Shape { inputs, hidden: self.sizes.latent, outputs, linears: self.sizes.linears, norm }
+    fn perceptron(&self, inputs: usize, outputs: usize, norm: bool) -> MlpShape {
+        MlpShape { inputs, hidden: self.sizes.latent, outputs, linears: self.sizes.linears, norm }
     }
 
-    fn encoder(&self) -> Shape {
+    fn encoder(&self) -> MlpShape {
         // Of the node features the velocities are replaced by their norms.
         let steps = self.velocities;
         let invariant = self.sizes.node_features - steps * self.dimension() + steps;
         self.perceptron(invariant + self.sizes.embedding, self.sizes.latent, true)
     }
 
-    fn messages(&self) -> Shape {
+    fn messages(&self) -> MlpShape {
         self.perceptron(2 * self.sizes.latent + 1, self.sizes.latent, true)
     }
 
-    fn nodes(&self) -> Shape {
+    fn nodes(&self) -> MlpShape {
         self.perceptron(2 * self.sizes.latent, self.sizes.latent, true)
     }
 
-    fn head(&self, outputs: usize) -> Shape {
+    fn head(&self, outputs: usize) -> MlpShape {
         self.perceptron(self.sizes.latent, outputs, false)
     }
 }
 
-impl Model for Egnn {
+impl Network for Egnn {
     fn parameters(&self) -> &[Parameter] {
         &self.parameters
     }

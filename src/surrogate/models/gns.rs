@@ -1,13 +1,14 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
+use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
 use crate::surrogate::network::memory::Memory;
-use crate::surrogate::network::mlp::{Mlp, Shape};
-use crate::surrogate::network::parameters::{Model, Parameter};
+use crate::surrogate::network::mlp::{Mlp, MlpShape};
+use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
 
 /// Sizes of a network.
@@ -31,6 +32,7 @@ pub struct Sizes {
 pub struct Gns {
     pub sizes: Sizes,
     dtype: DType,
+    kernels: Kernels,
     /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
     single: Memory<f32>,
@@ -38,12 +40,12 @@ pub struct Gns {
 }
 
 impl Sizes {
-    fn encoder(&self, inputs: usize) -> Shape {
-        Shape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
+    fn encoder(&self, inputs: usize) -> MlpShape {
+        MlpShape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
     }
 
-    fn decoder(&self) -> Shape {
-        Shape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
+    fn decoder(&self) -> MlpShape {
+        MlpShape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
     }
 }
 
@@ -52,11 +54,11 @@ impl Gns {
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn new(sizes: Sizes, seed: u64, dtype: DType) -> Result<Self> {
+    pub fn new(sizes: Sizes, kernels: Kernels, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let Sizes { node_features, edge_features, latent, linears, embedding, .. } = sizes;
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, embedding, &mut rng, dtype)?];
-        let mut add = |shapes: Vec<(String, Shape)>| -> Result<()> {
+        let mut add = |shapes: Vec<(String, MlpShape)>| -> Result<()> {
             parameters.push(Parameter::perceptrons(&shapes, &mut rng, dtype)?);
             Ok(())
         };
@@ -68,7 +70,7 @@ impl Gns {
         add(vec![("enc.edge".into(), sizes.encoder(edge_features))])?;
         add((0..sizes.rounds).flat_map(round).collect())?;
         add(vec![("dec".into(), sizes.decoder())])?;
-        Ok(Self { sizes, dtype, parameters, single: Memory::default(), double: Memory::default() })
+        Ok(Self { sizes, dtype, kernels, parameters, single: Memory::default(), double: Memory::default() })
     }
 
     fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: Option<Trace>) -> Result<Tensor> {
@@ -86,7 +88,7 @@ impl Gns {
         apply2(Mlp::<R>::new(s.decoder(), memory), &nodes, &p[4])
     }
 
-    /// As [`Model::apply`], with the state `[N + E, L]` behind the encoder and behind each round.
+    /// As [`Network::apply`], with the state `[N + E, L]` behind the encoder and behind each round.
     ///
     /// # Errors
     /// Tensor errors.
@@ -105,7 +107,7 @@ impl Gns {
     }
 }
 
-impl Model for Gns {
+impl Network for Gns {
     fn parameters(&self) -> &[Parameter] {
         &self.parameters
     }

@@ -4,12 +4,12 @@
 use crate::surrogate::network::gather::{gather, segment_sum, End};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::layer_norm::layer_norm;
-use crate::surrogate::network::mlp::{Shape, EPSILON};
+use crate::surrogate::network::mlp::{MlpShape, EPSILON};
 use candle_core::{Result, Tensor};
 use std::sync::Arc;
 
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
-pub fn mlp(shape: &Shape, x: &Tensor, p: &Tensor) -> Result<Tensor> {
+pub fn mlp(shape: &MlpShape, x: &Tensor, p: &Tensor) -> Result<Tensor> {
     let part = |range: std::ops::Range<usize>| p.narrow(0, range.start, range.len());
     let mut y = x.clone();
     for k in 0..shape.linears {
@@ -30,7 +30,7 @@ pub fn mlp(shape: &Shape, x: &Tensor, p: &Tensor) -> Result<Tensor> {
 /// See [`crate::surrogate::network::interaction`]; nodes `[N, L]` and edges `[E, L]` -> the same.
 pub fn interaction(
     graph: &Arc<Graph>,
-    (edge, node): (&Shape, &Shape),
+    (edge, node): (&MlpShape, &MlpShape),
     (nodes, edges): (&Tensor, &Tensor),
     (edge_p, node_p): (&Tensor, &Tensor),
 ) -> Result<(Tensor, Tensor)> {

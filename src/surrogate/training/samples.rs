@@ -10,7 +10,7 @@ use crate::numerics::random::{stream, uniform, Normal};
 use crate::surrogate::features::{wrap, Inputs, Window};
 use crate::surrogate::integrate;
 use crate::surrogate::models::setup::Setup;
-use crate::surrogate::network::parameters::Model;
+use crate::surrogate::network::parameters::Network;
 use crate::surrogate::training::loss::target_acceleration;
 use crate::surrogate::training::noise;
 use candle_core::{Device, Tensor};
@@ -98,7 +98,7 @@ impl<'a> Samples<'a> {
         &mut self,
         step: u64,
         place: u64,
-        model: &dyn Model,
+        network: &dyn Network,
         parameters: &[Tensor],
     ) -> anyhow::Result<Sample> {
         let number = step * self.settings.batch_size as u64 + place;
@@ -140,7 +140,7 @@ impl<'a> Samples<'a> {
         // As LagrangeBench: the first unrolled step sees the noisy frames and moves the true ones.
         let mut moved = clean[..frames].iter().map(|p| tensor(p.clone())).collect::<candle_core::Result<Vec<_>>>()?;
         for k in 0..unrolls {
-            let output = model.apply(&inputs, parameters)?;
+            let output = network.apply(&inputs, parameters)?;
             let last_position = moved[frames - 1].clone();
             let velocity = crate::surrogate::features::displacement(&last_position, &moved[frames - 2], metadata)?;
             let from = Inputs { velocity, ..inputs.clone() };

@@ -11,13 +11,13 @@ use crate::io::tensorboard::EventFile;
 use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
-use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
-use crate::surrogate::network::parameters::{detached, tracked, Model};
+use crate::surrogate::network::parameters::{detached, tracked, Network};
 use crate::surrogate::training::checkpoint;
-use crate::surrogate::training::checkpoint::State;
+use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::loss::loss;
 use crate::surrogate::training::samples::Samples;
 use candle_core::{Tensor, Var};
@@ -37,8 +37,8 @@ pub struct Training<'a> {
     pub metadata: &'a Metadata,
     pub train: &'a [Trajectory],
     pub valid: &'a [Trajectory],
-    pub model: Arc<dyn Model>,
-    pub state: State,
+    pub network: Arc<dyn Network>,
+    pub state: TrainingState,
     pub folder: PathBuf,
     /// Rows of history.csv and validation.csv so far.
     pub history: Vec<Vec<f64>>,
@@ -56,20 +56,20 @@ pub struct Outcome {
     pub seconds_per_step: f64,
 }
 
-/// A fresh state for a model.
+/// A fresh state for a network.
 ///
 /// # Errors
 /// Tensor errors.
-pub fn fresh(settings: &Settings, model: &dyn Model) -> anyhow::Result<State> {
-    let variables: Vec<Var> = model.parameters().iter().map(|p| p.values.clone()).collect();
+pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
+    let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
     let mut optimiser = AdamW::new(&variables)?;
     optimiser.weight_decay = settings.weight_decay;
-    let average = (settings.ema > 0.0).then(|| copies(model)).transpose()?;
-    Ok(State { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
+    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
+    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
 }
 
-fn copies(model: &dyn Model) -> candle_core::Result<Vec<Tensor>> {
-    model.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
+fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
+    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
 }
 
 /// Loss and gradient of one sample, in the order of the parameters.
@@ -77,12 +77,12 @@ fn copies(model: &dyn Model) -> candle_core::Result<Vec<Tensor>> {
 /// # Errors
 /// A parameter without a gradient, tensor errors.
 pub fn gradient(
-    model: &dyn Model,
+    network: &dyn Network,
     sample: &crate::surrogate::training::samples::Sample,
     weight: f64,
     dimension: usize,
 ) -> anyhow::Result<(f64, Vec<Tensor>)> {
-    let output = model.apply(&sample.inputs, &tracked(model))?;
+    let output = network.apply(&sample.inputs, &tracked(network))?;
     let dynamics = |t: &Tensor| t.narrow(1, 0, dimension);
     let mut total = loss(&dynamics(&output)?, &dynamics(&sample.target)?, &dynamics(&sample.mask)?)?;
     let outputs = output.dim(1)?;
@@ -93,7 +93,7 @@ pub fn gradient(
     let value = total.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?;
     let mut store = total.backward()?;
     let mut gradients = Vec::new();
-    for parameter in model.parameters() {
+    for parameter in network.parameters() {
         let Some(gradient) = store.remove(&parameter.values) else {
             let names: Vec<&str> = parameter.parts.iter().map(|(name, ..)| name.as_str()).collect();
             anyhow::bail!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "));
@@ -112,8 +112,8 @@ impl Training<'_> {
         let settings = self.settings;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
-        let variables: Vec<Var> = self.model.parameters().iter().map(|p| p.values.clone()).collect();
-        let linear = self.score(&Linear)?;
+        let variables: Vec<Var> = self.network.parameters().iter().map(|p| p.values.clone()).collect();
+        let linear = self.score(&ConstantVelocity)?;
         let before = self.state.seconds;
         let clock = Instant::now();
         let (mut losses, mut working, mut steps) = (Vec::new(), 0.0, 0);
@@ -166,13 +166,13 @@ impl Training<'_> {
     /// A loss or gradient that is not finite, tensors.
     pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
-        let plain = detached(&*self.model);
+        let plain = detached(&*self.network);
         let share = 1.0 / settings.batch_size as f64;
         let mut mean = 0.0;
         let mut sum: Vec<Tensor> = Vec::new();
         for place in 0..settings.batch_size {
-            let sample = samples.sample(step, place as u64, &*self.model, &plain)?;
-            let (value, gradients) = gradient(&*self.model, &sample, settings.temperature_weight, self.metadata.dim)?;
+            let sample = samples.sample(step, place as u64, &*self.network, &plain)?;
+            let (value, gradients) = gradient(&*self.network, &sample, settings.temperature_weight, self.metadata.dim)?;
             mean += share * value;
             if settings.batch_size == 1 {
                 sum = gradients;
@@ -202,7 +202,7 @@ impl Training<'_> {
         }
         self.state.optimiser.step(variables, &sum, rate)?;
         if let Some(average) = &mut self.state.average {
-            for (average, parameter) in average.iter_mut().zip(self.model.parameters()) {
+            for (average, parameter) in average.iter_mut().zip(self.network.parameters()) {
                 let now = parameter.values.as_detached_tensor();
                 *average = (average.affine(settings.ema, 0.0)? + now.affine(1.0 - settings.ema, 0.0)?)?;
             }
@@ -213,7 +213,7 @@ impl Training<'_> {
     /// The model as it would be used: with averaged parameters if there are any.
     pub fn predictor(&self) -> anyhow::Result<Learned> {
         let mut learned =
-            Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.model.clone());
+            Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.network.clone());
         if let Some(average) = &self.state.average {
             learned.parameters = average.clone();
         }
@@ -309,7 +309,7 @@ impl Training<'_> {
     }
 
     fn store(&self, name: &str) -> anyhow::Result<()> {
-        checkpoint::write(&self.folder.join(name), self.settings, self.setup, &*self.model, &self.state)
+        checkpoint::write(&self.folder.join(name), self.settings, self.setup, &*self.network, &self.state)
     }
 }
 
