@@ -137,7 +137,7 @@ fn the_linear_baseline_keeps_what_the_inlet_set() {
     let metadata = heated_metadata();
     let mut t = trajectory("00000", 26, |_, _| [0.03, 0.0]);
     heat(&mut t, |frame, _| 1.0 + 0.01 * frame as f64);
-    let scenery = hydrograd::surrogate::evaluation::rollout::scenery(&metadata, &t);
+    let scenery = Scenery::of(&metadata, &t);
     let frames = [Frame::of(&t, 4), Frame::of(&t, 5)];
     let next = ConstantVelocity.next(&scenery, &frames).unwrap();
     let mut seen = [0, 0];

@@ -26,13 +26,12 @@ use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
-use crate::surrogate::evaluation::rollout::scenery;
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::parameters;
-use crate::surrogate::predictor::{Frame, Predictor};
+use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
 
@@ -115,7 +114,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let setup = Setup::new(&settings, &metadata)?;
     let model: Arc<dyn parameters::Network> = Arc::from(setup.network(Kernels::Fused, settings.seed, DType::F32)?);
     let sizes = setup.sizes;
-    let scenery = scenery(&metadata, &trajectory);
+    let scenery = Scenery::of(&metadata, &trajectory);
     let frames: Vec<Frame> = (0..seen).map(|frame| Frame::of(&trajectory, frame)).collect();
     let domain = crate::particles::Domain { dimension: 2, size: metadata.size(), periodic: metadata.periodic() };
     let graph = Graph::build(&frames[seen - 1].position, &domain, radius * SPACING)?;

@@ -11,6 +11,7 @@ use crate::surrogate::features::{wrap, Inputs, Window};
 use crate::surrogate::integrate;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::parameters::Network;
+use crate::surrogate::predictor::Scenery;
 use crate::surrogate::training::loss::target_acceleration;
 use crate::surrogate::training::noise;
 use candle_core::{Device, Tensor};
@@ -105,7 +106,7 @@ impl<'a> Samples<'a> {
         let (trajectory, start) = self.window(number);
         let (metadata, setup, settings) = (self.metadata, self.setup, self.settings);
         let (n, d, frames) = (trajectory.particles, metadata.dim, setup.features.frames);
-        let scenery = crate::surrogate::evaluation::rollout::scenery(metadata, trajectory);
+        let scenery = Scenery::of(metadata, trajectory);
         let tensor = |values: Vec<f64>| Tensor::from_vec(values, (n, d), &Device::Cpu);
         let widen = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
 
