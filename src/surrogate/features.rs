@@ -11,8 +11,7 @@
 use super::predictor::Scenery;
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
-use crate::surrogate::network::gather::{gather, End};
-use crate::surrogate::network::graph::Graph;
+use crate::surrogate::network::graph::{Ends, Graph};
 use candle_core::{DType, Device, Result, Tensor};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -192,7 +191,8 @@ impl Features {
         }
         let nodes = Tensor::cat(&columns, 1)?.to_dtype(dtype)?;
 
-        let (to, from) = (gather(last, &graph, End::Receiver)?, gather(last, &graph, End::Sender)?);
+        let ends = Ends::new(&graph, last.device())?;
+        let (to, from) = (ends.of_receivers(last)?, ends.of_senders(last)?);
         let relative = (displacement(&to, &from, metadata)? / normalisation.radius)?;
         let edges = Tensor::cat(&[&relative, &length(&relative)?], 1)?.to_dtype(dtype)?;
         let kinds: Vec<u32> = scenery.kind.iter().map(|&k| if k == kind::PADDING { 8 } else { k as u32 }).collect();

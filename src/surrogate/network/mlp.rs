@@ -31,7 +31,8 @@ pub struct MlpShape {
 }
 
 impl MlpShape {
-    fn size(&self, k: usize) -> (usize, usize) {
+    /// Inputs and outputs of layer k.
+    pub fn size(&self, k: usize) -> (usize, usize) {
         let inputs = if k == 0 { self.inputs } else { self.hidden };
         (inputs, if k + 1 == self.linears { self.outputs } else { self.hidden })
     }
