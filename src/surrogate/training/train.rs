@@ -3,9 +3,11 @@
 //! A step draws windows, adds noise, asks the model, and moves the parameters against the averaged gradient. What is random
 //! follows from seed and step, and a checkpoint holds the rest, so a training that was killed goes on bit for bit.
 
+use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::Error;
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::io::tensorboard::EventFile;
 use crate::report::plots::{training_curves, ErrorCurve};
@@ -15,7 +17,8 @@ use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
-use crate::surrogate::network::parameters::{detached, tracked, Network};
+use crate::surrogate::network::parameters::{detached, tracked, Network, Parameter};
+use crate::surrogate::training::begin::{Lock, Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::loss::loss;
@@ -43,6 +46,36 @@ pub struct Training<'a> {
     /// Rows of history.csv and validation.csv so far.
     pub history: Vec<Vec<f64>>,
     pub validation: Vec<Vec<f64>>,
+}
+
+impl<'a> Training<'a> {
+    /// What [`Self::run`] goes on with. Nothing is written yet.
+    ///
+    /// # Errors
+    /// Tensors that a checkpoint lacks, or that have another shape.
+    pub fn new(
+        settings: &'a Settings,
+        setup: &'a Setup,
+        data: &'a TrainingData,
+        origin: &Origin,
+        kernels: Kernels,
+        folder: &Path,
+    ) -> anyhow::Result<Self> {
+        let (network, state) = origin.network(settings, setup, kernels)?;
+        let rows = |name: &str| match origin.resumes() {
+            true => read_rows(&folder.join(name), state.step),
+            false => Ok(Vec::new()),
+        };
+        let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
+        let (train, valid) = (&data.train[..], &data.valid[..]);
+        let (metadata, folder) = (&data.metadata, folder.to_owned());
+        Ok(Self { settings, setup, metadata, train, valid, network, state, folder, history, validation })
+    }
+
+    /// Numbers that are trained.
+    pub fn parameters(&self) -> usize {
+        self.network.parameters().iter().map(Parameter::count).sum()
+    }
 }
 
 /// What came out.
@@ -104,12 +137,15 @@ pub fn gradient(
 }
 
 impl Training<'_> {
-    /// Runs up to `settings.steps`; everything lands in the folder.
+    /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
     ///
     /// # Errors
-    /// A loss or gradient that is not finite, files, tensors.
+    /// Another training that writes there, a loss or gradient that is not finite, files, tensors.
     pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
         let settings = self.settings;
+        prepare_output_folder(&self.folder)?;
+        let _lock = Lock::take(&self.folder)?;
+        write_bytes_atomically(&self.folder.join("config.toml"), settings.text().as_bytes())?;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
         let variables: Vec<Var> = self.network.parameters().iter().map(|p| p.values.clone()).collect();
@@ -150,7 +186,7 @@ impl Training<'_> {
                 scores = Some(found);
             }
             if self.state.step.is_multiple_of(settings.store_every) || last {
-                self.store("last.safetensors")?;
+                self.store(LAST)?;
             }
         }
         let scores = match scores {
@@ -192,7 +228,7 @@ impl Training<'_> {
         if !mean.is_finite() || !square.is_finite() {
             return Err(Error::run(
                 format!("step {step}: the loss is {mean}, the gradient's norm {}: the training has diverged", square.sqrt()),
-                "a smaller learning rate (--set learning_rate=1e-4) or clipping (--set clip=1); `--resume` begins at the last checkpoint",
+                "a smaller learning_rate (1e-4) or clipping (clip = 1); a resumed training begins at the last checkpoint",
             )
             .into());
         }
@@ -334,7 +370,7 @@ fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result
 }
 
 /// Rows of a table of [`Training`], up to a step: what a resumed training goes on with. Empty cells are not-a-number.
-pub fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
+fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();
     Ok(text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect())
