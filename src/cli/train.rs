@@ -1,8 +1,9 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_own, check_writable};
+use super::arguments::{check_own, check_writable, set_option};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
+use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::Metadata;
@@ -117,15 +118,15 @@ impl TrainArguments {
     /// Those of a file (a resumed training's own, if no other is named) and of the options; without a file the model is that
     /// of `init`.
     fn settings(&self, init: Option<&Header>) -> Result<Settings, BadInput> {
-        let mut sets = self.sets.clone();
-        sets.extend(self.steps.map(|steps| format!("steps={steps}")));
-        sets.extend(self.seed.map(|seed| format!("seed={seed}")));
+        let mut settings: Vec<Setting> = self.sets.iter().map(|text| set_option(text)).collect();
+        settings.extend(self.steps.map(|steps| Setting::option("--steps", "steps", steps)));
+        settings.extend(self.seed.map(|seed| Setting::option("--seed", "seed", seed)));
         let own = self.out.join("config.toml");
         let config = match &self.config {
             None if self.resume && own.is_file() => Some(own.as_path()),
             given => given.as_deref(),
         };
-        Settings::load(config, init.map(|header| &header.settings), &sets)
+        Settings::load_settings(config, init.map(|header| &header.settings), &settings)
     }
 
     /// Where the parameters come from.

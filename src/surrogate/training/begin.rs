@@ -1,8 +1,9 @@
 //! What stands before the first step: data and settings that belong together, where the parameters come from, and a folder
 //! that nobody else writes to.
 
+use crate::config::difference::differences;
 use crate::config::scene::Kernels;
-use crate::config::training::Settings;
+use crate::config::training::{Settings, FREE};
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
@@ -151,27 +152,11 @@ impl Origin {
 
 /// An error if the settings differ in more than how long to go on and how often to say so.
 fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), BadInput> {
-    let mut same = now.clone();
-    same.steps = before.steps;
-    same.log_every = before.log_every;
-    same.validate_every = before.validate_every;
-    same.store_every = before.store_every;
-    same.validation_windows = before.validation_windows;
-    same.validation_steps = before.validation_steps;
-    if same == *before && same_setup {
+    let found = differences(before, now, &FREE);
+    if found.is_empty() && same_setup {
         return Ok(());
     }
-    let table = |settings: &Settings| settings.text().parse::<toml::Table>().unwrap_or_default();
-    let (before, now) = (table(before), table(&same));
-    let differing: Vec<String> = before
-        .iter()
-        .chain(now.iter().filter(|(key, _)| !before.contains_key(*key)))
-        .filter(|(key, _)| before.get(*key) != now.get(*key))
-        .map(|(key, _)| {
-            let shown = |table: &toml::Table| table.get(key).map_or("nothing".to_owned(), |value| value.to_string());
-            format!("{key} was {} and is {}", shown(&before), shown(&now))
-        })
-        .collect();
+    let differing: Vec<String> = found.iter().map(|d| format!("{} was {} and is {}", d.key, d.before, d.now)).collect();
     let problem = match differing.is_empty() {
         true => "the data differ from those that the training began with".to_owned(),
         false => format!("the settings differ from those that the training began with: {}", differing.join("; ")),
