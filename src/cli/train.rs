@@ -1,9 +1,11 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_own, check_writable};
+use super::arguments::{check_own, check_writable, set_option};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
-use crate::config::training::Settings;
+use crate::config::difference::differences;
+use crate::config::layers::Setting;
+use crate::config::training::{Settings, FREE};
 use crate::dataset::{read_split, Metadata, Split};
 use crate::error::BadInput;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
@@ -73,9 +75,9 @@ pub struct TrainArguments {
 }
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
-    let mut sets = arguments.sets.clone();
-    sets.extend(arguments.steps.map(|steps| format!("steps={steps}")));
-    sets.extend(arguments.seed.map(|seed| format!("seed={seed}")));
+    let mut settings: Vec<Setting> = arguments.sets.iter().map(|text| set_option(text)).collect();
+    settings.extend(arguments.steps.map(|steps| Setting::option("--steps", "steps", steps)));
+    settings.extend(arguments.seed.map(|seed| Setting::option("--seed", "seed", seed)));
     let folder = arguments.out.clone();
     let last = folder.join("last.safetensors");
     let kept = folder.join("config.toml");
@@ -89,7 +91,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         }
         None => None,
     };
-    let settings = Settings::load(config, init.as_ref().map(|(_, header)| &header.settings), &sets)?;
+    let settings = Settings::load_settings(config, init.as_ref().map(|(_, header)| &header.settings), &settings)?;
     if arguments.print_config {
         print!("{}", settings.shown());
         return Ok(());
@@ -259,27 +261,11 @@ fn alone(folder: &Path) -> anyhow::Result<File> {
 
 /// An error if the settings differ in more than how long to go on and how often to say so.
 fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), BadInput> {
-    let mut same = now.clone();
-    same.steps = before.steps;
-    same.log_every = before.log_every;
-    same.validate_every = before.validate_every;
-    same.store_every = before.store_every;
-    same.validation_windows = before.validation_windows;
-    same.validation_steps = before.validation_steps;
-    if same == *before && same_setup {
+    let found = differences(before, now, &FREE);
+    if found.is_empty() && same_setup {
         return Ok(());
     }
-    let table = |settings: &Settings| settings.text().parse::<toml::Table>().unwrap_or_default();
-    let (before, now) = (table(before), table(&same));
-    let differing: Vec<String> = before
-        .iter()
-        .chain(now.iter().filter(|(key, _)| !before.contains_key(*key)))
-        .filter(|(key, _)| before.get(*key) != now.get(*key))
-        .map(|(key, _)| {
-            let shown = |table: &toml::Table| table.get(key).map_or("nothing".to_owned(), |value| value.to_string());
-            format!("{key} was {} and is {}", shown(&before), shown(&now))
-        })
-        .collect();
+    let differing: Vec<String> = found.iter().map(|d| format!("{} was {} and is {}", d.key, d.before, d.now)).collect();
     let problem = match differing.is_empty() {
         true => "the data differ from those that the training began with".to_owned(),
         false => format!("the settings differ from those that the training began with: {}", differing.join("; ")),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
-use crate::cli::arguments::{at_least_one, check_writable, name_of};
+use crate::cli::arguments::{at_least_one, check_preset, check_writable, name_of, set_option};
 use crate::cli::prepare::require_design;
 use crate::config::builtin;
 use crate::config::layers::Setting;
@@ -167,7 +167,8 @@ pub struct Scene {
 
 impl Scene {
     pub fn load(&self) -> Result<Loaded, Error> {
-        let settings: Vec<Setting> = self.sets.iter().map(|text| Setting::set(text)).collect();
+        let settings: Vec<Setting> = self.sets.iter().map(|text| set_option(text)).collect();
+        check_preset(self.preset.as_deref())?;
         let loaded = Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)?;
         // Flows without a design are measured by `scaling` and `accuracy`.
         require_design(&loaded.config)?;
