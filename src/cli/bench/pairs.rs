@@ -101,7 +101,7 @@ mod tests {
                 for j in (0..n).filter(|&j| j != i) {
                     let r2: f64 = (0..dimension)
                         .map(|d| {
-                            let dr = flow.state[d * n + i] - flow.state[d * n + j];
+                            let dr = flow.start.state[d * n + i] - flow.start.state[d * n + j];
                             let size = model.domain.size[d];
                             (dr - size * (dr / size).round()).powi(2)
                         })
@@ -109,7 +109,7 @@ mod tests {
                     expected += (r2 < model.kernel.cutoff().powi(2)) as usize;
                 }
             }
-            assert_eq!(count(model, &flow.state), expected);
+            assert_eq!(count(model, &flow.start.state), expected);
         }
     }
 }
