@@ -8,10 +8,10 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Fields;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::design::diagnostics::start;
 use hydrograd::design::objectives::{HeatOutflow, Samples};
 use hydrograd::design::shape::Shape;
-use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::design::space::DesignSpace;
+use hydrograd::scene::Scene;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::{Snapshot, Solver};
 use hydrograd::sph::Sweeps;
@@ -48,13 +48,13 @@ static ALLOCATOR: Counting = Counting;
 static TURN: Mutex<()> = Mutex::new(());
 
 /// A short run of the heated channel with an uneven wall.
-fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapshot<R>) {
+fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (DesignSpace<R>, Snapshot<R>) {
     let mut all = vec![format!("time.steps={steps}"), "objective.window=0".into(), "design.shape=\"sine\"".into()];
     all.extend(sets.iter().map(|s| s.to_string()));
     let config = Config::load(None, None, &all).unwrap().config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::<R>::new(&config, &shape);
-    let start = start(&channel, &shape.offsets);
+    let channel = Scene::<R>::from_config(&config).unwrap().design.unwrap();
+    let start = channel.start(&shape.offsets);
     (channel, start)
 }
 
@@ -79,7 +79,7 @@ impl Objective for Both {
 
 /// An objective that looks at steps within, at the start and at the end of segments. Targets over the hot section,
 /// where a short run has heat already.
-fn objective<R: Sweeps>(channel: &HeatedChannel<R>) -> Both {
+fn objective<R: Sweeps>(channel: &DesignSpace<R>) -> Both {
     let steps = channel.steps;
     let mut outflow = channel.objective.clone();
     let targets = outflow.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
@@ -89,7 +89,7 @@ fn objective<R: Sweeps>(channel: &HeatedChannel<R>) -> Both {
     Both(outflow, FinalSum { steps, of: Summed::Heat })
 }
 
-fn run<R: Sweeps>(channel: &HeatedChannel<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
+fn run<R: Sweeps>(channel: &DesignSpace<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
     let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     gradient(&dynamics, start, &schedule, &objective(channel), &mut |_| ()).unwrap()
 }

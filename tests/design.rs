@@ -6,21 +6,22 @@ use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::design::diagnostics;
 use hydrograd::design::optimise;
 use hydrograd::design::shape::Shape;
-use hydrograd::design::{diagnostics, diagnostics::start};
+use hydrograd::design::space::DesignSpace;
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
-use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::Scene;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::Sweeps;
 use support::final_sum::{FinalSum, Summed};
 
-fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {
+fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, DesignSpace<R>) {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::new(&config, &shape);
+    let channel = Scene::from_config(&config).unwrap().design.unwrap();
     (config, shape, channel)
 }
 
@@ -125,13 +126,13 @@ fn a_truncated_gradient_drops_what_the_fluid_was() {
 
 /// Gradient of an objective by the offsets, without regularisation.
 fn design_gradient<R: Sweeps, O: Objective>(
-    channel: &HeatedChannel<R>,
+    channel: &DesignSpace<R>,
     offsets: &[f64],
     objective: &O,
 ) -> (f64, Vec<f64>) {
     let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     let schedule = Schedule::segments(channel.steps, 20);
-    let found = gradient(&dynamics, &start(channel, offsets), &schedule, objective, &mut |_| ()).unwrap();
+    let found = gradient(&dynamics, &channel.start(offsets), &schedule, objective, &mut |_| ()).unwrap();
     let bar = found.state.flatten_all().unwrap().to_vec1::<R>().unwrap();
     (found.value, channel.deformation.adjoint(&bar))
 }
@@ -215,7 +216,7 @@ fn a_variable_without_influence_is_an_error() {
     // After two steps, only the wall near the targets has been felt there.
     let sets = ["time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
     let (config, shape, channel) = scene::<f64>(&sets);
-    let evaluate = |channel: &HeatedChannel<f64>, config: &Config, shape: &Shape| {
+    let evaluate = |channel: &DesignSpace<f64>, config: &Config, shape: &Shape| {
         optimise::evaluate(config, channel, &Schedule::taped(channel.steps), &shape.offsets, &mut |_| ())
     };
     let error = evaluate(&channel, &config, &shape).unwrap_err().to_string();

@@ -8,9 +8,10 @@ use super::simulate::{diverged, foreign, number, read_tensors, stored_config};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
 use crate::design::adam::Adam;
-use crate::design::diagnostics::{simulate, start, Finished};
+use crate::design::diagnostics::{simulate, Finished};
 use crate::design::optimise::{self, Epoch, Progress as State};
 use crate::design::shape::Shape;
+use crate::design::space::DesignSpace;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, Tensors};
@@ -18,8 +19,9 @@ use crate::io::vtk::VtkSeries;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::load::Loaded;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
@@ -228,7 +230,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &
 fn report<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    channel: &HeatedChannel<R>,
+    channel: &DesignSpace<R>,
     shape: &Shape,
     state: &State,
     seconds: f64,
@@ -238,22 +240,22 @@ fn report<R: Sweeps>(
     let last = state.history.len() - 1;
     let (first, best) = (offsets(0), offsets(state.best));
     let plain =
-        |offsets: &[f64]| simulate(channel, config.run.kernels, start(channel, offsets), |_| Ok(())).map_err(diverged);
+        |offsets: &[f64]| simulate(channel, config.run.kernels, &channel.start(offsets), &mut []).map_err(diverged);
     let before: Finished<R> = plain(first)?;
     let mut series = match config.output.frames {
         0 => None,
         _ => Some(VtkSeries::new(&folder.join("particles"), "particles")?),
     };
     let every = if config.output.frames == 0 { usize::MAX } else { channel.steps.div_ceil(config.output.frames) };
-    let after = simulate(channel, config.run.kernels, start(channel, best), |solver| {
+    let mut frames = |_: &Sph<R>, solver: &mut Solver<R>| {
         if let Some(series) = &mut series {
             if solver.step % every == 0 || solver.step == channel.steps {
                 Fields::of(solver).with_frame(|frame| series.write(frame))?;
             }
         }
         Ok(())
-    })
-    .map_err(diverged)?;
+    };
+    let after = simulate(channel, config.run.kernels, &channel.start(best), &mut [&mut frames]).map_err(diverged)?;
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (Fields::of(&mut solver_before), Fields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;

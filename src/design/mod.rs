@@ -5,3 +5,4 @@ pub mod objectives;
 pub mod optimise;
 pub mod parametrisation;
 pub mod shape;
+pub mod space;

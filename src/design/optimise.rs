@@ -1,13 +1,12 @@
 //! The optimisation loop: gradient, record, step, checkpoint.
 
 use super::adam::{project, Adam};
-use super::diagnostics::start;
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule};
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::design::shape::MAX_SLOPE;
+use crate::design::space::DesignSpace;
 use crate::error::{BadInput, Error};
-use crate::scene::heated_channel::HeatedChannel;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 
@@ -65,7 +64,7 @@ pub fn smoothing(weight: f64, offsets: &[f64]) -> (f64, Vec<f64>) {
 }
 
 /// What keeping a state and taping a step cost in this scene, from its first neighbour list.
-pub fn costs<R: Sweeps>(config: &Config, channel: &HeatedChannel<R>) -> Result<Costs, Error> {
+pub fn costs<R: Sweeps>(config: &Config, channel: &DesignSpace<R>) -> Result<Costs, Error> {
     let flat = vec![0.0; channel.deformation.variables];
     let state = channel.deformation.state::<R>(&flat);
     let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
@@ -76,7 +75,7 @@ pub fn costs<R: Sweeps>(config: &Config, channel: &HeatedChannel<R>) -> Result<C
 /// length.
 ///
 /// Errors: a schedule that would not fit, and a budget that is too small for any.
-pub fn schedule<R: Sweeps>(config: &Config, channel: &HeatedChannel<R>) -> Result<Schedule, Error> {
+pub fn schedule<R: Sweeps>(config: &Config, channel: &DesignSpace<R>) -> Result<Schedule, Error> {
     let (costs, steps) = (costs(config, channel)?, channel.steps);
     let wanted = &config.optimise;
     let budget = wanted.memory;
@@ -133,16 +132,15 @@ fn rounded_up(bytes: usize) -> String {
 /// Evaluates a design and differentiates it.
 pub fn evaluate<R: Sweeps>(
     config: &Config,
-    channel: &HeatedChannel<R>,
+    channel: &DesignSpace<R>,
     schedule: &Schedule,
     offsets: &[f64],
     progress: &mut dyn FnMut(f64),
 ) -> Result<Evaluation, Error> {
     let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
-    let result =
-        gradient(&dynamics, &start(channel, offsets), schedule, &channel.objective, progress).map_err(|e| {
-            Error::run(e.to_string(), "--set time.cfl=0.5 (a smaller time step), or a smaller design.bound")
-        })?;
+    let result = gradient(&dynamics, &channel.start(offsets), schedule, &channel.objective, progress).map_err(|e| {
+        Error::run(e.to_string(), "--set time.cfl=0.5 (a smaller time step), or a smaller design.bound")
+    })?;
     let mut state_bar: Vec<R> = result
         .state
         .flatten_all()
@@ -185,7 +183,7 @@ fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
 /// One epoch: evaluates the present design, records it, and moves on to the next.
 pub fn epoch<R: Sweeps>(
     config: &Config,
-    channel: &HeatedChannel<R>,
+    channel: &DesignSpace<R>,
     schedule: &Schedule,
     nodes: &[f64],
     state: &mut Progress,

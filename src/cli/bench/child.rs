@@ -11,7 +11,6 @@ use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::{Dynamics, Objective, RunError};
 use crate::cli::prepare::build;
 use crate::config::scene::Precision;
-use crate::design::diagnostics::start;
 use crate::design::objectives::HeatOutflow;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
@@ -68,7 +67,7 @@ impl<R: Sweeps> Ready<R> {
             Source::Channel(scene) => {
                 let config = scene.load()?.config;
                 let (channel, shape) = build::<R>(&config)?;
-                (channel.model.clone(), start(&channel, &shape.offsets), Some(channel.objective))
+                (channel.model.clone(), channel.start(&shape.offsets), Some(channel.objective))
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);
@@ -80,7 +79,7 @@ impl<R: Sweeps> Ready<R> {
                     None => {
                         let config = scene.load()?.config;
                         let (channel, shape) = build::<R>(&config)?;
-                        let state = start(&channel, &shape.offsets).state;
+                        let state = channel.start(&shape.offsets).state;
                         (needs::owned(channel.model), state)
                     }
                 };
@@ -124,7 +123,7 @@ fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
     let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
-    (needs::owned(flow.model), flow.state)
+    (needs::owned(flow.model), flow.start.state)
 }
 
 /// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
