@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use clap::error::ErrorKind;
 use clap::Parser;
 use hydrograd::cli::Cli;
-use hydrograd::config::layers::known_keys;
+use hydrograd::config::scene::Config;
+use hydrograd::config::schema::known_keys;
 use hydrograd::config::training::Settings;
 
 /// Most lines of the first page.
@@ -178,23 +179,9 @@ fn commands_parse() {
     assert!(seen > 40, "only {seen} commands were found");
 }
 
-/// All keys of a TOML table, with their sections.
-fn keys(table: &toml::Table, path: &str, into: &mut BTreeSet<String>) {
-    for (key, value) in table {
-        let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-        if let Some(table) = value.as_table() {
-            keys(table, &path, into);
-        }
-        into.insert(path);
-    }
-}
-
 #[test]
 fn configuration_keys_exist() {
-    let mut known: BTreeSet<String> = known_keys().into_iter().collect();
-    keys(&toml::Table::try_from(Settings::default()).unwrap(), "", &mut known);
-    // A training's settings that are not set are in no table.
-    known.extend(["model.radius", "model.embedding"].map(String::from));
+    let known: BTreeSet<String> = [known_keys::<Config>(), known_keys::<Settings>()].concat().into_iter().collect();
     let sections: BTreeSet<&str> = known.iter().filter_map(|key| Some(key.split_once('.')?.0)).collect();
     let is_key = |text: &str| text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || "_.*".contains(c));
     let (mut seen, mut wrong) = (0, vec![]);

@@ -1,14 +1,10 @@
-//! Ranges of every number, and the conditions that link them.
+//! Scenes for the loader: the range of every number, and the conditions that link them.
 
+use crate::config::builtin::SCENES;
+use crate::config::range::{Number, Range};
 use crate::config::scene::{Config, GradientMode, Precision, Scene};
-use crate::design::shape::Shape;
-use crate::error::{BadInput, Error};
-
-/// The kernel's support radius, in spacings.
-const SUPPORT: f64 = 3.0;
-
-/// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
-const FLUID_ROWS: f64 = 2.0 * SUPPORT;
+use crate::config::schema::{Alternative, Schema};
+use crate::error::BadInput;
 
 /// More particles than this are a slip in `resolution.dx` rather than a wish.
 const MAX_PARTICLES: f64 = 1e8;
@@ -19,51 +15,67 @@ const MAX_STEPS: f64 = 1e9;
 /// Number of spacings counts as whole within this.
 const WHOLE: f64 = 1e-6;
 
-/// The range of one number.
-#[derive(Debug, Clone, Copy)]
-enum Range {
-    Finite,
-    Positive,
-    NotNegative,
-    /// Both ends included.
-    Within(f64, f64),
-    /// Above the first, up to the second.
-    Above(f64, f64),
-}
+impl Schema for Config {
+    const ALTERNATIVES: &'static [Alternative] = &[
+        (&["time.end"], &["time.steps"]),
+        (&["design.shape"], &["design.offsets", "design.file"]),
+        (&["design.offsets"], &["design.file"]),
+        (&["design.file"], &["design.offsets", "design.nodes"]),
+    ];
+    const FORM: &'static str = "section.key=value, for example time.end=1.5";
+    const HELP: &'static str = "`hydrograd scenes heated-channel` prints every key with its meaning";
 
-impl Range {
-    fn contains(self, value: f64) -> bool {
-        value.is_finite()
-            && match self {
-                Self::Finite => true,
-                Self::Positive => value > 0.0,
-                Self::NotNegative => value >= 0.0,
-                Self::Within(low, high) => (low..=high).contains(&value),
-                Self::Above(low, high) => low < value && value <= high,
-            }
+    fn texts() -> Vec<&'static str> {
+        SCENES.iter().map(|scene| scene.text).collect()
     }
 
-    fn describe(self, key: &str) -> String {
-        match self {
-            Self::Finite => format!("{key}: any finite number"),
-            Self::Positive => format!("{key} > 0, finite"),
-            Self::NotNegative => format!("{key} >= 0, finite"),
-            Self::Within(low, high) => format!("{low} <= {key} <= {high}"),
-            Self::Above(low, high) => format!("{low} < {key} <= {high}"),
+    fn complete() -> Self {
+        let mut config = Self::default();
+        config.time.steps = Some(1);
+        config.design.nodes = Some(vec![]);
+        config.design.offsets = Some(vec![]);
+        config.design.file = Some(String::new());
+        config
+    }
+
+    fn numbers(&self) -> Vec<Number> {
+        numbers(self)
+    }
+
+    fn usual(&self) -> (Self, &'static str) {
+        (self.scene.defaults(), "the built-in scene's")
+    }
+
+    fn origin(&self) -> String {
+        format!("default of scene {}", self.scene.built_in().name)
+    }
+
+    fn check_together(&self) -> Result<(), BadInput> {
+        if self.scene != Scene::HeatedChannel {
+            self.check_box()?;
+            return self.check_steps();
         }
+        self.check_spacing()?;
+        self.check_channel()?;
+        self.check_time()?;
+        self.check_bound()?;
+        self.check_store()
     }
 }
 
-/// Every number with its own range (arrays are checked by [`Shape`]).
-fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
+/// Every number with its own range (the wall's arrays are checked as a shape).
+fn numbers(config: &Config) -> Vec<Number> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
     let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
         config;
+    // The other scenes have no such key: they choose for themselves.
+    let least_rows = if config.scene == Scene::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
         ("resolution.dx", resolution.dx, Positive),
+        ("resolution.smoothing_length", resolution.smoothing_length, Within(0.5, 3.0)),
         ("channel.length", channel.length, Positive),
         ("channel.height", channel.height, Positive),
-        ("channel.wall_rows", channel.wall_rows as f64, Within(SUPPORT, 100.0)),
+        ("channel.wall_rows", channel.wall_rows as f64, Within(least_rows, 100.0)),
         ("channel.hot_from", channel.hot_from, NotNegative),
         ("channel.hot_to", channel.hot_to, NotNegative),
         ("channel.inlet_length", channel.inlet_length, NotNegative),
@@ -79,6 +91,7 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("fluid.sound_speed_factor", fluid.sound_speed_factor, Within(1.0, 1000.0)),
         ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
         ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
+        ("fluid.artificial_viscosity", fluid.artificial_viscosity, Within(0.0, 10.0)),
         ("wall.hot_temperature", wall.hot_temperature, Finite),
         ("time.end", time.end, Positive),
         ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
@@ -89,6 +102,7 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("objective.target_x", objective.target_x, NotNegative),
         ("objective.window", objective.window, NotNegative),
         ("objective.samples", objective.samples as f64, Within(1.0, MAX_STEPS)),
+        ("design.control_points", design.control_points as f64, Within(4.0, 1000.0)),
         ("design.amplitude", design.amplitude, Finite),
         ("design.periods", design.periods, Positive),
         ("design.bound", design.bound, NotNegative),
@@ -103,30 +117,9 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
 }
 
 impl Config {
-    /// Checks every number and how they fit together; the first thing wrong is the error.
-    pub fn validate(&self) -> Result<(), Error> {
-        Ok(self.check()?)
-    }
-
-    pub(crate) fn check(&self) -> Result<(), BadInput> {
-        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&self.scene.defaults())) {
-            if !range.contains(value) {
-                return Err(BadInput::new(format!("{key} = {value} is out of range"))
-                    .key(key)
-                    .allowed(range.describe(key))
-                    .advice(format!("the built-in scene's {key} = {default}")));
-            }
-        }
-        if self.scene != Scene::HeatedChannel {
-            self.check_box()?;
-            return self.check_steps();
-        }
-        self.check_spacing()?;
-        self.check_channel()?;
-        self.check_time()?;
-        self.check_bound()?;
-        self.check_store()?;
-        Shape::from_config(self).map(|_| ())
+    /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
+    fn fluid_rows(&self) -> f64 {
+        2.0 * self.support()
     }
 
     /// Rounded states belong to schedules that keep every state.
@@ -160,7 +153,7 @@ impl Config {
                     .key("resolution.dx")
                     .allowed("whole numbers of spacings in channel.length and channel.height");
                 let near = nearest_spacings(dx, channel.length, channel.height);
-                let near: Vec<String> = near.iter().map(|dx| format!("--set resolution.dx={dx}")).collect();
+                let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
                 return Err(match near.is_empty() {
                     true => bad.advice("another channel.height: a simple fraction of channel.length"),
                     false => bad.advice(near.join(" or ")),
@@ -168,11 +161,12 @@ impl Config {
             }
         }
         // Periodic images: a particle may see each neighbour once only.
-        let shortest = 2.0 * (SUPPORT + self.time.skin) * dx;
+        let support = self.support();
+        let shortest = 2.0 * (support + self.time.skin) * dx;
         if channel.length < shortest {
             return Err(BadInput::new(format!("channel.length = {} is too short", channel.length))
                 .key("channel.length")
-                .allowed(format!("at least 2 (3 + time.skin) dx = {shortest}"))
+                .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
                 .advice("a smaller resolution.dx"));
         }
         Ok(())
@@ -237,18 +231,22 @@ impl Config {
                 .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
         }
         // Periodic images: a particle may see each neighbour once only. Walls: it may reach one of them only.
-        let fewest = if walls { FLUID_ROWS } else { 2.0 * (SUPPORT + self.time.skin) };
+        let support = self.support();
+        let fewest = if walls { self.fluid_rows() } else { 2.0 * (support + self.time.skin) };
         let count = (size / dx).round();
         if count < fewest {
-            let rule = if walls { "six spacings" } else { "2 (3 + time.skin) spacings" };
+            let rule = match walls {
+                true => spacings(fewest),
+                false => format!("2 ({support} + time.skin) spacings"),
+            };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
-                .advice(format!("--set resolution.dx={}", size / fewest.ceil())));
+                .advice(format!("resolution.dx={}", size / fewest.ceil())));
         }
         if !is_whole(size / dx) {
             return Err(bad(format!("resolution.dx = {dx} does not divide {text}"))
                 .allowed(format!("{size} over a whole number"))
-                .advice(format!("--set resolution.dx={}", size / count)));
+                .advice(format!("resolution.dx={}", size / count)));
         }
         Ok(())
     }
@@ -260,7 +258,7 @@ impl Config {
             return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
                 .key("objective.window")
                 .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
-                .advice("--set objective.window=0, or a larger time.end or time.steps"));
+                .advice("objective.window=0, or a larger time.end or time.steps"));
         }
         let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
         if window > 0.0 && self.objective.samples > steps {
@@ -303,17 +301,19 @@ impl Config {
         let whole = 1.0 + 1e-9;
         // The number of rows is constant, so the fluid between a raised wall and the top is squeezed; what
         // counts for the walls' sums is its height.
-        let limit = channel.height - FLUID_ROWS * dx;
+        let fewest = self.fluid_rows();
+        let limit = channel.height - fewest * dx;
         if limit < -1e-9 * dx {
-            let lowest = FLUID_ROWS * dx;
+            let lowest = fewest * dx;
             return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
                 .key("channel.height")
-                .allowed(format!("at least six spacings, {lowest:.6}"))
+                .allowed(format!("at least {}, {lowest:.6}", spacings(fewest)))
                 .advice("a smaller resolution.dx"));
         }
         if bound > limit.max(0.0) * whole {
             let advice = "a smaller resolution.dx, or a smaller design.bound";
-            return fail(limit.max(0.0), "the channel keeps six spacings of fluid", advice.into());
+            let why = format!("the channel keeps {} of fluid", spacings(fewest));
+            return fail(limit.max(0.0), &why, advice.into());
         }
         // Dummy particles move with the surface of their column. At the ends of the hot section the surface
         // steps to y = 0, and the face of that step consists of the rows of the higher column: rows that end
@@ -322,15 +322,23 @@ impl Config {
         if bound > limit * whole {
             let rows = (bound / dx - 1e-9).ceil();
             let why = format!("the {} wall rows must cover it", channel.wall_rows);
-            return fail(limit, &why, format!("--set channel.wall_rows={rows}"));
+            return fail(limit, &why, format!("channel.wall_rows={rows}"));
         }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
-        // than two rows lie within the kernel's support of 3 dx.
+        // than two rows lie within the usual support of 3 dx.
         let limit = 0.5 * channel.height;
         if bound > limit * whole {
             return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
         }
         Ok(())
+    }
+}
+
+/// A number of spacings in words.
+fn spacings(count: f64) -> String {
+    match count {
+        6.0 => "six spacings".into(),
+        _ => format!("{count} spacings"),
     }
 }
 
@@ -351,30 +359,6 @@ fn nearest_spacings(dx: f64, length: f64, height: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn default_is_valid() {
-        Config::default().validate().unwrap();
-    }
-
-    /// A configuration key without a range would be a number that is never checked.
-    #[test]
-    fn every_number_has_a_range() {
-        let with_range: Vec<&str> = numbers(&Config::default()).iter().map(|(key, _, _)| *key).collect();
-        let mut config = Config::default();
-        config.time.steps = Some(1);
-        let table = toml::Table::try_from(&config).unwrap();
-        for (section, keys) in table.iter().filter_map(|(name, value)| Some((name, value.as_table()?))) {
-            for (key, value) in keys {
-                let path = format!("{section}.{key}");
-                let number = value.is_integer() || value.is_float();
-                // Every seed is allowed.
-                if number && path != "run.seed" {
-                    assert!(with_range.contains(&path.as_str()), "{path} has no range");
-                }
-            }
-        }
-    }
 
     #[test]
     fn nearest_spacings_divide_both() {

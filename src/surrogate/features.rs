@@ -9,6 +9,7 @@
 //! s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
 use super::predictor::Scenery;
+pub use crate::config::training::Features;
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
 use crate::surrogate::network::gather::{gather, End};
@@ -67,24 +68,6 @@ impl Normalisation {
             mean.fill(0.0);
             scale.fill(root);
         }
-    }
-}
-
-/// Which features there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Features {
-    /// W.
-    pub frames: usize,
-    /// Norms of the velocities.
-    pub speed: bool,
-    /// Distances to the ends of the box in directions that are not periodic.
-    pub boundary: bool,
-}
-
-impl Default for Features {
-    fn default() -> Self {
-        Self { frames: 6, speed: false, boundary: true }
     }
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use clap::ValueEnum;
 
-use crate::cli::arguments::name_of;
+use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
 use crate::config::layers::Setting;
 use crate::config::memory_size::MemorySize;
@@ -103,7 +103,8 @@ pub struct Scene {
 
 impl Scene {
     pub fn load(&self) -> Result<Loaded, Error> {
-        let settings: Vec<Setting> = self.sets.iter().map(|text| Setting::set(text)).collect();
+        let settings: Vec<Setting> = self.sets.iter().map(|text| set_option(text)).collect();
+        check_preset(self.preset.as_deref())?;
         let loaded = Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)?;
         // Flows without a design are measured by `scaling` and `accuracy`.
         require_design(&loaded.config)?;

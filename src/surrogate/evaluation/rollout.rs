@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// True frames before the first predicted one, as many for every model so that all predict the same.
-pub const HISTORY: usize = 6;
+pub const HISTORY: usize = crate::config::training::MOST_FRAMES;
 
 /// A particle this many times the box's length outside of an open box has left it.
 const FAR: f64 = 0.5;
