@@ -19,17 +19,17 @@ use std::time::Instant;
 use candle_core::{DType, Var};
 
 use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
+use crate::config::scene::Kernels;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
-use crate::surrogate::evaluation::rollout::scenery;
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::graph::Graph;
-use crate::surrogate::network::parameters::Model;
-use crate::surrogate::predictor::{Frame, Predictor};
+use crate::surrogate::network::parameters;
+use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
 
@@ -86,9 +86,9 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let seen = settings.features.frames;
     let (metadata, trajectory) = flow(seen + 1 + settings.pushforward.most());
     let setup = Setup::new(&settings, &metadata)?;
-    let model: Arc<dyn Model> = Arc::from(setup.model(settings.seed, DType::F32)?);
+    let model: Arc<dyn parameters::Network> = Arc::from(setup.network(Kernels::Fused, settings.seed, DType::F32)?);
     let sizes = setup.sizes;
-    let scenery = scenery(&metadata, &trajectory);
+    let scenery = Scenery::of(&metadata, &trajectory);
     let frames: Vec<Frame> = (0..seen).map(|frame| Frame::of(&trajectory, frame)).collect();
     let domain = crate::particles::Domain { dimension: 2, size: metadata.size(), periodic: metadata.periodic() };
     let graph = Graph::build(&frames[seen - 1].position, &domain, radius * SPACING)?;
@@ -107,7 +107,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 metadata: &metadata,
                 train,
                 valid: &[],
-                model: model.clone(),
+                network: model.clone(),
                 state: fresh(&settings, &*model)?,
                 folder: PathBuf::new(),
                 history: vec![],
