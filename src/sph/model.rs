@@ -102,7 +102,8 @@ impl Layout {
 }
 
 /// Heat conduction and its boundary conditions. Temperatures are kept as T - `reference`, because f32 has
-/// no digits to spare for the constant (its gradient error falls from 0.56 to 2e-4).
+/// no digits to spare for the constant (its gradient error falls from 0.56 to 2e-4 over 20 steps of the
+/// heated channel).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Heat<R> {
     pub conductivity: f64,

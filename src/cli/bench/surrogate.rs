@@ -17,10 +17,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use candle_core::{DType, Var};
-use serde::{Deserialize, Serialize};
 
-use super::cases::{Case, Kind, Length};
-use super::child::Measured;
+use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
 use crate::config::scene::Kernels;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
@@ -35,35 +33,11 @@ use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
 
-/// Particles along the box, and their spacing: as many as the report's channel has.
-const COLUMNS: usize = 38;
-const ROWS: usize = 25;
+/// Their spacing.
 const SPACING: f64 = 0.02;
 /// Largest shift of a particle off its place of the lattice, and largest way per frame, in spacings.
 const JITTER: f64 = 0.2;
 const SPEED: f64 = 0.02;
-
-/// A graph network simulator on the periodic box.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Network {
-    pub rounds: usize,
-    pub latent: usize,
-    /// Connectivity radius in spacings.
-    pub radius: f64,
-}
-
-impl Network {
-    pub const ALL: [Self; 3] = [
-        Self { rounds: 10, latent: 128, radius: 3.0 },
-        Self { rounds: 10, latent: 128, radius: 1.45 },
-        Self { rounds: 5, latent: 64, radius: 1.45 },
-    ];
-    pub const PARTICLES: usize = COLUMNS * ROWS;
-
-    pub fn name(&self) -> String {
-        format!("gns-{}-{}-{}dx", self.rounds, self.latent, self.radius)
-    }
-}
 
 /// A jittered lattice that moves; scripts/peers/surrogate.py makes the same.
 fn flow(frames: usize) -> (Metadata, Trajectory) {
