@@ -166,6 +166,9 @@ fn out_of_range() {
         ("optimise.learning_rate=0", "optimise.learning_rate > 0"),
         ("design.bound=-0.01", "design.bound >= 0"),
         ("run.threads=5000", "0 <= run.threads <= 1024"),
+        ("resolution.smoothing_length=0.4", "0.5 <= resolution.smoothing_length <= 3"),
+        ("fluid.artificial_viscosity=-1", "0 <= fluid.artificial_viscosity <= 10"),
+        ("design.control_points=3", "4 <= design.control_points <= 1000"),
     ];
     for (set, allowed) in cases {
         let (key, value) = set.split_once('=').unwrap();
@@ -215,6 +218,20 @@ fn channel_too_short_or_low() {
     ];
     refuses_sets(&sets, &["channel.length = 0.12", "at least", "0.128"]);
     refuses_sets(&["channel.height=0.1"], &["channel.height = 0.1", "six spacings", "0.12"]);
+}
+
+/// What follows from the kernel's support follows from its name and smoothing length.
+#[test]
+fn support_of_the_kernel() {
+    let wide = "resolution.smoothing_length=1.5";
+    refuses_sets(&[wide, "channel.wall_rows=4"], &["channel.wall_rows = 4", "5 <= channel.wall_rows"]);
+    refuses_sets(&[wide, "channel.height=0.16"], &["channel.height = 0.16", "9 spacings", "0.18"]);
+    refuses_sets(&["resolution.kernel=wendland"], &["wendland", "quintic-spline, wendland-c2", "try: `wendland-c2`"]);
+    let case = Case::new(&[]);
+    let run = ["simulate", "taylor-green", "--set", "resolution.dx=0.125", "--set", wide];
+    case.refuses(&run, &["too coarse", "2 (4.5 + time.skin) spacings"]);
+    let run = ["simulate", "poiseuille", "--set", "resolution.dx=0.125", "--set", wide];
+    case.refuses(&run, &["too coarse", "9 spacings"]);
 }
 
 #[test]

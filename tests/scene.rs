@@ -3,7 +3,9 @@
 use hydrograd::config::builtin::{PRESETS, SCENES};
 use hydrograd::config::layers::{described, description, known_keys, Setting};
 use hydrograd::config::memory_size::MemorySize;
-use hydrograd::config::scene::{BodyForceRegion, Config, ShapeName, Start};
+use hydrograd::config::scene::{
+    BodyForceRegion, Config, KernelName, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName, Start,
+};
 use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::scene::flow::Flow;
 use hydrograd::scene::load::Source;
@@ -337,6 +339,36 @@ fn defaults_give_way_to_what_is_given() {
     assert_eq!(toml::from_str::<Config>(&short.text).unwrap(), short.config);
     assert_eq!(load(&["resolution.dx=0.005"]).config.channel.wall_rows, 4);
     assert_eq!(load(&["design.bound=0.04"]).config.channel.wall_rows, 3);
+    // The dummy particles fill the kernel's support.
+    let wide = load(&["resolution.smoothing_length=1.5"]);
+    assert_eq!((wide.config.support(), wide.config.channel.wall_rows), (4.5, 5));
+    assert_eq!(wide.place("channel.wall_rows"), Some("the kernel's support"));
+    assert_eq!(load(&["resolution.smoothing_length=1.5", "channel.wall_rows=7"]).config.channel.wall_rows, 7);
+    assert_eq!(load(&["resolution.kernel=wendland-c2"]).config.channel.wall_rows, 3);
+    assert_eq!(load(&["resolution.kernel=wendland-c2", "channel.wall_rows=2"]).config.channel.wall_rows, 2);
+}
+
+#[test]
+fn kernels_laws_and_designs_have_names() {
+    let sets = [
+        "resolution.kernel=wendland-c2",
+        "fluid.artificial_viscosity=0.1",
+        "optimise.method=l-bfgs-b",
+        "objective.kind=outlet-temperature",
+        "design.parametrisation=b-spline",
+        "design.control_points=6",
+    ];
+    let loaded = load(&sets);
+    let mut expected = Config::default();
+    expected.resolution.kernel = KernelName::WendlandC2;
+    expected.fluid.artificial_viscosity = 0.1;
+    expected.optimise.method = OptimiserName::LBfgsB;
+    expected.objective.kind = ObjectiveKind::OutletTemperature;
+    expected.design.parametrisation = ParametrisationName::BSpline;
+    expected.design.control_points = 6;
+    assert_eq!(loaded.config, expected);
+    assert_eq!(read(&loaded.text), expected);
+    assert_eq!((expected.support(), expected.smoothing_length()), (2.0, 0.02));
 }
 
 #[test]

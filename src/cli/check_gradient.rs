@@ -1,9 +1,10 @@
 //! `hydrograd check-gradient`: is the design gradient what it claims to be?
 
+use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files;
 use super::prepare::{build, set_threads};
-use super::CheckGradientArguments;
 use crate::adjoint::check::{check, cosine};
+use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::design::diagnostics::evaluate;
 use crate::design::optimise;
@@ -15,7 +16,53 @@ use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::sph::Sweeps;
+use clap::Args;
 use serde_json::json;
+use std::path::PathBuf;
+
+/// Steps that `check-gradient` differentiates unless told otherwise.
+const CHECK_STEPS: usize = 500;
+
+/// Compare the design gradient with central differences; fails (exit code 1) if they disagree.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd check-gradient
+      500 steps of the heated channel, objective at the last step
+  hydrograd check-gradient --steps 100 --directions 5
+      quicker, along five random directions
+  hydrograd check-gradient --precision f32 --set design.shape=sine
+      in single precision, at a sine-shaped wall
+  hydrograd check-gradient --steps 500 --set objective.window=0.2
+      with an objective averaged over a window")]
+pub struct CheckGradientArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub gradient: GradientArguments,
+    /// Steps to differentiate. The objective is then taken at the last step, unless
+    /// `--set objective.window=...` says otherwise.
+    #[arg(long, value_name = "N", default_value_t = CHECK_STEPS)]
+    pub steps: usize,
+    /// Random directions to compare along.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = at_least_one)]
+    pub directions: usize,
+}
+
+impl CheckGradientArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.require_design()?;
+        // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
+        // longer than the steps checked.
+        let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];
+        self.common.load(None, defaults, self.gradient.settings())
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common.folder(None, "check-gradient", loaded)
+    }
+}
 
 /// Largest relative error of a directional derivative.
 const TOLERANCE_F64: f64 = 1e-5;

@@ -1,7 +1,6 @@
 //! `hydrograd dataset inspect`: what a data set holds.
 
-use super::arguments::check_writable;
-use super::InspectArguments;
+use super::arguments::{at_least_one, check_writable};
 use crate::dataset::store::{read_provenance, Store};
 use crate::dataset::{kind, read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
@@ -10,8 +9,41 @@ use crate::io::hdf5_file::{failed, open};
 use crate::particles::tag;
 use crate::report::plots::{colored_particles, TemperaturePanel};
 use crate::report::table::Table;
+use clap::{Args, Subcommand};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// What to do with a data set.
+#[derive(Debug, Clone, Subcommand)]
+pub enum DatasetCommand {
+    Inspect(InspectArguments),
+}
+
+/// Print what a data set holds (trajectories, particles, statistics, heat, walls) and plot a few frames.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd dataset inspect data/heated
+      a summary, and three frames of the first trajectory in data/heated/frames.png
+  hydrograd dataset inspect 2D_TGV_2500_10kevery100 --split test --trajectory 3 --out pictures
+      LagrangeBench's own data sets too")]
+pub struct InspectArguments {
+    /// A folder with train.h5, valid.h5, test.h5 and metadata.json.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// The file that the plotted trajectory is in.
+    #[arg(long, value_enum, default_value = "train")]
+    pub split: Split,
+    /// Its number in the file.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub trajectory: usize,
+    /// Frames to plot, evenly spaced.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = at_least_one)]
+    pub frames: usize,
+    /// Folder for frames.png and frames.svg [default: DIR].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
 
 /// Particle types and their names.
 const KINDS: [(i32, &str); 5] = [

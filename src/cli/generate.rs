@@ -1,23 +1,132 @@
 //! `hydrograd generate` and `hydrograd merge`: data sets of trajectories for the surrogate.
 
-use super::arguments::check_own;
+use super::arguments::{check_own, CommonArguments};
 use super::files::VERSION;
 use super::prepare::difference;
-use super::{GenerateArguments, MergeArguments};
-use crate::config::scene::{Config, Precision};
+use crate::config::scene::{Config, Precision, ShapeName};
 use crate::dataset::recipe::{Job, Recipe};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
-use crate::dataset::walls::Walls;
+use crate::dataset::walls::{read_walls, Walls};
 use crate::error::{BadInput, Error};
 use crate::io::hdf5_file::open;
 use crate::io::FileError;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
+use clap::Args;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::Mutex;
 use std::time::Instant;
+
+/// Make a data set of trajectories, to train a surrogate with (LagrangeBench's layout, with temperature).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Frames are --every reference steps apart, the first one after --skip of them. A reference step is that of JAX-SPH at its
+Courant number (0.25; 0.22 for LagrangeBench's flows): 4.5e-4 in the heated channel. The run itself takes larger ones, as
+large as time.cfl allows, and gives the same physical times; --set time.cfl=0.25 takes the reference's own.
+
+Each trajectory is a file in DIR/parts until all are there; then they are merged into train.h5, valid.h5, test.h5 and
+metadata.json. A run that was stopped goes on where it was: give the same command again. The same seed gives the same
+bytes whatever the shards and threads.
+
+Examples:
+  hydrograd generate heated-channel --out data/heated
+      100/50/50 trajectories of the heated channel, each with a wall of its own
+  hydrograd generate heated-channel --trajectories 8/2/2 --frames 60 --walls smooth --set design.bound=0.04
+      fewer, with smooth random walls up to 0.04
+  hydrograd generate heated-channel --set design.file=shape.csv --out data/one-wall
+      one wall for all, from a file (or --set design.offsets=[0.0,0.01,...])
+  hydrograd generate heated-channel --walls-file walls.csv --trajectories 4/1/1 --out data/given
+      six walls of your own: six lines of 25 offsets
+  hydrograd generate taylor-green --seed 7
+      LagrangeBench's 2D Taylor-Green vortices
+  hydrograd generate heated-channel --out data/heated --shard 0/4
+      the first of four shares, perhaps on another machine with the same disk; in a Slurm job array
+      (sbatch --array=0-3) --shard follows from the array")]
+pub struct GenerateArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    /// Trajectories for training, validation and test [default: 100/50/50 for the heated channel].
+    #[arg(long, value_name = "TRAIN/VALID/TEST", value_parser = parse_trajectories)]
+    pub trajectories: Option<[usize; 3]>,
+    /// Frames per trajectory [default: 147 for the heated channel].
+    #[arg(long, value_name = "N")]
+    pub frames: Option<usize>,
+    /// Reference steps from frame to frame [default: 100].
+    #[arg(long, value_name = "N")]
+    pub every: Option<usize>,
+    /// Reference steps before the first frame [default: 300 for the heated channel].
+    #[arg(long, value_name = "N")]
+    pub skip: Option<usize>,
+    /// Flows: reference steps in which a random start comes to rest before time 0 [default: 5000 where LagrangeBench has
+    /// them].
+    #[arg(long, value_name = "N")]
+    pub relax: Option<usize>,
+    /// Walls of the heated channel [default: mix, or scene where the scene's own design is given].
+    #[arg(long, value_enum)]
+    pub walls: Option<Walls>,
+    /// Walls from a file: a line per wall, its offsets at the design's nodes, separated by commas; trajectories take them in
+    /// turns.
+    #[arg(long, value_name = "FILE", conflicts_with = "walls")]
+    pub walls_file: Option<PathBuf>,
+    /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all].
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+}
+
+/// Put the trajectories of all shards together (`generate` does it itself when the last one is there).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd merge data/heated
+      train.h5, valid.h5, test.h5 and metadata.json from data/heated/parts")]
+pub struct MergeArguments {
+    /// The --out of `hydrograd generate`.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+}
+
+impl GenerateArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.load(None, vec![], vec![])
+    }
+
+    /// Where the data set goes; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common.folder(None, "generate", loaded)
+    }
+
+    /// The scene's recipe with what was given.
+    pub fn recipe(&self, loaded: &Loaded) -> Result<Recipe, Error> {
+        let usual = Recipe::of(loaded.config.scene);
+        let design = &loaded.config.design;
+        let own = design.offsets.is_some() || design.shape != ShapeName::Flat;
+        let given = self.walls_file.as_deref().map_or(Ok(Vec::new()), read_walls)?;
+        Ok(Recipe {
+            trajectories: self.trajectories.unwrap_or(usual.trajectories),
+            frames: self.frames.unwrap_or(usual.frames),
+            every: self.every.unwrap_or(usual.every),
+            skip: self.skip.unwrap_or(usual.skip),
+            relax: self.relax.unwrap_or(usual.relax),
+            walls: match self.walls {
+                None if self.walls_file.is_some() => Walls::File,
+                None if own => Walls::Scene,
+                walls => walls.unwrap_or(usual.walls),
+            },
+            given,
+        })
+    }
+
+    /// The share to make.
+    pub fn shard(&self) -> Result<Shard, Error> {
+        match self.shard {
+            Some(shard) => Ok(shard),
+            None => Ok(Shard::from_slurm(|name| std::env::var(name).ok())?.unwrap_or(Shard::ALL)),
+        }
+    }
+}
 
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];

@@ -19,16 +19,39 @@ mod simulate_flow;
 mod study;
 mod train;
 
-pub use arguments::{
-    CheckGradientArguments, Cli, Command, CommonArguments, DatasetCommand, ExplainArgument, GenerateArguments,
-    GradientArguments, InspectArguments, MemoryArgument, MergeArguments, OptimizeArguments, ResumeArgument,
-    ScenesArguments, SimulateArguments, StartName, TrainArguments,
-};
-pub use bench::BenchArguments;
-pub use evaluate::EvaluateArguments;
 pub use guard::{guarded, install_panic_hook};
-pub use rollout::RolloutArguments;
-pub use study::StudyArguments;
+
+use clap::{Parser, Subcommand};
+
+/// Differentiable particle flow: simulate a fluid by SPH and shape its walls by exact gradients.
+#[derive(Debug, Parser)]
+#[command(name = "hydrograd", version, arg_required_else_help = true)]
+#[command(after_help = "Begin with `hydrograd optimize`. `hydrograd help COMMAND` has examples.")]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    Simulate(simulate::SimulateArguments),
+    #[command(visible_alias = "optimise")]
+    Optimize(optimize::OptimizeArguments),
+    CheckGradient(check_gradient::CheckGradientArguments),
+    Train(train::TrainArguments),
+    Evaluate(evaluate::EvaluateArguments),
+    Rollout(rollout::RolloutArguments),
+    Study(study::StudyArguments),
+    Bench(bench::BenchArguments),
+    Generate(generate::GenerateArguments),
+    Merge(generate::MergeArguments),
+    /// Look at a data set.
+    Dataset {
+        #[command(subcommand)]
+        command: dataset::DatasetCommand,
+    },
+    Scenes(scenes::ScenesArguments),
+}
 
 /// Runs the parsed command line.
 pub fn run(cli: Cli) -> anyhow::Result<()> {
@@ -43,7 +66,73 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Bench(arguments) => bench::run(arguments),
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),
-        Command::Dataset { command: DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
+        Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::scene::{Config, GradientMode, Kernels, Precision};
+    use clap::CommandFactory;
+    use std::path::Path;
+
+    #[test]
+    fn command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    fn parse(line: &str) -> Command {
+        Cli::try_parse_from(line.split(' ')).unwrap().command
+    }
+
+    #[test]
+    fn options_override_keys() {
+        let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
+                    --segment 7 --memory 1.5GiB --store f32 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
+        let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
+        let loaded = arguments.load().unwrap();
+        let mut expected = Config::default();
+        expected.run.precision = Precision::F32;
+        expected.run.threads = 2;
+        expected.run.seed = 9;
+        expected.run.kernels = Kernels::Composed;
+        expected.optimise.gradient = GradientMode::Truncated;
+        expected.optimise.segment = 7;
+        expected.optimise.memory = crate::config::memory_size::MemorySize(3 << 29);
+        expected.optimise.store = Precision::F32;
+        expected.optimise.horizon = 30;
+        expected.optimise.epochs = 3;
+        expected.design.shape = crate::config::scene::ShapeName::Random;
+        expected.time.end = 1.0;
+        assert_eq!(loaded.config, expected);
+        let folder = arguments.folder(&loaded).unwrap();
+        assert_eq!(folder, Path::new("runs/optimize-heated-channel"));
+    }
+
+    #[test]
+    fn check_gradient_takes_the_last_step_unless_told() {
+        let Command::CheckGradient(arguments) = parse("hydrograd check-gradient --steps 20") else {
+            panic!("not check-gradient")
+        };
+        let config = arguments.load().unwrap().config;
+        assert_eq!((config.time.steps, config.objective.window), (Some(20), 0.0));
+        let line = "hydrograd check-gradient --steps 200 --set objective.window=0.1";
+        let Command::CheckGradient(arguments) = parse(line) else { panic!("not check-gradient") };
+        let config = arguments.load().unwrap().config;
+        assert_eq!((config.time.steps, config.objective.window), (Some(200), 0.1));
+    }
+
+    #[test]
+    fn resume_reads_the_run_and_stays_in_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = Config::load(None, None, &["run.seed=4".into()]).unwrap().text;
+        std::fs::write(folder.path().join("config.toml"), text).unwrap();
+        let line = format!("hydrograd optimize --epochs 40 --resume {}", folder.path().display());
+        let Command::Optimize(arguments) = parse(&line) else { panic!("not optimize") };
+        let loaded = arguments.load().unwrap();
+        assert_eq!((loaded.config.run.seed, loaded.config.optimise.epochs), (4, 40));
+        assert_eq!(arguments.folder(&loaded).unwrap(), folder.path());
     }
 }

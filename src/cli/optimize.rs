@@ -1,10 +1,11 @@
 //! `hydrograd optimize`: the main job.
 
+use super::arguments::{name_of, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
 use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, change, difference, set_threads};
 use super::simulate::{diverged, foreign, number, read_tensors, stored_config};
-use super::{OptimizeArguments, StartName};
+use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
 use crate::design::adam::Adam;
 use crate::design::diagnostics::{simulate, start, Finished};
@@ -20,9 +21,77 @@ use crate::report::table::Table;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::load::Loaded;
 use crate::sph::Sweeps;
+use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// Shape the hot wall so that the fluid carries out more heat (the main job).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd optimize
+      the heated channel from a flat wall, in less than a minute on two cores
+  hydrograd optimize --start all --out runs/starts
+      from four start shapes, compared in one plot
+  hydrograd optimize --preset report --start random --seed 7
+      the original report's settings, from a random wall
+  hydrograd optimize --memory 20MB --explain
+      the schedule that fits into 20 MB, with its storage and the steps run again
+  hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
+      go on with a run, up to 80 epochs in all")]
+pub struct OptimizeArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
+    #[command(flatten)]
+    pub gradient: GradientArguments,
+    /// Start shape (design.shape); `all` runs flat, random, linear and sine and compares them.
+    #[arg(long, value_enum)]
+    pub start: Option<StartName>,
+    /// Optimiser steps (optimise.epochs).
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<usize>,
+}
+
+/// Start shapes of `optimize`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum StartName {
+    Flat,
+    Random,
+    Linear,
+    Sine,
+    /// Each of the others in turn.
+    All,
+}
+
+impl StartName {
+    /// The shapes that `--start all` compares.
+    pub const EACH: [Self; 4] = [Self::Flat, Self::Random, Self::Linear, Self::Sine];
+
+    /// The setting that selects this shape; none for `all`.
+    pub fn setting(self) -> Option<Setting> {
+        (self != Self::All).then(|| Setting::option("--start", "design.shape", name_of(self)))
+    }
+}
+
+impl OptimizeArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.require_design()?;
+        let mut options = self.gradient.settings();
+        options.extend(self.epochs.map(|value| Setting::option("--epochs", "optimise.epochs", value)));
+        options.extend(self.start.and_then(StartName::setting));
+        self.common.load(self.resume.resume.as_deref(), vec![], options)
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+    }
+}
 
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const KIND: &str = "hydrograd optimisation";

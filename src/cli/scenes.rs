@@ -1,12 +1,30 @@
 //! `hydrograd scenes`: lists the built-in scenes, or prints one as TOML.
 
-use std::io::Write;
-
-use super::ScenesArguments;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
 use crate::config::scene::Config;
 use crate::error::Error;
+use clap::Args;
+use std::io::Write;
+
+/// List the built-in scenes and presets, or print a scene as TOML.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd scenes
+      what there is
+  hydrograd scenes heated-channel > my.toml
+      every key with its meaning, unit and range, to change and run
+  hydrograd scenes heated-channel --preset report
+      the same with a preset's values")]
+pub struct ScenesArguments {
+    /// Scene to print.
+    #[arg(value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Lay a preset over it.
+    #[arg(long, value_name = "NAME", requires = "scene")]
+    pub preset: Option<String>,
+}
 
 pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     let text = match &arguments.scene {

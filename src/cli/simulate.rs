@@ -1,10 +1,10 @@
 //! `hydrograd simulate`: one run forward, with figures, plots and frames.
 
+use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, difference, set_threads};
 use super::simulate_flow;
-use super::SimulateArguments;
 use crate::adjoint::Dynamics;
 use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, start};
@@ -18,9 +18,46 @@ use crate::scene::load::Loaded;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
+use clap::Args;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Simulate a scene with its start shape; writes figures, plots and ParaView frames.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd simulate
+      the heated channel with a flat wall
+  hydrograd simulate --set design.shape=sine --set design.amplitude=0.02 --out runs/sine
+      with a sine-shaped wall
+  hydrograd simulate --set design.file=runs/optimize-heated-channel/shape.csv --set resolution.dx=0.01
+      the optimum of a run again, at half the spacing
+  hydrograd simulate --explain
+      what a step would do, and nothing is run
+  hydrograd simulate taylor-green --set resolution.dx=0.01
+      a flow with an exact solution (`hydrograd scenes` lists more), and how far from it the particles end
+  hydrograd simulate my.toml --precision f32 --threads 2
+      a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
+pub struct SimulateArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+    #[command(flatten)]
+    pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub explain: ExplainArgument,
+}
+
+impl SimulateArguments {
+    pub fn load(&self) -> Result<Loaded, Error> {
+        self.common.load(self.resume.resume.as_deref(), vec![], vec![])
+    }
+
+    /// Where results go; an error if nothing can be written there.
+    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
+        self.common.folder(self.resume.resume.as_deref(), "simulate", loaded)
+    }
+}
 
 /// Checkpoints per run, besides the one at the end.
 pub const CHECKPOINTS: usize = 10;

@@ -1,6 +1,6 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_own, check_writable, TrainArguments};
+use super::arguments::{check_own, check_writable};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
 use crate::config::training::Settings;
@@ -15,10 +15,62 @@ use crate::surrogate::models::setup::Setup;
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::train::{fresh, read_rows, Training};
 use candle_core::DType;
+use clap::Args;
 use serde_json::json;
 use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Train a surrogate (graph network) on a data set of `generate`'s or in LagrangeBench's layout.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd train --data data/heated --steps 20000 --out runs/gns
+      a graph network of 5 rounds and 64 numbers per particle
+  hydrograd train --data data/heated --out runs/gns --resume --steps 40000
+      go on with it, as if it had never stopped
+  hydrograd train --data data/heated --set model.latent=128 --set model.rounds=10 --set noise=1e-3 --out runs/large
+      LagrangeBench's GNS-10-128
+  hydrograd train --data data/heated --set model.kind=egnn --out runs/egnn
+      the equivariant network
+  hydrograd train --data data/other --init runs/gns/best.safetensors --out runs/other
+      begin with another training's parameters
+  hydrograd train --print-config > train.toml
+      every setting, to change and give as --config train.toml
+
+last.safetensors and best.safetensors open in PyTorch: safetensors.torch.load_file; weights are [in, out].")]
+pub struct TrainArguments {
+    /// Folder with train.h5, valid.h5 and metadata.json.
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Folder for checkpoints, tables and plots.
+    #[arg(long, value_name = "DIR", default_value = "runs/train")]
+    pub out: PathBuf,
+    /// Updates in all (steps).
+    #[arg(long, value_name = "N")]
+    pub steps: Option<u64>,
+    /// Settings as TOML; `--print-config` shows them all.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override a setting, e.g. `--set noise=1e-3`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Go on with the training in --out.
+    #[arg(long, conflicts_with = "init")]
+    pub resume: bool,
+    /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
+    #[arg(long, value_name = "FILE")]
+    pub init: Option<PathBuf>,
+    /// Worker threads, 0 for every core.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Seed of every random number (seed).
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Print the settings and stop.
+    #[arg(long)]
+    pub print_config: bool,
+}
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let mut sets = arguments.sets.clone();

@@ -20,13 +20,47 @@ impl Config {
         self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
     }
 
-    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha);
-    /// the verification flows have nu = 1 / Re and no heat.
+    /// 2 or 3.
+    pub fn dimension(&self) -> usize {
+        if self.scene == Scene::TaylorGreen3d {
+            3
+        } else {
+            2
+        }
+    }
+
+    /// The smoothing length h, in units of length.
+    pub fn smoothing_length(&self) -> f64 {
+        self.resolution.smoothing_length * self.resolution.dx
+    }
+
+    /// The kernel's support radius, in spacings.
+    pub fn support(&self) -> f64 {
+        self.resolution.kernel.support() * self.resolution.smoothing_length
+    }
+
+    /// The fewest rows of dummy particles that fill the kernel's support.
+    pub fn least_wall_rows(&self) -> usize {
+        // Products such as 3 * 1.1 are rounded.
+        (self.support() - 1e-9).ceil() as usize
+    }
+
+    /// The kinematic viscosity that the artificial one amounts to, alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
+    pub fn artificial_kinematic_viscosity(&self) -> f64 {
+        let alpha = self.fluid.artificial_viscosity;
+        alpha * self.smoothing_length() * self.sound_speed() / (2.0 * (self.dimension() as f64 + 2.0))
+    }
+
+    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
+    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re and no heat.
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
+        let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
-            Scene::HeatedChannel => (self.fluid.viscosity / self.fluid.density).max(self.thermal_diffusivity()),
-            _ => 1.0 / self.flow.reynolds,
+            Scene::HeatedChannel => {
+                (self.fluid.viscosity / self.fluid.density + artificial).max(self.thermal_diffusivity())
+            }
+            _ => 1.0 / self.flow.reynolds + artificial,
         };
         TimeStepLimits {
             acoustic: self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity),
@@ -74,6 +108,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::scene::KernelName;
 
     #[test]
     fn step_of_the_report() {
@@ -95,6 +130,30 @@ mod tests {
             let one_fewer = config.steps() - 1;
             assert!(one_fewer == 0 || end / one_fewer as f64 > config.time_step_limit());
         }
+    }
+
+    #[test]
+    fn support_follows_kernel_and_smoothing_length() {
+        let mut config = Config::default();
+        assert_eq!((config.support(), config.smoothing_length(), config.least_wall_rows()), (3.0, 0.02, 3));
+        config.resolution.smoothing_length = 1.1;
+        assert!((config.support() - 3.3).abs() < 1e-15 && (config.smoothing_length() - 0.022).abs() < 1e-17);
+        assert_eq!(config.least_wall_rows(), 4);
+        config.resolution.kernel = KernelName::WendlandC2;
+        config.resolution.smoothing_length = 1.5;
+        assert_eq!((config.support(), config.least_wall_rows()), (3.0, 3));
+    }
+
+    #[test]
+    fn artificial_viscosity_limits_the_step() {
+        let mut config = Scene::TaylorGreen.defaults();
+        config.fluid.artificial_viscosity = 4.0;
+        // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
+        assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
+        let mut config = Scene::TaylorGreen3d.defaults();
+        config.fluid.artificial_viscosity = 1.0;
+        let dx = config.resolution.dx;
+        assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");
     }
 
     #[test]

@@ -49,8 +49,32 @@ impl Scene {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Resolution {
-    /// Particle spacing; the smoothing length equals it.
+    /// Particle spacing.
     pub dx: f64,
+    pub kernel: KernelName,
+    /// Smoothing length h, in spacings.
+    pub smoothing_length: f64,
+}
+
+/// The smoothing kernel W(r, h).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum KernelName {
+    /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
+    #[default]
+    QuinticSpline,
+    /// Wendland's C2 function (Wendland 1995; Dehnen and Aly 2012): reaches 2 h.
+    WendlandC2,
+}
+
+impl KernelName {
+    /// Radius beyond which the kernel is zero, in smoothing lengths.
+    pub fn support(self) -> f64 {
+        match self {
+            Self::QuinticSpline => 3.0,
+            Self::WendlandC2 => 2.0,
+        }
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,7 +84,7 @@ pub struct Channel {
     pub length: f64,
     /// Height of the fluid between the undeformed walls.
     pub height: f64,
-    /// Rows of dummy particles per wall; the kernel's support is three spacings.
+    /// Rows of dummy particles per wall: at least the kernel's support.
     pub wall_rows: usize,
     /// The hot section of the bottom wall: hot_from < x < hot_to.
     pub hot_from: f64,
@@ -99,6 +123,8 @@ pub struct Fluid {
     pub background_pressure_factor: f64,
     /// Strength of the transport velocity: 0 switches it off, 1 is Adami, Hu and Adams (2013).
     pub transport_velocity: f64,
+    /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
+    pub artificial_viscosity: f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -166,6 +192,8 @@ pub enum Start {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Objective {
+    /// What is made large.
+    pub kind: ObjectiveKind,
     /// Column of target points where the outflowing heat is measured.
     pub target_x: f64,
     /// Average Q over this last part of the run, in time units; 0 takes the last step.
@@ -176,6 +204,16 @@ pub struct Objective {
     pub interpolation: Interpolation,
     /// What the loss counts: the flux integral, or the plain sum over the targets as in the report.
     pub form: ObjectiveForm,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectiveKind {
+    /// The heat that the fluid carries through the target column.
+    #[default]
+    HeatOutflow,
+    /// The mixed temperature of the fluid there: its flux of u T over its flux of u.
+    OutletTemperature,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -198,6 +236,10 @@ pub enum Interpolation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Design {
+    /// What the optimiser moves.
+    pub parametrisation: ParametrisationName,
+    /// Control points of the B-spline.
+    pub control_points: usize,
     /// Named start shape; `offsets` (or `file`) wins over it.
     pub shape: ShapeName,
     /// Amplitude of the named shape.
@@ -219,6 +261,16 @@ pub struct Design {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
+pub enum ParametrisationName {
+    /// The offset of every node.
+    #[default]
+    Nodes,
+    /// The control points of a cubic B-spline over the hot section.
+    BSpline,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
 pub enum ShapeName {
     #[default]
     Flat,
@@ -235,6 +287,7 @@ pub enum ShapeName {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Optimise {
+    pub method: OptimiserName,
     pub epochs: usize,
     /// Adam's step, in offset units: 2e-2 is one spacing per epoch at dx = 0.02.
     pub learning_rate: f64,
@@ -249,6 +302,16 @@ pub struct Optimise {
     pub segment: usize,
     /// Steps that `truncated` looks back.
     pub horizon: usize,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum OptimiserName {
+    /// Kingma and Ba (2015).
+    #[default]
+    Adam,
+    /// Limited-memory quasi-Newton steps within the bounds (Byrd, Lu, Nocedal and Zhu 1995).
+    LBfgsB,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
@@ -297,7 +360,7 @@ pub struct Output {
 
 impl Default for Resolution {
     fn default() -> Self {
-        Self { dx: 0.02 }
+        Self { dx: 0.02, kernel: KernelName::QuinticSpline, smoothing_length: 1.0 }
     }
 }
 
@@ -335,6 +398,7 @@ impl Default for Fluid {
             sound_speed_factor: 10.0,
             background_pressure_factor: 0.05,
             transport_velocity: 0.0,
+            artificial_viscosity: 0.0,
         }
     }
 }
@@ -361,13 +425,22 @@ impl Default for Time {
 
 impl Default for Objective {
     fn default() -> Self {
-        Self { target_x: 0.9, window: 0.5, samples: 40, interpolation: Interpolation::Flux, form: ObjectiveForm::Flux }
+        Self {
+            kind: ObjectiveKind::HeatOutflow,
+            target_x: 0.9,
+            window: 0.5,
+            samples: 40,
+            interpolation: Interpolation::Flux,
+            form: ObjectiveForm::Flux,
+        }
     }
 }
 
 impl Default for Design {
     fn default() -> Self {
         Self {
+            parametrisation: ParametrisationName::Nodes,
+            control_points: 8,
             shape: ShapeName::Flat,
             amplitude: 0.01,
             periods: 1.0,
@@ -382,6 +455,7 @@ impl Default for Design {
 impl Default for Optimise {
     fn default() -> Self {
         Self {
+            method: OptimiserName::Adam,
             epochs: 40,
             learning_rate: 3e-4,
             smoothing: 5.0,

@@ -4,12 +4,6 @@ use crate::config::scene::{Config, GradientMode, Precision, Scene};
 use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
 
-/// The kernel's support radius, in spacings.
-const SUPPORT: f64 = 3.0;
-
-/// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
-const FLUID_ROWS: f64 = 2.0 * SUPPORT;
-
 /// More particles than this are a slip in `resolution.dx` rather than a wish.
 const MAX_PARTICLES: f64 = 1e8;
 
@@ -59,11 +53,14 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
     let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
         config;
+    // The other scenes have no such key: they choose for themselves.
+    let least_rows = if config.scene == Scene::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
         ("resolution.dx", resolution.dx, Positive),
+        ("resolution.smoothing_length", resolution.smoothing_length, Within(0.5, 3.0)),
         ("channel.length", channel.length, Positive),
         ("channel.height", channel.height, Positive),
-        ("channel.wall_rows", channel.wall_rows as f64, Within(SUPPORT, 100.0)),
+        ("channel.wall_rows", channel.wall_rows as f64, Within(least_rows, 100.0)),
         ("channel.hot_from", channel.hot_from, NotNegative),
         ("channel.hot_to", channel.hot_to, NotNegative),
         ("channel.inlet_length", channel.inlet_length, NotNegative),
@@ -79,6 +76,7 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("fluid.sound_speed_factor", fluid.sound_speed_factor, Within(1.0, 1000.0)),
         ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
         ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
+        ("fluid.artificial_viscosity", fluid.artificial_viscosity, Within(0.0, 10.0)),
         ("wall.hot_temperature", wall.hot_temperature, Finite),
         ("time.end", time.end, Positive),
         ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
@@ -89,6 +87,7 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
         ("objective.target_x", objective.target_x, NotNegative),
         ("objective.window", objective.window, NotNegative),
         ("objective.samples", objective.samples as f64, Within(1.0, MAX_STEPS)),
+        ("design.control_points", design.control_points as f64, Within(4.0, 1000.0)),
         ("design.amplitude", design.amplitude, Finite),
         ("design.periods", design.periods, Positive),
         ("design.bound", design.bound, NotNegative),
@@ -127,6 +126,11 @@ impl Config {
         self.check_bound()?;
         self.check_store()?;
         Shape::from_config(self).map(|_| ())
+    }
+
+    /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
+    fn fluid_rows(&self) -> f64 {
+        2.0 * self.support()
     }
 
     /// Rounded states belong to schedules that keep every state.
@@ -168,11 +172,12 @@ impl Config {
             }
         }
         // Periodic images: a particle may see each neighbour once only.
-        let shortest = 2.0 * (SUPPORT + self.time.skin) * dx;
+        let support = self.support();
+        let shortest = 2.0 * (support + self.time.skin) * dx;
         if channel.length < shortest {
             return Err(BadInput::new(format!("channel.length = {} is too short", channel.length))
                 .key("channel.length")
-                .allowed(format!("at least 2 (3 + time.skin) dx = {shortest}"))
+                .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
                 .advice("a smaller resolution.dx"));
         }
         Ok(())
@@ -237,10 +242,14 @@ impl Config {
                 .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
         }
         // Periodic images: a particle may see each neighbour once only. Walls: it may reach one of them only.
-        let fewest = if walls { FLUID_ROWS } else { 2.0 * (SUPPORT + self.time.skin) };
+        let support = self.support();
+        let fewest = if walls { self.fluid_rows() } else { 2.0 * (support + self.time.skin) };
         let count = (size / dx).round();
         if count < fewest {
-            let rule = if walls { "six spacings" } else { "2 (3 + time.skin) spacings" };
+            let rule = match walls {
+                true => spacings(fewest),
+                false => format!("2 ({support} + time.skin) spacings"),
+            };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
                 .advice(format!("--set resolution.dx={}", size / fewest.ceil())));
@@ -303,17 +312,19 @@ impl Config {
         let whole = 1.0 + 1e-9;
         // The number of rows is constant, so the fluid between a raised wall and the top is squeezed; what
         // counts for the walls' sums is its height.
-        let limit = channel.height - FLUID_ROWS * dx;
+        let fewest = self.fluid_rows();
+        let limit = channel.height - fewest * dx;
         if limit < -1e-9 * dx {
-            let lowest = FLUID_ROWS * dx;
+            let lowest = fewest * dx;
             return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
                 .key("channel.height")
-                .allowed(format!("at least six spacings, {lowest:.6}"))
+                .allowed(format!("at least {}, {lowest:.6}", spacings(fewest)))
                 .advice("a smaller resolution.dx"));
         }
         if bound > limit.max(0.0) * whole {
             let advice = "a smaller resolution.dx, or a smaller design.bound";
-            return fail(limit.max(0.0), "the channel keeps six spacings of fluid", advice.into());
+            let why = format!("the channel keeps {} of fluid", spacings(fewest));
+            return fail(limit.max(0.0), &why, advice.into());
         }
         // Dummy particles move with the surface of their column. At the ends of the hot section the surface
         // steps to y = 0, and the face of that step consists of the rows of the higher column: rows that end
@@ -325,12 +336,20 @@ impl Config {
             return fail(limit, &why, format!("--set channel.wall_rows={rows}"));
         }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
-        // than two rows lie within the kernel's support of 3 dx.
+        // than two rows lie within the usual support of 3 dx.
         let limit = 0.5 * channel.height;
         if bound > limit * whole {
             return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
         }
         Ok(())
+    }
+}
+
+/// A number of spacings in words.
+fn spacings(count: f64) -> String {
+    match count {
+        6.0 => "six spacings".into(),
+        _ => format!("{count} spacings"),
     }
 }
 

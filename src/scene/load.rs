@@ -185,7 +185,8 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })
 }
 
-/// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall more dummy rows.
+/// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more
+/// dummy rows.
 fn fit_defaults(merged: &mut Merged, config: &Config) {
     // A value equal to the built-in one is no wish: `hydrograd scenes NAME > my.toml` writes all of them.
     let usual = Config::default();
@@ -210,8 +211,10 @@ fn fit_defaults(merged: &mut Merged, config: &Config) {
     if config.objective.samples as i64 > steps && window <= end && !given(merged, "objective.samples") {
         merged.set("objective.samples", Value::from(steps), "the steps in objective.window");
     }
-    let rows = (config.design.bound / dx - 1e-9).ceil();
+    let (deep, wide) = ((config.design.bound / dx - 1e-9).ceil(), config.least_wall_rows() as f64);
+    let rows = deep.max(wide);
     if rows > config.channel.wall_rows as f64 && rows < 1000.0 && !given(merged, "channel.wall_rows") {
-        merged.set("channel.wall_rows", Value::from(rows as i64), "design.bound / resolution.dx");
+        let place = if wide < deep { "design.bound / resolution.dx" } else { "the kernel's support" };
+        merged.set("channel.wall_rows", Value::from(rows as i64), place);
     }
 }
