@@ -53,7 +53,7 @@ fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (HeatedChannel<R>, Snapsho
     all.extend(sets.iter().map(|s| s.to_string()));
     let config = Config::load(None, None, &all).unwrap().config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::<R>::new(&config, &shape);
+    let channel = HeatedChannel::<R>::new(&config, &shape).unwrap();
     let start = start(&channel, &shape.offsets);
     (channel, start)
 }
@@ -81,11 +81,12 @@ impl Objective for Both {
 /// where a short run has heat already.
 fn objective<R: Sweeps>(channel: &HeatedChannel<R>) -> Both {
     let steps = channel.steps;
-    let mut outflow = channel.objective.clone();
-    let targets = outflow.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
-    outflow.interpolation.targets = std::sync::Arc::new(targets);
+    let mut outlet = channel.outlet.clone();
+    let targets = outlet.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
+    outlet.interpolation.targets = std::sync::Arc::new(targets);
     let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
-    outflow.samples = Samples(BTreeMap::from(samples));
+    let samples = Samples(BTreeMap::from(samples));
+    let outflow = HeatOutflow { outlet, scale: channel.spacing, samples };
     Both(outflow, FinalSum { steps, of: Summed::Heat })
 }
 
@@ -113,7 +114,7 @@ fn segments_equal_one_tape<R: Sweeps>() {
     assert!((6..=steps / 3).contains(&lists), "{lists} neighbour lists in {steps} steps");
     let taped = run(&channel, &start, Schedule::taped(steps));
     let expected = numbers::<R>(&taped);
-    let design = channel.deformation.adjoint(&expected);
+    let design = channel.problem.by_variables(&expected);
     assert!(design.iter().all(|g| g.is_finite() && *g != 0.0), "{design:?}");
     for schedule in [1, 2, 7, 30, 59, 60]
         .map(|segment| Schedule::segments(steps, segment))
@@ -131,7 +132,7 @@ fn segments_equal_one_tape<R: Sweeps>() {
         assert_eq!(found.len(), expected.len());
         let differing = found.iter().zip(&expected).filter(|(a, b)| a.f64().to_bits() != b.f64().to_bits()).count();
         assert_eq!(differing, 0, "{schedule:?}: {differing} of {} components differ from one tape", expected.len());
-        assert_eq!(channel.deformation.adjoint(&found), design);
+        assert_eq!(channel.problem.by_variables(&found), design);
     }
 }
 
@@ -246,7 +247,7 @@ fn rounded_states_give_nearly_the_same_gradient() {
     // The value comes from the run, which is not rounded.
     assert!(exact.value == rounded.value);
     assert!((rounded.storage as f64) < 0.65 * exact.storage as f64, "{} of {}", rounded.storage, exact.storage);
-    let design = |g: &Gradient| channel.deformation.adjoint(&numbers::<f64>(g));
+    let design = |g: &Gradient| channel.problem.by_variables(&numbers::<f64>(g));
     let (exact, rounded) = (design(&exact), design(&rounded));
     let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
     let gap: Vec<f64> = exact.iter().zip(&rounded).map(|(a, b)| a - b).collect();

@@ -459,7 +459,7 @@ fn state_and_gradient_of_a_run() {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap().config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::<f64>::new(&config, &shape);
+    let channel = HeatedChannel::<f64>::new(&config, &shape).unwrap();
     let start = start::<f64>(&channel, &shape.offsets);
     let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
     (0..50).for_each(|_| solver.advance().unwrap());
@@ -468,7 +468,7 @@ fn state_and_gradient_of_a_run() {
     let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
     let mut numbers = solver.state.clone();
     numbers.extend(self::numbers(&found.state));
-    numbers.extend(channel.deformation.adjoint(&self::numbers(&found.state)));
+    numbers.extend(channel.problem.by_variables(&self::numbers(&found.state)));
     std::fs::write(path, numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
 }
 

@@ -2,8 +2,6 @@
 
 use super::prepare::build;
 use crate::config::scene::{Config, Precision};
-use crate::design::diagnostics::start;
-use crate::design::optimise;
 use crate::error::Error;
 use crate::scene::flow::Flow;
 use crate::scene::load::Loaded;
@@ -29,14 +27,14 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     if let Some(flow) = Flow::<R>::from_config(config) {
         return Ok(Plan::of(&flow.model, &flow.state, Some(limit(config))).map_err(failed)?);
     }
-    let (channel, shape) = build::<R>(config)?;
-    let first = start(&channel, &shape.offsets);
+    let (channel, _) = build::<R>(config)?;
+    let first = channel.problem.start(&channel.problem.first);
     let plan = Plan::of(&channel.model, &first.state, Some(limit(config))).map_err(failed)?;
     if !gradient {
         return Ok(plan);
     }
-    let schedule = optimise::schedule(config, &channel)?;
-    let costs = optimise::costs(config, &channel)?;
+    let schedule = channel.problem.schedule(&config.optimise, config.run.precision)?;
+    let costs = channel.problem.costs()?;
     Ok(plan.with_gradient(&channel.model, &schedule, costs, Some(config.optimise.memory.bytes())))
 }
 

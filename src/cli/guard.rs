@@ -4,6 +4,7 @@ use std::any::Any;
 use std::io::Write;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 
+use super::advice::with_options;
 use crate::error::{exit_code, EXIT_INTERNAL};
 
 /// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
@@ -36,7 +37,7 @@ pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
         Ok(Err(error)) => {
-            complain(&format!("error: {error}"));
+            complain(&with_options(&format!("error: {error}")));
             for cause in error.chain().skip(1) {
                 complain(&format!("  cause: {cause}"));
             }

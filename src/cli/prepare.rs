@@ -37,11 +37,13 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
         .advice(format!("hydrograd simulate {name}")))
 }
 
-/// Builds the scene and its start shape.
+/// Builds the scene and its start wall.
 pub fn build<R: Real>(config: &Config) -> Result<(HeatedChannel<R>, Shape), Error> {
     require_design(config)?;
     let shape = Shape::from_config(config)?;
-    Ok((HeatedChannel::new(config, &shape), shape))
+    let channel = HeatedChannel::new(config, &shape)?;
+    let wall = channel.problem.parametrisation.sampled(&channel.problem.first);
+    Ok((channel, wall))
 }
 
 /// Where sections of two configurations differ that decide what a run computes: a run can be resumed only if none does.

@@ -7,7 +7,7 @@ use super::prepare::{build, difference, set_threads};
 use super::simulate_flow;
 use crate::adjoint::Dynamics;
 use crate::config::scene::{Config, Precision};
-use crate::design::diagnostics::{simulate, start};
+use crate::design::diagnostics::simulate;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
@@ -84,7 +84,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let (channel, shape) = build::<R>(config)?;
     let first = match resume {
         Some(from) => read_checkpoint::<R>(&from.join("checkpoint.safetensors"), config, &channel.model)?,
-        None => start(&channel, &shape.offsets),
+        None => channel.problem.start(&channel.problem.first),
     };
     check_unfinished(first.step, channel.steps)?;
     prepare_output_folder(folder)?;
@@ -119,7 +119,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         }
         if step % history_every == 0 || step == channel.steps {
             write_history(folder, &history)?;
-            let flows = channel.objective.numbers(&dynamics.look(solver)?)?;
+            let flows = channel.outlet.numbers(&dynamics.look(solver)?)?;
             let (q, flow) = (channel.spacing * flows.heat, channel.spacing * flows.volume);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);

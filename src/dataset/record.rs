@@ -63,7 +63,7 @@ fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
         return Ok(Stage { model, start, frame, kept, shape: None });
     }
     let shape = Shape::from_config(config)?;
-    let channel = HeatedChannel::<R>::new(config, &shape);
+    let channel = HeatedChannel::<R>::new(config, &shape)?;
     let model = channel.model.clone();
     // Below the lowest wall's dummy rows.
     let below = config.channel.wall_rows as f64 * dx + config.design.bound;

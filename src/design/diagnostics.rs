@@ -1,8 +1,6 @@
 //! What a run of the heated channel did, in numbers that one can check against each other.
 
-use super::objectives::HeatOutflow;
-use crate::adjoint::gradient::value;
-use crate::adjoint::{Dynamics, Objective, RunError};
+use crate::adjoint::Dynamics;
 use crate::config::scene::Kernels;
 use crate::scene::heated_channel::HeatedChannel;
 use crate::sph::dynamics::Sph;
@@ -71,22 +69,7 @@ pub fn simulate<R: Sweeps>(
 
 /// The start of a design.
 pub fn start<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Snapshot<R> {
-    Snapshot::first(&channel.model, channel.deformation.state::<R>(offsets))
-}
-
-/// Q of a design by the objective alone.
-pub fn evaluate<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<f64, RunError> {
-    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
-    let mut solver = dynamics.start(&start(channel, offsets))?;
-    let mut q = 0.0;
-    while solver.step < channel.steps {
-        solver.advance()?;
-        if let Some(weight) = channel.objective.weight(solver.step) {
-            let fields = dynamics.look(&mut solver)?;
-            q += weight * value(&channel.objective, &fields).map_err(RunError::tensor(solver.step))?;
-        }
-    }
-    Ok(q)
+    channel.problem.start(offsets)
 }
 
 /// Sums over the window's samples.
@@ -110,16 +93,16 @@ impl Measured {
         dynamics: &Sph<R>,
         solver: &mut Solver<R>,
     ) -> anyhow::Result<()> {
-        let (model, objective): (_, &HeatOutflow) = (channel.model.clone(), &channel.objective);
+        let (model, outlet) = (channel.model.clone(), &channel.outlet);
         let (n, l) = (model.particles(), model.layout);
-        let flows = objective.numbers(&dynamics.look(solver)?)?;
+        let flows = outlet.numbers(&dynamics.look(solver)?)?;
         let scale = channel.spacing;
         self.count += 1.0;
         self.q += scale * flows.heat;
         self.flow += scale * flows.volume;
         self.mass_flow += scale * flows.mass;
         let step = solver.step_now();
-        let target_x = objective.place();
+        let target_x = outlet.place();
         self.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);

@@ -146,7 +146,7 @@ impl Run {
     fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<Point> {
         let (scene, spacing, velocity_scale, particles, steps, dt, (seconds, error)) = match self {
             Self::HeatedChannel(config) => {
-                let channel = HeatedChannel::<R>::new(config, &Shape::from_config(config)?);
+                let channel = HeatedChannel::<R>::new(config, &Shape::from_config(config)?)?;
                 let speed = config.sound_speed() + config.fluid.reference_velocity;
                 let (n, dt) = (channel.model.particles(), channel.model.dt);
                 ("heated-channel", channel.spacing, speed, n, channel.steps, dt, heated_channel(&channel)?)
@@ -186,7 +186,7 @@ fn velocity<R: Sweeps>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Opt
 
 /// Seconds and error of Q.
 fn heated_channel<R: Sweeps>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, Option<f64>)> {
-    let offsets = vec![0.0; channel.deformation.variables];
+    let offsets = vec![0.0; channel.problem.parametrisation.variables()];
     let clock = Instant::now();
     match simulate(channel, Kernels::Fused, start(channel, &offsets), |_| Ok(())) {
         Ok(finished) => Ok((finished.seconds, Some((finished.diagnostics.q / HEATED_CHANNEL_Q - 1.0).abs()))),

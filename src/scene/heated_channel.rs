@@ -4,14 +4,17 @@
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
 use crate::config::scene::{
-    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, ObjectiveForm, Start,
+    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start,
 };
-use crate::design::objectives::{HeatOutflow, Samples};
-use crate::design::parametrisation::Deformation;
+use crate::design::objectives::{self, Figure, Outlet, Samples};
+use crate::design::parametrisations;
+use crate::design::{Deformation, Problem};
 use crate::design::shape::Shape;
+use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
+use crate::sph::dynamics::Sph;
 use crate::sph::kernel::Quintic;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
@@ -22,8 +25,9 @@ use std::sync::Arc;
 /// A scene ready to run.
 pub struct HeatedChannel<R> {
     pub model: Arc<Model<R>>,
-    pub deformation: Arc<Deformation>,
-    pub objective: HeatOutflow,
+    pub problem: Problem<R>,
+    /// Where the outflow is measured.
+    pub outlet: Outlet,
     pub steps: usize,
     /// Steps of the objective's window.
     pub window: usize,
@@ -32,8 +36,11 @@ pub struct HeatedChannel<R> {
 }
 
 impl<R: Real> HeatedChannel<R> {
-    /// Builds the scene of a checked configuration for the nodes of `shape` (its offsets do not matter here).
-    pub fn new(config: &Config, shape: &Shape) -> Self {
+    /// Builds the scene of a checked configuration, with `shape` as the wall to begin with.
+    ///
+    /// # Errors
+    /// A design with too few variables.
+    pub fn new(config: &Config, shape: &Shape) -> Result<Self, BadInput> {
         let dx = config.resolution.dx;
         let (length, height) = (config.channel.length, config.channel.height);
         let (columns, rows, wall_rows) = (config.columns(), config.rows(), config.channel.wall_rows);
@@ -134,13 +141,12 @@ impl<R: Real> HeatedChannel<R> {
             }
         }
         let deformation = Deformation {
-            variables: shape.nodes.len(),
+            columns,
             base,
             particles: n,
             column: (0..n).map(|i| (i % columns) as u32).collect(),
             by_height,
             by_mass: layout.mass.then_some((layout.state_mass(), by_mass)),
-            weights: shape.column_weights(dx, length),
         };
 
         let steps = config.steps();
@@ -149,20 +155,29 @@ impl<R: Real> HeatedChannel<R> {
         let beyond = if config.objective.interpolation == Mode::Flux { 3 } else { 0 };
         let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
         let targets = (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
-        let objective = HeatOutflow {
+        let outlet = Outlet {
             interpolation: Interpolation {
                 kernel: model.kernel,
                 domain: model.domain,
                 targets: Arc::new(targets),
                 kernels: config.run.kernels,
             },
-            scale: match config.objective.form {
-                ObjectiveForm::Flux => dx,
-                ObjectiveForm::Sum => 1.0,
-            },
             mode: config.objective.interpolation,
-            samples: Samples::window(steps, window, config.objective.samples),
         };
-        Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window, spacing: dx }
+        let samples = Samples::window(steps, window, config.objective.samples);
+        let objective = objectives::of_config(config, outlet.clone(), samples);
+        let (parametrisation, first) = parametrisations::of_config(config, shape)?;
+        let model = Arc::new(model);
+        let problem = Problem {
+            dynamics: Sph::new(model.clone(), config.run.kernels),
+            deformation: Arc::new(deformation),
+            parametrisation,
+            objective,
+            figure: Figure::of_config(config),
+            smoothing: config.optimise.smoothing,
+            steps,
+            first,
+        };
+        Ok(Self { model, problem, outlet, steps, window, spacing: dx })
     }
 }

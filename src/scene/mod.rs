@@ -6,5 +6,4 @@ pub mod lid_driven_cavity;
 pub mod load;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
-pub mod start_shape;
 pub mod taylor_green;

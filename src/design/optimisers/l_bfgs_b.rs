@@ -36,7 +36,7 @@ use crate::io::tensor_file::TensorFile;
 const MEMORY: usize = 10;
 /// Sufficient decrease and curvature of the Wolfe conditions.
 const DECREASE: f64 = 1e-4;
-const CURVATURE: f64 = 0.2;
+const CURVATURE: f64 = 0.5;
 /// Share of the value below which its differences tell nothing.
 const INDISTINGUISHABLE: f64 = 1e-8;
 /// Evaluations of a line search after which any decrease will do, and after which it has failed.

@@ -18,7 +18,7 @@
 //! assert_eq!(optimiser.ask(), [2.0]);
 //! ```
 //!
-//! Another one is a file here that implements [`Optimiser`] and a line in [`new`].
+//! Another one is a file here that implements [`Optimiser`] and a line in [`of_config`].
 
 pub mod adam;
 pub mod l_bfgs_b;
@@ -27,10 +27,19 @@ pub use adam::Adam;
 pub use l_bfgs_b::LBfgsB;
 
 use super::limits::Limits;
+use crate::config::scene::{Optimise, OptimiserName};
 use crate::error::BadInput;
 use crate::io::tensor_file::{Data, TensorFile, Tensors};
 use crate::io::FileError;
 use std::collections::BTreeMap;
+
+/// The optimiser of a configuration, to begin at `x`.
+pub fn of_config(wanted: &Optimise, x: &[f64]) -> Box<dyn Optimiser> {
+    match wanted.method {
+        OptimiserName::Adam => Box::new(Adam::new(wanted.learning_rate, x)),
+        OptimiserName::LBfgsB => Box::new(LBfgsB::new(wanted.learning_rate, x)),
+    }
+}
 
 /// Minimises a function of `[K]` variables within limits.
 pub trait Optimiser: std::fmt::Debug + Send {

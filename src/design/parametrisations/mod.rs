@@ -14,8 +14,30 @@ pub use b_spline::BSpline;
 pub use nodes::Nodes;
 
 use super::limits::Limits;
-use super::shape::Shape;
+use super::shape::{HotSection, Shape};
+use crate::config::scene::{Config, ParametrisationName};
 use crate::error::BadInput;
+use std::sync::Arc;
+
+/// The parametrisation of a configuration, and its variables at a start shape.
+///
+/// # Errors
+/// Too few control points.
+pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisation>, Vec<f64>), BadInput> {
+    let (channel, design) = (&config.channel, &config.design);
+    let (dx, length) = (config.resolution.dx, channel.length);
+    let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    Ok(match design.parametrisation {
+        ParametrisationName::Nodes => {
+            (Arc::new(Nodes::new(start.nodes.clone(), section, design.bound)?), start.offsets.clone())
+        }
+        ParametrisationName::BSpline => {
+            let spline = BSpline::new(design.control_points, section, design.bound)?;
+            let points = spline.fitted(start);
+            (Arc::new(spline), points)
+        }
+    })
+}
 
 /// How design variables shape a wall.
 pub trait Parametrisation: std::fmt::Debug + Send + Sync {
