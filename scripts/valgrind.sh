@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "valgrind.sh: valgrind is not installed; apt-get install valgrind" >&2; exit 2; }
-binaries=$(cargo test --release --no-run --test kernel --test neighbours --test operators 2>&1 |
+binaries=$(cargo test --release --no-run --test kernels --test neighbours --test operators 2>&1 |
     sed -n 's/^ *Executable .*(\(.*\))$/\1/p')
 test -n "$binaries" || { echo "valgrind.sh: cargo built no tests" >&2; exit 1; }
 for set in avx2 portable; do

@@ -42,7 +42,7 @@ fn check_row(row: &Value) {
     let text = |key: &str| row[key].as_str().unwrap_or_else(|| panic!("{key} of {row}")).to_string();
     let count = |key: &str| row[key].as_u64().unwrap_or_else(|| panic!("{key} of {row}"));
     let number = |key: &str| row[key].as_f64().unwrap_or_else(|| panic!("{key} of {row}"));
-    assert!(["step", "gradient", "scaling", "plan"].contains(&&*text("group")));
+    assert!(["step", "gradient", "scaling", "plan", "kernels"].contains(&&*text("group")));
     assert!(["forward", "gradient"].contains(&&*text("kind")));
     assert!(["f32", "f64"].contains(&&*text("precision")));
     assert!(!text("scene").is_empty());
@@ -107,6 +107,37 @@ fn networks_are_measured_beside_sgemm() {
         assert!((1 << 20..1 << 30).contains(&rows[row]["peak_memory_bytes"].as_u64().unwrap()));
     }
     assert!((2.9..3.0).contains(&(number(1, "gflop_per_step") / number(0, "gflop_per_step"))));
+}
+
+#[test]
+fn fused_and_composed_operators_are_compared() {
+    let folder = TempDir::new().unwrap();
+    let (text, rows) = rows(folder.path(), "out", &["kernels", "--filter", "/forward/"]);
+    rows.iter().for_each(check_row);
+    assert!(text.starts_with("\nkernels, ") && text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    let seen: Vec<String> = rows
+        .iter()
+        .map(|row| format!("{} {} {}", row["scene"], row["particles"], row["mode"]).replace('"', ""))
+        .collect();
+    let channel = ["heated-channel 950 fused", "heated-channel 950 composed"];
+    let vortices = ["144", "512"].iter().flat_map(|n| {
+        let scene = if *n == "144" { "taylor-green" } else { "taylor-green-3d" };
+        ["fused", "composed"].map(|mode| format!("{scene} {n} {mode}"))
+    });
+    assert_eq!(seen, channel.map(String::from).into_iter().chain(vortices).collect::<Vec<_>>());
+    // Each composed row beside its fused one, and only those.
+    assert_eq!(text.lines().filter(|line| line.trim_end().ends_with('x')).count(), 3, "{text}");
+    assert!(text.contains("vs fused"), "{text}");
+    let ms = |row: usize| rows[row]["ms_per_step"].as_f64().unwrap();
+    let ratio = format!("{:.1}x", ms(1) / ms(0));
+    assert!(text.lines().any(|line| line.contains("composed") && line.ends_with(&ratio)), "no {ratio} in {text}");
+    // Composed operators write and read many tensors where fused ones stay in registers: slower on any machine.
+    assert!(ms(1) > 1.5 * ms(0), "{text}");
+
+    let (_, rows) =
+        self::rows(folder.path(), "gradient", &["kernels", "--filter", "heated-channel/950/f64/1/gradient"]);
+    rows.iter().for_each(check_row);
+    assert_eq!(rows.len(), 2);
 }
 
 #[test]
@@ -251,7 +282,6 @@ fn bad_input_is_refused() {
     refuses(at, &["--preset", "nothing", "--out", "unwritten"], &["nothing", "report"]);
     refuses(at, &["--set", "time.cfl=9", "--out", "unwritten"], &["time.cfl"]);
     refuses(at, &["--filter", "nothing", "--out", "unwritten"], &["--filter nothing", "group/scene/particles"]);
-    refuses(at, &["--floor", "nowhere", "--out", "unwritten"], &["--floor nowhere", "floor.c"]);
     refuses(at, &["--sizes", "7^2", "--out", "unwritten"], &["7^2", "N >= 8"]);
     refuses(at, &["--repeats", "0", "--out", "unwritten"], &["--repeats"]);
     refuses(at, &["--threads", "1,x", "--out", "unwritten"], &["--threads"]);

@@ -3,13 +3,14 @@
 //! `HYDROGRAD_GNS_FIXTURES` names another folder.
 
 use candle_core::{DType, Device, Tensor, Var};
+use hydrograd::config::scene::Kernels;
 use hydrograd::dataset::{kind, Metadata};
 use hydrograd::io::tensor_file::TensorFile;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::integrate;
 use hydrograd::surrogate::models::gns::{Gns, Sizes};
 use hydrograd::surrogate::network::adamw::AdamW;
-use hydrograd::surrogate::network::parameters::{tracked, Model};
+use hydrograd::surrogate::network::parameters::{tracked, Network};
 use hydrograd::surrogate::predictor::Scenery;
 use hydrograd::surrogate::training::{loss, noise};
 use std::path::{Path, PathBuf};
@@ -120,7 +121,7 @@ impl Fixture {
     }
 
     fn model(&self, dtype: DType) -> Gns {
-        let model = Gns::new(self.sizes, 0, dtype).unwrap();
+        let model = Gns::new(self.sizes, Kernels::Fused, 0, dtype).unwrap();
         model.parameters().iter().for_each(|p| p.load(&self.file, "param.").unwrap());
         model
     }

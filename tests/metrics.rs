@@ -3,6 +3,7 @@
 mod support;
 
 use hydrograd::dataset::extent::Extent;
+use hydrograd::particles::Domain;
 use hydrograd::surrogate::evaluation::metrics::*;
 use hydrograd::surrogate::evaluation::sinkhorn;
 use hydrograd::surrogate::predictor::Frame;
@@ -38,6 +39,11 @@ fn close(found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance * expected.abs(), "{found:e} is not {expected:e}");
 }
 
+/// The same box, open on all sides.
+fn without_images(extent: Extent) -> Extent {
+    Extent { domain: Domain { periodic: [false; 3], ..extent.domain }, ..extent }
+}
+
 #[test]
 fn errors_are_lagrangebenchs() {
     let fixture = Fixture::read();
@@ -56,7 +62,7 @@ fn errors_are_lagrangebenchs() {
     assert_eq!(first(&mse, 21), None);
     assert_eq!(first(&mse, 0), None);
     // Without the minimum image, a particle on the other side of the box would be far away.
-    let open = Extent { periodic: [false; 3], ..extent };
+    let open = without_images(extent);
     let worst = (0..20).map(|k| mean_square(&open, &predicted[k], &truth[k]) / mse[k]).fold(0.0, f64::max);
     assert!(worst > 10.0, "{worst}");
 }
@@ -125,8 +131,7 @@ fn equal_clouds_do_not_differ() {
 
 #[test]
 fn a_translation_costs_its_square() {
-    let (periodic, open) =
-        (Extent::of(&metadata(false)), Extent { periodic: [false; 3], ..Extent::of(&metadata(false)) });
+    let (periodic, open) = (Extent::of(&metadata(false)), without_images(Extent::of(&metadata(false))));
     let cloud = cloud();
     let by = [0.3, -0.1];
     let there = moved(&cloud, by);
@@ -146,7 +151,7 @@ fn a_translation_costs_its_square() {
 
 #[test]
 fn a_particle_that_is_infinitely_far_away_is_an_error() {
-    let extent = Extent { periodic: [false; 3], ..Extent::of(&metadata(false)) };
+    let extent = without_images(Extent::of(&metadata(false)));
     let mut far = cloud();
     far[0] = f64::INFINITY;
     let error = sinkhorn::divergence(&extent, &far, &cloud(), 1e-4).unwrap_err();

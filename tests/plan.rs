@@ -69,7 +69,7 @@ fn fields_and_what_was_dropped_are_those_of_the_scene() {
         assert_eq!(has(&plan, "walls' extrapolation"), !options.walls);
         assert_eq!(does(&plan, "rates", "conduction"), options.heat);
         assert_eq!(does(&plan, "rates", "transport"), options.transport);
-        assert_eq!(does(&plan, "primitives", "walls"), options.walls);
+        assert_eq!(does(&plan, "wall condition", "walls"), options.walls);
         let (dry, text) = (plan.particles, plan.to_string());
         assert_eq!(dry.fluid + dry.walls + dry.walls_without_row, dry.total);
         assert_eq!(dry.fluid, scene.tags.iter().filter(|&&t| t == tag::FLUID).count());

@@ -7,7 +7,7 @@ use hydrograd::error::BadInput;
 use hydrograd::surrogate::evaluation::metrics::Counted;
 use hydrograd::surrogate::evaluation::rollout::{rollout, windows, HISTORY};
 use hydrograd::surrogate::evaluation::scores::{chosen_windows, evaluate_windows, Options};
-use hydrograd::surrogate::models::constant_velocity::Linear;
+use hydrograd::surrogate::models::constant_velocity::ConstantVelocity;
 use hydrograd::surrogate::models::still::Still;
 use hydrograd::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde_json::Value;
@@ -61,7 +61,7 @@ fn windows_do_not_overlap() {
 fn constant_velocity_is_exact_for_uniform_motion() {
     // Through both ends of the box.
     let set = [trajectory("00000", 60, |_, y| [0.04 * y, -0.013])];
-    let scores = evaluate_windows(&Linear, &metadata(false), &set, &Options::default()).unwrap();
+    let scores = evaluate_windows(&ConstantVelocity, &metadata(false), &set, &Options::default()).unwrap();
     assert_eq!((scores.windows, scores.steps, scores.model.as_str()), (2, 20, "linear"));
     assert!(scores.broken.is_empty());
     // f32 positions: rounded velocities grow linearly.
@@ -137,9 +137,9 @@ fn the_linear_baseline_keeps_what_the_inlet_set() {
     let metadata = heated_metadata();
     let mut t = trajectory("00000", 26, |_, _| [0.03, 0.0]);
     heat(&mut t, |frame, _| 1.0 + 0.01 * frame as f64);
-    let scenery = hydrograd::surrogate::evaluation::rollout::scenery(&metadata, &t);
+    let scenery = Scenery::of(&metadata, &t);
     let frames = [Frame::of(&t, 4), Frame::of(&t, 5)];
-    let next = Linear.next(&scenery, &frames).unwrap();
+    let next = ConstantVelocity.next(&scenery, &frames).unwrap();
     let mut seen = [0, 0];
     for i in 0..t.particles {
         let at_inlet = frames[1].position[2 * i] < 0.1;

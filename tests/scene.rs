@@ -1,11 +1,12 @@
 //! Loading of scenes and the wall shape.
 
 use hydrograd::config::builtin::{PRESETS, SCENES};
-use hydrograd::config::layers::{described, description, known_keys, Setting};
+use hydrograd::config::layers::Setting;
 use hydrograd::config::memory_size::MemorySize;
 use hydrograd::config::scene::{
     BodyForceRegion, Config, KernelName, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName, Start,
 };
+use hydrograd::config::schema::{described, description, known_keys};
 use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::scene::flow::Flow;
 use hydrograd::scene::load::Source;
@@ -32,10 +33,10 @@ fn built_in_scene_is_the_default_configuration() {
 
 #[test]
 fn every_key_is_described_in_the_built_in_scene() {
-    let keys = known_keys();
+    let keys = known_keys::<Config>();
     assert!(keys.len() > 50, "only {} keys", keys.len());
     for key in keys {
-        let text = description(&key).unwrap_or_else(|| panic!("{key} has no comment"));
+        let text = description::<Config>(&key).unwrap_or_else(|| panic!("{key} has no comment"));
         assert!(text.ends_with(['.', ')']) && text.len() > 20, "{key}: {text}");
     }
 }
@@ -377,7 +378,7 @@ fn every_family_has_its_built_in_scene() {
         let loaded = Config::load(Some(built_in.name), None, &[]).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(loaded.text, built_in.text);
         assert_eq!(loaded.config.scene.built_in().name, built_in.name);
-        let keys = described(built_in.text);
+        let keys = described::<Config>(built_in.text);
         for (key, comment) in &keys {
             assert!(comment.ends_with(['.', ')']) && comment.len() > 20, "{}: {key}: {comment}", built_in.name);
         }

@@ -2,7 +2,7 @@
 
 use assert_cmd::Command;
 use hydrograd::error::BadInput;
-use hydrograd::surrogate::training::study::{points, GridKey, Outcome, Point, Study, Validation};
+use hydrograd::surrogate::training::study::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use std::path::{Path, PathBuf};
 
 fn grid(texts: &[&str]) -> Vec<GridKey> {
@@ -32,8 +32,9 @@ const TRAINS: &str = "mkdir -p \"$out\"\n\
 fn grids_expand() {
     let all = points(&grid(&["noise=3e-5,3e-4", "model.latent=32,64,128"])).unwrap();
     assert_eq!(all.len(), 6);
-    let pair =
-        |noise: &str, latent: &str| Point(vec![("noise".into(), noise.into()), ("model.latent".into(), latent.into())]);
+    let pair = |noise: &str, latent: &str| {
+        GridPoint(vec![("noise".into(), noise.into()), ("model.latent".into(), latent.into())])
+    };
     assert_eq!(all[1], pair("3e-5", "64"));
     assert_eq!(all[5], pair("3e-4", "128"));
     assert_eq!(all[5].name(), "model.latent=128,noise=3e-4");
@@ -68,7 +69,7 @@ fn points_are_trained_once() {
     let mut study = study(folder.path(), TRAINS);
     let all = points(&grid(&["noise=3e-5,3e-4"])).unwrap();
     assert_eq!(study.finished(&all[0]).unwrap(), None);
-    let Outcome::Trained { seconds, validation } = study.train(&all[0]).unwrap() else { panic!("failed") };
+    let PointOutcome::Trained { seconds, validation } = study.train(&all[0]).unwrap() else { panic!("failed") };
     assert_eq!(seconds, 3.0);
     assert_eq!((validation.last("mse_20"), validation.best("mse_5")), (Some(1e-3), Some((2e-5, 50.0))));
     assert_eq!(validation.last("temperature_mse"), None);
@@ -79,7 +80,9 @@ fn points_are_trained_once() {
     );
     assert_eq!(trained, expected);
 
-    let Some(Outcome::Trained { validation: again, .. }) = study.finished(&all[0]).unwrap() else { panic!("lost") };
+    let Some(PointOutcome::Trained { validation: again, .. }) = study.finished(&all[0]).unwrap() else {
+        panic!("lost")
+    };
     assert_eq!(again, validation);
     assert_eq!(study.finished(&all[1]).unwrap(), None);
     // One that was killed on the way has files, but is not finished.
@@ -122,10 +125,10 @@ fn training_that_fails() {
     let point = &points(&grid(&["noise=1"])).unwrap()[0];
     let train = |script: &str| study(folder.path(), script).train(point);
     let failed = train("echo all well; echo 'error: the loss is not finite' >&2; exit 1").unwrap();
-    assert_eq!(failed, Outcome::Failed("the loss is not finite".into()));
-    let Outcome::Failed(text) = train("kill -9 $$").unwrap() else { panic!("not failed") };
+    assert_eq!(failed, PointOutcome::Failed("the loss is not finite".into()));
+    let PointOutcome::Failed(text) = train("kill -9 $$").unwrap() else { panic!("not failed") };
     assert!(text.contains("signal"), "{text}");
-    let Outcome::Failed(text) = train("true").unwrap() else { panic!("not failed") };
+    let PointOutcome::Failed(text) = train("true").unwrap() else { panic!("not failed") };
     assert!(text.contains("validation.csv"), "{text}");
     let study = study(folder.path(), "true");
     assert_eq!(study.finished(point).unwrap(), None, "what failed is tried again");
@@ -162,7 +165,7 @@ fn the_command_makes_a_table_and_plots() {
     });
     std::fs::write(folder.path().join("metadata.json"), metadata.to_string()).unwrap();
     for point in points(&grid(&["noise=3e-5,3e-4", "model.kind=gns,egnn"])).unwrap() {
-        assert!(matches!(study.train(&point).unwrap(), Outcome::Trained { .. }));
+        assert!(matches!(study.train(&point).unwrap(), PointOutcome::Trained { .. }));
     }
     let run = |arguments: &[&str]| {
         let mut command = Command::cargo_bin("hydrograd").unwrap();

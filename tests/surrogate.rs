@@ -2,19 +2,20 @@
 //! differences, symmetries.
 
 use candle_core::{DType, Device, Tensor, Var};
+use candle_nn::Module;
+use hydrograd::config::scene::Kernels;
 use hydrograd::dataset::Metadata;
 use hydrograd::numerics::candle::{apply2, apply3};
+use hydrograd::numerics::random::stream;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::models::egnn::Egnn;
 use hydrograd::surrogate::models::gns::{Gns, Sizes};
-use hydrograd::surrogate::network::composed;
-use hydrograd::surrogate::network::gather::{gather, segment_sum, End};
-use hydrograd::surrogate::network::graph::Graph;
+use hydrograd::surrogate::network::graph::{Ends, Graph};
 use hydrograd::surrogate::network::interaction::{edge_shape, node_shape, Rounds};
-use hydrograd::surrogate::network::layer_norm::layer_norm;
+use hydrograd::surrogate::network::layers::{builder, Perceptron, Round};
 use hydrograd::surrogate::network::memory::Memory;
-use hydrograd::surrogate::network::mlp::{Mlp, Shape};
-use hydrograd::surrogate::network::parameters::{detached, tracked, Model};
+use hydrograd::surrogate::network::mlp::{Mlp, MlpShape};
+use hydrograd::surrogate::network::parameters::{detached, tracked, Network, Parameter};
 use hydrograd::surrogate::predictor::Scenery;
 use std::sync::Arc;
 
@@ -88,63 +89,85 @@ fn ring(nodes: u32) -> Arc<Graph> {
 }
 
 #[test]
-fn gather_and_segment_sum_are_each_others_adjoint() {
+fn rows_by_ends_and_sums_are_each_others_adjoint() {
     let graph = ring(23);
-    for end in [End::Sender, End::Receiver] {
-        let (x, y) = (random(&[23, 5], 1), random(&[graph.edges(), 5], 2));
-        let (gathered, summed) = (gather(&x, &graph, end).unwrap(), segment_sum(&y, &graph, end).unwrap());
-        let ends = if end == End::Sender { &graph.senders } else { &graph.receivers };
-        let (gx, xs, ys) = (plain(&gathered), plain(&x), plain(&y));
-        let mut sums = vec![0.0; 23 * 5];
-        for (e, &i) in ends.iter().enumerate() {
-            for c in 0..5 {
-                assert_eq!(gx[e * 5 + c], xs[i as usize * 5 + c]);
-                sums[i as usize * 5 + c] += ys[e * 5 + c];
-            }
+    let ends = Ends::new(&graph, &Device::Cpu).unwrap();
+    let (x, y) = (random(&[23, 5], 1), random(&[graph.edges(), 5], 2));
+    let (sent, received) = (plain(&ends.of_senders(&x).unwrap()), plain(&ends.of_receivers(&x).unwrap()));
+    let (xs, ys) = (plain(&x), plain(&y));
+    let mut sums = vec![0.0; 23 * 5];
+    for e in 0..graph.edges() {
+        let (j, i) = (graph.senders[e] as usize, graph.receivers[e] as usize);
+        for c in 0..5 {
+            assert_eq!((sent[e * 5 + c], received[e * 5 + c]), (xs[j * 5 + c], xs[i * 5 + c]));
+            sums[i * 5 + c] += ys[e * 5 + c];
         }
-        assert!(largest(&plain(&summed), &sums) < 1e-14);
-        check_gradient("gather", &[&x], || gather(&x, &graph, end).unwrap());
-        check_gradient("segment_sum", &[&y], || segment_sum(&y, &graph, end).unwrap());
     }
-    let wrong = random(&[22, 5], 1);
-    assert!(gather(&wrong, &graph, End::Sender).unwrap_err().to_string().contains("22 rows"));
+    assert!(largest(&plain(&ends.sums(&y).unwrap()), &sums) < 1e-14);
+    check_gradient("senders", &[&x], || ends.of_senders(&x).unwrap());
+    check_gradient("receivers", &[&x], || ends.of_receivers(&x).unwrap());
+    check_gradient("sums", &[&y], || ends.sums(&y).unwrap());
+    assert!(ends.of_senders(&random(&[22, 5], 1)).is_err());
 }
 
-#[test]
-fn layer_norm_by_its_formula_and_its_gradient() {
-    let (x, scale, offset) = (random(&[4, 7], 3), random(&[7], 4), random(&[7], 5));
-    let y = plain(&layer_norm(&x, &scale, &offset, 1e-5).unwrap());
-    let (xs, scales, offsets) = (plain(&x), plain(&scale), plain(&offset));
-    for r in 0..4 {
-        let row = &xs[r * 7..(r + 1) * 7];
-        let mean = row.iter().sum::<f64>() / 7.0;
-        let variance = row.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / 7.0;
-        for c in 0..7 {
-            let wanted = (row[c] - mean) / (variance + 1e-5).sqrt() * scales[c] + offsets[c];
-            assert!((y[r * 7 + c] - wanted).abs() < 1e-13);
-        }
+/// A perceptron of a shape from candle-nn's layers, with its parameters in one vector.
+fn perceptron(shape: &MlpShape, p: &Tensor) -> Perceptron {
+    let parameter = Parameter::perceptron("mlp", shape, &mut stream(0, "weights"), DType::F64).unwrap();
+    Perceptron::new(shape, builder(&[parameter], &[p.clone()]).unwrap().pp("mlp")).unwrap()
+}
+
+/// A perceptron on one row, number by number.
+fn perceptron_by_its_formula(shape: &MlpShape, x: &[f64], p: &[f64]) -> Vec<f64> {
+    let mut y = x.to_vec();
+    for k in 0..shape.linears {
+        let (weight, bias) = (&p[shape.weight(k)], &p[shape.bias(k)]);
+        let outputs = bias.len();
+        let sum = |c: usize| y.iter().enumerate().map(|(r, y)| y * weight[r * outputs + c]).sum::<f64>() + bias[c];
+        let sums: Vec<f64> = (0..outputs).map(sum).collect();
+        y = if k + 1 < shape.linears { sums.iter().map(|x| x.max(0.0)).collect() } else { sums };
     }
-    check_gradient("layer_norm", &[&x, &scale, &offset], || layer_norm(&x, &scale, &offset, 1e-5).unwrap());
+    if shape.norm {
+        let count = y.len() as f64;
+        let mean = y.iter().sum::<f64>() / count;
+        let variance = y.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / count;
+        let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
+        y = (0..y.len()).map(|c| (y[c] - mean) / (variance + 1e-5).sqrt() * scale[c] + offset[c]).collect();
+    }
+    y
+}
+
+/// candle-nn's own normalisation would end the gradient without a word: the scale, the offset and all before them get one.
+#[test]
+fn perceptron_by_its_formula_and_its_gradient() {
+    for norm in [true, false] {
+        let shape = MlpShape { inputs: 4, hidden: 6, outputs: 7, linears: 3, norm };
+        let (x, p) = (random(&[5, 4], 3), random(&[shape.parameters()], 4));
+        let y = plain(&perceptron(&shape, &p).forward(&x).unwrap());
+        let (xs, ps) = (plain(&x), plain(&p));
+        let wanted: Vec<f64> = xs.chunks(4).flat_map(|x| perceptron_by_its_formula(&shape, x, &ps)).collect();
+        assert!(largest(&y, &wanted) < 1e-13);
+        check_gradient("perceptron", &[&x, &p], || perceptron(&shape, &p).forward(&x).unwrap());
+    }
 }
 
 /// Widths that are no multiple of a vector, depth, with and without normalisation, more rows than a block and a part.
 #[test]
 fn fused_perceptron_is_composed() {
     let shapes = [
-        Shape { inputs: 3, hidden: 13, outputs: 13, linears: 2, norm: true },
-        Shape { inputs: 5, hidden: 9, outputs: 2, linears: 3, norm: false },
-        Shape { inputs: 16, hidden: 32, outputs: 32, linears: 4, norm: true },
+        MlpShape { inputs: 3, hidden: 13, outputs: 13, linears: 2, norm: true },
+        MlpShape { inputs: 5, hidden: 9, outputs: 2, linears: 3, norm: false },
+        MlpShape { inputs: 16, hidden: 32, outputs: 32, linears: 4, norm: true },
     ];
     for shape in shapes {
         for rows in [1, 37, 1500] {
             let (x, p) = (random(&[rows, shape.inputs], 11), random(&[shape.parameters()], 12));
             let memory = Memory::<f64>::default();
             let fused = || apply2(Mlp::<f64>::new(shape, &memory), &x, &p).unwrap();
-            let composed = || composed::mlp(&shape, &x, &p).unwrap();
+            let composed = || perceptron(&shape, &p).forward(&x).unwrap();
             assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12, "{shape:?} {rows}");
             let (a, b) = (weighted(&fused()).backward().unwrap(), weighted(&composed()).backward().unwrap());
             for v in [&x, &p] {
-                assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-10, "{shape:?} {rows}");
+                assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-12, "{shape:?} {rows}");
             }
             if rows == 37 {
                 check_gradient("mlp", &[&x, &p], fused);
@@ -167,19 +190,22 @@ fn fused_rounds_are_composed() {
             let op = Rounds::<f64>::new(&graph, (latent, latent, linears), rounds, true, &memory, None);
             apply3(op, &x, &y, &p).unwrap()
         };
+        let names = (0..rounds).flat_map(|k| [(format!("{k}.edge"), edge), (format!("{k}.node"), node)]);
+        let names: Vec<_> = names.collect();
+        let parameter = Parameter::perceptrons(&names, &mut stream(0, "weights"), DType::F64).unwrap();
         let composed = || {
+            let builder = builder(std::slice::from_ref(&parameter), &[p.as_tensor().clone()]).unwrap();
+            let ends = Ends::new(&graph, &Device::Cpu).unwrap();
             let (mut a, mut b) = (x.as_tensor().clone(), y.as_tensor().clone());
             for k in 0..rounds {
-                let edge_p = p.narrow(0, k * length, edge.parameters()).unwrap();
-                let node_p = p.narrow(0, k * length + edge.parameters(), node.parameters()).unwrap();
-                (a, b) = composed::interaction(&graph, (&edge, &node), (&a, &b), (&edge_p, &node_p)).unwrap();
+                (a, b) = Round::new(&edge, &node, builder.pp(k)).unwrap().forward(&ends, &a, &b).unwrap();
             }
             a
         };
         assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12);
         let (a, b) = (weighted(&fused()).backward().unwrap(), weighted(&composed()).backward().unwrap());
         for v in [&x, &y, &p] {
-            assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-10);
+            assert!(largest(&plain(a.get(v).unwrap()), &plain(b.get(v).unwrap())) < 1e-12);
         }
         if nodes == 23 {
             check_gradient("rounds", &[&x, &y, &p], fused);
@@ -223,14 +249,14 @@ fn inputs(frames: &[Vec<f64>], kinds: &[i32], size: f64) -> Inputs {
 const SIZES: Sizes =
     Sizes { node_features: 10, edge_features: 3, outputs: 2, latent: 12, rounds: 3, linears: 2, embedding: 4 };
 
-fn models() -> Vec<(&'static str, Box<dyn Model>)> {
+fn models() -> Vec<(&'static str, Box<dyn Network>)> {
     vec![
-        ("gns", Box::new(Gns::new(SIZES, 1, DType::F64).unwrap()) as Box<dyn Model>),
+        ("gns", Box::new(Gns::new(SIZES, Kernels::Fused, 1, DType::F64).unwrap()) as Box<dyn Network>),
         ("egnn", Box::new(Egnn::new(SIZES, 6, 1, DType::F64).unwrap())),
     ]
 }
 
-fn answer(model: &dyn Model, frames: &[Vec<f64>], kinds: &[i32]) -> Vec<f64> {
+fn answer(model: &dyn Network, frames: &[Vec<f64>], kinds: &[i32]) -> Vec<f64> {
     plain(&model.apply(&inputs(frames, kinds, 1.0), &detached(model)).unwrap())
 }
 
@@ -253,6 +279,134 @@ fn particles_can_be_renumbered_and_moved() {
         let after = answer(&*model, &moved, &moved_kinds);
         let wanted: Vec<f64> = order.iter().flat_map(|&i| [before[2 * i], before[2 * i + 1]]).collect();
         assert!(largest(&after, &wanted) < 1e-9, "{name}: {}", largest(&after, &wanted));
+    }
+}
+
+/// Random features on a graph, each a variable, for a network of these sizes.
+fn random_inputs(sizes: &Sizes, nodes: u32) -> (Inputs, [Var; 2]) {
+    let graph = ring(nodes);
+    let n = nodes as usize;
+    let (x, y) = (random(&[n, sizes.node_features], 61), random(&[graph.edges(), sizes.edge_features], 62));
+    let kinds: Vec<u32> = (0..nodes).map(|i| i * 5 % 9).collect();
+    let inputs = Inputs {
+        graph,
+        nodes: x.as_tensor().clone(),
+        edges: y.as_tensor().clone(),
+        kinds: Tensor::new(kinds, &Device::Cpu).unwrap(),
+        velocity: Tensor::zeros((n, sizes.edge_features - 1), DType::F64, &Device::Cpu).unwrap(),
+    };
+    (inputs, [x, y])
+}
+
+/// Random numbers in place of what a new network has: its biases of 0 would prove nothing.
+fn scatter(network: &dyn Network) {
+    for (k, p) in network.parameters().iter().enumerate() {
+        let moved = (p.values.as_tensor() + random(&[p.count()], 70 + k as u64).affine(0.3, 0.0).unwrap()).unwrap();
+        p.values.set(&moved).unwrap();
+    }
+}
+
+/// Values, and gradients by every parameter and by the features, of two networks with the same parameters.
+fn agree(name: &str, parameters: &[Parameter], features: &[Var], [a, b]: [&dyn Fn() -> Tensor; 2]) {
+    let (x, y) = (a(), b());
+    assert!(largest(&plain(&x), &plain(&y)) < 1e-12, "{name}: {}", largest(&plain(&x), &plain(&y)));
+    let (a, b) = (weighted(&x).backward().unwrap(), weighted(&y).backward().unwrap());
+    let variables = parameters.iter().map(|p| (p.parts[0].0.as_str(), &p.values));
+    for (what, variable) in variables.chain(features.iter().map(|v| ("features", v))) {
+        let [a, b] = [&a, &b].map(|store| plain(store.get(variable).unwrap_or_else(|| panic!("{name}: {what}"))));
+        assert!(largest(&a, &b) < 1e-12, "{name}, {what}: {}", largest(&a, &b));
+    }
+}
+
+/// The whole network from candle-nn's layers against the fused one, with widths that are no multiple of a vector, and of
+/// one round and several, in two and three dimensions.
+#[test]
+fn composed_gns_is_fused_gns() {
+    let sizes = |latent, rounds, linears, d: usize| Sizes {
+        node_features: 4 + 5 * d,
+        edge_features: d + 1,
+        outputs: d + 1,
+        latent,
+        rounds,
+        linears,
+        embedding: 3,
+    };
+    for (sizes, nodes) in [(sizes(12, 3, 2, 2), 40), (sizes(5, 1, 3, 3), 23), (sizes(16, 2, 4, 2), 700)] {
+        let network = |kernels| Gns::new(sizes, kernels, 3, DType::F64).unwrap();
+        let (fused, composed) = (network(Kernels::Fused), network(Kernels::Composed));
+        scatter(&fused);
+        let (inputs, features) = random_inputs(&sizes, nodes);
+        let parameters = tracked(&fused);
+        let [a, b] = [&fused, &composed].map(|network| || network.apply(&inputs, &parameters).unwrap());
+        agree(&format!("{sizes:?}"), fused.parameters(), &features, [&a, &b]);
+    }
+}
+
+/// The equivariant network as its formulas read, on parameters cut out of their vectors one by one.
+fn egnn_by_its_formulas(sizes: &Sizes, inputs: &Inputs, p: &[Tensor]) -> Tensor {
+    let (latent, steps, d) = (sizes.latent, 5, sizes.edge_features - 1);
+    let mlp = |inputs, outputs, norm, p: &Tensor, x: &Tensor| {
+        let shape = MlpShape { inputs, hidden: latent, outputs, linears: sizes.linears, norm };
+        let part = |at: std::ops::Range<usize>| p.narrow(0, at.start, at.len()).unwrap();
+        let mut y = x.clone();
+        for k in 0..shape.linears {
+            let weight = part(shape.weight(k)).reshape(shape.size(k)).unwrap();
+            y = y.matmul(&weight).unwrap().broadcast_add(&part(shape.bias(k))).unwrap();
+            y = if k + 1 < shape.linears { y.relu().unwrap() } else { y };
+        }
+        if norm {
+            let centred = y.broadcast_sub(&y.mean_keepdim(1).unwrap()).unwrap();
+            let deviation = (centred.sqr().unwrap().mean_keepdim(1).unwrap() + 1e-5).unwrap().sqrt().unwrap();
+            let normal = centred.broadcast_div(&deviation).unwrap();
+            y = normal.broadcast_mul(&part(shape.scale())).unwrap().broadcast_add(&part(shape.offset())).unwrap();
+        }
+        y
+    };
+    let ends = |of: &[u32]| Tensor::new(of, &Device::Cpu).unwrap();
+    let (senders, receivers) = (ends(&inputs.graph.senders), ends(&inputs.graph.receivers));
+    let sums = |x: &Tensor| {
+        let zero = Tensor::zeros((inputs.graph.nodes(), x.dim(1).unwrap()), DType::F64, &Device::Cpu).unwrap();
+        zero.index_add(&receivers, x, 0).unwrap()
+    };
+    let velocity = |k: usize| inputs.nodes.narrow(1, k * d, d).unwrap();
+    let speed = |k: usize| (velocity(k).sqr().unwrap().sum_keepdim(1).unwrap() + 1e-12).unwrap().sqrt().unwrap();
+    let mut scalars: Vec<Tensor> = (0..steps).map(speed).collect();
+    let others = sizes.node_features - steps * d;
+    scalars.push(inputs.nodes.narrow(1, steps * d, others).unwrap());
+    scalars.push(p[0].reshape((9, sizes.embedding)).unwrap().index_select(&inputs.kinds, 0).unwrap());
+    let cat = |all: &[&Tensor]| Tensor::cat(all, 1).unwrap();
+    let known = steps + others + sizes.embedding;
+    let mut h = mlp(known, latent, true, &p[1], &Tensor::cat(&scalars, 1).unwrap());
+    let (relative, length) = (inputs.edges.narrow(1, 0, d).unwrap(), inputs.edges.narrow(1, d, 1).unwrap());
+    let mut x = velocity(0).zeros_like().unwrap();
+    for k in 0..sizes.rounds {
+        let p = &p[2 + 4 * k..6 + 4 * k];
+        let (from, to) = (h.index_select(&senders, 0).unwrap(), h.index_select(&receivers, 0).unwrap());
+        let messages = mlp(2 * latent + 1, latent, true, &p[0], &cat(&[&from, &to, &length]));
+        h = (&h + mlp(2 * latent, latent, true, &p[1], &cat(&[&h, &sums(&messages)]))).unwrap();
+        let pull = mlp(latent, 1, false, &p[2], &messages);
+        x = (x + sums(&relative.broadcast_mul(&pull).unwrap())).unwrap();
+        let drift = mlp(latent, steps, false, &p[3], &h);
+        for k in 0..steps {
+            x = (x + velocity(k).broadcast_mul(&drift.narrow(1, k, 1).unwrap()).unwrap()).unwrap();
+        }
+    }
+    cat(&[&x, &mlp(latent, sizes.outputs - d, false, &p[2 + 4 * sizes.rounds], &h)])
+}
+
+#[test]
+fn egnn_of_layers_is_that_of_its_formulas() {
+    for (latent, rounds, linears, d, nodes) in [(12, 3, 2, 2, 40), (7, 1, 3, 3, 23), (16, 2, 2, 2, 300)] {
+        let node_features = 4 + 5 * d;
+        let sizes =
+            Sizes { node_features, edge_features: d + 1, outputs: d + 1, latent, rounds, linears, embedding: 3 };
+        let network = Egnn::new(sizes, 6, 5, DType::F64).unwrap();
+        scatter(&network);
+        let (inputs, features) = random_inputs(&sizes, nodes);
+        let parameters = tracked(&network);
+        let formulas = || egnn_by_its_formulas(&sizes, &inputs, &parameters);
+        let layers = || network.apply(&inputs, &parameters).unwrap();
+        agree(&format!("{sizes:?}"), network.parameters(), &features, [&layers, &formulas]);
     }
 }
 

@@ -1,8 +1,16 @@
 //! Training from the command line: what it leaves behind, resuming, threads, bad input.
 
 use assert_cmd::Command;
+use candle_core::{DType, Device, Tensor};
+use hydrograd::config::scene::Kernels;
 use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::surrogate::features::Inputs;
+use hydrograd::surrogate::models::composed_gns::ComposedGns;
+use hydrograd::surrogate::network::graph::Graph;
+use hydrograd::surrogate::network::parameters::detached;
+use hydrograd::surrogate::training::checkpoint;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A data set of the heated channel, two short trajectories a split, made once for all tests.
 fn data() -> &'static Path {
@@ -225,6 +233,88 @@ fn every_kind_of_model_and_of_heat_trains() {
         let warm = validation.lines().last().unwrap().split(',').next_back().unwrap();
         assert!(warm.parse::<f64>().unwrap() > 0.0, "{validation}");
     }
+}
+
+/// The same training with the network from candle-nn's layers: the same losses but for rounding, checkpoints that either
+/// goes on with, and models that `evaluate` and `rollout` run with either.
+#[test]
+fn composed_kernels_train_evaluate_and_roll_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let [fused, composed, mixed]: [PathBuf; 3] = ["fused", "composed", "mixed"].map(|name| folder.path().join(name));
+    train(&fused, &["--steps", "8"]).assert().success();
+    train(&composed, &["--steps", "8", "--kernels", "composed"]).assert().success();
+    train(&mixed, &["--steps", "4", "--kernels", "composed"]).assert().success();
+    train(&mixed, &["--steps", "8", "--kernels", "fused", "--resume"]).assert().success();
+    let losses = |folder: &Path| -> Vec<f64> {
+        let text = std::fs::read_to_string(folder.join("history.csv")).unwrap();
+        text.lines().skip(1).map(|line| line.split(',').nth(2).unwrap().parse().unwrap()).collect()
+    };
+    let wanted = losses(&fused);
+    assert_eq!(wanted.len(), 4);
+    for other in [&composed, &mixed] {
+        for (a, b) in losses(other).iter().zip(&wanted) {
+            assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
+        }
+    }
+    // Rounding differs, or the option did nothing.
+    assert_ne!(tensors(&fused, "last.safetensors"), tensors(&composed, "last.safetensors"));
+    let [a, b] = [&fused, &composed].map(|folder| TensorFile::read(&folder.join("last.safetensors")).unwrap().metadata);
+    assert_eq!((&a["settings"], &a["setup"]), (&b["settings"], &b["setup"]));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    let score = |kernels: &str| -> f64 {
+        let out = folder.path().join(kernels);
+        let run = |command: &str, more: &[&str]| {
+            let mut all = hydrograd();
+            all.args([command, "--steps", "4", "--kernels", kernels, "--model"]).arg(fused.join("last.safetensors"));
+            all.arg("--data")
+                .arg(data().join("data"))
+                .arg("--out")
+                .arg(out.join(command))
+                .args(more)
+                .assert()
+                .success();
+        };
+        run("evaluate", &["--windows", "1"]);
+        run("rollout", &[]);
+        assert!(out.join("rollout/rollout.png").is_file());
+        let text = std::fs::read_to_string(out.join("evaluate/evaluation.json")).unwrap();
+        let file: serde_json::Value = serde_json::from_str(&text).unwrap();
+        file["scores"][0]["mse"].as_f64().unwrap()
+    };
+    let (fused, composed) = (score("fused"), score("composed"));
+    assert!((composed / fused - 1.0).abs() < 1e-3 && composed != fused, "{composed} {fused}");
+    fails(&mut train(&mixed, &["--kernels", "quick"]), 2, "[possible values: fused, composed]");
+}
+
+/// Names and shapes of a checkpoint are candle-nn's business: nothing of hydrograd's reads it here.
+#[test]
+fn a_checkpoint_opens_with_candle_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    train(&out, &["--steps", "2", "--set", "ema=0"]).assert().success();
+    let path = out.join("last.safetensors");
+    let header = checkpoint::read(&path).unwrap();
+    let network = header.setup.network(Kernels::Fused, 0, DType::F32).unwrap();
+    header.load_into(&*network, false).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let builder = candle_nn::VarBuilder::from_buffered_safetensors(bytes, DType::F32, &Device::Cpu).unwrap();
+    let alone = ComposedGns::new(&header.setup.sizes, builder.pp("param")).unwrap();
+    let graph = Arc::new(Graph::new(5, (0..5).flat_map(|i| [(i, i), (i, (i + 1) % 5)])));
+    let features = |rows: usize, columns: usize| {
+        let values = (0..rows * columns).map(|k| (k as f32 * 0.7).sin()).collect();
+        Tensor::from_vec(values, (rows, columns), &Device::Cpu).unwrap()
+    };
+    let inputs = Inputs {
+        nodes: features(5, header.setup.sizes.node_features),
+        edges: features(graph.edges(), header.setup.sizes.edge_features),
+        kinds: Tensor::new(&[0u32, 1, 0, 1, 0], &Device::Cpu).unwrap(),
+        velocity: features(5, 2),
+        graph,
+    };
+    let numbers = |t: Tensor| t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let ours = numbers(network.apply(&inputs, &detached(&*network)).unwrap());
+    let theirs = numbers(alone.forward(&inputs).unwrap());
+    assert!(ours.len() == 15 && ours.iter().zip(&theirs).all(|(a, b)| (a - b).abs() < 1e-5), "{ours:?} {theirs:?}");
 }
 
 #[test]

@@ -5,10 +5,25 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::prepare::require_design;
+use crate::config::builtin;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Kernels, Precision};
 use crate::error::{BadInput, Error};
 use crate::scene::load::Loaded;
+
+/// Options that stand for a key of the scene.
+const OPTIONS: [(&str, &str); 10] = [
+    ("--precision", "run.precision"),
+    ("--threads", "run.threads"),
+    ("--seed", "run.seed"),
+    ("--kernels", "run.kernels"),
+    ("--gradient", "optimise.gradient"),
+    ("--memory", "optimise.memory"),
+    ("--store", "optimise.store"),
+    ("--segment", "optimise.segment"),
+    ("--horizon", "optimise.horizon"),
+    ("--epochs", "optimise.epochs"),
+];
 
 /// Options of every run.
 #[derive(Debug, Clone, Args)]
@@ -59,7 +74,7 @@ pub struct MemoryArgument {
 
 impl MemoryArgument {
     fn setting(&self) -> Option<Setting> {
-        self.memory.as_ref().map(|size| Setting::option("--memory", "optimise.memory", size))
+        self.memory.as_ref().map(|size| option("optimise.memory", size))
     }
 }
 
@@ -104,16 +119,17 @@ impl CommonArguments {
         options: Vec<Setting>,
     ) -> Result<Loaded, Error> {
         let mut settings = defaults;
-        settings.extend(self.sets.iter().map(|text| Setting::set(text)));
+        settings.extend(self.sets.iter().map(|text| set_option(text)));
         let own = [
-            self.precision.map(|value| Setting::option("--precision", "run.precision", name_of(value))),
-            self.threads.map(|value| Setting::option("--threads", "run.threads", value)),
-            self.seed.map(|value| Setting::option("--seed", "run.seed", value)),
-            self.kernels.map(|value| Setting::option("--kernels", "run.kernels", name_of(value))),
+            self.precision.map(|value| option("run.precision", name_of(value))),
+            self.threads.map(|value| option("run.threads", value)),
+            self.seed.map(|value| option("run.seed", value)),
+            self.kernels.map(|value| option("run.kernels", name_of(value))),
         ];
         settings.extend(own.into_iter().flatten());
         settings.extend(options);
         let Some(folder) = resume else {
+            check_preset(self.preset.as_deref())?;
             return Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings);
         };
         let file = folder.join("config.toml");
@@ -170,14 +186,72 @@ pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
 impl GradientArguments {
     pub(super) fn settings(&self) -> Vec<Setting> {
         let settings = [
-            self.method.map(|value| Setting::option("--gradient", "optimise.gradient", name_of(value))),
+            self.method.map(|value| option("optimise.gradient", name_of(value))),
             self.memory.setting(),
-            self.store.map(|value| Setting::option("--store", "optimise.store", name_of(value))),
-            self.segment.map(|value| Setting::option("--segment", "optimise.segment", value)),
-            self.horizon.map(|value| Setting::option("--horizon", "optimise.horizon", value)),
+            self.store.map(|value| option("optimise.store", name_of(value))),
+            self.segment.map(|value| option("optimise.segment", value)),
+            self.horizon.map(|value| option("optimise.horizon", value)),
         ];
         settings.into_iter().flatten().collect()
     }
+}
+
+/// The option that stands for a key: one of its own, or `--set`.
+fn option_of(key: &str) -> Option<&'static str> {
+    OPTIONS.iter().find(|(_, own)| *own == key).map(|(option, _)| *option)
+}
+
+/// The setting of a key that has an option of its own.
+pub(super) fn option(key: &str, value: impl std::fmt::Display) -> Setting {
+    Setting::option(option_of(key).expect("the key has an option"), key, value)
+}
+
+/// The setting of `--set`, which names itself so in messages.
+pub(super) fn set_option(assignment: &str) -> Setting {
+    Setting { label: format!("--set {assignment}"), ..Setting::set(assignment) }
+}
+
+/// An error if there is no such preset.
+pub(super) fn check_preset(name: Option<&str>) -> Result<(), BadInput> {
+    let Some(name) = name else { return Ok(()) };
+    builtin::preset(name).map(|_| ()).map_err(|bad| bad.place(format!("--preset {name}")))
+}
+
+/// The library's advice names keys (`time.cfl=1`); here each such assignment becomes the option to give
+/// (`--set time.cfl=1`, `--memory 20MB`). The other lines of a message stay.
+pub(super) fn with_options(message: &str) -> String {
+    let lines = message.split('\n').map(|line| match line.strip_prefix(ADVICE) {
+        Some(advice) => format!("{ADVICE}{}", options_in(advice)),
+        None => line.to_string(),
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// What the line of advice in a message begins with.
+const ADVICE: &str = "  try: ";
+
+fn options_in(advice: &str) -> String {
+    let mut words: Vec<String> = Vec::new();
+    let mut before = "";
+    for word in advice.split(' ') {
+        let is_option = std::mem::replace(&mut before, word).starts_with("--");
+        // `(time.cfl=1)` begins with a bracket.
+        let bare = word.trim_start_matches(['(', '`']);
+        let is_key = |key: &str| key.starts_with(|c: char| c.is_ascii_lowercase()) && key.chars().all(is_of_key);
+        let shown = match bare.split_once('=') {
+            Some((key, value)) if is_key(key) && !is_option => match option_of(key) {
+                Some(option) => format!("{option} {value}"),
+                None => format!("--set {bare}"),
+            },
+            _ => bare.to_string(),
+        };
+        words.push(format!("{}{shown}", &word[..word.len() - bare.len()]));
+    }
+    words.join(" ")
+}
+
+fn is_of_key(c: char) -> bool {
+    c.is_ascii_lowercase() || c.is_ascii_digit() || "._".contains(c)
 }
 
 /// The name of a value as the command line and the configuration spell it.
@@ -190,5 +264,32 @@ pub(super) fn at_least_one(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if count >= 1 => Ok(count),
         _ => Err("allowed: a whole number, at least 1".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advice_about_keys_becomes_options() {
+        for (advice, expected) in [
+            ("resolution.dx=0.025 or resolution.dx=0.02", "--set resolution.dx=0.025 or --set resolution.dx=0.02"),
+            ("optimise.memory=20MB, or a smaller resolution.dx", "--memory 20MB, or a smaller resolution.dx"),
+            ("clipping (clip=1)", "clipping (--set clip=1)"),
+            ("--set time.cfl=1 or --memory 3MB", "--set time.cfl=1 or --memory 3MB"),
+            ("the built-in scene's time.cfl = 2", "the built-in scene's time.cfl = 2"),
+            ("`hydrograd scenes heated-channel` prints them", "`hydrograd scenes heated-channel` prints them"),
+            ("optimise.gradient=segments optimise.segment=0", "--gradient segments --segment 0"),
+        ] {
+            let message = |advice: &str| format!("a.toml: time.cfl=9 is bad\n  allowed: time.cfl=1\n  try: {advice}");
+            assert_eq!(with_options(&message(advice)), message(expected));
+        }
+    }
+
+    #[test]
+    fn options_name_keys() {
+        let known = crate::config::schema::known_keys::<Config>();
+        assert!(OPTIONS.iter().all(|(_, key)| known.iter().any(|known| known == key)));
     }
 }

@@ -8,7 +8,7 @@ use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::evaluation::scores::{chosen_windows, evaluate_with, Curves, Options, Scores};
-use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::still::Still;
 use crate::surrogate::predictor::Predictor;
 use clap::Args;
@@ -63,7 +63,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     prepare_output_folder(&arguments.out)?;
 
     let mut models = vec![model];
-    let baselines: [Box<dyn Predictor>; 2] = [Box::new(Linear), Box::new(Still)];
+    let baselines: [Box<dyn Predictor>; 2] = [Box::new(ConstantVelocity), Box::new(Still)];
     let first = models[0].name();
     models.extend(baselines.into_iter().filter(|baseline| baseline.name() != first));
     let bar = Progress::new((models.len() * windows.len()) as u64, "evaluate");
@@ -119,7 +119,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
 /// Figures by model; behind them how many times better than constant velocity the model is.
 fn table(scores: &[Scores]) -> Table {
     let names = scores.iter().map(|scores| scores.model.clone());
-    let compared = scores.len() > 1 && scores[1].model == Linear.name();
+    let compared = scores.len() > 1 && scores[1].model == ConstantVelocity.name();
     let last = compared.then(|| format!("linear / {}", scores[0].model));
     let mut table = Table::new(std::iter::once(String::new()).chain(names).chain(last));
     for (name, figure) in FIGURES {

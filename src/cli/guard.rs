@@ -4,7 +4,7 @@ use std::any::Any;
 use std::io::Write;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 
-use super::advice::with_options;
+use super::arguments::with_options;
 use crate::error::{exit_code, EXIT_INTERNAL};
 
 /// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
@@ -39,7 +39,7 @@ pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
         Ok(Err(error)) => {
             complain(&with_options(&format!("error: {error}")));
             for cause in error.chain().skip(1) {
-                complain(&format!("  cause: {cause}"));
+                complain(&with_options(&format!("  cause: {cause}")));
             }
             exit_code(&error)
         }

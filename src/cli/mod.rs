@@ -1,6 +1,5 @@
 //! The command line: one file per subcommand.
 
-mod advice;
 mod arguments;
 mod bench;
 mod check_gradient;

@@ -1,6 +1,7 @@
 //! What `evaluate` and `rollout` begin with: a model and a split of a data set.
 
 use super::prepare::use_threads;
+use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
@@ -20,6 +21,9 @@ pub struct ModelDataArguments {
     /// Which of its files.
     #[arg(long, value_enum, default_value = "valid")]
     pub split: Split,
+    /// Implementation of the network.
+    #[arg(long, value_enum, default_value_t)]
+    pub kernels: Kernels,
     /// Worker threads, 0 for every core; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
@@ -37,7 +41,7 @@ impl ModelDataArguments {
     pub fn read(&self) -> anyhow::Result<ModelData> {
         use_threads(self.threads);
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
-        let model = load_predictor(&self.model, &metadata)?;
+        let model = load_predictor(&self.model, &metadata, self.kernels)?;
         if let Some(unlike) = model.unlike(&metadata) {
             eprintln!("warning: {unlike}: its predictions mean little there");
         }

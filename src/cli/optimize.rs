@@ -1,6 +1,6 @@
 //! `hydrograd optimize`: the main job.
 
-use super::arguments::{name_of, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
+use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
 use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, change, difference, set_threads};
@@ -80,7 +80,7 @@ impl OptimizeArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         self.common.require_design()?;
         let mut options = self.gradient.settings();
-        options.extend(self.epochs.map(|value| Setting::option("--epochs", "optimise.epochs", value)));
+        options.extend(self.epochs.map(|value| option("optimise.epochs", value)));
         options.extend(self.start.and_then(StartName::setting));
         self.common.load(self.resume.resume.as_deref(), vec![], options)
     }

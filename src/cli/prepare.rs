@@ -1,6 +1,7 @@
 //! What every run does first.
 
 use crate::config::builtin::SCENES;
+pub use crate::config::difference::difference;
 use crate::config::scene::Config;
 use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
@@ -44,32 +45,6 @@ pub fn build<R: Real>(config: &Config) -> Result<(HeatedChannel<R>, Shape), Erro
     let channel = HeatedChannel::new(config, &shape)?;
     let wall = channel.problem.parametrisation.sampled(&channel.problem.first);
     Ok((channel, wall))
-}
-
-/// Where sections of two configurations differ that decide what a run computes: a run can be resumed only if none does.
-/// `ignored` names keys that may differ.
-pub fn difference(a: &Config, b: &Config, ignored: &[&str]) -> Option<String> {
-    let text = |config: &Config| toml::Table::try_from(config).unwrap_or_default();
-    let (a, b) = (text(a), text(b));
-    for (section, value) in &a {
-        let other = b.get(section);
-        let (Some(one), Some(two)) = (value.as_table(), other.and_then(|o| o.as_table())) else {
-            if Some(value) != other {
-                return Some(section.clone());
-            }
-            continue;
-        };
-        let keys: std::collections::BTreeSet<&String> = one.keys().chain(two.keys()).collect();
-        for key in keys {
-            let path = format!("{section}.{key}");
-            if one.get(key) != two.get(key) && !ignored.contains(&path.as_str()) && !ignored.contains(&section.as_str())
-            {
-                let show = |t: &toml::Table| t.get(key).map_or("nothing".into(), |v| v.to_string());
-                return Some(format!("{path} = {}, not {}", show(one), show(two)));
-            }
-        }
-    }
-    None
 }
 
 /// `a -> b (+1.2 %)`.

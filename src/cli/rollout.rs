@@ -105,7 +105,7 @@ fn errors(scene: &Scene, predicted: &[Frame], truth: &[Frame], shown: &[usize]) 
     let mut table = Table::new(["step", "position MSE", "temperature MSE"]);
     for &step in shown {
         let (p, t) = (&predicted[step - 1], &truth[step - 1]);
-        let position = |frame: &Frame| select(&frame.position, extent.dimension, &counted);
+        let position = |frame: &Frame| select(&frame.position, extent.dimension(), &counted);
         let temperature = |frame: &Frame| frame.temperature.as_ref().map(|t| select(t, 1, &counted));
         let hot = temperature(p).zip(temperature(t)).map(|(p, t)| temperature_mean_square(&p, &t));
         table.row([
@@ -148,7 +148,7 @@ impl Scene<'_> {
     /// The frame before the first predicted one, at rest, and the frames.
     fn fields(&self, before: &Frame, frames: &[Frame]) -> Vec<Fields> {
         let extent = Extent::of(self.metadata);
-        let (d, n) = (extent.dimension, self.trajectory.particles);
+        let (d, n) = (extent.dimension(), self.trajectory.particles);
         let time = self.metadata.dt * self.metadata.write_every as f64;
         let by_component = |rows: &[f64]| (0..d * n).map(|k| rows[k % n * d + k / n]).collect::<Vec<f64>>();
         let all: Vec<&Frame> = std::iter::once(before).chain(frames).collect();

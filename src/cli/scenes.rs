@@ -1,5 +1,6 @@
 //! `hydrograd scenes`: lists the built-in scenes, or prints one as TOML.
 
+use super::arguments::check_preset;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
 use crate::config::scene::Config;
@@ -33,6 +34,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             if builtin::scene(name).is_none() {
                 return Err(Error::from(builtin::unknown("built-in scene", name, SCENES)).into());
             }
+            check_preset(arguments.preset.as_deref())?;
             Config::load(Some(name), arguments.preset.as_deref(), &[])?.text
         }
     };

@@ -8,7 +8,7 @@ use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::surrogate::training::study::{points, GridKey, Outcome, Point, Study, Validation};
+use crate::surrogate::training::study::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use crate::surrogate::training::train::METRICS;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -86,8 +86,8 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     let failed: Vec<String> = outcomes
         .iter()
         .filter_map(|(point, outcome)| match outcome {
-            Outcome::Failed(message) => Some(format!("{}: {message}", point.name())),
-            Outcome::Trained { .. } => None,
+            PointOutcome::Failed(message) => Some(format!("{}: {message}", point.name())),
+            PointOutcome::Trained { .. } => None,
         })
         .collect();
     match failed.first() {
@@ -99,13 +99,13 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     }
 }
 
-fn table(grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> Table {
+fn table(grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> Table {
     let names = grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best mse_5", "at step", "seconds"]);
     let mut table = Table::new(names);
     let number = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3e}"));
     for (point, outcome) in outcomes {
         let mut row: Vec<String> = point.0.iter().map(|(_, value)| value.clone()).collect();
-        if let Outcome::Trained { seconds, validation } = outcome {
+        if let PointOutcome::Trained { seconds, validation } = outcome {
             row.extend(METRICS.map(|metric| number(validation.last(metric))));
             let best = validation.best("mse_5");
             row.push(number(best.map(|best| best.0)));
@@ -119,7 +119,7 @@ fn table(grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> Table {
     table
 }
 
-fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> anyhow::Result<()> {
+fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> anyhow::Result<()> {
     let header: Vec<&str> =
         grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best_mse_5", "best_step", "seconds"]).collect();
     // Empty where there is none.
@@ -128,8 +128,8 @@ fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> an
         .iter()
         .map(|(point, outcome)| {
             let (validation, seconds) = match outcome {
-                Outcome::Trained { seconds, validation } => (validation.clone(), Some(*seconds)),
-                Outcome::Failed(_) => (Validation::default(), None),
+                PointOutcome::Trained { seconds, validation } => (validation.clone(), Some(*seconds)),
+                PointOutcome::Failed(_) => (Validation::default(), None),
             };
             let best = validation.best("mse_5");
             let mut row: Vec<Cell> = point.0.iter().map(|(_, value)| Cell::Text(value.clone())).collect();
@@ -143,12 +143,12 @@ fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> an
 
 /// Two plots for each key: the final error against its values, and the error by step for each value (with the best of the
 /// other keys). Returns the names of the pictures.
-fn plot(folder: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> anyhow::Result<Vec<String>> {
-    let trained: Vec<(&Point, &Validation)> = outcomes
+fn plot(folder: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> anyhow::Result<Vec<String>> {
+    let trained: Vec<(&GridPoint, &Validation)> = outcomes
         .iter()
         .filter_map(|(point, outcome)| match outcome {
-            Outcome::Trained { validation, .. } => Some((point, validation)),
-            Outcome::Failed(_) => None,
+            PointOutcome::Trained { validation, .. } => Some((point, validation)),
+            PointOutcome::Failed(_) => None,
         })
         .collect();
     // The longest horizon that every run has.
@@ -165,7 +165,7 @@ fn plot(folder: &Path, grid: &[GridKey], outcomes: &[(Point, Outcome)]) -> anyho
             let high = numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let mut series: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
             for (point, validation) in &trained {
-                let others = Point(point.0.iter().filter(|(other, _)| other != key).cloned().collect()).name();
+                let others = GridPoint(point.0.iter().filter(|(other, _)| other != key).cloned().collect()).name();
                 let others = if others.is_empty() { metric.to_string() } else { others };
                 let value = point.value(key).and_then(|value| value.parse().ok());
                 let Some(place) = value.zip(validation.last(metric)) else { continue };

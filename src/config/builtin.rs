@@ -1,6 +1,8 @@
 //! The scenes and presets that are compiled into the program; their text is in `data/scenes/`.
 
+use crate::config::layers::Layer;
 use crate::config::scene::{Config, Scene};
+use crate::config::schema::described;
 use crate::config::suggest;
 use crate::error::BadInput;
 
@@ -17,6 +19,42 @@ impl BuiltIn {
     /// The scene's family.
     pub fn scene(&self) -> Scene {
         toml::from_str::<Config>(self.text).expect("a built-in scene is a configuration").scene
+    }
+
+    /// An error if the scene has no use for a key of a layer, or if the layer names another scene.
+    pub fn accepts(&self, layer: &Layer) -> Result<(), BadInput> {
+        let keys: Vec<String> = described::<Config>(self.text).into_iter().map(|(path, _)| path).collect();
+        for (path, place) in layer.keys() {
+            let name = layer.string(path).unwrap_or_default();
+            if path == "scene" && name != self.name {
+                return Err(BadInput::new(format!("the run is one of scene {} already", self.name))
+                    .place(place)
+                    .allowed("the scene as the command's argument, or in a file")
+                    .advice(format!("hydrograd simulate {name}")));
+            }
+            if keys.iter().any(|key| key == path) {
+                continue;
+            }
+            let section = |path: &str| path.split('.').next().unwrap_or_default().to_string();
+            let own = section(path);
+            let mut near: Vec<String> = keys.iter().filter(|key| section(key) == own).cloned().collect();
+            if near.is_empty() {
+                near = keys.iter().map(|key| section(key)).filter(|section| section != "scene").collect();
+                near.dedup();
+            }
+            let what = match own.as_str() {
+                "design" | "objective" | "optimise" if self.name != SCENES[0].name => ", which has no design",
+                _ => "",
+            };
+            let bad = BadInput::new(format!("`{path}` is not a key of scene {}{what}", self.name))
+                .place(place)
+                .allowed(near.join(", "));
+            let has = |other: &BuiltIn| described::<Config>(other.text).iter().any(|(key, _)| key == path);
+            let others = SCENES.iter().filter(|other| has(other));
+            let others: Vec<&str> = others.map(|other| other.name).collect();
+            return Err(bad.advice(format!("leave it out, or take a scene that has it: {}", others.join(", "))));
+        }
+        Ok(())
     }
 }
 
@@ -84,7 +122,7 @@ pub fn preset(name: &str) -> Result<&'static BuiltIn, BadInput> {
     PRESETS
         .iter()
         .find(|preset| preset.name == name)
-        .ok_or_else(|| unknown("preset", name, PRESETS).place(format!("--preset {name}")))
+        .ok_or_else(|| unknown("preset", name, PRESETS).place(format!("preset {name}")))
 }
 
 /// "No such scene", with the names there are and the nearest one.

@@ -1,9 +1,12 @@
-//! Configuration: what a run is, as read from TOML and `key=value`.
+//! Configuration: what a run or a training is, as read from TOML and `key=value`.
 pub mod builtin;
 pub mod derived;
+pub mod difference;
 pub mod layers;
 pub mod memory_size;
+pub mod range;
 pub mod scene;
+pub mod schema;
 pub mod suggest;
 pub mod training;
 pub mod validate;

@@ -1,9 +1,27 @@
-//! What a training is: every number of it, as read from TOML or `--set`.
+//! What a training is: every number of it, as read from TOML and `key=value`. `data/training.toml` has a comment on every key.
 
-use crate::error::BadInput;
-use crate::surrogate::features::Features;
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::layers::{Layer, Merged, Setting};
+use crate::config::range::{Number, Range};
+use crate::config::schema::{Alternative, Schema};
+use crate::error::BadInput;
+
+/// The default settings, with a comment on every key.
+pub const TRAINING: &str = include_str!("../../data/training.toml");
+
+/// Most frames that a model may see: those that a rollout begins with.
+pub const MOST_FRAMES: usize = 6;
+
+/// Most steps that a prediction may be unrolled for pushforward.
+const MOST_UNROLLS: usize = 20;
+
+/// Keys that may change when a training goes on.
+pub const FREE: [&str; 6] =
+    ["steps", "log_every", "validate_every", "store_every", "validation_windows", "validation_steps"];
 
 /// A training's settings. Defaults follow LagrangeBench where it has them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -82,6 +100,24 @@ pub enum HeatModel {
     None,
 }
 
+/// Which features a model sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Features {
+    /// Frames of a window.
+    pub frames: usize,
+    /// Norms of the velocities.
+    pub speed: bool,
+    /// Distances to the ends of the box in directions that are not periodic.
+    pub boundary: bool,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self { frames: MOST_FRAMES, speed: false, boundary: true }
+    }
+}
+
 /// Training on the model's own predictions (Brandstetter, Worrall and Welling 2022): from step `after[k]` on, `unrolls[k]`
 /// steps without gradient before the one that is learned from come up with odds `odds[k]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -155,64 +191,127 @@ impl Pushforward {
     }
 }
 
+impl Schema for Settings {
+    const ALTERNATIVES: &'static [Alternative] = &[];
+    const FORM: &'static str = "KEY=VALUE, for example model.latent=128";
+    const HELP: &'static str = "`hydrograd help train` says how every key is printed with its meaning";
+
+    fn texts() -> Vec<&'static str> {
+        vec![TRAINING]
+    }
+
+    fn complete() -> Self {
+        let mut settings = Self::default();
+        settings.model.radius = Some(1.45);
+        settings
+    }
+
+    fn numbers(&self) -> Vec<Number> {
+        numbers(self)
+    }
+
+    fn usual(&self) -> (Self, &'static str) {
+        (Self::default(), "the default")
+    }
+
+    fn origin(&self) -> String {
+        "default of a training".into()
+    }
+
+    fn check_together(&self) -> Result<(), BadInput> {
+        if self.learning_rate_least > self.learning_rate {
+            return Err(BadInput::new(format!("learning_rate_least = {} is out of range", self.learning_rate_least))
+                .key("learning_rate_least")
+                .allowed(format!("learning_rate_least <= learning_rate, {}", self.learning_rate)));
+        }
+        self.pushforward.check()
+    }
+}
+
+/// Every number with its own range; of the seed every value is allowed.
+fn numbers(settings: &Settings) -> Vec<Number> {
+    use Range::{Above, AtLeast, Below, NotNegative, Positive, Within};
+    let Settings { model, features, .. } = settings;
+    vec![
+        ("steps", settings.steps as f64, AtLeast(1.0)),
+        ("batch_size", settings.batch_size as f64, Within(1.0, 4096.0)),
+        ("noise", settings.noise, NotNegative),
+        ("temperature_noise", settings.temperature_noise, NotNegative),
+        ("learning_rate", settings.learning_rate, Positive),
+        ("learning_rate_factor", settings.learning_rate_factor, Within(0.0, 1.0)),
+        ("learning_rate_steps", settings.learning_rate_steps as f64, AtLeast(1.0)),
+        ("learning_rate_least", settings.learning_rate_least, NotNegative),
+        ("weight_decay", settings.weight_decay, NotNegative),
+        ("clip", settings.clip, NotNegative),
+        ("ema", settings.ema, Below(0.0, 1.0)),
+        ("temperature_weight", settings.temperature_weight, NotNegative),
+        ("log_every", settings.log_every as f64, AtLeast(1.0)),
+        ("validate_every", settings.validate_every as f64, AtLeast(1.0)),
+        ("store_every", settings.store_every as f64, AtLeast(1.0)),
+        ("validation_windows", settings.validation_windows as f64, AtLeast(1.0)),
+        ("validation_steps", settings.validation_steps as f64, AtLeast(1.0)),
+        ("model.latent", model.latent as f64, Within(1.0, 4096.0)),
+        ("model.rounds", model.rounds as f64, Within(1.0, 100.0)),
+        ("model.linears", model.linears as f64, Within(2.0, 8.0)),
+        ("model.radius", model.radius.unwrap_or(10.0), Above(1.0, 10.0)),
+        ("model.embedding", model.embedding as f64, AtLeast(1.0)),
+        ("features.frames", features.frames as f64, Within(2.0, MOST_FRAMES as f64)),
+    ]
+}
+
+impl Pushforward {
+    /// Three lists that belong together.
+    fn check(&self) -> Result<(), BadInput> {
+        let Self { after, unrolls, odds } = self;
+        if after.len() != unrolls.len() || after.len() != odds.len() || after.first() != Some(&-1) {
+            return Err(BadInput::new("pushforward's after, unrolls and odds do not belong together")
+                .key("pushforward.after")
+                .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
+                .advice("pushforward.after=[-1] pushforward.unrolls=[0] pushforward.odds=[1]"));
+        }
+        let wrong = |key: &str, value: String, allowed: String| {
+            let bad = BadInput::new(format!("{key} = {value} is out of range")).key(key);
+            Err(bad.allowed(format!("{key} {allowed}")))
+        };
+        if after.windows(2).any(|pair| pair[1] <= pair[0]) {
+            return wrong("pushforward.after", format!("{after:?}"), "must grow".into());
+        }
+        if odds.iter().any(|&odds| !(odds > 0.0 && odds.is_finite())) {
+            return wrong("pushforward.odds", format!("{odds:?}"), "must be > 0".into());
+        }
+        if self.most() > MOST_UNROLLS {
+            return wrong("pushforward.unrolls", format!("{unrolls:?}"), format!("<= {MOST_UNROLLS}"));
+        }
+        Ok(())
+    }
+}
+
 impl Settings {
-    /// The defaults, or a file, and `key=value` over them. Without a file the model is that of `like`, if there is one:
-    /// the training whose parameters are taken over.
+    /// Loads and checks a training. Layers, later ones win: the defaults, the file, each of `sets` (`key=value`). Without a
+    /// file the model and its features are those of `like`, if there is one: the training whose parameters are taken over.
     ///
     /// # Errors
-    /// Unreadable file, unknown key, wrong type or range.
+    /// Unreadable file; unknown key, wrong type or range, with the place where it was set.
     pub fn load(file: Option<&Path>, like: Option<&Self>, sets: &[String]) -> Result<Self, BadInput> {
-        let like = like.map(|like| Self { model: like.model.clone(), features: like.features, ..Self::default() });
-        let (mut text, mut place) = (like.map_or(String::new(), |like| like.text()), "--set".to_owned());
-        if let Some(path) = file {
-            place = path.display().to_string();
-            text = std::fs::read_to_string(path).map_err(|error| {
-                BadInput::new(format!("cannot read {place}: {error}"))
-                    .place(format!("--config {place}"))
-                    .allowed("a TOML file with settings of a training")
-                    .advice("leave it out for the defaults, or take the config.toml of an earlier training")
-            })?;
-        }
-        let mut settings = Self::parse(&text, &place)?;
-        for set in sets {
-            let place = format!("--set {set}");
-            let (key, value) = set.split_once('=').ok_or_else(|| {
-                BadInput::new("there is no `=` in it")
-                    .place(&place)
-                    .allowed("KEY=VALUE")
-                    .advice("--set model.latent=128")
-            })?;
-            let mut document = settings.document();
-            let value = value.trim();
-            // What is no TOML value is meant as a text, so that `--set model.kind=egnn` needs no quotes.
-            let value = value.parse().unwrap_or_else(|_| toml_edit::Value::from(value));
-            let mut item = document.as_item_mut();
-            for part in key.trim().split('.') {
-                item = &mut item[part];
+        let settings: Vec<Setting> = sets.iter().map(|text| Setting::set(text)).collect();
+        Self::load_settings(file, like, &settings)
+    }
+
+    /// [`Settings::load`] with the options' own names in error messages.
+    pub fn load_settings(file: Option<&Path>, like: Option<&Self>, settings: &[Setting]) -> Result<Self, BadInput> {
+        let mut merged = Merged::new(TRAINING, BTreeMap::new());
+        match (file, like) {
+            (Some(path), _) => merged.apply::<Self>(&read(path)?),
+            (None, Some(like)) => {
+                let like = Self { model: like.model.clone(), features: like.features, ..Self::default() };
+                merged.apply::<Self>(&Layer::from_value(&like, "the training to begin with"));
             }
-            *item = toml_edit::value(value);
-            settings = Self::parse(&document.to_string(), &place)?;
+            (None, None) => {}
         }
-        settings.check()?;
-        Ok(settings)
-    }
-
-    fn parse(text: &str, place: &str) -> Result<Self, BadInput> {
-        toml::from_str(text).map_err(|error| {
-            let line = error.span().map(|span| text[..span.start.min(text.len())].lines().count().max(1));
-            let line = line.and_then(|line| text.lines().nth(line - 1)).unwrap_or_default().trim();
-            let problem = match (place.starts_with("--set"), line) {
-                (true, _) | (_, "") => error.message().to_owned(),
-                (false, line) => format!("{} (at `{line}`)", error.message()),
-            };
-            BadInput::new(problem)
-                .place(place.to_owned())
-                .allowed("the keys and types that `hydrograd train --print-config` shows")
-        })
-    }
-
-    fn document(&self) -> toml_edit::DocumentMut {
-        self.text().parse().unwrap_or_default()
+        for setting in settings {
+            merged.apply::<Self>(&Layer::from_setting::<Self>(setting)?);
+        }
+        merged.checked(|_| Ok(()))
     }
 
     /// As TOML.
@@ -220,100 +319,111 @@ impl Settings {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The same with the keys that are absent by default as comments.
+    /// The same with a comment on every key, those included that are absent.
     pub fn shown(&self) -> String {
-        match self.model.radius {
-            Some(_) => self.text(),
-            None => self
-                .text()
-                .replace("[model]\n", "[model]\n# Spacings; without it the data set's own.\n# radius = 1.45\n"),
+        let mut merged = Merged::new(TRAINING, BTreeMap::new());
+        merged.apply::<Self>(&Layer::from_value(self, ""));
+        merged.text()
+    }
+}
+
+/// A file with settings.
+fn read(path: &Path) -> Result<Layer, BadInput> {
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        BadInput::new(format!("cannot read {name}: {error}"))
+            .allowed("a TOML file with settings of a training")
+            .advice("leave it out for the defaults, or take the config.toml of an earlier training")
+    })?;
+    Layer::from_text::<Settings>(&name, &text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::schema::{described, known_keys};
+
+    fn load(sets: &[&str]) -> Result<Settings, BadInput> {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        Settings::load(None, None, &sets)
+    }
+
+    fn refused(sets: &[&str], parts: &[&str]) {
+        let message = load(sets).unwrap_err().to_string();
+        for part in parts {
+            assert!(message.contains(part), "no `{part}` in: {message}");
         }
     }
 
-    fn check(&self) -> Result<(), BadInput> {
-        let wrong = |key: &str, value: &dyn std::fmt::Display, allowed: &str| {
-            Err(BadInput::new(format!("{key} = {value} is out of range")).allowed(format!("{key} {allowed}")))
+    #[test]
+    fn the_commented_text_is_the_default_and_describes_every_key() {
+        assert_eq!(toml::from_str::<Settings>(TRAINING).unwrap(), Settings::default());
+        assert_eq!(Settings::default().shown(), TRAINING);
+        let described = described::<Settings>(TRAINING);
+        let keys: Vec<&String> = described.iter().map(|(key, _)| key).collect();
+        assert_eq!(keys.len(), known_keys::<Settings>().len());
+        for key in known_keys::<Settings>() {
+            assert!(keys.contains(&&key), "{key}");
+        }
+        for (key, comment) in &described {
+            assert!(comment.ends_with('.') && comment.len() > 20, "{key}: {comment}");
+        }
+    }
+
+    #[test]
+    fn what_is_shown_reads_back() {
+        let sets =
+            ["noise=1e-3", "model.radius=2.5", "model.kind=egnn", "pushforward.after=[-1, 2, 3, 4]", "steps = 7"];
+        let settings = load(&sets).unwrap();
+        assert_eq!((settings.noise, settings.model.radius, settings.model.kind), (1e-3, Some(2.5), Kind::Egnn));
+        assert_eq!((settings.steps, settings.pushforward.after[1]), (7, 2));
+        for text in [settings.shown(), settings.text()] {
+            assert_eq!(toml::from_str::<Settings>(&text).unwrap(), settings, "{text}");
+        }
+        assert_eq!(settings.shown().matches("\n# ").count(), TRAINING.matches("\n# ").count(), "comments stay");
+    }
+
+    #[test]
+    fn later_layers_win() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("train.toml");
+        std::fs::write(&file, "noise = 1e-3\n[model]\nlatent = 16\nrounds = 3\n").unwrap();
+        let mut like = Settings { noise: 0.5, ..Settings::default() };
+        (like.model.latent, like.features.speed) = (8, true);
+        let sets = ["model.rounds=4".to_string()];
+        let with_file = Settings::load(Some(&file), Some(&like), &sets).unwrap();
+        assert_eq!((with_file.noise, with_file.model.latent, with_file.model.rounds), (1e-3, 16, 4));
+        assert!(!with_file.features.speed);
+        // Without a file: the other training's model, but not its other settings.
+        let without = Settings::load(None, Some(&like), &sets).unwrap();
+        assert_eq!((without.noise, without.model.latent, without.model.rounds), (3e-4, 8, 4));
+        assert!(without.features.speed);
+    }
+
+    #[test]
+    fn messages_have_place_allowed_values_and_advice() {
+        refused(&["model.latentt=8"], &["model.latentt=8: unknown field `latentt`", "rounds", "try: `latent`"]);
+        refused(&["latent=8"], &["unknown field `latent`", "try: `model.latent`"]);
+        refused(&["model.kind=gn"], &["`gn`", "gns, egnn", "try: `gns`"]);
+        refused(&["noise=much"], &["noise=much", "a number", "allowed: noise: Standard deviation", ">= 0"]);
+        refused(&["ema=1"], &["ema=1: ema = 1", "0 <= ema < 1", "the default ema = 0"]);
+        refused(&["learning_rate_least=1"], &["learning_rate_least=1: ", "<= learning_rate, 0.0005"]);
+        refused(&["learning_rate=1e-7"], &["default of a training: learning_rate_least = 0.000001"]);
+        refused(&["noise"], &["there is no `=`", "model.latent=128"]);
+        refused(&["pushforward.after=[-1, 5, 4, 6]"], &["pushforward.after = [-1, 5, 4, 6]", "must grow"]);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("train.toml");
+        let of_file = |text: &str, parts: &[&str]| {
+            std::fs::write(&file, text).unwrap();
+            let message = Settings::load(Some(&file), None, &[]).unwrap_err().to_string();
+            for part in parts {
+                assert!(message.contains(part), "no `{part}` in: {message}");
+            }
         };
-        let at_least = [
-            ("steps", self.steps as usize, 1),
-            ("batch_size", self.batch_size, 1),
-            ("log_every", self.log_every as usize, 1),
-            ("validate_every", self.validate_every as usize, 1),
-            ("store_every", self.store_every as usize, 1),
-            ("validation_windows", self.validation_windows, 1),
-            ("validation_steps", self.validation_steps, 1),
-            ("model.latent", self.model.latent, 1),
-            ("model.rounds", self.model.rounds, 1),
-            ("model.linears", self.model.linears, 2),
-            ("model.embedding", self.model.embedding, 1),
-            ("features.frames", self.features.frames, 2),
-            ("learning_rate_steps", self.learning_rate_steps as usize, 1),
-        ];
-        for (key, value, least) in at_least {
-            if value < least {
-                return wrong(key, &value, &format!(">= {least}"));
-            }
-        }
-        let most = [
-            ("model.latent", self.model.latent, 4096),
-            ("model.rounds", self.model.rounds, 100),
-            ("model.linears", self.model.linears, 8),
-            // The rollout's driver shows a model no more.
-            ("features.frames", self.features.frames, crate::surrogate::evaluation::rollout::HISTORY),
-            ("batch_size", self.batch_size, 4096),
-        ];
-        for (key, value, most) in most {
-            if value > most {
-                return wrong(key, &value, &format!("<= {most}"));
-            }
-        }
-        let not_negative = [
-            ("noise", self.noise),
-            ("temperature_noise", self.temperature_noise),
-            ("learning_rate_factor", self.learning_rate_factor),
-            ("learning_rate_least", self.learning_rate_least),
-            ("weight_decay", self.weight_decay),
-            ("clip", self.clip),
-            ("temperature_weight", self.temperature_weight),
-        ];
-        for (key, value) in not_negative {
-            if !(value >= 0.0 && value.is_finite()) {
-                return wrong(key, &value, ">= 0");
-            }
-        }
-        if !(self.learning_rate > 0.0 && self.learning_rate.is_finite()) {
-            return wrong("learning_rate", &self.learning_rate, "> 0");
-        }
-        if self.learning_rate_factor > 1.0 {
-            return wrong("learning_rate_factor", &self.learning_rate_factor, "<= 1: the rate decays");
-        }
-        if self.learning_rate_least > self.learning_rate {
-            let allowed = format!("<= learning_rate, {}", self.learning_rate);
-            return wrong("learning_rate_least", &self.learning_rate_least, &allowed);
-        }
-        if !(0.0..1.0).contains(&self.ema) {
-            return wrong("ema", &self.ema, ">= 0 and < 1, such as 0.999");
-        }
-        if let Some(radius) = self.model.radius {
-            if !(radius > 1.0 && radius <= 10.0) {
-                return wrong("model.radius", &radius, "> 1 and <= 10 spacings");
-            }
-        }
-        let p = &self.pushforward;
-        if p.after.len() != p.unrolls.len() || p.after.len() != p.odds.len() || p.after.first() != Some(&-1) {
-            return Err(BadInput::new("pushforward's after, unrolls and odds do not belong together")
-                .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
-                .advice("--set pushforward.after=[-1] --set pushforward.unrolls=[0] --set pushforward.odds=[1]"));
-        }
-        if p.after.windows(2).any(|w| w[1] <= w[0]) {
-            return wrong("pushforward.after", &format!("{:?}", p.after), "must grow");
-        }
-        if p.odds.iter().any(|&odds| !(odds > 0.0 && odds.is_finite())) {
-            return wrong("pushforward.odds", &format!("{:?}", p.odds), "must be > 0");
-        }
-        if p.most() > 20 {
-            return wrong("pushforward.unrolls", &format!("{:?}", p.unrolls), "<= 20");
-        }
-        Ok(())
+        of_file("steps = 5\n[model]\nlatent = 0\n", &["train.toml, line 3", "1 <= model.latent <= 4096", "= 64"]);
+        of_file("steps = 5\nnoise = \"a lot\"\n", &["line 2", "noise = \"a lot\"", "a number", "Length, >= 0"]);
+        of_file("[optimizer]\n", &["line 1", "unknown field `optimizer`"]);
+        let missing = Settings::load(Some(&folder.path().join("none.toml")), None, &[]).unwrap_err().to_string();
+        assert!(missing.contains("cannot read") && missing.contains("none.toml"), "{missing}");
     }
 }

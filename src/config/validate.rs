@@ -1,8 +1,10 @@
-//! Ranges of every number, and the conditions that link them.
+//! Scenes for the loader: the range of every number, and the conditions that link them.
 
+use crate::config::builtin::SCENES;
+use crate::config::range::{Number, Range};
 use crate::config::scene::{Config, GradientMode, Precision, Scene};
-use crate::design::shape::Shape;
-use crate::error::{BadInput, Error};
+use crate::config::schema::{Alternative, Schema};
+use crate::error::BadInput;
 
 /// More particles than this are a slip in `resolution.dx` rather than a wish.
 const MAX_PARTICLES: f64 = 1e8;
@@ -13,43 +15,56 @@ const MAX_STEPS: f64 = 1e9;
 /// Number of spacings counts as whole within this.
 const WHOLE: f64 = 1e-6;
 
-/// The range of one number.
-#[derive(Debug, Clone, Copy)]
-enum Range {
-    Finite,
-    Positive,
-    NotNegative,
-    /// Both ends included.
-    Within(f64, f64),
-    /// Above the first, up to the second.
-    Above(f64, f64),
-}
+impl Schema for Config {
+    const ALTERNATIVES: &'static [Alternative] = &[
+        (&["time.end"], &["time.steps"]),
+        (&["design.shape"], &["design.offsets", "design.file"]),
+        (&["design.offsets"], &["design.file"]),
+        (&["design.file"], &["design.offsets", "design.nodes"]),
+    ];
+    const FORM: &'static str = "section.key=value, for example time.end=1.5";
+    const HELP: &'static str = "`hydrograd scenes heated-channel` prints every key with its meaning";
 
-impl Range {
-    fn contains(self, value: f64) -> bool {
-        value.is_finite()
-            && match self {
-                Self::Finite => true,
-                Self::Positive => value > 0.0,
-                Self::NotNegative => value >= 0.0,
-                Self::Within(low, high) => (low..=high).contains(&value),
-                Self::Above(low, high) => low < value && value <= high,
-            }
+    fn texts() -> Vec<&'static str> {
+        SCENES.iter().map(|scene| scene.text).collect()
     }
 
-    fn describe(self, key: &str) -> String {
-        match self {
-            Self::Finite => format!("{key}: any finite number"),
-            Self::Positive => format!("{key} > 0, finite"),
-            Self::NotNegative => format!("{key} >= 0, finite"),
-            Self::Within(low, high) => format!("{low} <= {key} <= {high}"),
-            Self::Above(low, high) => format!("{low} < {key} <= {high}"),
+    fn complete() -> Self {
+        let mut config = Self::default();
+        config.time.steps = Some(1);
+        config.design.nodes = Some(vec![]);
+        config.design.offsets = Some(vec![]);
+        config.design.file = Some(String::new());
+        config
+    }
+
+    fn numbers(&self) -> Vec<Number> {
+        numbers(self)
+    }
+
+    fn usual(&self) -> (Self, &'static str) {
+        (self.scene.defaults(), "the built-in scene's")
+    }
+
+    fn origin(&self) -> String {
+        format!("default of scene {}", self.scene.built_in().name)
+    }
+
+    fn check_together(&self) -> Result<(), BadInput> {
+        if self.scene != Scene::HeatedChannel {
+            self.check_box()?;
+            return self.check_steps();
         }
+        self.check_spacing()?;
+        self.check_channel()?;
+        self.check_time()?;
+        self.check_bound()?;
+        self.check_store()
     }
 }
 
-/// Every number with its own range (arrays are checked by [`Shape`]).
-fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
+/// Every number with its own range (the wall's arrays are checked as a shape).
+fn numbers(config: &Config) -> Vec<Number> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
     let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
         config;
@@ -102,32 +117,6 @@ fn numbers(config: &Config) -> Vec<(&'static str, f64, Range)> {
 }
 
 impl Config {
-    /// Checks every number and how they fit together; the first thing wrong is the error.
-    pub fn validate(&self) -> Result<(), Error> {
-        Ok(self.check()?)
-    }
-
-    pub(crate) fn check(&self) -> Result<(), BadInput> {
-        for ((key, value, range), (_, default, _)) in numbers(self).into_iter().zip(numbers(&self.scene.defaults())) {
-            if !range.contains(value) {
-                return Err(BadInput::new(format!("{key} = {value} is out of range"))
-                    .key(key)
-                    .allowed(range.describe(key))
-                    .advice(format!("the built-in scene's {key} = {default}")));
-            }
-        }
-        if self.scene != Scene::HeatedChannel {
-            self.check_box()?;
-            return self.check_steps();
-        }
-        self.check_spacing()?;
-        self.check_channel()?;
-        self.check_time()?;
-        self.check_bound()?;
-        self.check_store()?;
-        Shape::from_config(self).map(|_| ())
-    }
-
     /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
     fn fluid_rows(&self) -> f64 {
         2.0 * self.support()
@@ -164,7 +153,7 @@ impl Config {
                     .key("resolution.dx")
                     .allowed("whole numbers of spacings in channel.length and channel.height");
                 let near = nearest_spacings(dx, channel.length, channel.height);
-                let near: Vec<String> = near.iter().map(|dx| format!("--set resolution.dx={dx}")).collect();
+                let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
                 return Err(match near.is_empty() {
                     true => bad.advice("another channel.height: a simple fraction of channel.length"),
                     false => bad.advice(near.join(" or ")),
@@ -252,12 +241,12 @@ impl Config {
             };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
-                .advice(format!("--set resolution.dx={}", size / fewest.ceil())));
+                .advice(format!("resolution.dx={}", size / fewest.ceil())));
         }
         if !is_whole(size / dx) {
             return Err(bad(format!("resolution.dx = {dx} does not divide {text}"))
                 .allowed(format!("{size} over a whole number"))
-                .advice(format!("--set resolution.dx={}", size / count)));
+                .advice(format!("resolution.dx={}", size / count)));
         }
         Ok(())
     }
@@ -269,7 +258,7 @@ impl Config {
             return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
                 .key("objective.window")
                 .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
-                .advice("--set objective.window=0, or a larger time.end or time.steps"));
+                .advice("objective.window=0, or a larger time.end or time.steps"));
         }
         let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
         if window > 0.0 && self.objective.samples > steps {
@@ -333,7 +322,7 @@ impl Config {
         if bound > limit * whole {
             let rows = (bound / dx - 1e-9).ceil();
             let why = format!("the {} wall rows must cover it", channel.wall_rows);
-            return fail(limit, &why, format!("--set channel.wall_rows={rows}"));
+            return fail(limit, &why, format!("channel.wall_rows={rows}"));
         }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
         // than two rows lie within the usual support of 3 dx.
@@ -370,30 +359,6 @@ fn nearest_spacings(dx: f64, length: f64, height: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn default_is_valid() {
-        Config::default().validate().unwrap();
-    }
-
-    /// A configuration key without a range would be a number that is never checked.
-    #[test]
-    fn every_number_has_a_range() {
-        let with_range: Vec<&str> = numbers(&Config::default()).iter().map(|(key, _, _)| *key).collect();
-        let mut config = Config::default();
-        config.time.steps = Some(1);
-        let table = toml::Table::try_from(&config).unwrap();
-        for (section, keys) in table.iter().filter_map(|(name, value)| Some((name, value.as_table()?))) {
-            for (key, value) in keys {
-                let path = format!("{section}.{key}");
-                let number = value.is_integer() || value.is_float();
-                // Every seed is allowed.
-                if number && path != "run.seed" {
-                    assert!(with_range.contains(&path.as_str()), "{path} has no range");
-                }
-            }
-        }
-    }
 
     #[test]
     fn nearest_spacings_divide_both() {

@@ -626,7 +626,7 @@ mod x86 {
     }
 
     /// Records loaded whole (128 or 256 bits each) and transposed in registers: measured 3.2 times faster
-    /// than hardware gathers (reference/floor).
+    /// than hardware gathers.
     #[allow(non_snake_case)]
     mod gather4 {
         use super::*;

@@ -2,4 +2,5 @@
 pub mod blocks;
 pub mod candle;
 pub mod lanes;
+pub mod pool;
 pub mod random;

@@ -8,7 +8,7 @@ use crate::config::scene::{Config, Scene};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
-use crate::sph::kernel::Quintic;
+use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Layout, Model, Scratch};
@@ -325,7 +325,7 @@ impl Parts {
         let model = Model {
             domain: Domain { dimension, size, periodic },
             layout,
-            kernel: Quintic::new(dimension, spacing),
+            kernel: Kernel::new(KernelName::QuinticSpline, dimension, spacing),
             tags,
             skin: numerics.skin * spacing,
             dt,
@@ -337,6 +337,7 @@ impl Parts {
                 gamma: 1,
             },
             viscosity: self.kinematic_viscosity,
+            artificial_viscosity: None,
             // Independent of the time step: the strength that dt at CFL 0.25 gives.
             transport: numerics.transport_velocity * 0.25 * spacing / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,

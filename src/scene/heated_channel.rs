@@ -15,7 +15,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
 use crate::sph::dynamics::Sph;
-use crate::sph::kernel::Quintic;
+use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::model::{Heat, Layout, Model, Scratch};
@@ -80,7 +80,7 @@ impl<R: Real> HeatedChannel<R> {
                 periodic: [true, false, false],
             },
             layout,
-            kernel: Quintic::new(2, dx),
+            kernel: Kernel::new(KernelName::QuinticSpline, 2, dx),
             skin: config.time.skin * dx,
             dt: config.time_step(),
             mass: config.fluid.density * dx * dx,
@@ -91,6 +91,7 @@ impl<R: Real> HeatedChannel<R> {
                 gamma: 1,
             },
             viscosity: config.fluid.viscosity,
+            artificial_viscosity: None,
             transport: config.fluid.transport_velocity * 0.25 * dx
                 / (sound_speed + config.fluid.reference_velocity)
                 / config.time_step(),

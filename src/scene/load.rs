@@ -1,4 +1,4 @@
-//! From a scene's name or file, a preset and `--set` options to a checked configuration.
+//! From a scene's name or file, a preset and settings to a checked configuration.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,9 @@ use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::scene::{Config, Scene};
+use crate::config::schema::Schema;
 use crate::design::shape;
+use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
 
 /// Where a configuration began.
@@ -73,6 +75,12 @@ impl Config {
     ) -> Result<Loaded, Error> {
         Ok(load(scene_or_file, preset, settings)?)
     }
+
+    /// Checks every number, how they fit together, and the wall's shape; the first thing wrong is the error.
+    pub fn validate(&self) -> Result<(), Error> {
+        self.check()?;
+        Ok(check_shape(self)?)
+    }
 }
 
 impl Loaded {
@@ -85,9 +93,9 @@ impl Loaded {
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = Merged::new(&self.text, self.places.clone());
         for setting in settings {
-            let layer = Layer::from_setting(setting)?;
-            layer.fits(self.config.scene.built_in())?;
-            merged.apply(&layer);
+            let layer = Layer::from_setting::<Config>(setting)?;
+            self.config.scene.built_in().accepts(&layer)?;
+            merged.apply::<Config>(&layer);
         }
         Ok(finish(merged, self.source.clone())?)
     }
@@ -98,18 +106,18 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     let mut merged = Merged::new(base.text, BTreeMap::new());
     if let Some(name) = preset {
         let preset = builtin::preset(name)?;
-        let layer = Layer::from_text(&format!("preset {name}"), preset.text)?;
-        layer.fits(base)?;
-        merged.apply(&layer);
+        let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text)?;
+        base.accepts(&layer)?;
+        merged.apply::<Config>(&layer);
     }
     if let Some(layer) = file {
-        layer.fits(base)?;
-        merged.apply(&layer);
+        base.accepts(&layer)?;
+        merged.apply::<Config>(&layer);
     }
     for setting in settings {
-        let layer = Layer::from_setting(setting)?;
-        layer.fits(base)?;
-        merged.apply(&layer);
+        let layer = Layer::from_setting::<Config>(setting)?;
+        base.accepts(&layer)?;
+        merged.apply::<Config>(&layer);
     }
     finish(merged, source)
 }
@@ -122,7 +130,8 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     let path = Path::new(name);
     let text = std::fs::read_to_string(path).map_err(|error| unreadable(name, path, &error))?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let layer = Layer::from_text(name, &text)?.relative_to(folder);
+    let layer = Layer::from_text::<Config>(name, &text)?
+        .change("design.file", |file| folder.join(file).to_string_lossy().into());
     let family = layer.string("scene").unwrap_or(SCENES[0].name);
     // The file was read as a Config, so its family exists.
     let scene = builtin::scene(family).expect("every scene family has a built-in scene");
@@ -153,16 +162,7 @@ fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
 }
 
 fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
-    let read = |merged: &Merged| -> Config {
-        toml::from_str(&merged.text()).expect("every layer was read as a Config, so their union is one")
-    };
-    let mut config = read(&merged);
-    let scene = config.scene.built_in().name;
-    let place_of = |merged: &Merged, key: &str| {
-        let key = key.split('[').next().unwrap_or(key);
-        let default = || format!("default of scene {scene}");
-        Some(merged.places().get(key).cloned().unwrap_or_else(default))
-    };
+    let mut config: Config = merged.read();
     if let Some(file) = config.design.file.clone() {
         if config.design.offsets.is_none() && config.design.nodes.is_none() {
             let columns =
@@ -174,15 +174,22 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
             merged.set("design.nodes", array(columns.nodes), &file);
             merged.set("design.offsets", array(columns.offsets), &file);
-            config = read(&merged);
+            config = merged.read();
         }
     }
     if config.scene == Scene::HeatedChannel {
         fit_defaults(&mut merged, &config);
     }
-    let config = read(&merged);
-    config.check().map_err(|bad| bad.located(|key| place_of(&merged, key)))?;
+    let config = merged.checked(check_shape)?;
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })
+}
+
+/// The wall's shape, which configurations know nothing of.
+fn check_shape(config: &Config) -> Result<(), BadInput> {
+    match config.scene.has_design() {
+        true => Shape::from_config(config).map(|_| ()),
+        false => Ok(()),
+    }
 }
 
 /// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more

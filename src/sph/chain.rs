@@ -41,7 +41,9 @@ impl<R: Real> Chain<R> {
     }
 
     fn with(step: Arc<Step<R>>, after: Option<Tensor>, carries: bool) -> Arc<Self> {
-        let kept = Mutex::new(step.model.scratch.take_cache());
+        // With arbitrary content, and not marked as having any.
+        let kept = step.model.scratch.caches.take().unwrap_or_default();
+        let kept = Mutex::new(PairCache { has_pairs: false, has_records: false, ..kept });
         Arc::new(Self { step, kept, after, carries, moved_bar: Mutex::new(None) })
     }
 
@@ -85,6 +87,6 @@ impl<R: Real> Chain<R> {
 impl<R: Real> Drop for Chain<R> {
     fn drop(&mut self) {
         let kept = std::mem::take(self.kept.get_mut().unwrap_or_else(|e| e.into_inner()));
-        self.step.model.scratch.give_back_cache(kept);
+        self.step.model.scratch.caches.give_back(kept);
     }
 }

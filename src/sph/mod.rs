@@ -1,7 +1,7 @@
 //! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
 pub mod chain;
 pub mod dynamics;
-pub mod kernel;
+pub mod kernels;
 pub mod laws;
 pub mod model;
 pub mod operators;

@@ -10,6 +10,9 @@ use crate::particles::Neighbourhood;
 use crate::report::table::Table;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::laws::{with_laws, PairLaw};
+use crate::sph::operators::pairs::stride;
+use crate::sph::operators::rates::record_fields;
 use crate::sph::Sweeps;
 use serde::Serialize;
 use std::fmt;
@@ -304,7 +307,7 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
     let averaged = d * (1 + l.transport as usize) + 1 + l.heat as usize;
     let extrapolates = !list.wall_rows.is_empty();
     all.push(Operator {
-        name: "primitives",
+        name: "wall condition",
         does: words(&[
             (true, "copy of the fluid's fields"),
             (extrapolates, "walls: pressure, density and velocity from the fluid (Adami 2012)"),
@@ -317,16 +320,10 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
         bytes_written: row(l.primitive_rows()),
         bytes_gathered: if extrapolates { (d + averaged) * number * wall_pairs } else { 0 },
     });
-    let record = (2 * d + 2 + if l.transport { d } else { 0 } + l.heat as usize).next_multiple_of(4);
+    let record = stride(record_fields(d, l.transport, l.heat));
     all.push(Operator {
         name: "rates",
-        does: words(&[
-            (true, "pressure"),
-            (true, "viscosity"),
-            (l.transport, "transport velocity: stress and background pressure"),
-            (l.heat, "conduction"),
-            (model.body_force != BodyForce::None, "body force"),
-        ]),
+        does: laws(model),
         rows: list.fluid_rows.len(),
         pairs: fluid_pairs,
         bytes_read: row(d + l.primitive_rows() + l.mass as usize) + 4 * fluid_pairs,
@@ -334,7 +331,7 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
         bytes_gathered: record * number * fluid_pairs,
     });
     all.push(Operator {
-        name: "advance",
+        name: "assemble",
         does: words(&[(true, "the new state from its parts"), (l.heat, "inlet temperature")]),
         rows: n,
         pairs: 0,
@@ -343,6 +340,16 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
         bytes_gathered: 0,
     });
     all
+}
+
+/// The laws of the pair pass, and what acts on each particle alone.
+fn laws<R: Sweeps>(model: &Model<R>) -> Vec<String> {
+    let mut names = Vec::new();
+    with_laws!(model, |laws, _D| laws.name(&mut names));
+    if model.body_force != BodyForce::None {
+        names.push("body force");
+    }
+    names.into_iter().map(String::from).collect()
 }
 
 fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> {

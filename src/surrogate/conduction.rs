@@ -13,7 +13,7 @@ use crate::dataset::{kind, Heat, Metadata};
 use crate::numerics::lanes::{Lanes, PortableF64};
 use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
-use crate::sph::kernel::Quintic;
+use crate::sph::kernels::{Kernel, KernelName};
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;
@@ -22,7 +22,7 @@ pub struct Conduction<'a> {
     scenery: Scenery<'a>,
     heat: &'a Heat,
     domain: Domain,
-    kernel: Quintic,
+    kernel: Kernel,
     tags: Vec<u8>,
 }
 
@@ -34,7 +34,13 @@ impl<'a> Conduction<'a> {
         let Some(heat) = &metadata.heat else { anyhow::bail!("the data set has no heat, so nothing conducts") };
         let domain = metadata.domain();
         let tags = scenery.kind.iter().map(|&k| if k == kind::FLUID { tag::FLUID } else { tag::WALL }).collect();
-        Ok(Self { scenery: *scenery, heat, domain, kernel: Quintic::new(metadata.dim, metadata.dx), tags })
+        Ok(Self {
+            scenery: *scenery,
+            heat,
+            domain,
+            kernel: Kernel::new(KernelName::QuinticSpline, metadata.dim, metadata.dx),
+            tags,
+        })
     }
 
     /// Temperatures `[N]` one frame later, when particles have come to `next` `[N, D]`.

@@ -9,10 +9,10 @@
 //! s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
 use super::predictor::Scenery;
+pub use crate::config::training::Features;
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
-use crate::surrogate::network::gather::{gather, End};
-use crate::surrogate::network::graph::Graph;
+use crate::surrogate::network::graph::{Ends, Graph};
 use candle_core::{DType, Device, Result, Tensor};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -67,24 +67,6 @@ impl Normalisation {
             mean.fill(0.0);
             scale.fill(root);
         }
-    }
-}
-
-/// Which features there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Features {
-    /// W.
-    pub frames: usize,
-    /// Norms of the velocities.
-    pub speed: bool,
-    /// Distances to the ends of the box in directions that are not periodic.
-    pub boundary: bool,
-}
-
-impl Default for Features {
-    fn default() -> Self {
-        Self { frames: 6, speed: false, boundary: true }
     }
 }
 
@@ -192,7 +174,8 @@ impl Features {
         }
         let nodes = Tensor::cat(&columns, 1)?.to_dtype(dtype)?;
 
-        let (to, from) = (gather(last, &graph, End::Receiver)?, gather(last, &graph, End::Sender)?);
+        let ends = Ends::new(&graph, last.device())?;
+        let (to, from) = (ends.of_receivers(last)?, ends.of_senders(last)?);
         let relative = (displacement(&to, &from, metadata)? / normalisation.radius)?;
         let edges = Tensor::cat(&[&relative, &length(&relative)?], 1)?.to_dtype(dtype)?;
         let kinds: Vec<u32> = scenery.kind.iter().map(|&k| if k == kind::PADDING { 8 } else { k as u32 }).collect();
@@ -216,28 +199,31 @@ fn length(x: &Tensor) -> Result<Tensor> {
 }
 
 /// a - b, the nearest image of it in periodic directions; `[N, D]`.
+///
+/// # Errors
+/// Tensor errors.
 pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tensor> {
-    let difference = (a - b)?;
-    if !metadata.periodic().contains(&true) {
-        return Ok(difference);
-    }
     let domain = metadata.domain();
-    let row = |values: [f64; 3]| Tensor::from_slice(&values[..metadata.dim], (1, metadata.dim), &Device::Cpu);
-    // Which image it is does not change with an infinitesimal step: a constant as far as derivatives go.
-    let turns = difference.detach().broadcast_mul(&row(domain.inverse_period())?)?.round()?;
-    difference - turns.broadcast_mul(&row(domain.size)?)?
+    by_direction(&(a - b)?, metadata, |d, difference| domain.nearest_of(d, difference))
 }
 
 /// Positions wrapped into the box in periodic directions; `[N, D]`.
+///
+/// # Errors
+/// Tensor errors.
 pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
-    let (size, periodic) = (metadata.size(), metadata.periodic());
-    let n = position.dim(0)?;
-    let mut shift = position.detach().flatten_all()?.to_vec1::<f64>()?;
-    for (at, x) in shift.iter_mut().enumerate() {
-        let d = at % metadata.dim;
-        let lo = metadata.bounds[d][0];
-        let turns = if periodic[d] { ((*x - lo) / size[d]).floor() } else { 0.0 };
-        *x = -turns * size[d];
+    let domain = metadata.domain();
+    by_direction(position, metadata, |d, coordinate| match (domain.periodic[d], metadata.bounds[d][0]) {
+        (true, low) => domain.wrapped_of(d, &(coordinate - low)?)? + low,
+        (false, _) => Ok(coordinate.clone()),
+    })
+}
+
+/// Changes the columns of `x` `[N, D]`, each that of a direction, where the box is periodic in any.
+fn by_direction(x: &Tensor, metadata: &Metadata, f: impl Fn(usize, &Tensor) -> Result<Tensor>) -> Result<Tensor> {
+    if !metadata.periodic().contains(&true) {
+        return Ok(x.clone());
     }
-    position + Tensor::from_vec(shift, (n, metadata.dim), &Device::Cpu)?
+    let columns = (0..metadata.dim).map(|d| f(d, &x.narrow(1, d, 1)?)).collect::<Result<Vec<_>>>()?;
+    Tensor::cat(&columns, 1)?.contiguous()
 }

@@ -54,3 +54,10 @@ pub struct Scenery<'a> {
     /// `[N]`, not-a-number where no temperature is set.
     pub wall_temperature: Option<&'a [f32]>,
 }
+
+impl<'a> Scenery<'a> {
+    /// Of a data set's trajectory.
+    pub fn of(metadata: &'a Metadata, trajectory: &'a Trajectory) -> Self {
+        Self { metadata, kind: &trajectory.kind, wall_temperature: trajectory.wall_temperature.as_deref() }
+    }
+}

@@ -2,7 +2,7 @@
 
 use hdf5::{Group, Location};
 use hydrograd::particles::{tag, Domain};
-use hydrograd::sph::kernel::Quintic;
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
@@ -158,7 +158,7 @@ impl Case {
                 heat: self.heat,
                 mass: everything,
             },
-            kernel: Quintic::new(d, h),
+            kernel: Kernel::new(KernelName::QuinticSpline, d, h),
             tags: self.tags.clone(),
             skin: 0.2 * self.dx,
             dt: self.dt,
@@ -170,6 +170,7 @@ impl Case {
                 gamma: eos["gamma"].as_f64().unwrap() as i32,
             },
             viscosity: self.eta,
+            artificial_viscosity: None,
             transport: self.transport,
             body_force: self.body_force(),
             heat,

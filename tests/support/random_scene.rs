@@ -4,9 +4,10 @@ use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::Neighbourhood;
 use hydrograd::particles::{tag, Domain};
 use hydrograd::sph::chain::Step;
-use hydrograd::sph::kernel::Quintic;
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
+use hydrograd::sph::laws::ArtificialViscosity;
 use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
@@ -21,6 +22,10 @@ pub struct Options {
     pub heat: bool,
     pub mass: bool,
     pub gamma: i32,
+    pub kernel: KernelName,
+    /// Smoothing length in spacings.
+    pub smoothing: f64,
+    pub artificial_viscosity: bool,
     pub seed: u64,
 }
 
@@ -34,6 +39,9 @@ impl Options {
             heat: false,
             mass: false,
             gamma: 1,
+            kernel: KernelName::QuinticSpline,
+            smoothing: 1.0,
+            artificial_viscosity: false,
             seed: 0,
         }
     }
@@ -137,7 +145,7 @@ impl RandomScene {
         Arc::new(Model {
             domain: Domain { dimension: options.dimension, size: self.size, periodic: options.periodic },
             layout: options.layout(),
-            kernel: Quintic::new(options.dimension, DX),
+            kernel: Kernel::new(options.kernel, options.dimension, options.smoothing * DX),
             tags: self.tags.clone(),
             skin: 0.2 * DX,
             dt: 1e-3,
@@ -149,6 +157,12 @@ impl RandomScene {
                 gamma: options.gamma,
             },
             viscosity: 0.3,
+            artificial_viscosity: options.artificial_viscosity.then(|| ArtificialViscosity {
+                alpha: 0.7,
+                beta: 1.1,
+                sound_speed,
+                smoothing_length: options.smoothing * DX,
+            }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
             heat: options.heat.then(|| Heat {

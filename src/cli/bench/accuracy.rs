@@ -11,7 +11,7 @@ use crate::io::FileError;
 use crate::report::plots::compare;
 use crate::report::table::Table;
 
-use super::cases::precision_name;
+use super::case::precision_name;
 
 /// Values that differ by less than this share belong to one series: a time step is made to divide the run.
 const SAME: f64 = 0.05;

@@ -1,17 +1,12 @@
 //! The cases of each group: what to build, how to run it, how often.
 
-use serde::{Deserialize, Serialize};
-
-use super::arguments::{BenchArguments, Group, Scene, Size};
-use super::plan::Lacking;
-use super::surrogate::Network;
-use crate::config::memory_size::MemorySize;
-use crate::config::scene::{Config, Kernels, Precision};
+use super::arguments::BenchArguments;
+use super::case::{
+    particles, Case, Group, Keeping, Kind, Lacking, Length, Network, Scene, Size, Source, COMPOSED, EVERYTHING_ON,
+    FUSED, PLAN,
+};
+use crate::config::scene::{Kernels, Precision};
 use crate::error::Error;
-
-/// Modes of the rows of `plan`.
-pub const PLAN: &str = "plan";
-pub const EVERYTHING_ON: &str = "everything on";
 
 /// Steps of a Taylor-Green run before it is measured: the particles leave their lattice.
 fn warm_up(particles: usize, quick: bool) -> usize {
@@ -21,146 +16,6 @@ fn warm_up(particles: usize, quick: bool) -> usize {
         20_001..=200_000 => 20,
         _ => 5,
     }
-}
-
-/// Forward, gradient, or an update of a network's parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    Forward,
-    Gradient,
-    Training,
-}
-
-impl Kind {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Gradient => "gradient",
-            Self::Training => "training",
-        }
-    }
-}
-
-/// What is run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Source {
-    Channel(Scene),
-    TaylorGreen(Size),
-    /// A scene that lacks something: with its own plan, or with every field forced on.
-    Plan {
-        scene: Scene,
-        lacking: Lacking,
-        forced: bool,
-    },
-    Network(Network),
-}
-
-/// How the states of a gradient's run are kept.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Keeping {
-    /// The state before each step.
-    EveryState,
-    /// The same, rounded to f32.
-    Rounded,
-    /// Segments of the length that needs the least.
-    LeastMemory,
-    /// The fastest schedule that keeps and tapes at most this share of what every state takes.
-    Share(f64),
-    /// The fastest schedule within so many bytes.
-    Within(MemorySize),
-    /// Revolve with so many states.
-    Binomial(usize),
-    /// Segments of 200, as the original report's accumulation.
-    Segments(usize),
-    /// Only the last `optimise.horizon` steps are differentiated.
-    Truncated(usize),
-    Taped,
-}
-
-impl Keeping {
-    pub fn name(self) -> String {
-        match self {
-            Self::EveryState => "every state".into(),
-            Self::Rounded => "every state in f32".into(),
-            Self::LeastMemory => "best segments".into(),
-            Self::Within(size) => format!("within {size}"),
-            Self::Binomial(states) => format!("binomial, {states} states"),
-            Self::Share(share) => format!("{:.0} % of every state", 100.0 * share),
-            Self::Segments(length) => format!("segments of {length}"),
-            Self::Truncated(horizon) => format!("truncated to {horizon}"),
-            Self::Taped => "taped".into(),
-        }
-    }
-}
-
-/// How many steps are timed as one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Length {
-    Steps(usize),
-    /// As many as fit into so many seconds, but at least so many steps (each repeat should rebuild the neighbour list).
-    Seconds {
-        seconds: f64,
-        least: usize,
-    },
-}
-
-/// One row of the result before it is measured; travels to its process as JSON.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Case {
-    pub group: Group,
-    pub scene: String,
-    pub particles: usize,
-    pub precision: Precision,
-    pub threads: usize,
-    pub kind: Kind,
-    /// Distinguishes rows that agree in all else: how states are kept, plan or everything.
-    pub mode: Option<String>,
-    pub source: Source,
-    pub kernels: Kernels,
-    pub keeping: Keeping,
-    /// Steps that are run first and not timed; what is timed begins at the state behind them.
-    pub warm_up: usize,
-    pub length: Length,
-    /// Timed runs in one process.
-    pub blocks: usize,
-    /// Leave the gradient out if it is predicted to take more bytes.
-    pub memory_limit: usize,
-}
-
-impl Case {
-    /// group/scene/particles/precision/threads/kind[/mode]: what `--filter` looks into and `--compare` matches.
-    pub fn label(&self) -> String {
-        let precision = precision_name(self.precision);
-        let Self { scene, particles, threads, .. } = self;
-        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
-        match &self.mode {
-            Some(mode) => format!("{label}/{mode}"),
-            None => label,
-        }
-    }
-}
-
-pub fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::F64 => "f64",
-    }
-}
-
-/// What the bench asks of a process of its own.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Request {
-    Row(Box<Case>),
-    /// All points of run time against error.
-    Accuracy {
-        quick: bool,
-        threads: usize,
-    },
 }
 
 /// Cases that are compared with each other: their repeats take turns.
@@ -185,6 +40,7 @@ impl<'a> Cases<'a> {
             Group::Gradient => self.gradient()?,
             Group::Scaling => self.scaling(),
             Group::Plan => self.plan()?,
+            Group::Kernels => self.kernels()?,
             Group::Surrogate => self.surrogate(),
             Group::Accuracy => vec![],
         };
@@ -318,12 +174,11 @@ impl<'a> Cases<'a> {
         let mut families = vec![];
         for size in self.sizes() {
             let n = size.particles();
-            let name = if size.dimension == 2 { "taylor-green" } else { "taylor-green-3d" };
             let seconds = if quick { 0.2 } else { 1.0 };
             let base = Case {
                 warm_up: warm_up(n, quick),
                 length: Length::Seconds { seconds, least: if quick { 4 } else { 16 } },
-                ..self.case(Group::Scaling, name, n, Source::TaylorGreen(size))
+                ..self.case(Group::Scaling, size.scene(), n, Source::TaylorGreen(size))
             };
             families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
             let gradient = Case {
@@ -369,6 +224,45 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
+    /// The report's channel and vortices in a box, each with fused and with composed operators, in turns.
+    fn kernels(&self) -> Result<Vec<Family>, Error> {
+        let quick = self.arguments.quick;
+        let steps = format!("time.steps={}", if quick { 10 } else { 100 });
+        let scene = Scene { preset: Some("report".into()), sets: self.arguments.sets.clone(), scene: None };
+        let scene = scene.with_defaults(&[&steps, "objective.window=0"]);
+        let config = scene.load()?.config;
+        let channel = Case {
+            length: Length::Steps(config.steps()),
+            ..self.case(Group::Kernels, "heated-channel", particles(&config), Source::Channel(scene))
+        };
+        let given = self.arguments.sizes.clone();
+        let sizes = match given.is_empty() {
+            false => given,
+            true => vec![Size { per_side: if quick { 31 } else { 100 }, dimension: 2 }],
+        };
+        let vortices = sizes.into_iter().map(|size| Case {
+            warm_up: warm_up(size.particles(), true),
+            length: Length::Steps(if quick { 2 } else { 10 }),
+            ..self.case(Group::Kernels, size.scene(), size.particles(), Source::TaylorGreen(size))
+        });
+        let bases = std::iter::once(channel).chain(vortices);
+        let family = |(base, kind): (Case, Kind)| -> Family {
+            let with = |kernels: Kernels, mode: &str, blocks: usize| Case {
+                kind,
+                kernels,
+                mode: Some(mode.into()),
+                blocks: if quick { 1 } else { blocks },
+                precision: self.arguments.precisions()[0],
+                threads: self.arguments.threads().last().copied().unwrap_or(1),
+                ..base.clone()
+            };
+            // Fused runs are short: their best needs more of them.
+            vec![with(Kernels::Fused, FUSED, 10), with(Kernels::Composed, COMPOSED, 2)]
+        };
+        let kinds = [Kind::Forward, Kind::Gradient];
+        Ok(bases.flat_map(|base| kinds.map(|kind| (base.clone(), kind))).map(family).collect())
+    }
+
     /// Networks on one graph, in f32 alone: that is what they are trained in.
     fn surrogate(&self) -> Vec<Family> {
         let quick = self.arguments.quick;
@@ -390,9 +284,4 @@ impl<'a> Cases<'a> {
         };
         Network::ALL.map(family).to_vec()
     }
-}
-
-/// Particles of the heated channel, dummy particles included.
-pub fn particles(config: &Config) -> usize {
-    config.columns() * (config.rows() + 2 * config.channel.wall_rows)
 }

@@ -3,12 +3,9 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
-
-use super::arguments::Size;
-use super::cases::{Case, Keeping, Kind, Length, Request, Source};
+use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
 use super::goal::SquaredVelocity;
-use super::{pairs, plan, surrogate};
+use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::{Dynamics, Objective, RunError};
@@ -17,6 +14,8 @@ use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
 use crate::numerics::lanes::InstructionSet;
+use crate::particles::neighbour_list::NeighbourError;
+use crate::particles::neighbourhood::Neighbourhood;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::scene::accuracy::points;
 use crate::scene::taylor_green::TaylorGreen;
@@ -27,36 +26,6 @@ use crate::sph::Sweeps;
 
 /// Steps after which a scene with everything on is compared with its plan.
 const COMPARED_STEPS: usize = 50;
-
-/// What one process measured.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Measured {
-    pub pairs: usize,
-    /// Steps of each timed run.
-    pub steps: usize,
-    /// Of each timed run.
-    pub seconds: Vec<f64>,
-    /// The forward part of each gradient.
-    pub forward_seconds: Vec<f64>,
-    pub peak_memory_bytes: u64,
-    /// What the schedule of a gradient was predicted to take.
-    pub predicted_bytes: Option<usize>,
-    pub instruction_set: String,
-    pub time_step: f64,
-    /// Largest relative difference between the scene's plan and everything on.
-    pub difference: Option<f64>,
-    /// Of a network: work of a step, and what the machine's sgemm does per second at its shapes.
-    pub gflop: Option<f64>,
-    pub sgemm_gflops: Option<f64>,
-}
-
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Outcome {
-    Measured(Measured),
-    /// A gradient that does not fit into the memory that it is allowed, and why.
-    LeftOut(String),
-}
 
 /// Does what is asked and prints the answer as one line of JSON.
 pub fn run(request: &str) -> anyhow::Result<()> {
@@ -110,7 +79,7 @@ impl<R: Sweeps> Ready<R> {
                         let config = scene.load()?.config;
                         let (channel, _) = build::<R>(&config)?;
                         let state = channel.problem.start(&channel.problem.first).state;
-                        (plan::owned(channel.model), state)
+                        (needs::owned(channel.model), state)
                     }
                 };
                 lacking.apply(&mut model, &mut state, *forced);
@@ -149,11 +118,11 @@ impl<R: Sweeps> Ready<R> {
 
 fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
     let Size { dimension, per_side } = size;
-    // A tenth of a spacing of disorder, as in the plain-C yardstick: a lattice would stay one for a while.
+    // A tenth of a spacing of disorder: a lattice would stay one for a while.
     let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
-    (plan::owned(flow.model), flow.state)
+    (needs::owned(flow.model), flow.state)
 }
 
 /// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
@@ -187,7 +156,8 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
     let mut ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;
-    let pairs = pairs::count(&ready.dynamics.model, &begin.state);
+    let lost = |source| failed(RunError::Neighbours { step: case.warm_up, source });
+    let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost)?;
     let mut measured = Measured {
         pairs,
         steps: 0,
@@ -236,6 +206,22 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         measured.difference = Some(difference);
     }
     Ok(Outcome::Measured(measured))
+}
+
+/// Directed pairs (i, j), i fluid, j any other particle within the cut-off: what the force on the fluid sums.
+fn count_pairs<R: Sweeps>(model: &Model<R>, position: &[R]) -> Result<usize, NeighbourError> {
+    let list = Neighbourhood::build(&model.reach(), position)?.list;
+    let (n, domain, cutoff) = (model.particles(), &model.domain, model.reach().cutoff);
+    let square = |i: usize, j: usize| -> f64 {
+        let along = |d: usize| domain.nearest(d, position[d * n + i].f64() - position[d * n + j].f64());
+        (0..domain.dimension).map(|d| along(d).powi(2)).sum()
+    };
+    let of = |i: &u32| {
+        let i = *i as usize;
+        let row = &list.index[i * list.capacity..][..list.count[i] as usize];
+        row.iter().filter(|&&j| square(i, j as usize) < cutoff * cutoff).count()
+    };
+    Ok(list.fluid_rows.iter().map(of).sum())
 }
 
 fn forward<R: Sweeps>(
@@ -328,5 +314,28 @@ fn difference<R: Sweeps>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) ->
         read(&contiguous, |values: &[R]| Ok(values.to_vec())).map_err(|source| RunError::Tensor { step: 0, source })
     };
     let (own, forced) = (result(&mut own)?, result(&mut forced)?);
-    Ok(plan::difference(n, (&own, a), (&forced, b)))
+    Ok(needs::difference(n, (&own, a), (&forced, b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_pairs_as_all_against_all() {
+        for (dimension, per_side) in [(2, 8), (2, 13), (3, 8)] {
+            let (model, state) = taylor_green::<f64>(Size { per_side, dimension });
+            let n = model.particles();
+            let square = |i: usize, j: usize| -> f64 {
+                let along = |d: usize| {
+                    let (dr, size) = (state[d * n + i] - state[d * n + j], model.domain.size[d]);
+                    dr - size * (dr / size).round()
+                };
+                (0..dimension).map(|d| along(d).powi(2)).sum()
+            };
+            let near = |i: usize, j: usize| j != i && square(i, j) < model.reach().cutoff.powi(2);
+            let expected: usize = (0..n).map(|i| (0..n).filter(|&j| near(i, j)).count()).sum();
+            assert_eq!(count_pairs(&model, &state).unwrap(), expected);
+        }
+    }
 }

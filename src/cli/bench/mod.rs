@@ -2,13 +2,12 @@
 
 mod accuracy;
 mod arguments;
+mod case;
 mod cases;
 mod child;
 mod compare;
-mod floor;
 mod goal;
-mod pairs;
-mod plan;
+mod needs;
 mod plots;
 mod rows;
 mod runner;
@@ -18,10 +17,9 @@ mod tables;
 pub use arguments::BenchArguments;
 
 use accuracy::Point;
-use arguments::Group;
+use case::Group;
 use cases::Cases;
 use compare::Earlier;
-use floor::Floor;
 use rows::Row;
 
 use crate::config::scene::Precision;
@@ -66,7 +64,6 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
             .allowed("a part of group/scene/particles/precision/threads/kind/mode, e.g. step/heated-channel-report/950/f64/2/forward")
             .into());
     }
-    let floor = arguments.floor.as_deref().map(|folder| Floor::compile(folder, arguments.quick)).transpose()?;
     prepare_output_folder(&arguments.out)?;
     let file = arguments.out.join("bench.json");
     let mut all: Vec<Row> = vec![];
@@ -78,7 +75,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         }
         let (mut found, mut left_out) = (vec![], vec![]);
         for family in families {
-            let results = runner::run(family, arguments.repeats(), floor.as_ref(), &bar)?;
+            let results = runner::run(family, arguments.repeats(), &bar)?;
             found.extend(results.rows);
             left_out.extend(results.left_out);
         }

@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::arguments::Group;
-use super::cases::Kind;
+use super::case::{Group, Kind};
 use super::rows::Row;
 use crate::io::FileError;
 use crate::report::plots::compare;
@@ -50,11 +49,8 @@ fn scaling(rows: &[Row], kind: Kind) -> Series {
         for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
             let threads = if row.threads == 1 { "thread" } else { "threads" };
             let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
-            let at = |ms: f64| (row.particles as f64, 1e6 * ms / row.particles as f64);
-            add(&mut series, variant.clone(), at(row.ms_per_step));
-            if let Some(floor) = row.floor_ms_per_step {
-                add(&mut series, format!("{variant}, plain C"), at(floor));
-            }
+            let place = (row.particles as f64, 1e6 * row.ms_per_step / row.particles as f64);
+            add(&mut series, variant, place);
         }
     }
     series.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a.0.total_cmp(&b.0)));

@@ -4,9 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::arguments::Group;
-use super::cases::{precision_name, Case, Kind, Source};
-use super::child::Measured;
+use super::case::{precision_name, Case, Group, Kind, Measured, Source};
 use crate::error::BadInput;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::FileError;
@@ -47,11 +45,6 @@ pub struct Row {
     /// Relative difference of what the scene computes with everything on from what it computes with its plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub difference: Option<f64>,
-    /// The plain-C yardstick's, measured in turns with this row; for a gradient its forward and adjoint steps.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub floor_ms_per_step: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub floor_ms_per_step_median: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_step: Option<f64>,
     /// Of a network: work of a step, work per second, and what the machine's sgemm does per second at the same shapes.
@@ -107,8 +100,6 @@ impl Row {
             adjoint_over_forward: adjoint,
             predicted_memory_bytes: first.predicted_bytes,
             difference: first.difference,
-            floor_ms_per_step: None,
-            floor_ms_per_step_median: None,
             time_step: Some(first.time_step),
             gflop_per_step: first.gflop,
             gflops: first.gflop.map(|gflop| 1e3 * gflop / ms),

@@ -5,10 +5,8 @@ use std::process::{Command, Stdio};
 use serde::de::DeserializeOwned;
 
 use super::accuracy::Point;
-use super::cases::{Case, Family, Request};
-use super::child::{Measured, Outcome};
-use super::floor::{Floor, FloorRun};
-use super::rows::{median, Row};
+use super::case::{Case, Measured, Outcome, Request};
+use super::rows::Row;
 use crate::error::Error;
 use crate::report::progress::Progress;
 
@@ -19,19 +17,10 @@ pub struct Results {
     pub left_out: Vec<(String, String)>,
 }
 
-/// Runs every case `repeats` times, A B C A B C, the floor among them.
-pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progress) -> anyhow::Result<Results> {
+/// Runs every case `repeats` times, A B C A B C.
+pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Results> {
     let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
     let mut left_out: Vec<Option<String>> = vec![None; family.len()];
-    // Several cases (ways of keeping states) share a run of the floor.
-    let mut floors: Vec<(FloorRun, Vec<[f64; 2]>)> = vec![];
-    for case in family {
-        if let Some(run) = floor.and(FloorRun::of(case)?) {
-            if !floors.iter().any(|(other, _)| *other == run) {
-                floors.push((run, vec![]));
-            }
-        }
-    }
     for _ in 0..repeats {
         for (place, case) in family.iter().enumerate() {
             bar.message(case.label());
@@ -43,11 +32,6 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
             }
             bar.advance(1);
         }
-        if let Some(floor) = floor {
-            for (run, times) in &mut floors {
-                times.push(floor.measure(run)?);
-            }
-        }
     }
     let mut results = Results::default();
     for (place, case) in family.iter().enumerate() {
@@ -55,15 +39,7 @@ pub fn run(family: &Family, repeats: usize, floor: Option<&Floor>, bar: &Progres
             results.left_out.push((case.label(), reason));
             continue;
         }
-        let mut row = Row::new(case, &measured[place]);
-        let run = FloorRun::of(case)?;
-        if let Some((_, times)) = floors.iter().find(|(other, _)| Some(other) == run.as_ref()) {
-            let mut medians: Vec<f64> = times.iter().map(|time| time[1]).collect();
-            medians.sort_by(f64::total_cmp);
-            row.floor_ms_per_step = times.iter().map(|time| time[0]).min_by(f64::total_cmp);
-            row.floor_ms_per_step_median = Some(median(&medians));
-        }
-        results.rows.push(row);
+        results.rows.push(Row::new(case, &measured[place]));
     }
     Ok(results)
 }

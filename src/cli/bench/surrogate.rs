@@ -17,53 +17,27 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use candle_core::{DType, Var};
-use serde::{Deserialize, Serialize};
 
-use super::cases::{Case, Kind, Length};
-use super::child::Measured;
+use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
+use crate::config::scene::Kernels;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
-use crate::surrogate::evaluation::rollout::scenery;
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::graph::Graph;
-use crate::surrogate::network::parameters::Model;
-use crate::surrogate::predictor::{Frame, Predictor};
+use crate::surrogate::network::parameters;
+use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
 
-/// Particles along the box, and their spacing: as many as the report's channel has.
-const COLUMNS: usize = 38;
-const ROWS: usize = 25;
+/// Their spacing.
 const SPACING: f64 = 0.02;
 /// Largest shift of a particle off its place of the lattice, and largest way per frame, in spacings.
 const JITTER: f64 = 0.2;
 const SPEED: f64 = 0.02;
-
-/// A graph network simulator on the periodic box.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Network {
-    pub rounds: usize,
-    pub latent: usize,
-    /// Connectivity radius in spacings.
-    pub radius: f64,
-}
-
-impl Network {
-    pub const ALL: [Self; 3] = [
-        Self { rounds: 10, latent: 128, radius: 3.0 },
-        Self { rounds: 10, latent: 128, radius: 1.45 },
-        Self { rounds: 5, latent: 64, radius: 1.45 },
-    ];
-    pub const PARTICLES: usize = COLUMNS * ROWS;
-
-    pub fn name(&self) -> String {
-        format!("gns-{}-{}-{}dx", self.rounds, self.latent, self.radius)
-    }
-}
 
 /// A jittered lattice that moves; scripts/peers/surrogate.py makes the same.
 fn flow(frames: usize) -> (Metadata, Trajectory) {
@@ -112,9 +86,9 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let seen = settings.features.frames;
     let (metadata, trajectory) = flow(seen + 1 + settings.pushforward.most());
     let setup = Setup::new(&settings, &metadata)?;
-    let model: Arc<dyn Model> = Arc::from(setup.model(settings.seed, DType::F32)?);
+    let model: Arc<dyn parameters::Network> = Arc::from(setup.network(Kernels::Fused, settings.seed, DType::F32)?);
     let sizes = setup.sizes;
-    let scenery = scenery(&metadata, &trajectory);
+    let scenery = Scenery::of(&metadata, &trajectory);
     let frames: Vec<Frame> = (0..seen).map(|frame| Frame::of(&trajectory, frame)).collect();
     let domain = crate::particles::Domain { dimension: 2, size: metadata.size(), periodic: metadata.periodic() };
     let graph = Graph::build(&frames[seen - 1].position, &domain, radius * SPACING)?;
@@ -133,7 +107,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 metadata: &metadata,
                 train,
                 valid: &[],
-                model: model.clone(),
+                network: model.clone(),
                 state: fresh(&settings, &*model)?,
                 folder: PathBuf::new(),
                 history: vec![],

@@ -1,7 +1,6 @@
 //! The rows of a group as a table for the terminal, at most 120 columns wide.
 
-use super::arguments::Group;
-use super::cases::Kind;
+use super::case::{Group, Kind, COMPOSED, EVERYTHING_ON, FUSED, PLAN};
 use super::compare::Earlier;
 use super::rows::Row;
 use crate::report::table::Table;
@@ -61,10 +60,12 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         column("seconds", &|row| Some(format!("{:.3}", 1e-3 * row.ms_per_step * row.steps as f64)));
     }
     if group == Group::Plan {
-        column("vs plan", &|row| against_plan(row, rows).map(|ratio| format!("{ratio:.2}x")));
+        column("vs plan", &|row| against(row, rows, EVERYTHING_ON, PLAN).map(|ratio| format!("{ratio:.2}x")));
         column("differs", &|row| row.difference.map(|difference| format!("{difference:.1e}")));
     }
-    column("floor", &|row| row.floor_ms_per_step.map(|floor| format!("{:.2}x", row.ms_per_step / floor)));
+    if group == Group::Kernels {
+        column("vs fused", &|row| against(row, rows, COMPOSED, FUSED).map(|ratio| format!("{ratio:.1}x")));
+    }
     column("new/old", &|row| earlier?.ratio(row).map(|ratio| format!("{ratio:.3}")));
 
     let mut lines = Table::new(table.iter().map(|(name, _)| name.clone()));
@@ -79,16 +80,16 @@ fn work(row: &Row) -> String {
     let mode = row.mode.as_deref().unwrap_or_default();
     match row.group {
         Group::Gradient => mode.to_string(),
-        Group::Plan => format!("{} {mode}", row.kind.name()),
+        Group::Plan | Group::Kernels => format!("{} {mode}", row.kind.name()),
         _ => row.kind.name().to_string(),
     }
 }
 
-/// How many times the plan's time a row with everything on takes.
-fn against_plan(row: &Row, rows: &[Row]) -> Option<f64> {
-    if row.mode.as_deref() != Some(super::cases::EVERYTHING_ON) {
+/// How many times the time of its counterpart of mode `base` a row of this mode takes.
+fn against(row: &Row, rows: &[Row], mode: &str, base: &str) -> Option<f64> {
+    if row.mode.as_deref() != Some(mode) {
         return None;
     }
-    let plan = Row { mode: Some(super::cases::PLAN.into()), ..row.clone() }.label();
-    rows.iter().find(|other| other.label() == plan).map(|plan| row.ms_per_step / plan.ms_per_step)
+    let base = Row { mode: Some(base.into()), ..row.clone() }.label();
+    rows.iter().find(|other| other.label() == base).map(|other| row.ms_per_step / other.ms_per_step)
 }

@@ -17,5 +17,5 @@ pub use compare::compare;
 pub use history::{history, HistoryPoint};
 pub use side_by_side::{side_by_side, SideBySide};
 pub use temperature::{colored_particles, temperature_particles, TemperaturePanel};
-pub use training::{training_curves, TrainingCurves};
+pub use training::{training_curves, ErrorCurve};
 pub use wall_shapes::wall_shapes;

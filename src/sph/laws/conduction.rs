@@ -4,12 +4,12 @@
 //! harmonic mean of equal conductivities is the conductivity). Fluid in the inlet strip (temperature reset) and in
 //! the outlet strip has rate 0.
 
-use crate::numerics::lanes::{Lanes, PortableF64, Real};
+use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::chain::Step;
 use crate::sph::model::Model;
-use crate::sph::operators::composed;
+use crate::sph::operators::composed::{self, Pairs};
 use crate::sph::operators::pairs::Masses;
-use crate::sph::operators::rates::{Side, SideBar};
 use candle_core::{Result, Tensor};
 
 /// 2 k/c_p.
@@ -47,7 +47,6 @@ pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: 
     let mass = Masses::new(model, moved);
     let volume = |i: usize| (mass.of(i) / primitives[i]).f64();
     let temperature = |i: usize| primitives[l.primitive_temperature() * n + i].f64();
-    let kernel = model.kernel.lanes::<PortableF64>();
     let mut sum = 0.0;
     for &i in &list.fluid_rows {
         let i = i as usize;
@@ -61,38 +60,56 @@ pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: 
                 let dr = model.domain.nearest(d, moved[d * n + i].f64() - moved[d * n + j].f64());
                 r2 += dr * dr;
             }
-            let slope = kernel.slope(PortableF64::splat(r2)).sum() / PortableF64::COUNT as f64;
+            let (_, slope) = model.kernel.pair(r2);
             sum += volume(i) * volume(j) * slope * (temperature(i) - temperature(j));
         }
     }
     factor(model) * sum
 }
 
-#[inline(always)]
-pub fn add<L: Lanes, const D: usize>(a: &Side<L, D>, b: &Side<L, D>, slope: L, sum: L) -> L {
-    (a.volume * b.volume * slope).mul_add(a.temperature - b.temperature, sum)
-}
+#[derive(Debug, Clone, Copy)]
+pub struct Conduction;
 
-/// l gains gamma V_i V_j F (T_i - T_j).
-#[inline(always)]
-pub fn adjoint<L: Lanes, const D: usize>(
-    a: &Side<L, D>,
-    b: &Side<L, D>,
-    gamma: L,
-    slope: L,
-    by_slope: &mut L,
-    bar: &mut SideBar<L, D>,
-) {
-    let weighted = gamma * b.volume;
-    let difference = a.temperature - b.temperature;
-    let per_volume = weighted * slope;
-    bar.temperature = per_volume.mul_add(a.volume, bar.temperature);
-    bar.volume = per_volume.mul_add(difference, bar.volume);
-    *by_slope = (weighted * a.volume).mul_add(difference, *by_slope);
-}
+impl PairLaw for Conduction {
+    const HEAT: bool = true;
+    type Own<L: Lanes, const D: usize> = ();
 
-/// `[1, N]`.
-pub fn composed(pairs: &composed::Pairs, volume: &Tensor, temperature: &Tensor, slope: &Tensor) -> Result<Tensor> {
-    let difference = (pairs.own(temperature)? - pairs.other(temperature)?)?;
-    pairs.own(volume)?.mul(&pairs.other(volume)?)?.mul(slope)?.mul(&difference)?.sum(2)
+    #[inline(always)]
+    fn prepare<L: Lanes, const D: usize>(&self, _: &Side<L, D>) {}
+
+    #[inline(always)]
+    fn add<L: Lanes, const D: usize>(&self, _: &(), pair: &Pair<L, D>, sums: &mut Sums<L, D>) {
+        let (a, b) = (pair.own, pair.other);
+        sums.warmth = (a.volume * b.volume * pair.slope).mul_add(a.temperature - b.temperature, sums.warmth);
+    }
+
+    /// l gains gamma V_i V_j F (T_i - T_j).
+    #[inline(always)]
+    fn adjoint<L: Lanes, const D: usize>(
+        &self,
+        _: &(),
+        pair: &Pair<L, D>,
+        bars: &Bars<L, D>,
+        pair_bar: &mut PairBar<L, D>,
+        bar: &mut SideBar<L, D>,
+    ) {
+        let (a, b) = (pair.own, pair.other);
+        let weighted = bars.temperature * b.volume;
+        let difference = a.temperature - b.temperature;
+        let per_volume = weighted * pair.slope;
+        bar.temperature = per_volume.mul_add(a.volume, bar.temperature);
+        bar.volume = per_volume.mul_add(difference, bar.volume);
+        pair_bar.by_slope = (weighted * a.volume).mul_add(difference, pair_bar.by_slope);
+    }
+
+    fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
+        let Some(temperature) = &fields.temperature else { candle_core::bail!("conduction without temperature") };
+        let difference = (pairs.own(temperature)? - pairs.other(temperature)?)?;
+        let volumes = pairs.own(&fields.volume)?.mul(&pairs.other(&fields.volume)?)?;
+        PairTensors::add(&mut sums.warmth, volumes.mul(&fields.slope)?.mul(&difference)?.sum(2)?)
+    }
+
+    fn name(&self, names: &mut Vec<&'static str>) {
+        names.push("conduction");
+    }
 }

@@ -1,6 +1,7 @@
 //! Tait's equation of state.
 
 use crate::numerics::lanes::{Lanes, Real};
+use candle_core::{Result, Tensor};
 
 /// p = p_ref ((rho / rho_ref)^gamma - 1) + p_background (Cole 1948; Monaghan 1994), with p_ref = rho_ref c^2 / gamma.
 ///
@@ -74,5 +75,25 @@ impl EquationOfState {
             power = power * x;
         }
         power
+    }
+
+    /// Pressure of a tensor of densities, from candle's operators.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn pressure_composed(&self, density: &Tensor) -> Result<Tensor> {
+        let ratio = density.affine(1.0 / self.reference_density, 0.0)?;
+        let power = if self.gamma == 1 { ratio } else { ratio.powf(self.gamma as f64)? };
+        power.affine(self.reference_pressure, self.at_vacuum())
+    }
+
+    /// Density of a tensor of pressures.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn density_composed(&self, pressure: &Tensor) -> Result<Tensor> {
+        let power = pressure.affine(1.0 / self.reference_pressure, -self.at_vacuum() / self.reference_pressure)?;
+        let power = if self.gamma == 1 { power } else { power.powf(1.0 / self.gamma as f64)? };
+        power.affine(self.reference_density, 0.0)
     }
 }

@@ -1,51 +1,68 @@
 //! Transport velocity: particles drift with v = u + w instead of u, which keeps them evenly spread.
 //!
 //! Momentum: e = (A_i + A_j)/2 . r_ij with A = rho u (x) w (Adami, Hu and Adams 2013, eq. 8 and 9). Records hold
-//! W = rho w/2, so e = u_i (W_i.r) + u_j (W_j.r). The background pressure's p(0) r is summed in [`crate::sph::operators::rates`].
+//! W = rho w/2, so e = u_i (W_i.r) + u_j (W_j.r). Transport acceleration: p(0) sum c r (their eq. 13).
 
+use super::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::Lanes;
-use crate::sph::operators::composed;
-use crate::sph::operators::rates::{dot, Side, SideBar};
+use crate::sph::operators::composed::Pairs;
 use candle_core::{Result, Tensor};
 
-#[inline(always)]
-pub fn add<L: Lanes, const D: usize>(a: &Side<L, D>, b: &Side<L, D>, dr: &[L; D], e: &mut [L; D]) {
-    let (own, other) = (dot(&a.transport, dr), dot(&b.transport, dr));
-    for d in 0..D {
-        e[d] = a.velocity[d].mul_add(own, b.velocity[d].mul_add(other, e[d]));
-    }
-}
+#[derive(Debug, Clone, Copy)]
+pub struct TransportVelocity;
 
-/// s gains (alpha.u_i)(W_i.r) + (alpha.u_j)(W_j.r) + beta.r.
-#[inline(always)]
-#[allow(clippy::too_many_arguments)]
-pub fn adjoint<L: Lanes, const D: usize>(
-    a: &Side<L, D>,
-    b: &Side<L, D>,
-    dr: &[L; D],
-    alpha: &[L; D],
-    beta: &[L; D],
-    c: L,
-    s: &mut L,
-    by_position: &mut [L; D],
-    bar: &mut SideBar<L, D>,
-) {
-    let (own, other) = (dot(&a.transport, dr), dot(&b.transport, dr));
-    let (alpha_own, alpha_other) = (dot(alpha, &a.velocity), dot(alpha, &b.velocity));
-    *s = alpha_own.mul_add(own, alpha_other.mul_add(other, *s)) + dot(beta, dr);
-    let (c_own, c_alpha) = (c * own, c * alpha_own);
-    for d in 0..D {
-        by_position[d] += alpha_own.mul_add(a.transport[d], alpha_other.mul_add(b.transport[d], beta[d]));
-        bar.velocity[d] = c_own.mul_add(alpha[d], bar.velocity[d]);
-        bar.transport[d] = c_alpha.mul_add(dr[d], bar.transport[d]);
-    }
-}
+impl PairLaw for TransportVelocity {
+    const TRANSPORT: bool = true;
+    type Own<L: Lanes, const D: usize> = ();
 
-/// `[D, N, K]`.
-pub fn composed(pairs: &composed::Pairs, density: &Tensor, velocity: &Tensor, shift: &Tensor) -> Result<Tensor> {
-    let w = shift.broadcast_mul(density)?.affine(0.5, 0.0)?;
-    let along = |w: Tensor| w.mul(&pairs.difference)?.sum_keepdim(0);
-    let own = pairs.own(velocity)?.broadcast_mul(&along(pairs.own(&w)?)?)?;
-    let other = pairs.other(velocity)?.broadcast_mul(&along(pairs.other(&w)?)?)?;
-    own + other
+    #[inline(always)]
+    fn prepare<L: Lanes, const D: usize>(&self, _: &Side<L, D>) {}
+
+    #[inline(always)]
+    fn add<L: Lanes, const D: usize>(&self, _: &(), pair: &Pair<L, D>, sums: &mut Sums<L, D>) {
+        let (a, b, dr) = (pair.own, pair.other, &pair.difference);
+        let (own, other) = (dot(&a.transport, dr), dot(&b.transport, dr));
+        for d in 0..D {
+            sums.common[d] = a.velocity[d].mul_add(own, b.velocity[d].mul_add(other, sums.common[d]));
+            sums.spread[d] = pair.weight.mul_add(dr[d], sums.spread[d]);
+        }
+    }
+
+    /// s gains (alpha.u_i)(W_i.r) + (alpha.u_j)(W_j.r) + beta.r.
+    #[inline(always)]
+    fn adjoint<L: Lanes, const D: usize>(
+        &self,
+        _: &(),
+        pair: &Pair<L, D>,
+        bars: &Bars<L, D>,
+        pair_bar: &mut PairBar<L, D>,
+        bar: &mut SideBar<L, D>,
+    ) {
+        let (a, b, dr) = (pair.own, pair.other, &pair.difference);
+        let (alpha, beta) = (&bars.acceleration, &bars.transport);
+        let (own, other) = (dot(&a.transport, dr), dot(&b.transport, dr));
+        let (alpha_own, alpha_other) = (dot(alpha, &a.velocity), dot(alpha, &b.velocity));
+        pair_bar.scalar = alpha_own.mul_add(own, alpha_other.mul_add(other, pair_bar.scalar)) + dot(beta, dr);
+        let (c_own, c_alpha) = (pair.weight * own, pair.weight * alpha_own);
+        for d in 0..D {
+            pair_bar.by_difference[d] +=
+                alpha_own.mul_add(a.transport[d], alpha_other.mul_add(b.transport[d], beta[d]));
+            bar.velocity[d] = c_own.mul_add(alpha[d], bar.velocity[d]);
+            bar.transport[d] = c_alpha.mul_add(dr[d], bar.transport[d]);
+        }
+    }
+
+    fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
+        let Some(shift) = &fields.shift else { candle_core::bail!("a transport velocity without shift") };
+        let w = shift.broadcast_mul(&fields.density)?.affine(0.5, 0.0)?;
+        let along = |w: Tensor| w.mul(&pairs.difference)?.sum_keepdim(0);
+        let own = pairs.own(&fields.velocity)?.broadcast_mul(&along(pairs.own(&w)?)?)?;
+        let other = pairs.other(&fields.velocity)?.broadcast_mul(&along(pairs.other(&w)?)?)?;
+        PairTensors::add(&mut sums.common, (own + other)?)?;
+        PairTensors::add(&mut sums.spread, pairs.difference.broadcast_mul(&fields.weight)?.sum(2)?)
+    }
+
+    fn name(&self, names: &mut Vec<&'static str>) {
+        names.push("transport velocity: stress and background pressure");
+    }
 }

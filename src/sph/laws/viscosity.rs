@@ -3,37 +3,54 @@
 //! e = eta_ij (u_i - u_j), eta_ij = 2 eta_i eta_j/(eta_i + eta_j) the harmonic mean (Adami, Hu and Adams 2013,
 //! eq. 6 and 8). One viscosity in the whole scene: eta_ij = eta.
 
-use crate::numerics::lanes::Lanes;
-use crate::sph::operators::composed;
-use crate::sph::operators::rates::{Side, SideBar};
-use candle_core::{Result, Tensor};
+use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::sph::operators::composed::Pairs;
+use candle_core::Result;
 
-#[inline(always)]
-pub fn add<L: Lanes, const D: usize>(eta: L, a: &Side<L, D>, b: &Side<L, D>, e: &mut [L; D]) {
-    for d in 0..D {
-        e[d] = eta.mul_add(a.velocity[d] - b.velocity[d], e[d]);
+/// The dynamic viscosity eta.
+#[derive(Debug, Clone, Copy)]
+pub struct Viscosity(pub f64);
+
+impl PairLaw for Viscosity {
+    type Own<L: Lanes, const D: usize> = L;
+
+    #[inline(always)]
+    fn prepare<L: Lanes, const D: usize>(&self, _: &Side<L, D>) -> L {
+        L::splat(L::Real::of(self.0))
     }
-}
 
-/// s gains eta alpha.(u_i - u_j).
-#[inline(always)]
-pub fn adjoint<L: Lanes, const D: usize>(
-    eta: L,
-    a: &Side<L, D>,
-    b: &Side<L, D>,
-    alpha: &[L; D],
-    c: L,
-    s: &mut L,
-    bar: &mut SideBar<L, D>,
-) {
-    for d in 0..D {
-        let weighted = eta * alpha[d];
-        *s = weighted.mul_add(a.velocity[d] - b.velocity[d], *s);
-        bar.velocity[d] = c.mul_add(weighted, bar.velocity[d]);
+    #[inline(always)]
+    fn add<L: Lanes, const D: usize>(&self, eta: &L, pair: &Pair<L, D>, sums: &mut Sums<L, D>) {
+        for d in 0..D {
+            sums.common[d] = eta.mul_add(pair.own.velocity[d] - pair.other.velocity[d], sums.common[d]);
+        }
     }
-}
 
-/// `[D, N, K]`.
-pub fn composed(eta: f64, pairs: &composed::Pairs, velocity: &Tensor) -> Result<Tensor> {
-    (pairs.own(velocity)? - pairs.other(velocity)?)?.affine(eta, 0.0)
+    /// s gains eta alpha.(u_i - u_j).
+    #[inline(always)]
+    fn adjoint<L: Lanes, const D: usize>(
+        &self,
+        eta: &L,
+        pair: &Pair<L, D>,
+        bars: &Bars<L, D>,
+        pair_bar: &mut PairBar<L, D>,
+        bar: &mut SideBar<L, D>,
+    ) {
+        for d in 0..D {
+            let weighted = *eta * bars.acceleration[d];
+            let difference = pair.own.velocity[d] - pair.other.velocity[d];
+            pair_bar.scalar = weighted.mul_add(difference, pair_bar.scalar);
+            bar.velocity[d] = pair.weight.mul_add(weighted, bar.velocity[d]);
+        }
+    }
+
+    fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
+        let difference = (pairs.own(&fields.velocity)? - pairs.other(&fields.velocity)?)?;
+        PairTensors::add(&mut sums.common, difference.affine(self.0, 0.0)?)
+    }
+
+    fn name(&self, names: &mut Vec<&'static str>) {
+        names.push("viscosity");
+    }
 }

@@ -5,7 +5,6 @@
 
 use crate::numerics::lanes::Real;
 use crate::sph::chain::Step;
-use crate::sph::kernel::Quintic;
 use crate::sph::model::Model;
 use candle_core::{Result, Tensor};
 
@@ -63,26 +62,6 @@ impl Pairs {
         let c = field.dim(0)?;
         field.contiguous()?.index_select(&self.index, 1)?.reshape((c, self.particles, self.capacity))
     }
-}
-
-/// W, `[1, N, K]`.
-pub fn quintic(kernel: &Quintic, distance: &Tensor) -> Result<Tensor> {
-    let q = distance.affine(1.0 / kernel.smoothing_length, 0.0)?;
-    let term = |from: f64| -> Result<Tensor> {
-        let a = q.affine(-1.0, from)?.relu()?;
-        let s = a.sqr()?;
-        s.sqr()?.mul(&a)
-    };
-    ((term(3.0)? - term(2.0)?.affine(6.0, 0.0)?)? + term(1.0)?.affine(15.0, 0.0)?)?.affine(kernel.sigma, 0.0)
-}
-
-/// F = W'(d)/d, `[1, N, K]`.
-pub fn quintic_slope(kernel: &Quintic, distance: &Tensor) -> Result<Tensor> {
-    let h = kernel.smoothing_length;
-    let q = distance.affine(1.0 / h, 0.0)?;
-    let term = |from: f64| q.affine(-1.0, from)?.relu()?.sqr()?.sqr();
-    let sum = ((term(3.0)? - term(2.0)?.affine(6.0, 0.0)?)? + term(1.0)?.affine(15.0, 0.0)?)?;
-    sum.div(&q)?.affine(-5.0 * kernel.sigma / (h * h), 0.0)
 }
 
 /// Mass of every particle, `[1, N]`.

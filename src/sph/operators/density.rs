@@ -8,7 +8,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
-use crate::sph::kernel::QuinticLanes;
+use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{pack_positions, Masses, PairCache, RowGeometry};
@@ -34,7 +34,7 @@ impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
-        kernel: &QuinticLanes<L>,
+        kernel: &KernelLanes<L>,
         geometry: &RowGeometry<L, D>,
         i: usize,
     ) -> L {
@@ -119,9 +119,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, di
 /// [`PairCache`]'s pairs for an operator that is used without the density in front of it.
 pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
     if !kept.has_pairs {
-        let mut density = step.model.scratch.take(step.model.particles());
+        let mut density = step.model.scratch.buffers.buffer(step.model.particles());
         R::density(step, moved, kept, true, &mut density);
-        step.model.scratch.give_back(density);
     }
 }
 
@@ -190,7 +189,7 @@ pub fn backward<R: Real>(
 ) {
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
-    let mut position = model.scratch.take(4 * n);
+    let mut position = model.scratch.buffers.buffer(4 * n);
     let mass = Masses::new(model, moved);
     let b = |i: usize| if model.is_fluid(i) { density_bar[i] * mass.of(i) } else { R::default() };
     pack_positions(model, moved, Some(&b), &mut position);
@@ -207,7 +206,6 @@ pub fn backward<R: Real>(
     } else {
         go!(3)
     }
-    model.scratch.give_back(position);
     if l.mass {
         for i in 0..n {
             if model.is_fluid(i) {
@@ -238,7 +236,7 @@ impl<R: Sweeps> Operator<1> for Density<R> {
 
 /// The same from ordinary candle ops: the oracle.
 pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor) -> Result<Tensor> {
-    let w = composed::quintic(&step.model.kernel, &pairs.distance)?.mul(&pairs.mask)?;
+    let w = step.model.kernel.composed(&pairs.distance)?.0.mul(&pairs.mask)?;
     let sum = w.sum(2)?.affine(1.0, step.model.kernel.at_zero())?;
     let mass = composed::mass(step, moved)?;
     mass.mul(&sum)?.mul(&pairs.is_fluid)

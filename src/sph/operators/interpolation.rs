@@ -3,12 +3,11 @@
 //! What is summed is up to who asks: a field and 1 for a Shepard-normalised average, or m u T for a flux. Adjoint:
 //! f_bar_j = sum_t W f_bar(t), r_bar_j = -sum_t F (t - r_j) f_bar(t) f_j.
 
-use super::composed;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply2, Operator};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::Real;
 use crate::particles::Domain;
-use crate::sph::kernel::Quintic;
+use crate::sph::kernels::Kernel;
 use candle_core::{DType, Result, Shape, Tensor};
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -16,7 +15,7 @@ use std::sync::Arc;
 /// Where sums are taken, and over which particles.
 #[derive(Debug, Clone)]
 pub struct Interpolation {
-    pub kernel: Quintic,
+    pub kernel: Kernel,
     pub domain: Domain,
     pub targets: Arc<Vec<[f64; 3]>>,
     pub kernels: Kernels,
@@ -62,7 +61,7 @@ impl Interpolation {
         }
         let taken: Vec<f64> = taken.iter().map(|&taken| f64::from(u8::from(taken))).collect();
         let taken = Tensor::from_vec(taken, (1, n), device)?.to_dtype(position.dtype())?;
-        let weights = composed::quintic(&self.kernel, &r2.sqrt()?)?.broadcast_mul(&taken)?;
+        let weights = self.kernel.composed(&r2.sqrt()?)?.0.broadcast_mul(&taken)?;
         fields.matmul(&weights.t()?)
     }
 }
@@ -76,8 +75,6 @@ struct Sums<R> {
 impl<R: Real> Sums<R> {
     fn near(&self, target: &[f64; 3], position: &[R]) -> Vec<Near<R>> {
         let (n, domain) = (self.taken.len(), &self.of.domain);
-        // One pair at a time through the same kernel code: lane 0 of the portable lanes.
-        let kernel = self.of.kernel.lanes::<R::Portable>();
         let cutoff = R::of(self.of.kernel.cutoff());
         let inverse = domain.inverse_period();
         let mut near = Vec::new();
@@ -91,9 +88,7 @@ impl<R: Real> Sums<R> {
                 r2 += dr * dr;
             }
             if r2 < cutoff * cutoff {
-                let lanes = <R::Portable as Lanes>::splat(r2);
-                let count = R::of(<R::Portable as Lanes>::COUNT as f64);
-                let (weight, slope) = (kernel.value(lanes).sum() / count, kernel.slope(lanes).sum() / count);
+                let (weight, slope) = self.of.kernel.pair(r2);
                 near.push(Near { particle: j, difference, weight, slope });
             }
         }

@@ -14,8 +14,9 @@
 use crate::numerics::candle::{read, Operator};
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
-use crate::sph::laws::pressure::Pressure;
-use crate::sph::laws::{conduction, transport_velocity, viscosity};
+use crate::sph::laws::{
+    conduction, dot, with_laws, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums,
+};
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Masses, PairCache, RowGeometry};
 use crate::sph::operators::{composed, density};
@@ -26,38 +27,6 @@ use std::sync::Arc;
 
 /// moved `[M, N]`, primitives `[C, N]` -> rates `[A, N]`, zero for walls.
 pub struct Rates<R: Sweeps>(pub Arc<Chain<R>>);
-
-/// One particle of a pair: what its record holds.
-#[derive(Clone, Copy)]
-pub struct Side<L, const D: usize> {
-    pub volume: L,
-    pub density: L,
-    pub velocity: [L; D],
-    /// rho w / 2, w the transport velocity's shift.
-    pub transport: [L; D],
-    pub temperature: L,
-}
-
-/// Derivatives by the fields of the row's own side, summed over the row.
-#[derive(Clone, Copy)]
-pub struct SideBar<L, const D: usize> {
-    pub volume: L,
-    pub density: L,
-    pub velocity: [L; D],
-    pub transport: [L; D],
-    pub temperature: L,
-    pub position: [L; D],
-}
-
-/// Scalar product over dimensions.
-#[inline(always)]
-pub fn dot<L: Lanes, const D: usize>(a: &[L; D], b: &[L; D]) -> L {
-    let mut sum = a[0] * b[0];
-    for d in 1..D {
-        sum = a[d].mul_add(b[d], sum);
-    }
-    sum
-}
 
 /// Records `[N, stride]`: position D, volume, density, velocity D, [transport shift D], [temperature, temperature before
 /// this step's conduction].
@@ -119,7 +88,7 @@ pub fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept
 }
 
 #[inline(always)]
-fn side<L: Lanes, const D: usize, const TRANSPORT: bool, const HEAT: bool>(f: &Fields<L>) -> Side<L, D> {
+fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
     let get = |q: usize| f[q / 4][q % 4];
     let density = get(D + 1);
     let half = L::splat(L::Real::of(0.5)) * density;
@@ -128,11 +97,11 @@ fn side<L: Lanes, const D: usize, const TRANSPORT: bool, const HEAT: bool>(f: &F
         density,
         velocity: [L::zero(); D],
         transport: [L::zero(); D],
-        temperature: if HEAT { get(record_temperature(D, TRANSPORT)) } else { L::zero() },
+        temperature: if W::HEAT { get(record_temperature(D, W::TRANSPORT)) } else { L::zero() },
     };
     for d in 0..D {
         side.velocity[d] = get(D + 2 + d);
-        if TRANSPORT {
+        if W::TRANSPORT {
             side.transport[d] = half * get(2 * D + 2 + d);
         }
     }
@@ -147,21 +116,15 @@ fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
     position
 }
 
-struct Forward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
+struct Forward<'a, R, W, const D: usize> {
     step: &'a Step<R>,
+    laws: W,
     kept: &'a PairCache<R>,
     mass: Masses<'a, R>,
     rates: Shared<'a, R>,
 }
 
-/// Sums over a row of the pair pass.
-struct Sums<L, const D: usize> {
-    force: [L; D],
-    spread: [L; D],
-    warmth: L,
-}
-
-impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Forward<'_, R, D, TRANSPORT, HEAT> {
+impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
@@ -169,47 +132,35 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Forward<'
         own: &Fields<L>,
         i: usize,
     ) -> Sums<L, D> {
-        let (model, list) = (&*self.step.model, &*self.step.list);
-        let fields = record_fields(D, TRANSPORT, HEAT);
-        let pressure = Pressure(model.equation_of_state);
-        let eta = L::splat(R::of(model.viscosity));
-        let (here, a) = (position::<L, D>(own), side::<L, D, TRANSPORT, HEAT>(own));
-        let own_pressure = pressure.prepare(&a);
+        let list = &*self.step.list;
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        let (here, a) = (position::<L, D>(own), side::<L, W, D>(own));
+        let prepared = self.laws.prepare(&a);
         let volume2 = a.volume * a.volume;
         let from = i * list.capacity;
-        let mut sums = Sums { force: [L::zero(); D], spread: [L::zero(); D], warmth: L::zero() };
+        let zero = [L::zero(); D];
+        let mut sums = Sums { common: zero, force: zero, spread: zero, warmth: L::zero() };
         for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F is kept for every pair of the list, 0 in the padding.
             let (other, slope) = unsafe {
                 let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
                 (gather_fields::<L>(self.kept.records.as_ptr(), fields, index), slope)
             };
-            let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
-            let (dr, _) = geometry.difference::<EDGE>(&here, &there);
-            let c = b.volume.mul_add(b.volume, volume2) * slope;
-            let mut e = [L::zero(); D];
-            pressure.add(&a, &own_pressure, &b, &dr, &mut e);
-            viscosity::add(eta, &a, &b, &mut e);
-            if TRANSPORT {
-                transport_velocity::add(&a, &b, &dr, &mut e);
-            }
+            let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (difference, square) = geometry.difference::<EDGE>(&here, &there);
+            let weight = b.volume.mul_add(b.volume, volume2) * slope;
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            sums.common = zero;
+            self.laws.add(&prepared, &pair, &mut sums);
             for d in 0..D {
-                sums.force[d] = c.mul_add(e[d], sums.force[d]);
-                if TRANSPORT {
-                    sums.spread[d] = c.mul_add(dr[d], sums.spread[d]);
-                }
-            }
-            if HEAT {
-                sums.warmth = conduction::add(&a, &b, slope, sums.warmth);
+                sums.force[d] = weight.mul_add(sums.common[d], sums.force[d]);
             }
         }
         sums
     }
 }
 
-impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
-    for Forward<'_, R, D, TRANSPORT, HEAT>
-{
+impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> {
     const SHORT: bool = D == 2;
 
     #[inline(always)]
@@ -217,7 +168,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
         let (model, list) = (&*self.step.model, &*self.step.list);
         let n = model.particles();
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
-        let fields = record_fields(D, TRANSPORT, HEAT);
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
         let vacuum = R::of(model.equation_of_state.at_vacuum());
         let conduction = R::of(conduction::factor(model));
         for row in rows {
@@ -235,11 +186,11 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 for d in 0..D {
                     let given = if d == 0 { R::of(model.body_force.at(record[1].f64())) } else { R::default() };
                     self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
-                    if TRANSPORT {
+                    if W::TRANSPORT {
                         self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
                     }
                 }
-                if HEAT {
+                if W::HEAT {
                     let rate = conduction * inverse_mass * sums.warmth.sum();
                     let open = conduction::conducts(model, record[0]);
                     self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
@@ -268,17 +219,12 @@ pub(super) use dispatch;
 
 /// The forward pass, on plain numbers, from [`PairCache`]'s pairs and records. `rates` must be zero for walls.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates: &mut [R]) {
-    let l = step.model.layout;
     let mass = Masses::new(&step.model, moved);
-    macro_rules! go {
-        ($d:literal, $transport:literal, $heat:literal) => {
-            run_rows(
-                &Forward::<R, $d, $transport, $heat> { step, kept, mass, rates: Shared::new(rates) },
-                step.list.fluid_rows.len(),
-            )
-        };
-    }
-    dispatch!(l, go);
+    let rates = Shared::new(rates);
+    with_laws!(&*step.model, |laws, D| run_rows(
+        &Forward::<R, _, D> { step, laws, kept, mass, rates },
+        step.list.fluid_rows.len(),
+    ))
 }
 
 /// The rates from the state at the step's end, which has them.
@@ -291,8 +237,9 @@ fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
     }
 }
 
-struct Backward<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
+struct Backward<'a, R, W, const D: usize> {
     step: &'a Step<R>,
+    laws: W,
     kept: &'a PairCache<R>,
     /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
     bars: &'a [R],
@@ -305,7 +252,26 @@ const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
     d + if transport { d } else { 0 } + heat as usize
 }
 
-impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Backward<'_, R, D, TRANSPORT, HEAT> {
+/// The cotangents of a pair from the records of both sides.
+#[inline(always)]
+fn bars_of<L: Lanes, W: PairLaw, const D: usize>(own: &Fields<L>, other: &Fields<L>, along: &[L; D]) -> Bars<L, D> {
+    let difference = |q: usize| own[q / 4][q % 4] - other[q / 4][q % 4];
+    let zero = [L::zero(); D];
+    let mut bars = Bars { acceleration: zero, along: L::zero(), transport: zero, temperature: L::zero() };
+    for d in 0..D {
+        bars.acceleration[d] = difference(d);
+        if W::TRANSPORT {
+            bars.transport[d] = difference(D + d);
+        }
+    }
+    bars.along = dot(&bars.acceleration, along);
+    if W::HEAT {
+        bars.temperature = difference(if W::TRANSPORT { 2 * D } else { D });
+    }
+    bars
+}
+
+impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
@@ -313,26 +279,19 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Backward<
         own: &Fields<L>,
         i: usize,
     ) -> SideBar<L, D> {
-        let (model, list) = (&*self.step.model, &*self.step.list);
-        let fields = record_fields(D, TRANSPORT, HEAT);
-        let bar_fields = bar_fields(D, TRANSPORT, HEAT);
+        let list = &*self.step.list;
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        let bar_fields = const { bar_fields(D, W::TRANSPORT, W::HEAT) };
         let width = stride(bar_fields);
-        let pressure = Pressure(model.equation_of_state);
-        let eta = L::splat(R::of(model.viscosity));
         let two = L::splat(R::of(2.0));
-        let (here, a) = (position::<L, D>(own), side::<L, D, TRANSPORT, HEAT>(own));
-        let own_pressure = pressure.prepare(&a);
+        let (here, a) = (position::<L, D>(own), side::<L, W, D>(own));
+        let prepared = self.laws.prepare(&a);
         let own_bar = splat_fields::<L>(&self.bars[i * width..(i + 1) * width], bar_fields);
         let volume2 = a.volume * a.volume;
         let from = i * list.capacity;
-        let mut bar = SideBar {
-            volume: L::zero(),
-            density: L::zero(),
-            velocity: [L::zero(); D],
-            transport: [L::zero(); D],
-            temperature: L::zero(),
-            position: [L::zero(); D],
-        };
+        let (zero, none) = ([L::zero(); D], L::zero());
+        let mut bar =
+            SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
         for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F and G are kept for every pair of the list, 0 in the padding.
             let (other, other_bar, slope, curvature) = unsafe {
@@ -343,47 +302,25 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> Backward<
                     L::load(self.kept.curvature.as_ptr().add(from + k * L::COUNT)),
                 )
             };
-            let (there, b) = (position::<L, D>(&other), side::<L, D, TRANSPORT, HEAT>(&other));
-            let difference = |q: usize| own_bar[q / 4][q % 4] - other_bar[q / 4][q % 4];
-            let mut alpha = [L::zero(); D];
-            for d in 0..D {
-                alpha[d] = difference(d);
-            }
-            let (dr, _) = geometry.difference::<EDGE>(&here, &there);
+            let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let volumes2 = b.volume.mul_add(b.volume, volume2);
-            let c = volumes2 * slope;
-
-            // s = alpha.e + beta.r, and its derivative by r_ij.
-            let mut s = L::zero();
-            let mut by_position = [L::zero(); D];
-            let along = dot(&alpha, &dr);
-            pressure.adjoint(&a, &own_pressure, &b, along, &alpha, c, &mut s, &mut by_position, &mut bar);
-            viscosity::adjoint(eta, &a, &b, &alpha, c, &mut s, &mut bar);
-            if TRANSPORT {
-                let mut beta = [L::zero(); D];
-                for d in 0..D {
-                    beta[d] = difference(D + d);
-                }
-                transport_velocity::adjoint(&a, &b, &dr, &alpha, &beta, c, &mut s, &mut by_position, &mut bar);
-            }
-            bar.volume = (slope * s).mul_add(two * a.volume, bar.volume);
-            let mut by_slope = volumes2 * s;
-            if HEAT {
-                let gamma = difference(if TRANSPORT { 2 * D } else { D });
-                conduction::adjoint(&a, &b, gamma, slope, &mut by_slope, &mut bar);
-            }
-            let radial = by_slope * curvature;
+            let weight = volumes2 * slope;
+            let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            let mut pair_bar = PairBar { scalar: none, by_difference: zero, by_slope: none };
+            self.laws.adjoint(&prepared, &pair, &bars, &mut pair_bar, &mut bar);
+            bar.volume = (slope * pair_bar.scalar).mul_add(two * a.volume, bar.volume);
+            let radial = volumes2.mul_add(pair_bar.scalar, pair_bar.by_slope) * curvature;
             for d in 0..D {
-                bar.position[d] += radial.mul_add(dr[d], c * by_position[d]);
+                bar.position[d] += radial.mul_add(difference[d], weight * pair_bar.by_difference[d]);
             }
         }
         bar
     }
 }
 
-impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
-    for Backward<'_, R, D, TRANSPORT, HEAT>
-{
+impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D> {
     const SHORT: bool = D == 2;
 
     #[inline(always)]
@@ -391,7 +328,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
         let (model, list) = (&*self.step.model, &*self.step.list);
         let (n, l) = (model.particles(), model.layout);
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
-        let fields = record_fields(D, TRANSPORT, HEAT);
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
         for row in rows {
             let i = pairs::particle_of_row(list, row);
             let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
@@ -411,7 +348,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 for d in 0..D {
                     self.moved_bar.add(d * n + i, bar.position[d].sum());
                     self.primitives_bar.set((l.primitive_velocity() + d) * n + i, bar.velocity[d].sum());
-                    if TRANSPORT {
+                    if W::TRANSPORT {
                         // transport = rho w / 2
                         let t = bar.transport[d].sum();
                         let half = R::of(0.5) * t;
@@ -419,7 +356,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                         self.primitives_bar.set((l.primitive_shift() + d) * n + i, half * density);
                     }
                 }
-                if HEAT {
+                if W::HEAT {
                     self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
                 }
                 self.primitives_bar.set(i, density_bar);
@@ -498,7 +435,7 @@ pub fn backward<R: Real>(
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
     let mass = Masses::new(model, moved);
-    let mut bars = model.scratch.take(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
+    let mut bars = model.scratch.buffers.buffer(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
     let packing = PackingBars {
         step,
         moved,
@@ -509,23 +446,11 @@ pub fn backward<R: Real>(
         moved_bar: Shared::new(moved_bar),
     };
     run_rows(&packing, n);
-    macro_rules! go {
-        ($d:literal, $transport:literal, $heat:literal) => {
-            run_rows(
-                &Backward::<R, $d, $transport, $heat> {
-                    step,
-                    kept,
-                    bars: &bars,
-                    mass,
-                    moved_bar: Shared::new(moved_bar),
-                    primitives_bar: Shared::new(primitives_bar),
-                },
-                pairs::all_rows(&step.list),
-            )
-        };
-    }
-    dispatch!(l, go);
-    model.scratch.give_back(bars);
+    let (moved_bar, primitives_bar) = (Shared::new(moved_bar), Shared::new(primitives_bar));
+    with_laws!(model, |laws, D| run_rows(
+        &Backward::<R, _, D> { step, laws, kept, bars: &bars, mass, moved_bar, primitives_bar },
+        pairs::all_rows(&step.list),
+    ));
 }
 
 impl<R: Sweeps> Operator<2> for Rates<R> {
@@ -570,30 +495,36 @@ pub fn composed<R: Real>(
     let mass = composed::mass(step, moved)?;
     let density = primitives.narrow(0, 0, 1)?;
     let volume = mass.div(&density)?;
-    let (volume_i, volume_j) = (pairs.own(&volume)?, pairs.other(&volume)?);
-    let slope = composed::quintic_slope(&model.kernel, &pairs.distance)?.mul(&pairs.mask)?;
-    let c = (volume_i.sqr()? + volume_j.sqr()?)?.mul(&slope)?;
-    let velocity = primitives.narrow(0, l.primitive_velocity(), d)?;
-    let mut force = Pressure(model.equation_of_state).composed(pairs, &density)?;
-    let viscous = viscosity::composed(model.viscosity, pairs, &velocity)?;
-    force = (force + viscous)?;
-    if l.transport {
-        let shift = primitives.narrow(0, l.primitive_shift(), d)?;
-        force = (force + transport_velocity::composed(pairs, &density, &velocity, &shift)?)?;
+    let slope = model.kernel.composed(&pairs.distance)?.1.mul(&pairs.mask)?;
+    let weight = (pairs.own(&volume)?.sqr()? + pairs.other(&volume)?.sqr()?)?.mul(&slope)?;
+    let optional =
+        |wanted: bool, row: usize, count: usize| wanted.then(|| primitives.narrow(0, row, count)).transpose();
+    let fields = PairFields {
+        volume,
+        density,
+        velocity: primitives.narrow(0, l.primitive_velocity(), d)?,
+        shift: optional(l.transport, l.primitive_shift(), d)?,
+        temperature: optional(l.heat, l.primitive_temperature(), 1)?,
+        slope,
+        weight,
+        mass: mass.clone(),
+    };
+    let mut sums = PairTensors::default();
+    with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    if let Some(common) = &sums.common {
+        PairTensors::add(&mut sums.force, common.broadcast_mul(&fields.weight)?.sum(2)?)?;
     }
+    let nothing = || fields.velocity.zeros_like();
     let only_fluid = pairs.is_fluid.clone();
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
-    let pair_forces = per_mass(force.broadcast_mul(&c)?.sum(2)?)?;
+    let pair_forces = per_mass(sums.force.map_or_else(nothing, Ok)?)?;
     let given = model.body_force.composed(&moved.narrow(0, 1, 1)?)?.mul(&only_fluid)?;
     let acceleration = Tensor::cat(&[(pair_forces.narrow(0, 0, 1)? + given)?, pair_forces.narrow(0, 1, d - 1)?], 0)?;
     let mut rates = vec![acceleration];
-    if l.transport {
-        let spread = pairs.difference.broadcast_mul(&c)?.sum(2)?;
+    if let Some(spread) = sums.spread {
         rates.push(per_mass(spread.affine(model.equation_of_state.at_vacuum(), 0.0)?)?);
     }
-    if l.heat {
-        let temperature = primitives.narrow(0, l.primitive_temperature(), 1)?;
-        let warmth = conduction::composed(pairs, &volume, &temperature, &slope)?;
+    if let Some(warmth) = sums.warmth {
         let open = conduction::conducts_composed(model, &moved.narrow(0, 0, 1)?)?;
         rates.push(per_mass(warmth.affine(conduction::factor(model), 0.0)?)?.mul(&open)?);
     }

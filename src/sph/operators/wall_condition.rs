@@ -18,7 +18,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
-use crate::sph::kernel::QuinticLanes;
+use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{
@@ -89,7 +89,7 @@ fn averaged<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, 
 #[inline(always)]
 fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, const HEAT: bool>(
     step: &Step<R>,
-    kernel: &QuinticLanes<L>,
+    kernel: &KernelLanes<L>,
     geometry: &RowGeometry<L, D>,
     position: &[R],
     records: *const R,
@@ -545,7 +545,7 @@ pub fn backward<R: Real>(
     }
     macro_rules! go {
         ($d:literal, $transport:literal, $heat:literal) => {{
-            let mut sums_bar = model.scratch.take(stride(bar_fields($d, $transport, $heat)) * n);
+            let mut sums_bar = model.scratch.buffers.buffer(stride(bar_fields($d, $transport, $heat)) * n);
             sums_bar.fill(R::default());
             run_rows(
                 &WallRows::<R, $d, $transport, $heat> {
@@ -567,7 +567,6 @@ pub fn backward<R: Real>(
                 },
                 list.fluid_rows.len(),
             );
-            model.scratch.give_back(sums_bar);
         }};
     }
     dispatch!(l, go);
@@ -604,17 +603,13 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
     let wall = fluid.affine(-1.0, 1.0)?;
     let choose = |of_fluid: &Tensor, of_wall: &Tensor| of_fluid.broadcast_mul(fluid)? + of_wall.broadcast_mul(&wall)?;
     // Weights of fluid neighbours only.
-    let w = composed::quintic(&model.kernel, &pairs.distance)?.mul(&pairs.mask)?.mul(&pairs.other(fluid)?)?;
+    let w = model.kernel.composed(&pairs.distance)?.0.mul(&pairs.mask)?.mul(&pairs.other(fluid)?)?;
     let inverse = w.sum(2)?.affine(1.0, EPSILON)?.recip()?;
     let average = |x: &Tensor| pairs.other(x)?.broadcast_mul(&w)?.sum(2)?.broadcast_mul(&inverse);
 
-    let eos = model.equation_of_state;
-    let ratio = density.affine(1.0 / eos.reference_density, 0.0)?;
-    let power = if eos.gamma == 1 { ratio } else { ratio.powf(eos.gamma as f64)? };
-    let pressure = average(&power.affine(eos.reference_pressure, eos.at_vacuum())?)?;
-    let power = pressure.affine(1.0 / eos.reference_pressure, -eos.at_vacuum() / eos.reference_pressure)?;
-    let power = if eos.gamma == 1 { power } else { power.powf(1.0 / eos.gamma as f64)? };
-    let mut rows = vec![choose(density, &power.affine(eos.reference_density, 0.0)?)?];
+    let state = model.equation_of_state;
+    let pressure = average(&state.pressure_composed(density)?)?;
+    let mut rows = vec![choose(density, &state.density_composed(&pressure)?)?];
     rows.push(choose(&velocity, &(velocity.affine(2.0, 0.0)? - average(&velocity)?)?)?);
     if let Some(shift) = shift {
         rows.push(choose(&shift, &(shift.affine(2.0, 0.0)? - average(&shift)?)?)?);

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// True frames before the first predicted one, as many for every model so that all predict the same.
-pub const HISTORY: usize = 6;
+pub const HISTORY: usize = crate::config::training::MOST_FRAMES;
 
 /// A particle this many times the box's length outside of an open box has left it.
 const FAR: f64 = 0.5;
@@ -40,11 +40,6 @@ pub fn windows(frames: usize, steps: usize) -> impl Iterator<Item = usize> {
     (0..frames / length).map(move |k| k * length)
 }
 
-/// What does not change along a trajectory.
-pub fn scenery<'a>(metadata: &'a Metadata, trajectory: &'a Trajectory) -> Scenery<'a> {
-    Scenery { metadata, kind: &trajectory.kind, wall_temperature: trajectory.wall_temperature.as_deref() }
-}
-
 /// Predicts `steps` frames from the `HISTORY` frames that begin at frame `start`.
 ///
 /// # Errors
@@ -64,7 +59,7 @@ pub fn rollout(
             .into());
     }
     check_length(trajectory, start, steps)?;
-    let scenery = scenery(metadata, trajectory);
+    let scenery = Scenery::of(metadata, trajectory);
     let first = start + HISTORY;
     let mut frames: Vec<Frame> = (first - seen..first).map(|frame| Frame::of(trajectory, frame)).collect();
     let mut broken = None;
@@ -88,7 +83,7 @@ pub fn rollout(
 /// The conditions that hold whatever the model says; an error if the frame can not be used.
 fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) -> anyhow::Result<Frame> {
     let extent = Extent::of(scenery.metadata);
-    let dimension = extent.dimension;
+    let dimension = extent.dimension();
     if frame.position.len() != truth.position.len() {
         anyhow::bail!("{} coordinates instead of {}", frame.position.len(), truth.position.len());
     }
@@ -106,8 +101,8 @@ fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) ->
                 anyhow::bail!("particle {i} has a position that is not finite");
             }
             *coordinate = extent.wrapped(d, *coordinate);
-            let outside = (extent.low[d] - *coordinate).max(*coordinate - extent.low[d] - extent.size[d]);
-            if outside > FAR * extent.size[d] {
+            let outside = (extent.low[d] - *coordinate).max(*coordinate - extent.low[d] - extent.domain.size[d]);
+            if outside > FAR * extent.domain.size[d] {
                 anyhow::bail!("particle {i} left the box: {} = {coordinate:.4}", ["x", "y", "z"][d]);
             }
         }

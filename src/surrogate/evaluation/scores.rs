@@ -163,14 +163,14 @@ pub fn evaluate_with(
 
 /// Metrics of one window, `[steps]` each.
 #[derive(Debug, Default)]
-struct Window {
+struct WindowScores {
     curves: Curves,
     /// None where it did not converge.
     sinkhorn: Vec<Option<f64>>,
     e_kin: Option<f64>,
 }
 
-fn score(metadata: &Metadata, trajectory: &Trajectory, start: usize, run: Rollout, options: &Options) -> Window {
+fn score(metadata: &Metadata, trajectory: &Trajectory, start: usize, run: Rollout, options: &Options) -> WindowScores {
     let extent = Extent::of(metadata);
     let counted = options.counted.of(&trajectory.kind);
     let first = start + HISTORY;
@@ -218,13 +218,13 @@ fn score(metadata: &Metadata, trajectory: &Trajectory, start: usize, run: Rollou
         };
         (curves.outflow_predicted, curves.outflow_true) = (outflows(&predicted), outflows(&truth));
     }
-    Window { curves, sinkhorn, e_kin }
+    WindowScores { curves, sinkhorn, e_kin }
 }
 
 fn averaged(
     model: String,
     options: &Options,
-    windows: &[Window],
+    windows: &[WindowScores],
     broken: Vec<BrokenWindow>,
     seconds_per_step: f64,
 ) -> Scores {
@@ -270,9 +270,9 @@ fn averaged(
 }
 
 /// See [`Scores::outflow_error`]; none where no heat flows out.
-fn outflow_error(windows: &[Window]) -> Option<f64> {
+fn outflow_error(windows: &[WindowScores]) -> Option<f64> {
     let mut sums = (0.0, 0.0);
-    for Window { curves, .. } in windows {
+    for WindowScores { curves, .. } in windows {
         let predicted: f64 = curves.outflow_predicted.as_ref()?.iter().sum();
         let truth: f64 = curves.outflow_true.as_ref()?.iter().sum();
         sums = (sums.0 + (predicted - truth).abs(), sums.1 + truth.abs());

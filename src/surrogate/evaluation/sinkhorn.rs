@@ -33,7 +33,7 @@ pub struct NotConverged {
 /// # Errors
 /// No convergence: a particle far away from all others, or coordinates that are not finite.
 pub fn divergence(extent: &Extent, x: &[f64], y: &[f64], threshold: f64) -> Result<f64, NotConverged> {
-    let particles = x.len() / extent.dimension;
+    let particles = x.len() / extent.dimension();
     if particles == 0 {
         return Ok(0.0);
     }
@@ -50,7 +50,7 @@ pub fn divergence(extent: &Extent, x: &[f64], y: &[f64], threshold: f64) -> Resu
 
 /// C `[N, N]`.
 fn costs(extent: &Extent, x: &[f64], y: &[f64]) -> Vec<f64> {
-    let d = extent.dimension;
+    let d = extent.dimension();
     let mut costs = Vec::with_capacity(x.len() / d * (y.len() / d));
     for a in x.chunks_exact(d) {
         for b in y.chunks_exact(d) {

@@ -4,9 +4,9 @@ use crate::dataset::extent::Extent;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Linear;
+pub struct ConstantVelocity;
 
-impl Predictor for Linear {
+impl Predictor for ConstantVelocity {
     fn name(&self) -> String {
         "linear".into()
     }
@@ -22,7 +22,7 @@ impl Predictor for Linear {
         let position = last.position.iter().zip(step).map(|(p, v)| p + v).collect();
         // What the inlet set has not changed by itself: to go on from there would be no baseline but nonsense.
         let inlet = scenery.metadata.heat.as_ref().map_or(f64::NEG_INFINITY, |heat| heat.inlet_length);
-        let at_inlet = |i: usize| last.position[i * extent.dimension] < inlet;
+        let at_inlet = |i: usize| last.position[i * extent.dimension()] < inlet;
         let temperature = match (&last.temperature, &before.temperature) {
             (Some(last), Some(before)) => {
                 Some((0..last.len()).map(|i| if at_inlet(i) { last[i] } else { 2.0 * last[i] - before[i] }).collect())

@@ -10,11 +10,12 @@
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::gns::Sizes;
-use crate::surrogate::network::composed;
-use crate::surrogate::network::gather::{gather, segment_sum, End};
-use crate::surrogate::network::mlp::Shape;
-use crate::surrogate::network::parameters::{Model, Parameter};
+use crate::surrogate::network::graph::Ends;
+use crate::surrogate::network::layers::{builder, Perceptron};
+use crate::surrogate::network::mlp::MlpShape;
+use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
+use candle_nn::{embedding, Embedding, Module, VarBuilder};
 
 pub struct Egnn {
     sizes: Sizes,
@@ -33,7 +34,7 @@ impl Egnn {
         let mut rng = stream(seed, "weights");
         let network = Self { sizes, velocities: frames - 1, parameters: Vec::new() };
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
-        let mut add = |name: String, shape: Shape| -> Result<()> {
+        let mut add = |name: String, shape: MlpShape| -> Result<()> {
             parameters.push(Parameter::perceptron(&name, &shape, &mut rng, dtype)?);
             Ok(())
         };
@@ -60,68 +61,111 @@ impl Egnn {
         self.sizes.outputs - self.dimension()
     }
 
-    fn perceptron(&self, inputs: usize, outputs: usize, norm: bool) -> Shape {
-        Shape { inputs, hidden: self.sizes.latent, outputs, linears: self.sizes.linears, norm }
+    fn perceptron(&self, inputs: usize, outputs: usize, norm: bool) -> MlpShape {
+        MlpShape { inputs, hidden: self.sizes.latent, outputs, linears: self.sizes.linears, norm }
     }
 
-    fn encoder(&self) -> Shape {
+    fn encoder(&self) -> MlpShape {
         // Of the node features the velocities are replaced by their norms.
         let steps = self.velocities;
         let invariant = self.sizes.node_features - steps * self.dimension() + steps;
         self.perceptron(invariant + self.sizes.embedding, self.sizes.latent, true)
     }
 
-    fn messages(&self) -> Shape {
+    fn messages(&self) -> MlpShape {
         self.perceptron(2 * self.sizes.latent + 1, self.sizes.latent, true)
     }
 
-    fn nodes(&self) -> Shape {
+    fn nodes(&self) -> MlpShape {
         self.perceptron(2 * self.sizes.latent, self.sizes.latent, true)
     }
 
-    fn head(&self, outputs: usize) -> Shape {
+    fn head(&self, outputs: usize) -> MlpShape {
         self.perceptron(self.sizes.latent, outputs, false)
     }
 }
 
-impl Model for Egnn {
+/// The network from candle-nn's layers, for one set of parameters.
+struct Layers {
+    embedding: Embedding,
+    encoder: Perceptron,
+    rounds: Vec<Round>,
+    /// Of the outputs that do not turn with the frame, if there are any.
+    decoder: Option<Perceptron>,
+}
+
+struct Round {
+    messages: Perceptron,
+    nodes: Perceptron,
+    /// w.
+    pull: Perceptron,
+    /// u_k, all in one.
+    drift: Perceptron,
+}
+
+impl Egnn {
+    fn layers(&self, builder: VarBuilder) -> Result<Layers> {
+        let round = |k: usize| {
+            let builder = builder.pp("proc").pp(k);
+            Ok(Round {
+                messages: Perceptron::new(&self.messages(), builder.pp("edge"))?,
+                nodes: Perceptron::new(&self.nodes(), builder.pp("node"))?,
+                pull: Perceptron::new(&self.head(1), builder.pp("pull"))?,
+                drift: Perceptron::new(&self.head(self.velocities), builder.pp("drift"))?,
+            })
+        };
+        let decodes = self.scalars() > 0;
+        Ok(Layers {
+            embedding: embedding(KINDS, self.sizes.embedding, builder.pp("embed"))?,
+            encoder: Perceptron::new(&self.encoder(), builder.pp("enc.node"))?,
+            rounds: (0..self.sizes.rounds).map(round).collect::<Result<_>>()?,
+            decoder: decodes.then(|| Perceptron::new(&self.head(self.scalars()), builder.pp("dec"))).transpose()?,
+        })
+    }
+
+    /// What of the node features does not turn with the frame: speeds, and what stands behind the velocities.
+    fn invariants(&self, inputs: &Inputs, velocities: &[Tensor]) -> Result<Vec<Tensor>> {
+        // 1e-12 under the root: a derivative at rest.
+        let speed = |v: &Tensor| (v.sqr()?.sum_keepdim(1)? + 1e-12)?.sqrt();
+        let mut invariants = velocities.iter().map(speed).collect::<Result<Vec<_>>>()?;
+        let turning = self.velocities * self.dimension();
+        if self.sizes.node_features > turning {
+            invariants.push(inputs.nodes.narrow(1, turning, self.sizes.node_features - turning)?);
+        }
+        Ok(invariants)
+    }
+}
+
+impl Network for Egnn {
     fn parameters(&self) -> &[Parameter] {
         &self.parameters
     }
 
-    fn apply(&self, inputs: &Inputs, p: &[Tensor]) -> Result<Tensor> {
-        let (s, d, graph) = (&self.sizes, self.dimension(), &inputs.graph);
+    fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
+        let layers = self.layers(builder(&self.parameters, parameters)?)?;
+        let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
+        let d = self.dimension();
         let velocity = |k: usize| inputs.nodes.narrow(1, k * d, d);
-        let mut scalars = Vec::new();
-        for k in 0..self.velocities {
-            // 1e-12 under the root: a derivative at rest.
-            scalars.push((velocity(k)?.sqr()?.sum_keepdim(1)? + 1e-12)?.sqrt()?);
-        }
-        let others = self.velocities * d;
-        if s.node_features > others {
-            scalars.push(inputs.nodes.narrow(1, others, s.node_features - others)?);
-        }
-        scalars.push(p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?);
-        let mut h = composed::mlp(&self.encoder(), &Tensor::cat(&scalars, 1)?, &p[1])?;
+        let velocities = (0..self.velocities).map(velocity).collect::<Result<Vec<_>>>()?;
         let (relative, length) = (inputs.edges.narrow(1, 0, d)?, inputs.edges.narrow(1, d, 1)?);
-        let mut x = velocity(0)?.zeros_like()?;
-        for k in 0..s.rounds {
-            let p = &p[2 + 4 * k..6 + 4 * k];
-            let ends = [gather(&h, graph, End::Sender)?, gather(&h, graph, End::Receiver)?, length.contiguous()?];
-            let messages = composed::mlp(&self.messages(), &Tensor::cat(&ends, 1)?, &p[0])?;
-            let sums = segment_sum(&messages, graph, End::Receiver)?;
-            h = (&h + composed::mlp(&self.nodes(), &Tensor::cat(&[&h, &sums], 1)?, &p[1])?)?;
-            let pull = relative.broadcast_mul(&composed::mlp(&self.head(1), &messages, &p[2])?)?;
-            x = (x + segment_sum(&pull, graph, End::Receiver)?)?;
-            let drift = composed::mlp(&self.head(self.velocities), &h, &p[3])?;
-            for k in 0..self.velocities {
-                x = (x + velocity(k)?.broadcast_mul(&drift.narrow(1, k, 1)?)?)?;
+
+        let mut scalars = self.invariants(inputs, &velocities)?;
+        scalars.push(layers.embedding.forward(&inputs.kinds)?);
+        let mut h = layers.encoder.forward(&Tensor::cat(&scalars, 1)?)?;
+        let mut x = velocities[0].zeros_like()?;
+        for round in &layers.rounds {
+            let pairs = Tensor::cat(&[&ends.of_senders(&h)?, &ends.of_receivers(&h)?, &length], 1)?;
+            let messages = round.messages.forward(&pairs)?;
+            h = (&h + round.nodes.forward(&Tensor::cat(&[&h, &ends.sums(&messages)?], 1)?)?)?;
+            x = (x + ends.sums(&relative.broadcast_mul(&round.pull.forward(&messages)?)?)?)?;
+            let drift = round.drift.forward(&h)?;
+            for (k, velocity) in velocities.iter().enumerate() {
+                x = (x + velocity.broadcast_mul(&drift.narrow(1, k, 1)?)?)?;
             }
         }
-        if self.scalars() == 0 {
-            return Ok(x);
+        match layers.decoder {
+            Some(decoder) => Tensor::cat(&[x, decoder.forward(&h)?], 1),
+            None => Ok(x),
         }
-        let scalars = composed::mlp(&self.head(self.scalars()), &h, &p[2 + 4 * s.rounds])?;
-        Tensor::cat(&[x, scalars], 1)
     }
 }

@@ -1,13 +1,16 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
+use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
+use crate::surrogate::models::composed_gns::ComposedGns;
 use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
+use crate::surrogate::network::layers::builder;
 use crate::surrogate::network::memory::Memory;
-use crate::surrogate::network::mlp::{Mlp, Shape};
-use crate::surrogate::network::parameters::{Model, Parameter};
+use crate::surrogate::network::mlp::{Mlp, MlpShape};
+use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
 
 /// Sizes of a network.
@@ -31,6 +34,7 @@ pub struct Sizes {
 pub struct Gns {
     pub sizes: Sizes,
     dtype: DType,
+    kernels: Kernels,
     /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
     single: Memory<f32>,
@@ -38,45 +42,61 @@ pub struct Gns {
 }
 
 impl Sizes {
-    fn encoder(&self, inputs: usize) -> Shape {
-        Shape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
+    fn encoder(&self, inputs: usize) -> MlpShape {
+        MlpShape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
     }
 
-    fn decoder(&self) -> Shape {
-        Shape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
+    /// The perceptron that encodes nodes.
+    pub fn node_encoder(&self) -> MlpShape {
+        self.encoder(self.node_features + self.embedding)
+    }
+
+    /// The perceptron that encodes edges.
+    pub fn edge_encoder(&self) -> MlpShape {
+        self.encoder(self.edge_features)
+    }
+
+    /// The perceptrons of a round, of edges and of nodes.
+    pub fn round(&self) -> (MlpShape, MlpShape) {
+        let Self { latent, linears, .. } = *self;
+        (edge_shape(latent, latent, linears), node_shape(latent, latent, linears))
+    }
+
+    /// The perceptron that reads the answer off the nodes.
+    pub fn decoder(&self) -> MlpShape {
+        MlpShape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
     }
 }
 
 impl Gns {
-    /// A new network from a seed.
+    /// A new network from a seed. What it computes with (`kernels`) is no matter of its parameters.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn new(sizes: Sizes, seed: u64, dtype: DType) -> Result<Self> {
+    pub fn new(sizes: Sizes, kernels: Kernels, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
-        let Sizes { node_features, edge_features, latent, linears, embedding, .. } = sizes;
-        let mut parameters = vec![Parameter::table("embed.weight", KINDS, embedding, &mut rng, dtype)?];
-        let mut add = |shapes: Vec<(String, Shape)>| -> Result<()> {
+        let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
+        let mut add = |shapes: Vec<(String, MlpShape)>| -> Result<()> {
             parameters.push(Parameter::perceptrons(&shapes, &mut rng, dtype)?);
             Ok(())
         };
         let round = |k: usize| {
-            let (edge, node) = (edge_shape(latent, latent, linears), node_shape(latent, latent, linears));
+            let (edge, node) = sizes.round();
             [(format!("proc.{k}.edge"), edge), (format!("proc.{k}.node"), node)]
         };
-        add(vec![("enc.node".into(), sizes.encoder(node_features + embedding))])?;
-        add(vec![("enc.edge".into(), sizes.encoder(edge_features))])?;
+        add(vec![("enc.node".into(), sizes.node_encoder())])?;
+        add(vec![("enc.edge".into(), sizes.edge_encoder())])?;
         add((0..sizes.rounds).flat_map(round).collect())?;
         add(vec![("dec".into(), sizes.decoder())])?;
-        Ok(Self { sizes, dtype, parameters, single: Memory::default(), double: Memory::default() })
+        Ok(Self { sizes, dtype, kernels, parameters, single: Memory::default(), double: Memory::default() })
     }
 
     fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: Option<Trace>) -> Result<Tensor> {
         let s = &self.sizes;
         let embedded = p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?;
         let nodes = Tensor::cat(&[&inputs.nodes, &embedded], 1)?;
-        let nodes = apply2(Mlp::<R>::new(s.encoder(nodes.dim(1)?), memory), &nodes, &p[1])?;
-        let edges = apply2(Mlp::<R>::new(s.encoder(s.edge_features), memory), &inputs.edges, &p[2])?;
+        let nodes = apply2(Mlp::<R>::new(s.node_encoder(), memory), &nodes, &p[1])?;
+        let edges = apply2(Mlp::<R>::new(s.edge_encoder(), memory), &inputs.edges, &p[2])?;
         if let Some(trace) = &trace {
             trace.lock().unwrap_or_else(|e| e.into_inner()).push(Tensor::cat(&[&nodes, &edges], 0)?.detach());
         }
@@ -86,7 +106,7 @@ impl Gns {
         apply2(Mlp::<R>::new(s.decoder(), memory), &nodes, &p[4])
     }
 
-    /// As [`Model::apply`], with the state `[N + E, L]` behind the encoder and behind each round.
+    /// As [`Network::apply`] by the fused operators, with the state `[N + E, L]` behind the encoder and behind each round.
     ///
     /// # Errors
     /// Tensor errors.
@@ -105,12 +125,15 @@ impl Gns {
     }
 }
 
-impl Model for Gns {
+impl Network for Gns {
     fn parameters(&self) -> &[Parameter] {
         &self.parameters
     }
 
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
-        self.apply_with(inputs, parameters, None)
+        match self.kernels {
+            Kernels::Fused => self.apply_with(inputs, parameters, None),
+            Kernels::Composed => ComposedGns::new(&self.sizes, builder(&self.parameters, parameters)?)?.forward(inputs),
+        }
     }
 }

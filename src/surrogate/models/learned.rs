@@ -6,7 +6,7 @@ use crate::surrogate::conduction::Conduction;
 use crate::surrogate::features::Window;
 use crate::surrogate::integrate;
 use crate::surrogate::models::setup::Setup;
-use crate::surrogate::network::parameters::{detached, Model};
+use crate::surrogate::network::parameters::{detached, Network};
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
@@ -14,16 +14,16 @@ use std::sync::Arc;
 pub struct Learned {
     pub name: String,
     pub setup: Setup,
-    pub model: Arc<dyn Model>,
+    pub network: Arc<dyn Network>,
     /// Detached.
     pub parameters: Vec<Tensor>,
 }
 
 impl Learned {
-    /// The model with its own parameters.
-    pub fn new(name: String, setup: Setup, model: Arc<dyn Model>) -> Self {
-        let parameters = detached(&*model);
-        Self { name, setup, model, parameters }
+    /// The network with its own parameters.
+    pub fn new(name: String, setup: Setup, network: Arc<dyn Network>) -> Self {
+        let parameters = detached(&*network);
+        Self { name, setup, network, parameters }
     }
 }
 
@@ -58,7 +58,7 @@ impl Predictor for Learned {
         let window = window(frames, metadata.dim)?;
         let dtype = self.parameters[0].dtype();
         let inputs = self.setup.features.inputs(scenery, normalisation, &window, None, dtype)?;
-        let output = self.model.apply(&inputs, &self.parameters)?;
+        let output = self.network.apply(&inputs, &self.parameters)?;
         let last = &window.position[window.position.len() - 1];
         let position = integrate::position(last, &inputs, &output, normalisation, metadata)?;
         let position = position.flatten_all()?.to_vec1::<f64>()?;

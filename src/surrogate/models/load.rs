@@ -1,11 +1,12 @@
 //! Models by name or file.
 
+use crate::config::scene::Kernels;
 use crate::config::training::{HeatModel, Kind};
 use crate::dataset::Metadata;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 use crate::surrogate::features::{Features, Normalisation};
-use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
@@ -22,13 +23,13 @@ const ALLOWED: &str =
 /// The model in a file, or the baseline `linear` or `still`.
 ///
 /// Files of ours know their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
-/// normalised by the data set's metadata.
+/// normalised by the data set's metadata. `kernels`: what a network computes with.
 ///
 /// # Errors
 /// [`BadInput`] if the file can not be read, is damaged, holds no model, or the model does not fit the data.
-pub fn load_predictor(path: &Path, metadata: &Metadata) -> anyhow::Result<Box<dyn Predictor>> {
+pub fn load_predictor(path: &Path, metadata: &Metadata, kernels: Kernels) -> anyhow::Result<Box<dyn Predictor>> {
     match path.to_str() {
-        Some("linear") => return Ok(Box::new(Linear)),
+        Some("linear") => return Ok(Box::new(ConstantVelocity)),
         Some("still") => return Ok(Box::new(Still)),
         _ => {}
     }
@@ -38,17 +39,17 @@ pub fn load_predictor(path: &Path, metadata: &Metadata) -> anyhow::Result<Box<dy
     if file.metadata.contains_key("format") {
         let header = checkpoint::read(path)?;
         header.setup.fits(metadata).map_err(|bad| bad.place(path.display().to_string()))?;
-        let model = header.setup.model(0, DType::F32)?;
-        header.load_into(&*model, true)?;
-        return Ok(Box::new(Learned::new(name, header.setup, Arc::from(model))));
+        let network = header.setup.network(kernels, 0, DType::F32)?;
+        header.load_into(&*network, true)?;
+        return Ok(Box::new(Learned::new(name, header.setup, Arc::from(network))));
     }
     let setup = foreign(&file, metadata)
         .map_err(|problem| bad(format!("not a model of hydrograd, nor LagrangeBench's weights: {problem}")))?;
-    let model = setup.model(0, DType::F32)?;
-    for parameter in model.parameters() {
+    let network = setup.network(kernels, 0, DType::F32)?;
+    for parameter in network.parameters() {
         parameter.load(&file, "param.").map_err(|error| bad(error.to_string()))?;
     }
-    Ok(Box::new(Learned::new(name, setup, Arc::from(model))))
+    Ok(Box::new(Learned::new(name, setup, Arc::from(network))))
 }
 
 /// The setup of LagrangeBench's weights, from the shapes of its tensors.
@@ -89,6 +90,6 @@ fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
         heat: HeatModel::None,
         periodic: metadata.periodic()[..metadata.dim].to_vec(),
         spacing: None,
-        frame: None,
+        frame_time: None,
     })
 }

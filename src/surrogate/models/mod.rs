@@ -1,4 +1,5 @@
 //! Models that predict the next frame, learned or not.
+pub mod composed_gns;
 pub mod constant_velocity;
 pub mod egnn;
 pub mod gns;

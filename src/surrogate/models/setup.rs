@@ -1,12 +1,13 @@
 //! What a trained model needs besides its parameters: sizes, features, normalisation. Stored in its checkpoint.
 
+use crate::config::scene::Kernels;
 use crate::config::training::{HeatModel, Kind, Settings};
 use crate::dataset::{Heat, Metadata};
 use crate::error::BadInput;
 use crate::surrogate::features::{Features, Normalisation};
 use crate::surrogate::models::egnn::Egnn;
 use crate::surrogate::models::gns::{Gns, Sizes};
-use crate::surrogate::network::parameters::Model;
+use crate::surrogate::network::parameters::Network;
 use candle_core::DType;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +23,8 @@ pub struct Setup {
     /// Spacing of the particles and time between frames of the data; unknown of foreign models.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub frame: Option<f64>,
+    #[serde(rename = "frame", default, skip_serializing_if = "Option::is_none")]
+    pub frame_time: Option<f64>,
 }
 
 impl Setup {
@@ -37,7 +38,7 @@ impl Setup {
         if model.heat == HeatModel::Conduction && heat.is_none() {
             return Err(BadInput::new("model.heat = \"conduction\", but the data have no temperature")
                 .allowed("data made by `hydrograd generate` from a scene with heat")
-                .advice("--set model.heat=none"));
+                .advice("model.heat = \"none\""));
         }
         let learned = heat.is_some() && model.heat == HeatModel::Learned;
         let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
@@ -64,17 +65,17 @@ impl Setup {
             heat: if heat.is_some() { model.heat } else { HeatModel::None },
             periodic: metadata.periodic()[..metadata.dim].to_vec(),
             spacing: Some(metadata.dx),
-            frame: Some(metadata.dt * metadata.write_every as f64),
+            frame_time: Some(metadata.dt * metadata.write_every as f64),
         })
     }
 
-    /// A network of these sizes.
+    /// A network of these sizes. The equivariant one is made of candle-nn's layers whatever the `kernels`.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn model(&self, seed: u64, dtype: DType) -> candle_core::Result<Box<dyn Model>> {
+    pub fn network(&self, kernels: Kernels, seed: u64, dtype: DType) -> candle_core::Result<Box<dyn Network>> {
         Ok(match self.kind {
-            Kind::Gns => Box::new(Gns::new(self.sizes, seed, dtype)?),
+            Kind::Gns => Box::new(Gns::new(self.sizes, kernels, seed, dtype)?),
             Kind::Egnn => Box::new(Egnn::new(self.sizes, self.features.frames, seed, dtype)?),
         })
     }
@@ -82,7 +83,7 @@ impl Setup {
     /// How a data set differs from those that the model knows in what no network finds out by itself.
     pub fn unlike(&self, metadata: &Metadata) -> Option<String> {
         let frame = metadata.dt * metadata.write_every as f64;
-        let pairs = [("a spacing of", self.spacing, metadata.dx), ("frames apart by", self.frame, frame)];
+        let pairs = [("a spacing of", self.spacing, metadata.dx), ("frames apart by", self.frame_time, frame)];
         let differing: Vec<String> = pairs
             .into_iter()
             .filter_map(|(what, known, here)| {
@@ -106,7 +107,7 @@ impl Setup {
         if self.heat != HeatModel::None && metadata.heat.is_none() {
             return Err(BadInput::new("the model wants temperatures, but the data have none")
                 .allowed("data of a scene with heat")
-                .advice("train with --set model.heat=none for such data"));
+                .advice("train with model.heat = \"none\" for such data"));
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 
 use crate::particles::neighbour_list::{NeighbourError, NeighbourList};
 use crate::particles::{tag, Domain};
+use candle_core::{Device, Tensor};
 use std::ops::Range;
 
 /// Directed edges, sorted by receiver and within a receiver by sender.
@@ -118,5 +119,49 @@ impl Graph {
             at = to;
             Some(stretch)
         })
+    }
+}
+
+/// The ends of a graph's edges as tensors: rows of a tensor by them, and sums of rows, each the other's adjoint.
+#[derive(Debug, Clone)]
+pub struct Ends {
+    /// `[E]` u32.
+    senders: Tensor,
+    receivers: Tensor,
+    nodes: usize,
+}
+
+impl Ends {
+    /// On a device.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn new(graph: &Graph, device: &Device) -> candle_core::Result<Self> {
+        let tensor = |ends: &[u32]| Tensor::from_slice(ends, ends.len(), device);
+        Ok(Self { senders: tensor(&graph.senders)?, receivers: tensor(&graph.receivers)?, nodes: graph.nodes() })
+    }
+
+    /// Rows of the senders: `[N, C]` -> `[E, C]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn of_senders(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        x.index_select(&self.senders, 0)
+    }
+
+    /// Rows of the receivers: `[N, C]` -> `[E, C]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn of_receivers(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        x.index_select(&self.receivers, 0)
+    }
+
+    /// Sums over the edges into each node: `[E, C]` -> `[N, C]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn sums(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        Tensor::zeros((self.nodes, x.dim(1)?), x.dtype(), x.device())?.index_add(&self.receivers, x, 0)
     }
 }

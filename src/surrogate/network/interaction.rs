@@ -14,7 +14,7 @@ use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::memory::{Memory, Owned};
 use crate::surrogate::network::mlp;
-use crate::surrogate::network::mlp::{Cotangents, Kept, Layers, Shape};
+use crate::surrogate::network::mlp::{Activations, Cotangents, MlpShape, SharedActivations};
 use crate::surrogate::network::row;
 use crate::surrogate::network::row::each;
 use candle_core::{Device, Result, Tensor};
@@ -24,8 +24,8 @@ use std::sync::{Arc, Mutex};
 /// (nodes `[N, L]`, edges `[E, L]`, parameters of all rounds, each round's edges' before its nodes') -> nodes `[N, L]`.
 pub struct Rounds<R: Real> {
     graph: Arc<Graph>,
-    edge: Shape,
-    node: Shape,
+    edge: MlpShape,
+    node: MlpShape,
     rounds: usize,
     /// Whether the adjoint may be asked for.
     keeps: bool,
@@ -36,30 +36,30 @@ pub struct Rounds<R: Real> {
     /// Most nodes that go through together.
     node_block: usize,
     memory: Memory<R>,
-    kept: Mutex<Vec<KeptRound<R>>>,
+    activations: Mutex<Vec<RoundActivations<R>>>,
     trace: Option<Trace>,
 }
 
 /// The state `[N + E, L]` behind each round.
 pub type Trace = Arc<Mutex<Vec<Tensor>>>;
 
-struct KeptRound<R: Real> {
+struct RoundActivations<R: Real> {
     /// `[N, L]` and `[E, L]` before the round; none before the first, where they are the operator's inputs.
     before: Option<(Owned<R>, Owned<R>)>,
-    edge: Kept<R>,
-    node: Kept<R>,
+    edge: Activations<R>,
+    node: Activations<R>,
     /// `[N, L]`: sums of messages.
     sums: Owned<R>,
 }
 
 /// The edges' perceptron of a latent size.
-pub fn edge_shape(latent: usize, hidden: usize, linears: usize) -> Shape {
-    Shape { inputs: 3 * latent, hidden, outputs: latent, linears, norm: true }
+pub fn edge_shape(latent: usize, hidden: usize, linears: usize) -> MlpShape {
+    MlpShape { inputs: 3 * latent, hidden, outputs: latent, linears, norm: true }
 }
 
 /// The nodes'.
-pub fn node_shape(latent: usize, hidden: usize, linears: usize) -> Shape {
-    Shape { inputs: 2 * latent, hidden, outputs: latent, linears, norm: true }
+pub fn node_shape(latent: usize, hidden: usize, linears: usize) -> MlpShape {
+    MlpShape { inputs: 2 * latent, hidden, outputs: latent, linears, norm: true }
 }
 
 impl<R: Real> Rounds<R> {
@@ -85,7 +85,7 @@ impl<R: Real> Rounds<R> {
             edge_room: edge.block::<R>() + most,
             node_block: node.block::<R>(),
             memory: memory.clone(),
-            kept: Mutex::new(Vec::new()),
+            activations: Mutex::new(Vec::new()),
             trace,
         }
     }
@@ -109,7 +109,7 @@ impl<R: Real> Rounds<R> {
 
 /// What the k-th input of L numbers is multiplied with: rows k L to (k + 1) L of the first weight.
 #[inline(always)]
-fn weight_of(shape: &Shape, k: usize) -> Range<usize> {
+fn weight_of(shape: &MlpShape, k: usize) -> Range<usize> {
     let (at, length) = (shape.weight(0).start, shape.outputs * shape.hidden);
     at + k * length..at + (k + 1) * length
 }
@@ -153,7 +153,7 @@ struct Forward<'a, R: Real> {
     node_p: &'a [R],
     projected: &'a [R],
     /// Of edges and nodes; none if no adjoint follows.
-    kept: Option<(Layers<'a, R>, Layers<'a, R>)>,
+    activations: Option<(SharedActivations<'a, R>, SharedActivations<'a, R>)>,
     sums: Shared<'a, R>,
     nodes_out: Shared<'a, R>,
     /// Empty if nobody reads them.
@@ -166,12 +166,12 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
     fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
         let op = self.op;
         // Without an adjoint a block's activations stay in the core's cache, and the next block's go over them.
-        let mut room = (self.kept.is_none()).then(|| {
-            let kept = |shape, rows| Kept::new(&op.memory, shape, rows);
-            (kept(&op.edge, op.edge_room), kept(&op.node, op.node_block))
+        let mut room = (self.activations.is_none()).then(|| {
+            let activations = |shape, rows| Activations::new(&op.memory, shape, rows);
+            (activations(&op.edge, op.edge_room), activations(&op.node, op.node_block))
         });
         let room = room.as_mut().map(|(edge, node)| (edge.shared(), node.shared()));
-        let Some((edge, node)) = self.kept.as_ref().or(room.as_ref()) else { return };
+        let Some((edge, node)) = self.activations.as_ref().or(room.as_ref()) else { return };
         for k in range {
             let nodes = op.parts[k].clone();
             for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
@@ -187,11 +187,11 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
 impl<R: Real> Forward<'_, R> {
     /// Messages into a stretch of nodes, and their sums.
     #[inline(always)]
-    fn edges<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &Layers<R>) {
+    fn edges<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &SharedActivations<R>) {
         let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.edge_p);
         let (graph, n) = (&*op.graph, op.graph.nodes());
         let edges = graph.entering(&nodes);
-        let rows = if self.kept.is_some() { edges.clone() } else { 0..edges.len() };
+        let rows = if self.activations.is_some() { edges.clone() } else { 0..edges.len() };
         // SAFETY (all): a node, and the edges into it, belong to one iteration.
         let hidden = unsafe { layers.hidden(&op.edge, 0, rows.clone()) };
         let place = edges.start * l..edges.end * l;
@@ -230,10 +230,10 @@ impl<R: Real> Forward<'_, R> {
     }
 
     #[inline(always)]
-    fn nodes<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &Layers<R>) {
+    fn nodes<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &SharedActivations<R>) {
         let (op, l, h, p) = (self.op, self.op.latent(), self.op.node.hidden, self.node_p);
         let place = nodes.start * l..nodes.end * l;
-        let rows = if self.kept.is_some() { nodes.clone() } else { 0..nodes.len() };
+        let rows = if self.activations.is_some() { nodes.clone() } else { 0..nodes.len() };
         // SAFETY (all): as for the edges.
         let (hidden, sums, out) = unsafe {
             let sums = &*self.sums.slice(place.clone());
@@ -259,8 +259,8 @@ struct Backward<'a, R: Real> {
     edges: &'a [R],
     edge_p: &'a [R],
     node_p: &'a [R],
-    edge: Layers<'a, R>,
-    node: Layers<'a, R>,
+    edge: SharedActivations<'a, R>,
+    node: SharedActivations<'a, R>,
     sums: &'a [R],
     /// Cotangents of what the round gave, and then of what it was given.
     nodes_bar: Shared<'a, R>,
@@ -425,14 +425,14 @@ impl<R: Real> Rounds<R> {
         edges: Option<&[R]>,
         edges_out: &mut [R],
         p: &[R],
-    ) -> (Owned<R>, Option<KeptRound<R>>) {
+    ) -> (Owned<R>, Option<RoundActivations<R>>) {
         let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
         let (edge_p, node_p) = self.parameters(round);
         let (edge_p, node_p, take) = (&p[edge_p], &p[node_p], |length| self.memory.take(length));
         let mut nodes_out = take(n * l);
         let (mut projected, mut sums) = (take(2 * n * self.edge.hidden), take(n * l));
-        let kept = |shape, rows| Kept::new(&self.memory, shape, rows);
-        let mut layers = self.keeps.then(|| (kept(&self.edge, e), kept(&self.node, n)));
+        let activations = |shape, rows| Activations::new(&self.memory, shape, rows);
+        let mut layers = self.keeps.then(|| (activations(&self.edge, e), activations(&self.node, n)));
         let pass = Project { op: self, nodes, p: edge_p, projected: Shared::new(&mut projected) };
         run_rows(&pass, self.parts.len());
         let pass = Forward {
@@ -442,15 +442,15 @@ impl<R: Real> Rounds<R> {
             edge_p,
             node_p,
             projected: &projected,
-            kept: layers.as_mut().map(|(edge, node)| (edge.shared(), node.shared())),
+            activations: layers.as_mut().map(|(edge, node)| (edge.shared(), node.shared())),
             sums: Shared::new(&mut sums),
             nodes_out: Shared::new(&mut nodes_out),
             edges_out: Shared::new(edges_out),
             gives_edges: self.gives_edges(round),
         };
         run_rows(&pass, self.parts.len());
-        let kept = layers.map(|(edge, node)| KeptRound { before: None, edge, node, sums });
-        (nodes_out, kept)
+        let activations = layers.map(|(edge, node)| RoundActivations { before: None, edge, node, sums });
+        (nodes_out, activations)
     }
 
     /// Its adjoint: `nodes_bar` and `edges_bar` go from behind the round to before it, the gradient is put into `p_bar`.
@@ -460,7 +460,7 @@ impl<R: Real> Rounds<R> {
         round: usize,
         (nodes, edges): (&[R], &[R]),
         p: &[R],
-        kept: &mut KeptRound<R>,
+        activations: &mut RoundActivations<R>,
         nodes_bar: &mut [R],
         edges_bar: &mut [R],
         p_bar: &mut [R],
@@ -476,9 +476,9 @@ impl<R: Real> Rounds<R> {
             edges,
             edge_p: &p[edge_p.clone()],
             node_p: &p[node_p.clone()],
-            edge: kept.edge.shared(),
-            node: kept.node.shared(),
-            sums: &kept.sums,
+            edge: activations.edge.shared(),
+            node: activations.node.shared(),
+            sums: &activations.sums,
             nodes_bar: Shared::new(nodes_bar),
             edges_bar: Shared::new(edges_bar),
             had_edges: round + 1 < self.rounds,
@@ -516,7 +516,7 @@ impl<R: Real> Operator<3> for Rounds<R> {
         if nodes.len() != n * l || edges.len() != e * l || p.len() != self.parameters(self.rounds).0.start {
             candle_core::bail!("rounds: {} and {} numbers, not {n} x {l} and {e} x {l}", nodes.len(), edges.len());
         }
-        let mut kept = Vec::with_capacity(self.rounds);
+        let mut activations = Vec::with_capacity(self.rounds);
         let (mut nodes_now, mut edges_now): (Option<Owned<R>>, Option<Owned<R>>) = (None, None);
         for round in 0..self.rounds {
             // Without an adjoint nobody asks again for the edges before the round.
@@ -531,9 +531,9 @@ impl<R: Real> Operator<3> for Rounds<R> {
                 trace.lock().unwrap_or_else(|e| e.into_inner()).push(state);
             }
             let before = nodes_now.replace(nodes_out).zip(edges_now.replace(edges_out));
-            kept.extend(one.map(|one| KeptRound { before, ..one }));
+            activations.extend(one.map(|one| RoundActivations { before, ..one }));
         }
-        *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = kept;
+        *self.activations.lock().unwrap_or_else(|e| e.into_inner()) = activations;
         let out = nodes_now.as_deref().map_or(nodes, |nodes| nodes).to_vec();
         Ok((out, (n, l).into()))
     }
@@ -545,18 +545,18 @@ impl<R: Real> Operator<3> for Rounds<R> {
         out_bar: &[R],
         _: [bool; 3],
     ) -> Result<[Option<Vec<R>>; 3]> {
-        let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
-        if kept.len() != self.rounds {
+        let mut activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
+        if activations.len() != self.rounds {
             candle_core::bail!("rounds: the gradient was asked for without a forward pass that keeps activations")
         }
         let mut nodes_bar = out_bar.to_vec();
         let mut edges_bar = vec![R::default(); edges.len()];
         let mut p_bar = vec![R::default(); p.len()];
-        for (round, kept) in kept.iter_mut().enumerate().rev() {
-            let before = kept.before.take();
+        for (round, activations) in activations.iter_mut().enumerate().rev() {
+            let before = activations.before.take();
             let state = before.as_ref().map_or((nodes, edges), |(nodes, edges)| (&nodes[..], &edges[..]));
-            self.backward_round(round, state, p, kept, &mut nodes_bar, &mut edges_bar, &mut p_bar);
-            kept.before = before;
+            self.backward_round(round, state, p, activations, &mut nodes_bar, &mut edges_bar, &mut p_bar);
+            activations.before = before;
         }
         Ok([Some(nodes_bar), Some(edges_bar), Some(p_bar)])
     }

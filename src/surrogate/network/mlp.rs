@@ -20,7 +20,7 @@ const BLOCK_BYTES: usize = 1 << 17;
 
 /// Sizes of a perceptron, and where its parameters stand in its flat vector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shape {
+pub struct MlpShape {
     pub inputs: usize,
     pub hidden: usize,
     pub outputs: usize,
@@ -30,8 +30,9 @@ pub struct Shape {
     pub norm: bool,
 }
 
-impl Shape {
-    fn size(&self, k: usize) -> (usize, usize) {
+impl MlpShape {
+    /// Inputs and outputs of layer k.
+    pub fn size(&self, k: usize) -> (usize, usize) {
         let inputs = if k == 0 { self.inputs } else { self.hidden };
         (inputs, if k + 1 == self.linears { self.outputs } else { self.hidden })
     }
@@ -90,14 +91,14 @@ impl Shape {
     }
 
     /// Matrices of hidden activations per row.
-    pub fn kept_hidden(&self) -> usize {
+    pub fn hidden_per_row(&self) -> usize {
         (self.linears - 1) * self.hidden
     }
 }
 
 /// What the forward pass leaves for the adjoint.
 #[derive(Debug)]
-pub struct Kept<R: Real> {
+pub struct Activations<R: Real> {
     /// `[linears - 1, rows, hidden]`: behind each ReLU.
     hidden: Owned<R>,
     /// `[rows, outputs]`: normalised, before scale and offset; without normalisation the output.
@@ -107,18 +108,18 @@ pub struct Kept<R: Real> {
     rows: usize,
 }
 
-impl<R: Real> Kept<R> {
-    pub fn new(memory: &Memory<R>, shape: &Shape, rows: usize) -> Self {
+impl<R: Real> Activations<R> {
+    pub fn new(memory: &Memory<R>, shape: &MlpShape, rows: usize) -> Self {
         Self {
-            hidden: memory.take(rows * shape.kept_hidden()),
+            hidden: memory.take(rows * shape.hidden_per_row()),
             normalised: memory.take(rows * shape.outputs),
             inverse: memory.take(if shape.norm { rows } else { 0 }),
             rows,
         }
     }
 
-    pub fn shared(&mut self) -> Layers<'_, R> {
-        Layers {
+    pub fn shared(&mut self) -> SharedActivations<'_, R> {
+        SharedActivations {
             hidden: Shared::new(&mut self.hidden),
             normalised: Shared::new(&mut self.normalised),
             inverse: Shared::new(&mut self.inverse),
@@ -127,22 +128,22 @@ impl<R: Real> Kept<R> {
     }
 }
 
-/// [`Kept`], written and read by several threads, each its own rows.
-pub struct Layers<'a, R> {
+/// [`Activations`], written and read by several threads, each its own rows.
+pub struct SharedActivations<'a, R> {
     hidden: Shared<'a, R>,
     normalised: Shared<'a, R>,
     inverse: Shared<'a, R>,
     rows: usize,
 }
 
-impl<R: Real> Layers<'_, R> {
+impl<R: Real> SharedActivations<'_, R> {
     /// Hidden activations of layer k of some rows.
     ///
     /// # Safety
     /// No other thread may access these rows, and no other slice of them may be alive.
     #[inline(always)]
     #[allow(clippy::mut_from_ref)]
-    pub unsafe fn hidden(&self, shape: &Shape, k: usize, rows: Range<usize>) -> &mut [R] {
+    pub unsafe fn hidden(&self, shape: &MlpShape, k: usize, rows: Range<usize>) -> &mut [R] {
         let at = k * self.rows;
         // SAFETY: by the contract.
         unsafe { self.hidden.slice((at + rows.start) * shape.hidden..(at + rows.end) * shape.hidden) }
@@ -154,7 +155,7 @@ impl<R: Real> Layers<'_, R> {
     /// As for `hidden`.
     #[inline(always)]
     #[allow(clippy::mut_from_ref)]
-    pub unsafe fn normalised(&self, shape: &Shape, rows: Range<usize>) -> &mut [R] {
+    pub unsafe fn normalised(&self, shape: &MlpShape, rows: Range<usize>) -> &mut [R] {
         // SAFETY: by the contract.
         unsafe { self.normalised.slice(rows.start * shape.outputs..rows.end * shape.outputs) }
     }
@@ -163,7 +164,7 @@ impl<R: Real> Layers<'_, R> {
     /// As for `hidden`.
     #[inline(always)]
     #[allow(clippy::mut_from_ref)]
-    unsafe fn inverse(&self, shape: &Shape, rows: Range<usize>) -> &mut [R] {
+    unsafe fn inverse(&self, shape: &MlpShape, rows: Range<usize>) -> &mut [R] {
         // SAFETY: by the contract.
         unsafe { self.inverse.slice(if shape.norm { rows } else { 0..0 }) }
     }
@@ -174,7 +175,12 @@ impl<R: Real> Layers<'_, R> {
 /// # Safety
 /// No other thread may access these rows of `layers`.
 #[inline(always)]
-pub unsafe fn forward_block<L: Lanes>(shape: &Shape, p: &[L::Real], layers: &Layers<L::Real>, rows: Range<usize>) {
+pub unsafe fn forward_block<L: Lanes>(
+    shape: &MlpShape,
+    p: &[L::Real],
+    layers: &SharedActivations<L::Real>,
+    rows: Range<usize>,
+) {
     let count = rows.len();
     for k in 1..shape.linears - 1 {
         // SAFETY: by the contract; the layers k - 1 and k are different places.
@@ -221,7 +227,7 @@ pub struct Cotangents<R: Real> {
 
 impl<R: Real> Cotangents<R> {
     /// `first`: whether the first layer's are kept here too.
-    pub fn new(memory: &Memory<R>, shape: &Shape, rows: usize, first: bool) -> Self {
+    pub fn new(memory: &Memory<R>, shape: &MlpShape, rows: usize, first: bool) -> Self {
         let hidden = |wanted: bool| memory.take(if wanted { rows * shape.hidden } else { 0 });
         Self { z: memory.take(rows * shape.outputs), first: hidden(first), between: hidden(shape.linears > 2) }
     }
@@ -235,9 +241,9 @@ impl<R: Real> Cotangents<R> {
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
 pub unsafe fn backward_block<L: Lanes>(
-    shape: &Shape,
+    shape: &MlpShape,
     p: &[L::Real],
-    layers: &Layers<L::Real>,
+    layers: &SharedActivations<L::Real>,
     rows: Range<usize>,
     z_bar: &mut [L::Real],
     g: &mut [L::Real],
@@ -328,22 +334,22 @@ pub fn sum_of_parts<R: Real>(sum: &mut [R], parts: &[R]) {
 
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
 pub struct Mlp<R: Real> {
-    pub shape: Shape,
+    pub shape: MlpShape,
     memory: Memory<R>,
-    kept: Mutex<Option<Kept<R>>>,
+    activations: Mutex<Option<Activations<R>>>,
 }
 
 impl<R: Real> Mlp<R> {
-    pub fn new(shape: Shape, memory: &Memory<R>) -> Self {
-        Self { shape, memory: memory.clone(), kept: Mutex::new(None) }
+    pub fn new(shape: MlpShape, memory: &Memory<R>) -> Self {
+        Self { shape, memory: memory.clone(), activations: Mutex::new(None) }
     }
 }
 
 struct Forward<'a, R: Real> {
-    shape: &'a Shape,
+    shape: &'a MlpShape,
     x: &'a [R],
     p: &'a [R],
-    layers: Layers<'a, R>,
+    layers: SharedActivations<'a, R>,
     y: Shared<'a, R>,
     rows: usize,
     parts: usize,
@@ -385,11 +391,11 @@ pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<u
 }
 
 struct Backward<'a, R: Real> {
-    shape: &'a Shape,
+    shape: &'a MlpShape,
     memory: &'a Memory<R>,
     x: &'a [R],
     p: &'a [R],
-    layers: Layers<'a, R>,
+    layers: SharedActivations<'a, R>,
     y_bar: &'a [R],
     /// Empty if nobody asks for it.
     x_bar: Shared<'a, R>,
@@ -441,12 +447,12 @@ impl<R: Real> Operator<2> for Mlp<R> {
     fn forward(&self, [x, p]: [&[R]; 2], _: [&candle_core::Shape; 2]) -> Result<(Vec<R>, candle_core::Shape)> {
         let shape = &self.shape;
         let rows = x.len() / shape.inputs;
-        let mut kept = Kept::new(&self.memory, shape, rows);
+        let mut activations = Activations::new(&self.memory, shape, rows);
         let mut y = vec![R::default(); rows * shape.outputs];
         let parts = parts(rows);
-        let layers = kept.shared();
+        let layers = activations.shared();
         run_rows(&Forward { shape, x, p, layers, y: Shared::new(&mut y), rows, parts }, parts);
-        *self.kept.lock().unwrap_or_else(|e| e.into_inner()) = Some(kept);
+        *self.activations.lock().unwrap_or_else(|e| e.into_inner()) = Some(activations);
         Ok((y, (rows, shape.outputs).into()))
     }
 
@@ -459,11 +465,11 @@ impl<R: Real> Operator<2> for Mlp<R> {
         [wants_x, _]: [bool; 2],
     ) -> Result<[Option<Vec<R>>; 2]> {
         let shape = &self.shape;
-        let mut kept = self.kept.lock().unwrap_or_else(|e| e.into_inner());
-        let Some(kept) = kept.as_mut() else {
+        let mut activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
+        let Some(activations) = activations.as_mut() else {
             candle_core::bail!("mlp: the gradient was asked for without a forward pass")
         };
-        let rows = kept.rows;
+        let rows = activations.rows;
         let parts = parts(rows);
         let mut x_bar = vec![R::default(); if wants_x { x.len() } else { 0 }];
         let mut parts_bar = self.memory.take(parts * shape.parameters());
@@ -472,7 +478,7 @@ impl<R: Real> Operator<2> for Mlp<R> {
             memory: &self.memory,
             x,
             p,
-            layers: kept.shared(),
+            layers: activations.shared(),
             y_bar,
             x_bar: Shared::new(&mut x_bar),
             wants_x,

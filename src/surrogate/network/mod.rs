@@ -1,10 +1,8 @@
 //! What networks are made of: perceptrons, rounds of messages, their parameters and optimiser.
 pub mod adamw;
-pub mod composed;
-pub mod gather;
 pub mod graph;
 pub mod interaction;
-pub mod layer_norm;
+pub mod layers;
 pub mod matrix;
 pub mod memory;
 pub mod mlp;

@@ -1,10 +1,10 @@
-//! What all trained models have in common: named parameters, and an output per particle.
+//! What all networks have in common: named parameters, and an output per particle.
 
 use crate::io::tensor_file::TensorFile;
 use crate::io::FileError;
 use crate::numerics::random::uniform;
 use crate::surrogate::features::Inputs;
-use crate::surrogate::network::mlp::Shape;
+use crate::surrogate::network::mlp::MlpShape;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
@@ -20,12 +20,12 @@ pub struct Parameter {
 impl Parameter {
     /// A perceptron's, drawn as haiku does: weights from a normal distribution cut at two deviations, of deviation
     /// 1/sqrt(inputs), biases and offsets 0, scales 1.
-    pub fn perceptron(prefix: &str, shape: &Shape, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+    pub fn perceptron(prefix: &str, shape: &MlpShape, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
         Self::perceptrons(&[(prefix.to_owned(), *shape)], rng, dtype)
     }
 
     /// Several perceptrons', each with its prefix, behind each other.
-    pub fn perceptrons(shapes: &[(String, Shape)], rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
+    pub fn perceptrons(shapes: &[(String, MlpShape)], rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
         let (mut all, mut parts) = (Vec::new(), Vec::new());
         for (prefix, shape) in shapes {
             let (mut values, start) = (vec![0.0; shape.parameters()], all.len());
@@ -104,8 +104,8 @@ fn cut_normal(rng: &mut ChaCha8Rng) -> f64 {
     }
 }
 
-/// A trainable model: features in, normalised acceleration (and temperature change) out.
-pub trait Model: Send + Sync {
+/// A trainable network: features in, normalised acceleration (and temperature change) out.
+pub trait Network: Send + Sync {
     fn parameters(&self) -> &[Parameter];
 
     /// `[N, D]` acceleration, and with learned heat one more column, the temperature's change; both normalised.
@@ -118,11 +118,11 @@ pub trait Model: Send + Sync {
 }
 
 /// Parameters that a gradient is asked for.
-pub fn tracked(model: &dyn Model) -> Vec<Tensor> {
-    model.parameters().iter().map(|p| p.values.as_tensor().clone()).collect()
+pub fn tracked(network: &dyn Network) -> Vec<Tensor> {
+    network.parameters().iter().map(|p| p.values.as_tensor().clone()).collect()
 }
 
 /// Parameters for predictions only: no graph is built.
-pub fn detached(model: &dyn Model) -> Vec<Tensor> {
-    model.parameters().iter().map(|p| p.values.as_detached_tensor()).collect()
+pub fn detached(network: &dyn Network) -> Vec<Tensor> {
+    network.parameters().iter().map(|p| p.values.as_detached_tensor()).collect()
 }

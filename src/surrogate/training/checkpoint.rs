@@ -10,7 +10,7 @@ use crate::error::BadInput;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{AdamW, Moments};
-use crate::surrogate::network::parameters::{Model, Parameter};
+use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{Device, Tensor};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,7 +19,7 @@ const FORMAT: &str = "hydrograd surrogate 1";
 const ALLOWED: &str = "a .safetensors file written by `hydrograd train`";
 
 /// Where a training stands.
-pub struct State {
+pub struct TrainingState {
     /// Updates done.
     pub step: u64,
     /// Wall time so far.
@@ -35,7 +35,13 @@ pub struct State {
 ///
 /// # Errors
 /// System errors.
-pub fn write(path: &Path, settings: &Settings, setup: &Setup, model: &dyn Model, state: &State) -> anyhow::Result<()> {
+pub fn write(
+    path: &Path,
+    settings: &Settings,
+    setup: &Setup,
+    network: &dyn Network,
+    state: &TrainingState,
+) -> anyhow::Result<()> {
     let mut tensors = Tensors::new();
     let mut add = |prefix: &str, parameter: &Parameter, values: &Tensor| -> candle_core::Result<()> {
         let values = values.flatten_all()?.to_vec1::<f32>()?;
@@ -45,7 +51,7 @@ pub fn write(path: &Path, settings: &Settings, setup: &Setup, model: &dyn Model,
         }
         Ok(())
     };
-    for (k, parameter) in model.parameters().iter().enumerate() {
+    for (k, parameter) in network.parameters().iter().enumerate() {
         add("param.", parameter, parameter.values.as_tensor())?;
         add("adam.first.", parameter, &state.optimiser.moments[k].first)?;
         add("adam.second.", parameter, &state.optimiser.moments[k].second)?;
@@ -98,18 +104,18 @@ pub fn read(path: &Path) -> Result<Header, BadInput> {
 }
 
 impl Header {
-    /// The optimiser and averages of the file, for the parameters of `model`.
+    /// The optimiser and averages of the file, for the parameters of `network`.
     ///
     /// # Errors
     /// Missing or misshapen tensors.
-    pub fn state(&self, model: &dyn Model) -> anyhow::Result<State> {
+    pub fn state(&self, network: &dyn Network) -> anyhow::Result<TrainingState> {
         let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
             let values: Vec<f32> = parameter.read(&self.file, prefix)?.into_iter().map(|v| v as f32).collect();
             Ok(Tensor::new(values, &Device::Cpu)?)
         };
         let mut moments = Vec::new();
         let mut average = Vec::new();
-        for parameter in model.parameters() {
+        for parameter in network.parameters() {
             moments
                 .push(Moments { first: tensor(parameter, "adam.first.")?, second: tensor(parameter, "adam.second.")? });
             if self.settings.ema > 0.0 {
@@ -118,15 +124,15 @@ impl Header {
         }
         let optimiser = AdamW { moments, steps: self.step, weight_decay: self.settings.weight_decay };
         let average = (self.settings.ema > 0.0).then_some(average);
-        Ok(State { step: self.step, seconds: self.seconds, best: self.best, optimiser, average })
+        Ok(TrainingState { step: self.step, seconds: self.seconds, best: self.best, optimiser, average })
     }
 
-    /// Puts the file's parameters into a model of the same sizes: the average if there is one and `averaged` is set.
+    /// Puts the file's parameters into a network of the same sizes: the average if there is one and `averaged` is set.
     ///
     /// # Errors
     /// Missing or misshapen tensors.
-    pub fn load_into(&self, model: &dyn Model, averaged: bool) -> anyhow::Result<()> {
+    pub fn load_into(&self, network: &dyn Network, averaged: bool) -> anyhow::Result<()> {
         let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
-        model.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix))
+        network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix))
     }
 }

@@ -1,4 +1,5 @@
 //! Training: samples, noise, loss, the loop, checkpoints, studies.
+pub mod begin;
 pub mod checkpoint;
 pub mod loss;
 pub mod noise;

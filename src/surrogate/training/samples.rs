@@ -7,13 +7,15 @@ use crate::config::training::{HeatModel, Settings};
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::BadInput;
 use crate::numerics::random::{stream, uniform, Normal};
-use crate::surrogate::features::{wrap, Inputs, Window};
+use crate::surrogate::evaluation::rollout::settle_temperature;
+use crate::surrogate::features::{displacement, wrap, Inputs, Window};
 use crate::surrogate::integrate;
 use crate::surrogate::models::setup::Setup;
-use crate::surrogate::network::parameters::Model;
+use crate::surrogate::network::parameters::Network;
+use crate::surrogate::predictor::Scenery;
 use crate::surrogate::training::loss::target_acceleration;
 use crate::surrogate::training::noise;
-use candle_core::{Device, Tensor};
+use candle_core::{Device, Result, Tensor};
 
 /// Windows of the training split, stride 1.
 pub struct Samples<'a> {
@@ -47,7 +49,7 @@ impl<'a> Samples<'a> {
         trajectories: &'a [Trajectory],
         settings: &'a Settings,
         setup: &'a Setup,
-    ) -> Result<Self, BadInput> {
+    ) -> std::result::Result<Self, BadInput> {
         let length = setup.features.frames + 1 + settings.pushforward.most();
         let mut before = Vec::with_capacity(trajectories.len());
         let mut count = 0;
@@ -57,7 +59,7 @@ impl<'a> Samples<'a> {
             if setup.heat != HeatModel::None && trajectory.temperature.is_none() {
                 return Err(BadInput::new(format!("trajectory {} has no temperature", trajectory.name))
                     .allowed("temperature [T, N] in every trajectory")
-                    .advice("--set model.heat=none"));
+                    .advice("model.heat = \"none\""));
             }
         }
         if count == 0 {
@@ -98,109 +100,148 @@ impl<'a> Samples<'a> {
         &mut self,
         step: u64,
         place: u64,
-        model: &dyn Model,
+        network: &dyn Network,
         parameters: &[Tensor],
     ) -> anyhow::Result<Sample> {
         let number = step * self.settings.batch_size as u64 + place;
-        let (trajectory, start) = self.window(number);
-        let (metadata, setup, settings) = (self.metadata, self.setup, self.settings);
-        let (n, d, frames) = (trajectory.particles, metadata.dim, setup.features.frames);
-        let scenery = crate::surrogate::evaluation::rollout::scenery(metadata, trajectory);
-        let tensor = |values: Vec<f64>| Tensor::from_vec(values, (n, d), &Device::Cpu);
-        let widen = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+        let mut chance = stream(mixed(self.settings.seed, number), "unrolls");
+        let unrolls = self.settings.pushforward.unrolls(step, uniform(&mut chance));
+        let draw = self.draw(number)?;
+        let (inputs, last_temperature) = self.unroll(&draw, unrolls, network, parameters)?;
+        let dtype = parameters[0].dtype();
+        let target = self.target(&draw, unrolls, last_temperature.as_ref())?.to_dtype(dtype)?;
+        let mask = self.mask(&draw, unrolls)?.to_dtype(dtype)?;
+        Ok(Sample { inputs, target, mask })
+    }
 
-        let mut chance = stream(mixed(settings.seed, number), "unrolls");
-        let unrolls = settings.pushforward.unrolls(step, uniform(&mut chance));
-        let clean: Vec<Vec<f64>> =
-            (start..start + self.length).map(|frame| widen(trajectory.position_of(frame))).collect();
-        let mut noisy = clean.clone();
+    /// The frames of the sample `number`, true and with noise.
+    fn draw(&mut self, number: u64) -> anyhow::Result<Draw<'a>> {
+        let (trajectory, start) = self.window(number);
+        let (setup, settings, frames) = (self.setup, self.settings, self.setup.features.frames);
+        let window = start..start + self.length;
+        let clean: Vec<Vec<f64>> = window.clone().map(|frame| widen(trajectory.position_of(frame))).collect();
         let mut normal = Normal::new(stream(mixed(settings.seed, number), "noise"));
+        let mut noisy = clean.clone();
         if settings.noise > 0.0 {
-            let z: Vec<f64> = (0..n * (frames - 1) * d).map(|_| normal.next()).collect();
+            let numbers = trajectory.particles * (frames - 1) * self.metadata.dim;
+            let z: Vec<f64> = (0..numbers).map(|_| normal.next()).collect();
             noise::walk(&mut noisy, &trajectory.kind, &z, settings.noise, frames);
         }
-        let noisy: Vec<Tensor> =
-            noisy.into_iter().map(|p| wrap(&tensor(p)?, metadata)).collect::<candle_core::Result<_>>()?;
-        let heat = setup.heat == HeatModel::Learned;
+        let noisy = noisy.iter().map(|p| wrap(&self.positions(p)?, self.metadata)).collect::<Result<_>>()?;
         let mut temperature = Vec::new();
-        if heat {
-            let of = |frame| widen(trajectory.temperature_of(frame).unwrap_or_default());
-            temperature = (start..start + self.length).map(of).collect::<Vec<_>>();
+        if setup.heat == HeatModel::Learned {
+            temperature = window.map(|frame| widen(trajectory.temperature_of(frame).unwrap_or_default())).collect();
             let sigma = settings.temperature_noise * setup.normalisation.change.map_or(0.0, |[_, scale]| scale);
             noise::warm(&mut temperature[..frames], &trajectory.kind, sigma, || normal.next());
         }
-        let warm = |values: &Vec<f64>| Tensor::from_slice(values, n, &Device::Cpu);
+        Ok(Draw { trajectory, clean, noisy, temperature })
+    }
 
+    /// `[N, D]`.
+    fn positions(&self, values: &[f64]) -> Result<Tensor> {
+        let d = self.metadata.dim;
+        Tensor::from_slice(values, (values.len() / d, d), &Device::Cpu)
+    }
+
+    /// What the network sees after `unrolls` steps of its own, and the last temperatures `[N]` then, if it learns them.
+    fn unroll(
+        &self,
+        draw: &Draw,
+        unrolls: usize,
+        network: &dyn Network,
+        parameters: &[Tensor],
+    ) -> anyhow::Result<(Inputs, Option<Tensor>)> {
+        let (metadata, setup, frames) = (self.metadata, self.setup, self.setup.features.frames);
+        let (scenery, dtype) = (Scenery::of(metadata, draw.trajectory), parameters[0].dtype());
         let mut window = Window {
-            position: noisy[..frames].to_vec(),
-            temperature: temperature.iter().take(frames).map(warm).collect::<candle_core::Result<_>>()?,
+            position: draw.noisy[..frames].to_vec(),
+            temperature: draw.temperature.iter().take(frames).map(|t| column(t)).collect::<Result<_>>()?,
         };
-        let dtype = parameters[0].dtype();
         let mut inputs = setup.features.inputs(&scenery, &setup.normalisation, &window, None, dtype)?;
         // As LagrangeBench: the first unrolled step sees the noisy frames and moves the true ones.
-        let mut moved = clean[..frames].iter().map(|p| tensor(p.clone())).collect::<candle_core::Result<Vec<_>>>()?;
+        let mut moved = draw.clean[..frames].iter().map(|p| self.positions(p)).collect::<Result<Vec<_>>>()?;
         for k in 0..unrolls {
-            let output = model.apply(&inputs, parameters)?;
-            let last_position = moved[frames - 1].clone();
-            let velocity = crate::surrogate::features::displacement(&last_position, &moved[frames - 2], metadata)?;
-            let from = Inputs { velocity, ..inputs.clone() };
-            let next = integrate::position(&last_position, &from, &output, &setup.normalisation, metadata)?;
+            let output = network.apply(&inputs, parameters)?;
+            let [.., before, last] = &moved[..] else { anyhow::bail!("a window of fewer than two frames") };
+            let from = Inputs { velocity: displacement(last, before, metadata)?, ..inputs };
+            let next = integrate::position(last, &from, &output, &setup.normalisation, metadata)?;
             let mut next = next.flatten_all()?.to_vec1::<f64>()?;
-            let truth = &clean[frames + k];
-            for (i, _) in trajectory.kind.iter().enumerate().filter(|(_, &k)| kind::is_kinematic(k)) {
-                next[i * d..(i + 1) * d].copy_from_slice(&truth[i * d..(i + 1) * d]);
-            }
-            if heat {
-                let last = &window.temperature[frames - 1];
-                let warmer = integrate::temperature(last, &output, &setup.normalisation, metadata)?;
+            hold(&mut next, &draw.clean[frames + k], &draw.trajectory.kind);
+            if let Some(warm) = window.temperature.last() {
+                let warmer = integrate::temperature(warm, &output, &setup.normalisation, metadata)?;
                 let mut warmer = warmer.to_vec1::<f64>()?;
-                let before = last_position.flatten_all()?.to_vec1::<f64>()?;
-                crate::surrogate::evaluation::rollout::settle_temperature(
-                    &scenery,
-                    &before,
-                    &next,
-                    Some(&temperature[frames + k]),
-                    &mut warmer,
-                );
+                let (before, truth) = (last.flatten_all()?.to_vec1::<f64>()?, &draw.temperature[frames + k]);
+                settle_temperature(&scenery, &before, &next, Some(truth), &mut warmer);
                 window.temperature.remove(0);
-                window.temperature.push(warm(&warmer)?);
+                window.temperature.push(column(&warmer)?);
             }
             moved.remove(0);
-            moved.push(tensor(next)?);
+            moved.push(self.positions(&next)?);
             window.position = moved.clone();
             inputs = setup.features.inputs(&scenery, &setup.normalisation, &window, None, dtype)?;
         }
+        Ok((inputs, window.temperature.pop()))
+    }
 
-        let at = frames - 2 + unrolls;
-        let target = target_acceleration([&noisy[at], &noisy[at + 1], &noisy[at + 2]], &setup.normalisation, metadata)?;
-        let outputs = setup.sizes.outputs;
-        let mut mask = vec![0.0; n * outputs];
-        for (i, &k) in trajectory.kind.iter().enumerate() {
-            if !kind::is_kinematic(k) {
-                mask[i * outputs..(i + 1) * outputs].fill(1.0);
-            }
+    /// What the network should say, `[N, outputs]`, normalised: as measured from the noisy frames, so that it learns to undo
+    /// the noise.
+    fn target(&self, draw: &Draw, unrolls: usize, last_temperature: Option<&Tensor>) -> anyhow::Result<Tensor> {
+        let (normalisation, frames) = (&self.setup.normalisation, self.setup.features.frames);
+        let [before, last, next] = [2, 1, 0].map(|back| &draw.noisy[frames + unrolls - back]);
+        let acceleration = target_acceleration([before, last, next], normalisation, self.metadata)?;
+        let (Some(last), Some([mean, scale])) = (last_temperature, normalisation.change) else {
+            return Ok(acceleration);
+        };
+        let (truth, last) = (&draw.temperature[frames + unrolls], last.to_vec1::<f64>()?);
+        let change: Vec<f64> = truth.iter().zip(&last).map(|(truth, last)| (truth - last - mean) / scale).collect();
+        Ok(Tensor::cat(&[acceleration, column(&change)?.unsqueeze(1)?], 1)?)
+    }
+
+    /// `[N, outputs]`: 1 where the loss counts, which is where the network moves or warms a particle.
+    fn mask(&self, draw: &Draw, unrolls: usize) -> Result<Tensor> {
+        let (kinds, outputs, d) = (&draw.trajectory.kind, self.setup.sizes.outputs, self.metadata.dim);
+        let next = self.setup.features.frames + unrolls;
+        let mut mask = vec![0.0; kinds.len() * outputs];
+        for (i, _) in kinds.iter().enumerate().filter(|(_, &k)| !kind::is_kinematic(k)) {
+            mask[i * outputs..(i + 1) * outputs].fill(1.0);
         }
-        let mut columns = vec![target];
-        if let (true, Some([mean, scale])) = (heat, setup.normalisation.change) {
-            let truth = &temperature[frames + unrolls];
-            let last = window.temperature[frames - 1].to_vec1::<f64>()?;
-            let change: Vec<f64> = (0..n).map(|i| (truth[i] - last[i] - mean) / scale).collect();
-            columns.push(Tensor::from_vec(change, (n, 1), &Device::Cpu)?);
-            if let Some(heat) = &metadata.heat {
-                // What the inlet resets is no work of the flow; the rollout does it too.
-                for i in 0..n {
-                    let (from, to) = (clean[frames + unrolls - 1][i * d], clean[frames + unrolls][i * d]);
-                    if heat.resets(from, to, metadata.bounds[0]) {
-                        mask[i * outputs + d] = 0.0;
-                    }
+        if let Some(heat) = self.metadata.heat.as_ref().filter(|_| self.setup.heat == HeatModel::Learned) {
+            // What the inlet resets is no work of the flow; the rollout does it too.
+            for i in 0..kinds.len() {
+                let (from, to) = (draw.clean[next - 1][i * d], draw.clean[next][i * d]);
+                if heat.resets(from, to, self.metadata.bounds[0]) {
+                    mask[i * outputs + d] = 0.0;
                 }
             }
         }
-        Ok(Sample {
-            inputs,
-            target: Tensor::cat(&columns, 1)?.to_dtype(dtype)?,
-            mask: Tensor::from_vec(mask, (n, outputs), &Device::Cpu)?.to_dtype(dtype)?,
-        })
+        Tensor::from_vec(mask, (kinds.len(), outputs), &Device::Cpu)
+    }
+}
+
+/// The frames of a sample: inputs, target, unrolled steps.
+struct Draw<'a> {
+    trajectory: &'a Trajectory,
+    /// Positions `[N, D]`.
+    clean: Vec<Vec<f64>>,
+    noisy: Vec<Tensor>,
+    /// `[N]`, the inputs' with noise; empty where the network learns none.
+    temperature: Vec<Vec<f64>>,
+}
+
+fn widen(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&v| f64::from(v)).collect()
+}
+
+/// `[N]`.
+fn column(values: &[f64]) -> Result<Tensor> {
+    Tensor::from_slice(values, values.len(), &Device::Cpu)
+}
+
+/// Particles that others move take the true positions `[N, D]`.
+fn hold(next: &mut [f64], truth: &[f64], kinds: &[i32]) {
+    let d = truth.len() / kinds.len();
+    for (i, _) in kinds.iter().enumerate().filter(|(_, &k)| kind::is_kinematic(k)) {
+        next[i * d..(i + 1) * d].copy_from_slice(&truth[i * d..(i + 1) * d]);
     }
 }
 

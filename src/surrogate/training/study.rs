@@ -53,9 +53,9 @@ impl GridKey {
 
 /// Values of all keys of the grid, in their order.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Point(pub Vec<(String, String)>);
+pub struct GridPoint(pub Vec<(String, String)>);
 
-impl Point {
+impl GridPoint {
     /// Folder's name: independent of the grid it is in, so that a larger grid finds it again.
     pub fn name(&self) -> String {
         let mut settings: Vec<String> = self.0.iter().map(|(key, value)| format!("{key}={value}")).collect();
@@ -72,7 +72,7 @@ impl Point {
 ///
 /// # Errors
 /// No key, a key twice, too many points.
-pub fn points(grid: &[GridKey]) -> Result<Vec<Point>, BadInput> {
+pub fn points(grid: &[GridKey]) -> Result<Vec<GridPoint>, BadInput> {
     if grid.is_empty() {
         return Err(BadInput::new("there is no grid").allowed("--grid KEY=VALUE,... at least once"));
     }
@@ -83,9 +83,9 @@ pub fn points(grid: &[GridKey]) -> Result<Vec<Point>, BadInput> {
     if count > MOST_POINTS {
         return Err(BadInput::new(format!("the grid has {count} points")).allowed(format!("at most {MOST_POINTS}")));
     }
-    let mut points = vec![Point(vec![])];
+    let mut points = vec![GridPoint(vec![])];
     for GridKey { key, values } in grid {
-        let longer = |point: &Point| {
+        let longer = |point: &GridPoint| {
             let point = point.clone();
             values.iter().map(move |value| {
                 let mut longer = point.clone();
@@ -115,7 +115,7 @@ pub struct Study {
 /// `finished.json` of a point: what it was trained with. Without it, a point is trained (again).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
-    pub point: Point,
+    pub point: GridPoint,
     pub data: PathBuf,
     pub steps: usize,
     pub sets: Vec<String>,
@@ -124,7 +124,7 @@ pub struct Finished {
 
 /// How a point ended.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Outcome {
+pub enum PointOutcome {
     Trained {
         seconds: f64,
         validation: Validation,
@@ -174,7 +174,7 @@ impl Validation {
 }
 
 impl Study {
-    pub fn folder(&self, point: &Point) -> PathBuf {
+    pub fn folder(&self, point: &GridPoint) -> PathBuf {
         self.out.join(point.name())
     }
 
@@ -182,7 +182,7 @@ impl Study {
     ///
     /// # Errors
     /// [`BadInput`] if it was trained otherwise (data, steps, settings) or its files are damaged.
-    pub fn finished(&self, point: &Point) -> Result<Option<Outcome>, BadInput> {
+    pub fn finished(&self, point: &GridPoint) -> Result<Option<PointOutcome>, BadInput> {
         let folder = self.folder(point);
         let path = folder.join("finished.json");
         let Ok(text) = std::fs::read_to_string(&path) else { return Ok(None) };
@@ -205,17 +205,17 @@ impl Study {
             return Err(differs("--set", found.sets.join(" "), sets.join(" ")));
         }
         let validation = Validation::read(&folder).map_err(|error| bad(error.to_string()))?;
-        Ok(Some(Outcome::Trained { seconds: found.seconds, validation }))
+        Ok(Some(PointOutcome::Trained { seconds: found.seconds, validation }))
     }
 
     /// `key=value` of a point, its own last.
-    fn all_sets(&self, point: &Point) -> Vec<String> {
+    fn all_sets(&self, point: &GridPoint) -> Vec<String> {
         let own = point.0.iter().map(|(key, value)| format!("{key}={value}"));
         self.sets.iter().cloned().chain(own).collect()
     }
 
     /// An error if a point's settings are bad: before hours of training, not between them.
-    pub fn check(&self, points: &[Point]) -> Result<(), BadInput> {
+    pub fn check(&self, points: &[GridPoint]) -> Result<(), BadInput> {
         for point in points {
             for (key, _) in &point.0 {
                 if key == "steps" {
@@ -238,8 +238,8 @@ impl Study {
     ///
     /// # Errors
     /// [`BadInput`] if training says that its input is bad: the other points' will be, too. The process can not be started;
-    /// system errors. A training run that fails is [`Outcome::Failed`].
-    pub fn train(&self, point: &Point) -> anyhow::Result<Outcome> {
+    /// system errors. A training run that fails is [`PointOutcome::Failed`].
+    pub fn train(&self, point: &GridPoint) -> anyhow::Result<PointOutcome> {
         let folder = self.folder(point);
         // Not into the folder: that is training's to create, once it knows that its input is good.
         let mut log = tempfile::tempfile()?;
@@ -267,13 +267,13 @@ impl Study {
             if status.code() == Some(i32::from(crate::error::EXIT_INPUT)) {
                 return Err(BadInput::new(message).place(point.name()).into());
             }
-            return Ok(Outcome::Failed(message));
+            return Ok(PointOutcome::Failed(message));
         }
         prepare_output_folder(&folder)?;
         write_bytes_atomically(&folder.join("log.txt"), text.as_bytes())?;
         let validation = match Validation::read(&folder) {
             Ok(validation) => validation,
-            Err(error) => return Ok(Outcome::Failed(error.to_string())),
+            Err(error) => return Ok(PointOutcome::Failed(error.to_string())),
         };
         // Training's own count, which goes on when it is resumed.
         let seconds = validation.seconds.last().copied().unwrap_or(0.0);
@@ -288,7 +288,7 @@ impl Study {
             &folder.join("finished.json"),
             (serde_json::to_string_pretty(&finished)? + "\n").as_bytes(),
         )?;
-        Ok(Outcome::Trained { seconds, validation })
+        Ok(PointOutcome::Trained { seconds, validation })
     }
 }
 

@@ -3,21 +3,24 @@
 //! A step draws windows, adds noise, asks the model, and moves the parameters against the averaged gradient. What is random
 //! follows from seed and step, and a checkpoint holds the rest, so a training that was killed goes on bit for bit.
 
+use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::Error;
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::io::tensorboard::EventFile;
-use crate::report::plots::{training_curves, TrainingCurves};
+use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
-use crate::surrogate::models::constant_velocity::Linear;
+use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
-use crate::surrogate::network::parameters::{detached, tracked, Model};
+use crate::surrogate::network::parameters::{detached, tracked, Network, Parameter};
+use crate::surrogate::training::begin::{Lock, Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
-use crate::surrogate::training::checkpoint::State;
+use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::loss::loss;
 use crate::surrogate::training::samples::Samples;
 use candle_core::{Tensor, Var};
@@ -37,12 +40,42 @@ pub struct Training<'a> {
     pub metadata: &'a Metadata,
     pub train: &'a [Trajectory],
     pub valid: &'a [Trajectory],
-    pub model: Arc<dyn Model>,
-    pub state: State,
+    pub network: Arc<dyn Network>,
+    pub state: TrainingState,
     pub folder: PathBuf,
     /// Rows of history.csv and validation.csv so far.
     pub history: Vec<Vec<f64>>,
     pub validation: Vec<Vec<f64>>,
+}
+
+impl<'a> Training<'a> {
+    /// What [`Self::run`] goes on with. Nothing is written yet.
+    ///
+    /// # Errors
+    /// Tensors that a checkpoint lacks, or that have another shape.
+    pub fn new(
+        settings: &'a Settings,
+        setup: &'a Setup,
+        data: &'a TrainingData,
+        origin: &Origin,
+        kernels: Kernels,
+        folder: &Path,
+    ) -> anyhow::Result<Self> {
+        let (network, state) = origin.network(settings, setup, kernels)?;
+        let rows = |name: &str| match origin.resumes() {
+            true => read_rows(&folder.join(name), state.step),
+            false => Ok(Vec::new()),
+        };
+        let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
+        let (train, valid) = (&data.train[..], &data.valid[..]);
+        let (metadata, folder) = (&data.metadata, folder.to_owned());
+        Ok(Self { settings, setup, metadata, train, valid, network, state, folder, history, validation })
+    }
+
+    /// Numbers that are trained.
+    pub fn parameters(&self) -> usize {
+        self.network.parameters().iter().map(Parameter::count).sum()
+    }
 }
 
 /// What came out.
@@ -56,20 +89,20 @@ pub struct Outcome {
     pub seconds_per_step: f64,
 }
 
-/// A fresh state for a model.
+/// A fresh state for a network.
 ///
 /// # Errors
 /// Tensor errors.
-pub fn fresh(settings: &Settings, model: &dyn Model) -> anyhow::Result<State> {
-    let variables: Vec<Var> = model.parameters().iter().map(|p| p.values.clone()).collect();
+pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
+    let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
     let mut optimiser = AdamW::new(&variables)?;
     optimiser.weight_decay = settings.weight_decay;
-    let average = (settings.ema > 0.0).then(|| copies(model)).transpose()?;
-    Ok(State { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
+    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
+    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
 }
 
-fn copies(model: &dyn Model) -> candle_core::Result<Vec<Tensor>> {
-    model.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
+fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
+    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
 }
 
 /// Loss and gradient of one sample, in the order of the parameters.
@@ -77,12 +110,12 @@ fn copies(model: &dyn Model) -> candle_core::Result<Vec<Tensor>> {
 /// # Errors
 /// A parameter without a gradient, tensor errors.
 pub fn gradient(
-    model: &dyn Model,
+    network: &dyn Network,
     sample: &crate::surrogate::training::samples::Sample,
     weight: f64,
     dimension: usize,
 ) -> anyhow::Result<(f64, Vec<Tensor>)> {
-    let output = model.apply(&sample.inputs, &tracked(model))?;
+    let output = network.apply(&sample.inputs, &tracked(network))?;
     let dynamics = |t: &Tensor| t.narrow(1, 0, dimension);
     let mut total = loss(&dynamics(&output)?, &dynamics(&sample.target)?, &dynamics(&sample.mask)?)?;
     let outputs = output.dim(1)?;
@@ -93,7 +126,7 @@ pub fn gradient(
     let value = total.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?;
     let mut store = total.backward()?;
     let mut gradients = Vec::new();
-    for parameter in model.parameters() {
+    for parameter in network.parameters() {
         let Some(gradient) = store.remove(&parameter.values) else {
             let names: Vec<&str> = parameter.parts.iter().map(|(name, ..)| name.as_str()).collect();
             anyhow::bail!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "));
@@ -104,16 +137,19 @@ pub fn gradient(
 }
 
 impl Training<'_> {
-    /// Runs up to `settings.steps`; everything lands in the folder.
+    /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
     ///
     /// # Errors
-    /// A loss or gradient that is not finite, files, tensors.
+    /// Another training that writes there, a loss or gradient that is not finite, files, tensors.
     pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
         let settings = self.settings;
+        prepare_output_folder(&self.folder)?;
+        let _lock = Lock::take(&self.folder)?;
+        write_bytes_atomically(&self.folder.join("config.toml"), settings.text().as_bytes())?;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
-        let variables: Vec<Var> = self.model.parameters().iter().map(|p| p.values.clone()).collect();
-        let linear = self.score(&Linear)?;
+        let variables: Vec<Var> = self.network.parameters().iter().map(|p| p.values.clone()).collect();
+        let linear = self.score(&ConstantVelocity)?;
         let before = self.state.seconds;
         let clock = Instant::now();
         let (mut losses, mut working, mut steps) = (Vec::new(), 0.0, 0);
@@ -150,7 +186,7 @@ impl Training<'_> {
                 scores = Some(found);
             }
             if self.state.step.is_multiple_of(settings.store_every) || last {
-                self.store("last.safetensors")?;
+                self.store(LAST)?;
             }
         }
         let scores = match scores {
@@ -166,13 +202,13 @@ impl Training<'_> {
     /// A loss or gradient that is not finite, tensors.
     pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
-        let plain = detached(&*self.model);
+        let plain = detached(&*self.network);
         let share = 1.0 / settings.batch_size as f64;
         let mut mean = 0.0;
         let mut sum: Vec<Tensor> = Vec::new();
         for place in 0..settings.batch_size {
-            let sample = samples.sample(step, place as u64, &*self.model, &plain)?;
-            let (value, gradients) = gradient(&*self.model, &sample, settings.temperature_weight, self.metadata.dim)?;
+            let sample = samples.sample(step, place as u64, &*self.network, &plain)?;
+            let (value, gradients) = gradient(&*self.network, &sample, settings.temperature_weight, self.metadata.dim)?;
             mean += share * value;
             if settings.batch_size == 1 {
                 sum = gradients;
@@ -192,7 +228,7 @@ impl Training<'_> {
         if !mean.is_finite() || !square.is_finite() {
             return Err(Error::run(
                 format!("step {step}: the loss is {mean}, the gradient's norm {}: the training has diverged", square.sqrt()),
-                "a smaller learning rate (--set learning_rate=1e-4) or clipping (--set clip=1); `--resume` begins at the last checkpoint",
+                "a smaller learning_rate (1e-4) or clipping (clip = 1); a resumed training begins at the last checkpoint",
             )
             .into());
         }
@@ -202,7 +238,7 @@ impl Training<'_> {
         }
         self.state.optimiser.step(variables, &sum, rate)?;
         if let Some(average) = &mut self.state.average {
-            for (average, parameter) in average.iter_mut().zip(self.model.parameters()) {
+            for (average, parameter) in average.iter_mut().zip(self.network.parameters()) {
                 let now = parameter.values.as_detached_tensor();
                 *average = (average.affine(settings.ema, 0.0)? + now.affine(1.0 - settings.ema, 0.0)?)?;
             }
@@ -213,7 +249,7 @@ impl Training<'_> {
     /// The model as it would be used: with averaged parameters if there are any.
     pub fn predictor(&self) -> anyhow::Result<Learned> {
         let mut learned =
-            Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.model.clone());
+            Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.network.clone());
         if let Some(average) = &self.state.average {
             learned.parameters = average.clone();
         }
@@ -279,9 +315,28 @@ impl Training<'_> {
             merit,
             self.state.seconds,
         ));
-        let curves = TrainingCurves { history: &self.history, validation: &self.validation, linear };
-        training_curves(&self.folder.join("curves"), &curves)?;
+        self.plot(linear)?;
         Ok(scores)
+    }
+
+    /// `curves.png` and `.svg` from the rows of both tables.
+    fn plot(&self, linear: &Scores) -> anyhow::Result<()> {
+        let column = |rows: &[Vec<f64>], k: usize| rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
+        let errors = [
+            ("MSE_1", "mse_1", linear.mse_1),
+            ("MSE_5", "mse_5", linear.mse_5),
+            ("MSE_20", "mse_20", linear.mse_20),
+            ("temperature", "temperature_mse", linear.temperature_mse),
+        ];
+        let place = |metric: &str| METRICS.iter().position(|name| *name == metric);
+        let errors: Vec<ErrorCurve> = errors
+            .into_iter()
+            .filter_map(|(name, metric, baseline)| {
+                Some(ErrorCurve { name, points: column(&self.validation, 2 + place(metric)?), baseline })
+            })
+            .collect();
+        training_curves(&self.folder.join("curves"), &column(&self.history, 2), &errors, &linear.model)?;
+        Ok(())
     }
 
     /// The step that the best checkpoint was taken at.
@@ -290,7 +345,7 @@ impl Training<'_> {
     }
 
     fn store(&self, name: &str) -> anyhow::Result<()> {
-        checkpoint::write(&self.folder.join(name), self.settings, self.setup, &*self.model, &self.state)
+        checkpoint::write(&self.folder.join(name), self.settings, self.setup, &*self.network, &self.state)
     }
 }
 
@@ -315,7 +370,7 @@ fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result
 }
 
 /// Rows of a table of [`Training`], up to a step: what a resumed training goes on with. Empty cells are not-a-number.
-pub fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
+fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();
     Ok(text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect())

@@ -2,58 +2,14 @@
 
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-
-use super::arguments::Size;
-use super::cases::particles;
-use crate::config::scene::Config;
+use super::case::Lacking;
 use crate::sph::model::{Heat, Layout, Model};
 use crate::sph::Sweeps;
 
 /// A viscosity that no rounding sees (and that does not underflow in f32): the viscous terms are computed, not felt.
 const NO_VISCOSITY: f64 = 1e-20;
-/// Particles along each side of the wall-free box.
-const WALL_FREE: Size = Size { per_side: 50, dimension: 2 };
-
-/// What a scene does without.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Lacking {
-    /// The channel without heat.
-    Heat,
-    /// Taylor-Green vortices: neither walls nor heat nor a mass of each particle's own.
-    Walls,
-    /// The channel without viscosity.
-    Viscosity,
-    /// The channel without transport velocity.
-    TransportVelocity,
-    /// The channel with one mass for all particles.
-    Masses,
-}
 
 impl Lacking {
-    pub const ALL: [Self; 5] = [Self::Heat, Self::Walls, Self::Viscosity, Self::TransportVelocity, Self::Masses];
-
-    /// Name of the scene.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Heat => "isothermal",
-            Self::Walls => "wall-free",
-            Self::Viscosity => "inviscid",
-            Self::TransportVelocity => "no-transport-velocity",
-            Self::Masses => "constant-mass",
-        }
-    }
-
-    /// The wall-free box; `None` for the channels.
-    pub fn size(self) -> Option<Size> {
-        (self == Self::Walls).then_some(WALL_FREE)
-    }
-
-    pub fn particles(self, config: &Config) -> usize {
-        self.size().map_or_else(|| particles(config), Size::particles)
-    }
-
     /// The scene's own plan, or the one with everything on, from a scene as it was built.
     pub fn apply<R: Sweeps>(self, model: &mut Model<R>, state: &mut Vec<R>, forced: bool) {
         let has = model.layout;

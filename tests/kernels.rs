@@ -1,9 +1,10 @@
-//! The quintic spline in every kind of lanes: against JAX-SPH, against central differences, at its knots.
+//! Every smoothing kernel in every kind of lanes: against JAX-SPH, against central differences, at its knots.
 
 mod support;
 
+use candle_core::{Device, Tensor};
 use hydrograd::numerics::lanes::{Lanes, PortableF32, PortableF64, Real};
-use hydrograd::sph::kernel::Quintic;
+use hydrograd::sph::kernels::{Kernel, KernelName};
 use support::jax_sph::{number, reference_file};
 
 /// W, F and G at distances, through one lane type.
@@ -13,7 +14,7 @@ struct Values {
     g: Vec<f64>,
 }
 
-fn values<L: Lanes>(kernel: &Quintic, distances: &[f64]) -> Values {
+fn values<L: Lanes>(kernel: &Kernel, distances: &[f64]) -> Values {
     let lanes = kernel.lanes::<L>();
     let mut all = Values { w: vec![], f: vec![], g: vec![] };
     for chunk in distances.chunks(L::COUNT) {
@@ -22,19 +23,11 @@ fn values<L: Lanes>(kernel: &Quintic, distances: &[f64]) -> Values {
             (0..L::COUNT).map(|k| L::Real::of(chunk[k.min(chunk.len() - 1)])).map(|r| r * r).collect();
         // SAFETY: `padded` holds COUNT numbers.
         let r2 = unsafe { L::load(padded.as_ptr()) };
-        let (f, g) = lanes.slope_and_curvature(r2);
-        for (to, from) in [(&mut all.w, lanes.value(r2)), (&mut all.f, f), (&mut all.g, g)] {
+        let (w, f, g) = lanes.all(r2);
+        for (to, from) in [(&mut all.w, w), (&mut all.f, f), (&mut all.g, g)] {
             to.extend(read(from).into_iter().take(chunk.len()));
         }
-        // The same to rounding: one divides by q, the other multiplies by its inverse.
-        let scale = kernel.sigma * 120.0 / (kernel.smoothing_length * kernel.smoothing_length);
-        let epsilon = if size_of::<L::Real>() == 4 { f32::EPSILON as f64 } else { f64::EPSILON };
-        for (alone, together) in read(lanes.slope(r2)).into_iter().zip(read(f)) {
-            assert!(
-                (alone - together).abs() <= 10.0 * epsilon * scale,
-                "slope: {alone:e}, with curvature: {together:e}"
-            );
-        }
+        assert!(read(lanes.value(r2)) == read(w) && read(lanes.slope(r2)) == read(f), "alone and together");
     }
     all
 }
@@ -46,7 +39,7 @@ fn read<L: Lanes>(lanes: L) -> Vec<f64> {
     numbers.into_iter().map(|x| x.f64()).collect()
 }
 
-type Evaluate = fn(&Quintic, &[f64]) -> Values;
+type Evaluate = fn(&Kernel, &[f64]) -> Values;
 
 /// Every lane type that this machine can run, with its name and its rounding error.
 fn lane_types() -> Vec<(&'static str, f64, Evaluate)> {
@@ -72,6 +65,12 @@ fn lane_types() -> Vec<(&'static str, f64, Evaluate)> {
     types
 }
 
+/// The shapes, JAX-SPH's name of each, and where their formulas change (the support last).
+const SHAPES: [(KernelName, &str, &[f64]); 2] = [
+    (KernelName::QuinticSpline, "QuinticKernel", &[1.0, 2.0, 3.0]),
+    (KernelName::WendlandC2, "WendlandC2Kernel", &[2.0]),
+];
+
 fn largest(values: &[f64]) -> f64 {
     values.iter().fold(0.0, |m, x| m.max(x.abs()))
 }
@@ -95,10 +94,11 @@ fn agrees_with_jax_sph() {
         let h = number(&group, "h");
         let q = group.dataset("q").unwrap().read_raw::<f64>().unwrap();
         let distance: Vec<f64> = q.iter().map(|q| q * h).collect();
-        for dimension in 1..=3 {
-            let theirs = group.group(&format!("QuinticKernel_{dimension}d")).unwrap();
-            let kernel = Quintic::new(dimension, h);
+        for (shape, theirs, dimension) in SHAPES.iter().flat_map(|(s, name, _)| (2..=3).map(move |d| (*s, name, d))) {
+            let theirs = group.group(&format!("{theirs}_{dimension}d")).unwrap();
+            let kernel = Kernel::new(shape, dimension, h);
             assert!((kernel.cutoff() - number(&theirs, "cutoff")).abs() < 1e-15);
+            assert_eq!(kernel.cutoff(), shape.support() * h);
             let w = theirs.dataset("w").unwrap().read_raw::<f64>().unwrap();
             let slope = theirs.dataset("grad_w").unwrap().read_raw::<f64>().unwrap();
             assert!((kernel.at_zero() / w[0] - 1.0).abs() < 1e-14);
@@ -106,14 +106,14 @@ fn agrees_with_jax_sph() {
                 let ours = values(&kernel, &distance);
                 // Their w' loses digits near 0 (a difference of numbers of size 100), so it is compared as w' = F d.
                 let ours_slope: Vec<f64> = ours.f.iter().zip(&distance).map(|(f, d)| f * d).collect();
-                let name = format!("{name}, {dimension}D, h = {h}");
+                let name = format!("{shape:?}, {name}, {dimension}D, h = {h}");
                 close(&format!("W, {name}"), &ours.w, &w, 20.0 * epsilon);
                 close(&format!("W', {name}"), &ours_slope, &slope, 50.0 * epsilon);
                 compared += 1;
             }
         }
     }
-    assert!(compared >= 12, "only {compared} comparisons");
+    assert!(compared >= 16, "only {compared} comparisons");
 }
 
 /// Distances in spacings that avoid the knots, where one-sided formulas change.
@@ -123,9 +123,9 @@ fn sweep() -> Vec<f64> {
 
 #[test]
 fn slopes_are_derivatives() {
-    for dimension in 1..=3 {
+    for (shape, dimension) in SHAPES.iter().flat_map(|s| (1..=3).map(move |d| (s.0, d))) {
         let h = 0.02;
-        let kernel = Quintic::new(dimension, h);
+        let kernel = Kernel::new(shape, dimension, h);
         let step = 1e-4 * h;
         let distance: Vec<f64> = sweep().iter().map(|q| q * h).collect();
         // Fourth-order central differences.
@@ -141,7 +141,7 @@ fn slopes_are_derivatives() {
         for (name, epsilon, values) in lane_types() {
             let ours = values(&kernel, &distance);
             let times_distance = |x: &[f64]| -> Vec<f64> { x.iter().zip(&distance).map(|(x, d)| x * d).collect() };
-            let name = format!("{name}, {dimension}D");
+            let name = format!("{shape:?}, {name}, {dimension}D");
             close(&format!("F d, {name}"), &times_distance(&ours.f), &w_slope, (100.0 * epsilon).max(1e-10));
             close(&format!("G d, {name}"), &times_distance(&ours.g), &f_slope, (300.0 * epsilon).max(1e-10));
         }
@@ -150,13 +150,16 @@ fn slopes_are_derivatives() {
 
 #[test]
 fn no_jump_at_the_knots_and_nothing_behind_the_cutoff() {
-    let kernel = Quintic::new(2, 1.0);
-    for (name, epsilon, values) in lane_types() {
+    for (shape, knots, (name, epsilon, values)) in
+        SHAPES.iter().flat_map(|s| lane_types().into_iter().map(move |lanes| (s.0, s.2, lanes)))
+    {
+        let kernel = Kernel::new(shape, 2, 1.0);
+        let name = format!("{shape:?}, {name}");
         let scale = values(&kernel, &[0.0]);
         // F and G are finite at distance 0: the self pair and the padding have it.
         let (w, f, g) = (scale.w[0], scale.f[0].abs(), scale.g[0].abs());
         assert!(w > 0.0 && f > 0.0 && g > 0.0 && (w + f + g).is_finite(), "{name}: {w} {f} {g} at 0");
-        for knot in [1.0, 2.0, 3.0] {
+        for &knot in knots {
             let gap = 4.0 * epsilon;
             let sides = values(&kernel, &[knot * (1.0 - gap), knot, knot * (1.0 + gap)]);
             for (what, side, scale) in [("W", &sides.w, w), ("F", &sides.f, f), ("G", &sides.g, g)] {
@@ -164,7 +167,7 @@ fn no_jump_at_the_knots_and_nothing_behind_the_cutoff() {
                 assert!(jump <= 100.0 * epsilon * scale, "{name}: {what} jumps by {jump:e} at q = {knot}");
             }
         }
-        let outside = values(&kernel, &[3.0, 3.0001, 3.2, 5.0, 30.0]);
+        let outside = values(&kernel, &[1.0, 1.00004, 1.1, 2.0, 10.0].map(|x| x * shape.support()));
         for x in outside.w.iter().chain(&outside.f).chain(&outside.g) {
             assert_eq!(x.abs(), 0.0, "{name}: {x:e} behind the cut-off");
         }
@@ -176,28 +179,52 @@ fn no_jump_at_the_knots_and_nothing_behind_the_cutoff() {
 #[test]
 fn integrates_to_one() {
     let h = 0.02;
-    let step = 3.0 * h / 3000.0;
-    let distance: Vec<f64> = (0..3000).map(|k| (k as f64 + 0.5) * step).collect();
-    for dimension in 1..=3 {
-        let w = values::<PortableF64>(&Quintic::new(dimension, h), &distance).w;
-        let shell = |r: f64| match dimension {
-            1 => 2.0,
-            2 => std::f64::consts::TAU * r,
-            _ => 2.0 * std::f64::consts::TAU * r * r,
-        };
-        let sum: f64 = w.iter().zip(&distance).map(|(w, r)| w * shell(*r) * step).sum();
-        let expected = if dimension == 3 { 360.0 / 359.0 } else { 1.0 };
-        assert!((sum - expected).abs() < 1e-6, "{dimension}D: {sum}");
+    for shape in SHAPES.map(|s| s.0) {
+        let step = shape.support() * h / 3000.0;
+        let distance: Vec<f64> = (0..3000).map(|k| (k as f64 + 0.5) * step).collect();
+        for dimension in 1..=3 {
+            let w = values::<PortableF64>(&Kernel::new(shape, dimension, h), &distance).w;
+            let shell = |r: f64| match dimension {
+                1 => 2.0,
+                2 => std::f64::consts::TAU * r,
+                _ => 2.0 * std::f64::consts::TAU * r * r,
+            };
+            let sum: f64 = w.iter().zip(&distance).map(|(w, r)| w * shell(*r) * step).sum();
+            let exact = dimension != 3 || shape != KernelName::QuinticSpline;
+            let expected = if exact { 1.0 } else { 360.0 / 359.0 };
+            assert!((sum - expected).abs() < 1e-6, "{shape:?}, {dimension}D: {sum}");
+        }
+    }
+}
+
+/// The composed form, and one pair at a time, against the lanes.
+#[test]
+fn all_forms_agree() {
+    let h = 0.02;
+    let distance: Vec<f64> = sweep().iter().map(|q| q * h).collect();
+    let tensor = Tensor::new(distance.clone(), &Device::Cpu).unwrap();
+    for (shape, dimension) in SHAPES.iter().flat_map(|s| (2..=3).map(move |d| (s.0, d))) {
+        let kernel = Kernel::new(shape, dimension, h);
+        let lanes = values::<PortableF64>(&kernel, &distance);
+        let (w, f) = kernel.composed(&tensor).unwrap();
+        close(&format!("composed W, {shape:?}"), &w.to_vec1::<f64>().unwrap(), &lanes.w, 1e-14);
+        close(&format!("composed F, {shape:?}"), &f.to_vec1::<f64>().unwrap(), &lanes.f, 1e-13);
+        let (w, f): (Vec<f64>, Vec<f64>) = distance.iter().map(|d| kernel.pair(d * d)).unzip();
+        close(&format!("W of a pair, {shape:?}"), &w, &lanes.w, 1e-15);
+        close(&format!("F of a pair, {shape:?}"), &f, &lanes.f, 1e-15);
     }
 }
 
 #[test]
 fn instruction_sets_agree() {
-    let kernel = Quintic::new(2, 0.02);
     let distance: Vec<f64> = sweep().iter().map(|q| q * 0.02).collect();
-    let exact = values::<PortableF64>(&kernel, &distance);
-    for (name, epsilon, values) in lane_types() {
+    for (shape, (name, epsilon, values)) in
+        SHAPES.iter().flat_map(|s| lane_types().into_iter().map(move |lanes| (s.0, lanes)))
+    {
+        let kernel = Kernel::new(shape, 2, 0.02);
+        let exact = self::values::<PortableF64>(&kernel, &distance);
         let ours = values(&kernel, &distance);
+        let name = format!("{shape:?}, {name}");
         close(&format!("W, {name}"), &ours.w, &exact.w, 20.0 * epsilon);
         close(&format!("F, {name}"), &ours.f, &exact.f, 20.0 * epsilon);
         close(&format!("G, {name}"), &ours.g, &exact.g, 60.0 * epsilon);

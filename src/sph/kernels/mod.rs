@@ -1,0 +1,154 @@
+//! Smoothing kernels: W(d) = sigma w(q), q = d/h, one shape w per file.
+//!
+//! What the operators need besides W is F = W'(d)/d and, for adjoints, G = F'(d)/d. A new kernel is a file with a
+//! [`SmoothingKernel`] and an arm in [`Kernel`].
+
+pub mod quintic_spline;
+pub mod wendland_c2;
+
+pub use quintic_spline::QuinticSpline;
+pub use wendland_c2::WendlandC2;
+
+pub use crate::config::scene::KernelName;
+use crate::numerics::lanes::{Lanes, Real};
+use candle_core::{Result, Tensor};
+
+/// The shape of a kernel, as a function of q = d/h alone.
+pub trait SmoothingKernel: Copy {
+    /// Support radius in h: w(q) = 0 from there on. The same as [`KernelName::support`], which configurations are checked by.
+    const SUPPORT: f64;
+    /// w(0).
+    const AT_ZERO: f64;
+    /// What F and G of [`Self::shape`] are to be multiplied with: a factor that all their terms share.
+    const SLOPE: f64;
+
+    /// sigma h^D: W integrates to 1.
+    fn normalisation(dimension: usize) -> f64;
+
+    /// w, and over [`Self::SLOPE`] w'/q and (w'/q)'/q; `inverse` is 1/q. At q = 0, which only self pairs and padding have,
+    /// all must be finite.
+    fn shape<L: Lanes>(q: L, inverse: L) -> (L, L, L);
+
+    /// w and w'/q of a tensor of q > 0, from candle's operators.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    fn composed(q: &Tensor) -> Result<(Tensor, Tensor)>;
+}
+
+/// A kernel of a smoothing length h in a number of dimensions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Kernel {
+    pub shape: KernelName,
+    pub smoothing_length: f64,
+    pub sigma: f64,
+}
+
+/// Calls `$go` with the type of a kernel's shape.
+macro_rules! with_shape {
+    ($shape:expr, $kernel:ident => $go:expr) => {
+        match $shape {
+            KernelName::QuinticSpline => {
+                type $kernel = QuinticSpline;
+                $go
+            }
+            KernelName::WendlandC2 => {
+                type $kernel = WendlandC2;
+                $go
+            }
+        }
+    };
+}
+
+impl Kernel {
+    /// A shape in `dimension` dimensions (1, 2 or 3) with smoothing length h.
+    pub fn new(shape: KernelName, dimension: usize, smoothing_length: f64) -> Self {
+        let h = smoothing_length;
+        let normalisation = with_shape!(shape, K => K::normalisation(dimension));
+        Self { shape, smoothing_length, sigma: normalisation / h.powi(dimension as i32) }
+    }
+
+    /// The support radius.
+    pub fn cutoff(&self) -> f64 {
+        with_shape!(self.shape, K => K::SUPPORT) * self.smoothing_length
+    }
+
+    /// W(0): a particle's own share of its density sum.
+    pub fn at_zero(&self) -> f64 {
+        with_shape!(self.shape, K => K::AT_ZERO) * self.sigma
+    }
+
+    /// The constants in lanes.
+    #[inline(always)]
+    pub fn lanes<L: Lanes>(&self) -> KernelLanes<L> {
+        let h = self.smoothing_length;
+        let slope = with_shape!(self.shape, K => K::SLOPE) * self.sigma;
+        KernelLanes {
+            shape: self.shape,
+            inverse_h: L::splat(L::Real::of(1.0 / h)),
+            w: L::splat(L::Real::of(self.sigma)),
+            f: L::splat(L::Real::of(slope / (h * h))),
+            g: L::splat(L::Real::of(slope / (h * h * h * h))),
+        }
+    }
+
+    /// W and F of a squared distance: one pair at a time through the same code.
+    #[inline]
+    pub fn pair<R: Real>(&self, r2: R) -> (R, R) {
+        // Lane 0 of the portable lanes: all of them are the same number.
+        let (w, f, _) = self.lanes::<R::Portable>().all(<R::Portable as Lanes>::splat(r2));
+        let count = R::of(<R::Portable as Lanes>::COUNT as f64);
+        (w.sum() / count, f.sum() / count)
+    }
+
+    /// W and F of distances, from candle's operators.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn composed(&self, distance: &Tensor) -> Result<(Tensor, Tensor)> {
+        let h = self.smoothing_length;
+        let q = distance.affine(1.0 / h, 0.0)?;
+        let (w, slope) = with_shape!(self.shape, K => K::composed(&q))?;
+        Ok((w.affine(self.sigma, 0.0)?, slope.affine(self.sigma / (h * h), 0.0)?))
+    }
+}
+
+/// [`Kernel`] over lanes, as functions of the squared distance.
+#[derive(Clone, Copy)]
+pub struct KernelLanes<L> {
+    shape: KernelName,
+    inverse_h: L,
+    w: L,
+    f: L,
+    g: L,
+}
+
+/// A number in every lane.
+#[inline(always)]
+pub(crate) fn number<L: Lanes>(value: f64) -> L {
+    L::splat(L::Real::of(value))
+}
+
+impl<L: Lanes> KernelLanes<L> {
+    /// W, F and G from one distance; what the caller drops is not computed.
+    #[inline(always)]
+    pub fn all(&self, r2: L) -> (L, L, L) {
+        // At d = 0, which only self pairs and padding have, q is 0 and 1/q large but finite.
+        let r2 = r2 * (self.inverse_h * self.inverse_h);
+        let inverse = (r2 + number(1e-30)).inverse_sqrt();
+        let (w, f, g) = with_shape!(self.shape, K => K::shape(r2 * inverse, inverse));
+        (self.w * w, self.f * f, self.g * g)
+    }
+
+    /// W.
+    #[inline(always)]
+    pub fn value(&self, r2: L) -> L {
+        self.all(r2).0
+    }
+
+    /// F = W'(d)/d.
+    #[inline(always)]
+    pub fn slope(&self, r2: L) -> L {
+        self.all(r2).1
+    }
+}

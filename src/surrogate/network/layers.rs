@@ -1,0 +1,104 @@
+//! What networks are built from with candle-nn: pure candle, so that they run on every device that candle knows. Slow and
+//! readable, the oracle of the fused operators.
+
+use crate::surrogate::network::graph::Ends;
+use crate::surrogate::network::mlp::{MlpShape, EPSILON};
+use crate::surrogate::network::parameters::Parameter;
+use candle_core::{Result, Tensor};
+use candle_nn::{LayerNorm, Linear, Module, VarBuilder};
+use std::collections::HashMap;
+
+/// The parts of `parameters` under their names in a checkpoint, with the numbers of `values`, as candle-nn's layers are
+/// built from them. The tensors are views: a gradient by them reaches `values`.
+///
+/// # Errors
+/// Values of another length.
+pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder<'static>> {
+    let mut tensors = HashMap::new();
+    for (parameter, values) in parameters.iter().zip(values) {
+        for (name, at, shape) in &parameter.parts {
+            let part = values.narrow(0, at.start, at.len())?.reshape(shape.as_slice())?;
+            tensors.insert(name.clone(), part);
+        }
+    }
+    let Some(first) = values.first() else { candle_core::bail!("a network without parameters") };
+    Ok(VarBuilder::from_tensors(tensors, first.dtype(), first.device()))
+}
+
+/// A multilayer perceptron, see [`crate::surrogate::network::mlp`]: `[rows, inputs]` -> `[rows, outputs]`.
+#[derive(Debug, Clone)]
+pub struct Perceptron {
+    linears: Vec<Linear>,
+    /// With the offset on its own: given both, candle-nn's layer takes a fused operator that silently ends the gradient.
+    norm: Option<(LayerNorm, Tensor)>,
+}
+
+impl Perceptron {
+    /// From the tensors `K.weight`, `K.bias`, `ln.scale` and `ln.offset`.
+    ///
+    /// # Errors
+    /// One is missing or of another shape.
+    pub fn new(shape: &MlpShape, builder: VarBuilder) -> Result<Self> {
+        let linear = |k: usize| {
+            let (builder, (inputs, outputs)) = (builder.pp(k), shape.size(k));
+            // Stored as [in, out], but candle-nn's layer has it the other way round.
+            let weight = builder.get((inputs, outputs), "weight")?.t()?;
+            Ok(Linear::new(weight, Some(builder.get(outputs, "bias")?)))
+        };
+        let norm = |builder: VarBuilder| -> Result<(LayerNorm, Tensor)> {
+            let scale = LayerNorm::new_no_bias(builder.get(shape.outputs, "scale")?, EPSILON);
+            Ok((scale, builder.get(shape.outputs, "offset")?))
+        };
+        Ok(Self {
+            linears: (0..shape.linears).map(linear).collect::<Result<_>>()?,
+            norm: shape.norm.then(|| norm(builder.pp("ln"))).transpose()?,
+        })
+    }
+}
+
+impl Module for Perceptron {
+    fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let mut y = x.clone();
+        for (k, linear) in self.linears.iter().enumerate() {
+            if k > 0 {
+                y = y.relu()?;
+            }
+            y = linear.forward(&y)?;
+        }
+        match &self.norm {
+            Some((scale, offset)) => scale.forward(&y)?.broadcast_add(offset),
+            None => Ok(y),
+        }
+    }
+}
+
+/// A round of messages, see [`crate::surrogate::network::interaction`].
+#[derive(Debug, Clone)]
+pub struct Round {
+    edges: Perceptron,
+    nodes: Perceptron,
+}
+
+impl Round {
+    /// From the tensors `edge.*` and `node.*`.
+    ///
+    /// # Errors
+    /// As for [`Perceptron::new`].
+    pub fn new(edge: &MlpShape, node: &MlpShape, builder: VarBuilder) -> Result<Self> {
+        Ok(Self {
+            edges: Perceptron::new(edge, builder.pp("edge"))?,
+            nodes: Perceptron::new(node, builder.pp("node"))?,
+        })
+    }
+
+    /// Nodes `[N, L]` and edges `[E, L]` -> the same behind the round.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn forward(&self, ends: &Ends, nodes: &Tensor, edges: &Tensor) -> Result<(Tensor, Tensor)> {
+        let inputs = Tensor::cat(&[&ends.of_senders(nodes)?, &ends.of_receivers(nodes)?, edges], 1)?;
+        let messages = self.edges.forward(&inputs)?;
+        let change = self.nodes.forward(&Tensor::cat(&[nodes, &ends.sums(&messages)?], 1)?)?;
+        Ok(((nodes + change)?, (edges + messages)?))
+    }
+}

@@ -1,0 +1,200 @@
+//! What stands before the first step: data and settings that belong together, where the parameters come from, and a folder
+//! that nobody else writes to.
+
+use crate::config::difference::differences;
+use crate::config::scene::Kernels;
+use crate::config::training::{Settings, FREE};
+use crate::dataset::{read_split, Metadata, Split, Trajectory};
+use crate::error::BadInput;
+use crate::io::FileError;
+use crate::surrogate::evaluation::rollout::check_length;
+use crate::surrogate::models::setup::Setup;
+use crate::surrogate::network::parameters::Network;
+use crate::surrogate::training::checkpoint::{Header, TrainingState};
+use crate::surrogate::training::train::fresh;
+use candle_core::DType;
+use serde_json::json;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The checkpoint that a resumed training goes on with.
+pub const LAST: &str = "last.safetensors";
+
+/// What is trained on, and what is validated on.
+pub struct TrainingData {
+    pub metadata: Metadata,
+    pub train: Vec<Trajectory>,
+    pub valid: Vec<Trajectory>,
+}
+
+impl TrainingData {
+    /// Reads both splits of a folder.
+    ///
+    /// # Errors
+    /// Files that are missing or damaged.
+    pub fn read(folder: &Path, metadata: Metadata) -> Result<Self, FileError> {
+        let train = read_split(folder, &metadata, Split::Train)?;
+        let valid = read_split(folder, &metadata, Split::Valid)?;
+        Ok(Self { metadata, train, valid })
+    }
+
+    /// An error if a split is empty, or validation looks further than the trajectories go.
+    ///
+    /// # Errors
+    /// [`BadInput`].
+    pub fn check(&self, settings: &Settings) -> Result<(), BadInput> {
+        for (split, trajectories) in [("train.h5", &self.train), ("valid.h5", &self.valid)] {
+            if trajectories.is_empty() {
+                return Err(BadInput::new(format!("{split} holds no trajectory"))
+                    .allowed("at least one for training and one for validation")
+                    .advice("hydrograd generate --trajectories 4/2/2"));
+            }
+        }
+        match self.valid.iter().max_by_key(|t| t.frames) {
+            Some(longest) => check_length(longest, 0, settings.validation_steps)
+                .map_err(|bad| bad.advice("a smaller validation_steps")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Where the parameters come from.
+pub enum Origin {
+    /// Random numbers.
+    New,
+    /// An earlier run of the same training: its optimiser goes on, too.
+    Resumed(Box<Header>),
+    /// Another training, of the same kind and sizes.
+    TakenOver(Box<Header>),
+}
+
+impl Origin {
+    /// An error if a folder holds a training already.
+    ///
+    /// # Errors
+    /// [`BadInput`].
+    pub fn new(folder: &Path) -> Result<Self, BadInput> {
+        match folder.join(LAST).exists() {
+            true => Err(BadInput::new(format!("{} holds a training already", folder.display()))
+                .allowed("a new folder, or going on with that training")),
+            false => Ok(Self::New),
+        }
+    }
+
+    /// The training that a checkpoint is of.
+    ///
+    /// # Errors
+    /// [`BadInput`]: it was begun with other settings or data, or is further than `settings.steps` (the error's key is then
+    /// `steps`).
+    pub fn resumed(header: Header, settings: &Settings, setup: &Setup) -> Result<Self, BadInput> {
+        resumes(&header.settings, settings, header.setup == *setup)?;
+        if settings.steps < header.step {
+            let problem = format!("steps = {}, but the training is at step {}", settings.steps, header.step);
+            return Err(BadInput::new(problem).key("steps").allowed(format!("steps of {} or more", header.step)));
+        }
+        Ok(Self::Resumed(Box::new(header)))
+    }
+
+    /// Another training's parameters.
+    ///
+    /// # Errors
+    /// [`BadInput`]: a model of another kind or of other sizes.
+    pub fn taken_over(header: Header, setup: &Setup) -> Result<Self, BadInput> {
+        if header.setup.sizes == setup.sizes && header.setup.kind == setup.kind {
+            return Ok(Self::TakenOver(Box::new(header)));
+        }
+        let own = |setup: &Setup| {
+            let serde_json::Value::Object(mut all) = json!(setup.sizes) else { return Vec::new() };
+            all.insert("kind".into(), json!(setup.kind));
+            all.into_iter().collect::<Vec<_>>()
+        };
+        let differing: Vec<String> = own(&header.setup)
+            .into_iter()
+            .zip(own(setup))
+            .filter(|(theirs, ours)| theirs != ours)
+            .map(|((key, theirs), (_, ours))| format!("{key} = {theirs}, not {ours}"))
+            .collect();
+        Err(BadInput::new(format!("its model has {}", differing.join(", ")))
+            .allowed("a model of the same kind and sizes; data with heat for a model with heat"))
+    }
+
+    /// Whether an earlier run is gone on with.
+    pub fn resumes(&self) -> bool {
+        matches!(self, Self::Resumed(_))
+    }
+
+    /// The network with its parameters, and where its training stands.
+    ///
+    /// # Errors
+    /// Tensors that a checkpoint lacks, or that have another shape.
+    pub fn network(
+        &self,
+        settings: &Settings,
+        setup: &Setup,
+        kernels: Kernels,
+    ) -> anyhow::Result<(Arc<dyn Network>, TrainingState)> {
+        let network: Arc<dyn Network> = Arc::from(setup.network(kernels, settings.seed, DType::F32)?);
+        let state = match self {
+            Self::Resumed(header) => {
+                header.load_into(&*network, false)?;
+                header.state(&*network)?
+            }
+            Self::TakenOver(header) => {
+                header.load_into(&*network, true)?;
+                fresh(settings, &*network)?
+            }
+            Self::New => fresh(settings, &*network)?,
+        };
+        Ok((network, state))
+    }
+}
+
+/// An error if the settings differ in more than how long to go on and how often to say so.
+fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), BadInput> {
+    let found = differences(before, now, &FREE);
+    if found.is_empty() && same_setup {
+        return Ok(());
+    }
+    let differing: Vec<String> = found.iter().map(|d| format!("{} was {} and is {}", d.key, d.before, d.now)).collect();
+    let problem = match differing.is_empty() {
+        true => "the data differ from those that the training began with".to_owned(),
+        false => format!("the settings differ from those that the training began with: {}", differing.join("; ")),
+    };
+    Err(BadInput::new(problem)
+        .allowed("the same but for steps, log_every, validate_every, store_every and validation_*")
+        .advice("begin anew in another folder; its parameters can be taken over"))
+}
+
+/// Held while a training writes to a folder: two would take turns in overwriting each other's checkpoints.
+pub struct Lock {
+    path: PathBuf,
+    _file: File,
+}
+
+impl Lock {
+    /// Of a folder that exists.
+    ///
+    /// # Errors
+    /// [`BadInput`] if another training holds it; the file can not be created.
+    pub fn take(folder: &Path) -> anyhow::Result<Self> {
+        let path = folder.join("train.lock");
+        let file = File::create(&path).map_err(|source| FileError::write(&path, source))?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(BadInput::new("another training is writing to this folder")
+                .place(folder.display().to_string())
+                .allowed("one training at a time")
+                .advice("wait until it ends, stop it, or another folder")
+                .into()),
+            // Some file systems have no locks: then nothing can be said.
+            _ => Ok(Self { path, _file: file }),
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Best effort: a lock that nobody holds is in nobody's way.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
