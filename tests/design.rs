@@ -7,18 +7,19 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::shape::Shape;
+use hydrograd::design::Problem;
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
-use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::Scene;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::Sweeps;
 use support::final_sum::{FinalSum, Summed};
 
-fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, HeatedChannel<R>) {
+fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, Problem<R>) {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::new(&config, &shape).unwrap();
+    let channel = Scene::from_config(&config).unwrap().design.unwrap();
     (config, shape, channel)
 }
 
@@ -40,10 +41,10 @@ fn random_offsets(shape: &Shape, seed: u64) -> Vec<f64> {
 fn the_deformation_keeps_particles_and_mass_exactly() {
     for (seed, sets) in SCENES.iter().enumerate() {
         let (config, shape, channel) = scene::<f64>(sets);
-        let (model, deformation) = (&channel.model, &channel.problem.deformation);
+        let (model, deformation) = (&channel.model, &channel.deformation);
         let (n, l, dx) = (model.particles(), model.layout, config.resolution.dx);
         let offsets = random_offsets(&shape, seed as u64);
-        let heights = channel.problem.parametrisation.column_heights(&offsets);
+        let heights = channel.parametrisation.column_heights(&offsets);
         let flat = deformation.state::<f64>(&vec![0.0; heights.len()]);
         let state = deformation.state::<f64>(&heights);
         assert_eq!(flat, deformation.base);
@@ -88,7 +89,7 @@ fn the_deformation_keeps_particles_and_mass_exactly() {
 fn the_adjoint_of_the_deformation_is_its_derivative() {
     for (seed, sets) in SCENES.iter().enumerate() {
         let (_, shape, channel) = scene::<f64>(sets);
-        let problem = &channel.problem;
+        let problem = &channel;
         let offsets = random_offsets(&shape, seed as u64);
         let mut normal = Normal::new(stream(seed as u64, "bars"));
         let bar: Vec<f64> = problem.deformation.base.iter().map(|_| normal.next()).collect();
@@ -113,8 +114,8 @@ fn the_adjoint_of_the_deformation_is_its_derivative() {
 fn a_truncated_gradient_drops_what_the_fluid_was() {
     let (_, _, channel) = scene::<f64>(&[]);
     let (n, model) = (channel.model.particles(), &channel.model);
-    let mut bar = vec![1.0; channel.problem.deformation.base.len()];
-    channel.problem.deformation.keep_static(&mut bar, |i| model.is_fluid(i));
+    let mut bar = vec![1.0; channel.deformation.base.len()];
+    channel.deformation.keep_static(&mut bar, |i| model.is_fluid(i));
     for (place, value) in bar.iter().enumerate() {
         let dropped = place / n == 1 && model.tags[place % n] == tag::FLUID;
         assert_eq!(*value, if dropped { 0.0 } else { 1.0 }, "row {}, particle {}", place / n, place % n);
@@ -123,15 +124,15 @@ fn a_truncated_gradient_drops_what_the_fluid_was() {
 
 /// Gradient of an objective by the offsets, without regularisation.
 fn design_gradient<R: Sweeps, O: Objective + ?Sized>(
-    channel: &HeatedChannel<R>,
+    channel: &Problem<R>,
     offsets: &[f64],
     objective: &O,
 ) -> (f64, Vec<f64>) {
     let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     let schedule = Schedule::segments(channel.steps, 20);
-    let found = gradient(&dynamics, &channel.problem.start(offsets), &schedule, objective, &mut |_| ()).unwrap();
+    let found = gradient(&dynamics, &channel.start(offsets), &schedule, objective, &mut |_| ()).unwrap();
     let bar = found.state.flatten_all().unwrap().to_vec1::<R>().unwrap();
-    (found.value, channel.problem.by_variables(&bar))
+    (found.value, channel.by_variables(&bar))
 }
 
 fn norm(x: &[f64]) -> f64 {
@@ -143,8 +144,8 @@ fn norm(x: &[f64]) -> f64 {
 fn design_gradient_over_500_steps_is_the_derivative() {
     let (_, shape, channel) = scene::<f64>(&["time.steps=500", "time.cfl=1.0"]);
     let offsets = shape.offsets.clone();
-    let (value, gradient) = design_gradient(&channel, &offsets, &*channel.problem.objective);
-    let q = channel.problem.evaluate(&offsets).unwrap();
+    let (value, gradient) = design_gradient(&channel, &offsets, &*channel.objective);
+    let q = channel.evaluate(&offsets).unwrap();
     assert_eq!(value, q, "the gradient's run is the plain run");
     let mut normal = Normal::new(stream(11, "along"));
     for _ in 0..3 {
@@ -152,7 +153,7 @@ fn design_gradient_over_500_steps_is_the_derivative() {
         let slope: f64 = gradient.iter().zip(&direction).map(|(g, v)| g * v).sum();
         let at = |t: f64| {
             let moved: Vec<f64> = offsets.iter().zip(&direction).map(|(o, v)| o + t * v).collect();
-            channel.problem.evaluate(&moved).unwrap()
+            channel.evaluate(&moved).unwrap()
         };
         // Q is smooth between jumps: a particle that crosses the inlet or the outlet strip one step earlier changes Q by
         // 1e-9 to 1e-7. Steps of 1e-6 meet such jumps, smaller ones rarely do; below 1e-9 rounding takes over.
@@ -179,8 +180,8 @@ where
     let ((_, exact), (_, found)) = match &chosen {
         Some(o) => (design_gradient(&double, &shape.offsets, o), design_gradient(&single, &shape.offsets, o)),
         None => (
-            design_gradient(&double, &shape.offsets, &*double.problem.objective),
-            design_gradient(&single, &shape.offsets, &*single.problem.objective),
+            design_gradient(&double, &shape.offsets, &*double.objective),
+            design_gradient(&single, &shape.offsets, &*single.objective),
         ),
     };
     let gap: Vec<f64> = exact.iter().zip(&found).map(|(a, b)| a - b).collect();
@@ -213,8 +214,8 @@ fn a_variable_without_influence_is_an_error() {
     // After two steps, only the wall near the targets has been felt there.
     let sets = ["time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
     let channel = scene::<f64>(&sets).2;
-    let evaluate = |channel: &HeatedChannel<f64>| {
-        channel.problem.gradient(&channel.problem.first, &Schedule::taped(channel.steps), &mut |_| ())
+    let evaluate = |channel: &Problem<f64>| {
+        channel.gradient(&channel.first, &Schedule::taped(channel.steps), &mut |_| ())
     };
     let error = evaluate(&channel).unwrap_err().to_string();
     assert!(error.contains("design variable 0 received no gradient"), "{error}");

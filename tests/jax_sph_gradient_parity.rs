@@ -87,7 +87,7 @@ fn heated_channel(group: &hdf5::Group, case: &Case) -> Result<String, String> {
         kernels: Kernels::Fused,
     };
     let samples = Samples(BTreeMap::from([(steps, 1.0)]));
-    let outflow = HeatOutflow { outlet: Outlet { interpolation, mode: Mode::Fluid }, scale: 1.0, samples };
+    let outflow = HeatOutflow { outlet: Outlet { interpolation, mode: Mode::Fluid, spacing: dx }, scale: 1.0, samples };
     let warmth = FinalSum { steps, of: Summed::Heat };
     let designs = group.dataset("off").map_err(|e| e.to_string())?.size();
     let columns = (case.size[0] / dx).round() as usize;

@@ -77,8 +77,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,
     };
-    let (channel, _) = build::<f64>(config)?;
-    let problem = &channel.problem;
+    let (problem, _) = build::<f64>(config)?;
     let (first, figure) = (&problem.first, problem.figure);
     let gradient: Vec<f64> = by_variables.iter().map(|g| g * figure.factor).collect();
     let mut random = stream(config.run.seed, "check");
@@ -136,7 +135,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         (figure.symbol.to_lowercase()): value,
         "gradient": gradient,
         "gradient_norm": norm,
-        "steps": channel.steps,
+        "steps": problem.steps,
         "precision": config.run.precision,
         "directions": results.iter().zip(&directions).map(|(r, d)| json!({
             "direction": d,
@@ -152,7 +151,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
 
     println!(
         "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",
-        channel.steps,
+        problem.steps,
         first.len(),
         figure.symbol
     );
@@ -179,8 +178,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
 
 /// The objective's gradient, without the penalty on roughness: that is exact by inspection and would hide errors.
 fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Vec<f64>> {
-    let (channel, _) = build::<R>(config)?;
-    let problem = &channel.problem;
+    let (problem, _) = build::<R>(config)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?.1)
 }

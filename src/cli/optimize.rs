@@ -17,8 +17,9 @@ use crate::io::vtk::VtkSeries;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::heated_channel::HeatedChannel;
 use crate::scene::load::Loaded;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
@@ -189,10 +190,9 @@ fn capitalised(text: &str) -> String {
 
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
-    let (channel, _) = build::<R>(config)?;
-    let problem = &channel.problem;
+    let (problem, _) = build::<R>(config)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
-    let mut optimisation = begin(config, problem, resume)?;
+    let mut optimisation = begin(config, &problem, resume)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
@@ -216,7 +216,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &
         Ok(())
     })?;
     bar.finish();
-    report(loaded, folder, &channel, &optimisation)
+    report(loaded, folder, &problem, &optimisation)
 }
 
 /// A new optimisation, or one that goes on.
@@ -259,27 +259,27 @@ fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
 fn report<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    channel: &HeatedChannel<R>,
+    problem: &Problem<R>,
     optimisation: &Optimisation,
 ) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
     let history = &optimisation.history;
     let [before, after] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
-    let before = simulate(channel, config.run.kernels, channel.problem.start(before), |_| Ok(())).map_err(diverged)?;
-    let after = simulate_with_frames(config, folder, channel, after)?;
+    let before = simulate(problem, config.run.kernels, &problem.start(before), &mut []).map_err(diverged)?;
+    let after = simulate_with_frames(config, folder, problem, after)?;
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // Of all sessions: a resumed run has taken what its parts took.
     let seconds = history.iter().map(|e| e.seconds).sum();
     let (summary_before, summary_after) =
-        (files::summary(loaded, b, channel.steps, before.seconds), files::summary(loaded, a, channel.steps, seconds));
-    let summary = summary(channel, optimisation, summary_before, summary_after);
-    let text = text(folder, channel.problem.figure, optimisation, seconds, (b, a));
+        (files::summary(loaded, b, problem.steps, before.seconds), files::summary(loaded, a, problem.steps, seconds));
+    let summary = summary(problem, optimisation, summary_before, summary_after);
+    let text = text(folder, problem.figure, optimisation, seconds, (b, a));
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (Fields::of(&mut solver_before), Fields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
     files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
-    write_walls(folder, config, &*channel.problem.parametrisation, optimisation)?;
-    plot_history(folder, &channel.problem, optimisation)?;
+    write_walls(folder, config, &*problem.parametrisation, optimisation)?;
+    plot_history(folder, problem, optimisation)?;
     files::write_summary(folder, summary.clone())?;
     let values = optimisation.column(|e| e.figure);
     Ok(Outcome { text, summary, values })
@@ -289,23 +289,23 @@ fn report<R: Sweeps>(
 fn simulate_with_frames<R: Sweeps>(
     config: &Config,
     folder: &Path,
-    channel: &HeatedChannel<R>,
+    problem: &Problem<R>,
     variables: &[f64],
 ) -> anyhow::Result<Finished<R>> {
     let mut series = match config.output.frames {
         0 => None,
         _ => Some(VtkSeries::new(&folder.join("particles"), "particles")?),
     };
-    let every = if config.output.frames == 0 { usize::MAX } else { channel.steps.div_ceil(config.output.frames) };
-    simulate(channel, config.run.kernels, channel.problem.start(variables), |solver| {
+    let every = if config.output.frames == 0 { usize::MAX } else { problem.steps.div_ceil(config.output.frames) };
+    let mut frames = |_: &Sph<R>, solver: &mut Solver<R>| {
         if let Some(series) = &mut series {
-            if solver.step % every == 0 || solver.step == channel.steps {
+            if solver.step % every == 0 || solver.step == problem.steps {
                 Fields::of(solver).with_frame(|frame| series.write(frame))?;
             }
         }
         Ok(())
-    })
-    .map_err(diverged)
+    };
+    simulate(problem, config.run.kernels, &problem.start(variables), &mut [&mut frames]).map_err(diverged)
 }
 
 /// `shape.csv` with the best, the first and the last wall, and the plot of all of them.
@@ -343,19 +343,19 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
 
 /// `summary.json`, from those of the first and the best design's runs.
 fn summary<R>(
-    channel: &HeatedChannel<R>,
+    problem: &Problem<R>,
     optimisation: &Optimisation,
     mut before: Map<String, Value>,
     mut after: Map<String, Value>,
 ) -> Map<String, Value> {
     let (history, best) = (&optimisation.history, optimisation.best);
     let last = history.len() - 1;
-    let name = channel.problem.figure.symbol.to_lowercase();
+    let name = problem.figure.symbol.to_lowercase();
     // By the objective's own samples, so that the best is one of those per epoch.
     for (map, epoch) in [(&mut before, 0), (&mut after, best)] {
         map.insert(name.clone(), json!(history[epoch].figure));
         let q = map.get("q").and_then(Value::as_f64);
-        map.insert("q_sum".into(), json!(q.map(|q| q / channel.spacing)));
+        map.insert("q_sum".into(), json!(q.map(|q| q / problem.outlet.spacing)));
     }
     let mut put = |key: &str, value: Value| after.insert(key.into(), value);
     put(&format!("{name}_first"), json!(history[0].figure));
@@ -364,7 +364,7 @@ fn summary<R>(
     put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
     put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
-    put("nodes", json!(channel.problem.parametrisation.positions()));
+    put("nodes", json!(problem.parametrisation.positions()));
     put("offsets_first", json!(history[0].variables));
     put("offsets_best", json!(history[best].variables));
     put("offsets_last", json!(history[last].variables));

@@ -1,14 +1,17 @@
 //! What is optimised: variables in, an objective's value and its derivative by the variables out.
 
 use super::deformation::Deformation;
-use super::objectives::Figure;
+use super::objectives::{Figure, Outlet};
 use super::parametrisations::Parametrisation;
+use super::shape::Shape;
 use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
 use crate::adjoint::schedule::{Costs, Schedule};
 use crate::adjoint::{run, Dynamics, Objective, RunError};
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
+use crate::numerics::lanes::Real;
 use crate::sph::dynamics::Sph;
+use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use std::sync::Arc;
@@ -16,7 +19,8 @@ use std::sync::Arc;
 /// A wall to shape, a flow over it, and what is made large.
 #[derive(Clone)]
 pub struct Problem<R> {
-    pub dynamics: Sph<R>,
+    pub model: Arc<Model<R>>,
+    pub kernels: Kernels,
     pub deformation: Arc<Deformation>,
     pub parametrisation: Arc<dyn Parametrisation>,
     pub objective: Arc<dyn Objective + Send>,
@@ -28,6 +32,21 @@ pub struct Problem<R> {
     pub steps: usize,
     /// The variables to begin with.
     pub first: Vec<f64>,
+    /// Where the flow is measured, whatever the objective is.
+    pub outlet: Outlet,
+    /// Steps of the objective's window, at the run's end.
+    pub window: usize,
+}
+
+impl<R> std::fmt::Debug for Problem<R> {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.debug_struct("Problem")
+            .field("parametrisation", &self.parametrisation)
+            .field("objective", &self.objective.name())
+            .field("steps", &self.steps)
+            .field("first", &self.first)
+            .finish_non_exhaustive()
+    }
 }
 
 /// Loss and gradient of a design.
@@ -41,11 +60,23 @@ pub struct Evaluation {
     pub gradient: Vec<f64>,
 }
 
-impl<R: Sweeps> Problem<R> {
+impl<R: Real> Problem<R> {
     /// The start of a design's run.
     pub fn start(&self, variables: &[f64]) -> Snapshot<R> {
         let heights = self.parametrisation.column_heights(variables);
-        Snapshot::first(&self.dynamics.model, self.deformation.state::<R>(&heights))
+        Snapshot::first(&self.model, self.deformation.state::<R>(&heights))
+    }
+
+    /// The wall to begin with, at points.
+    pub fn first_wall(&self) -> Shape {
+        self.parametrisation.sampled(&self.first)
+    }
+}
+
+impl<R: Sweeps> Problem<R> {
+    /// What runs a design.
+    pub fn dynamics(&self) -> Sph<R> {
+        Sph::new(self.model.clone(), self.kernels)
     }
 
     /// The objective of a design, without a gradient. By the fused step, which is the composed one to rounding.
@@ -53,7 +84,7 @@ impl<R: Sweeps> Problem<R> {
     /// # Errors
     /// A [`RunError`] if the run can not go on.
     pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
-        let dynamics = Sph::new(self.dynamics.model.clone(), Kernels::Fused);
+        let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
         let mut sum = 0.0;
         let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
             if let Some(weight) = self.objective.weight(solver.step) {
@@ -77,7 +108,7 @@ impl<R: Sweeps> Problem<R> {
         progress: Progress<'_>,
     ) -> Result<(f64, Vec<f64>), Error> {
         let start = self.start(variables);
-        let found = gradient(&self.dynamics, &start, schedule, &*self.objective, progress)
+        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
             .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5 (a smaller time step), or a smaller design.bound"))?;
         let by_variables = self.pull_back(&found, schedule)?;
         check_gradient(&by_variables)?;
@@ -92,7 +123,7 @@ impl<R: Sweeps> Problem<R> {
             .and_then(|s| s.to_vec1::<R>())
             .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
         if schedule.first > 0 {
-            let model = &self.dynamics.model;
+            let model = &self.model;
             self.deformation.keep_static(&mut state_bar, |i| model.is_fluid(i));
         }
         Ok(self.by_variables(&state_bar))
@@ -126,7 +157,7 @@ impl<R: Sweeps> Problem<R> {
     /// Particles without a neighbour list.
     pub fn costs(&self) -> Result<Costs, Error> {
         let state = self.deformation.state::<R>(&vec![0.0; self.deformation.columns]);
-        self.dynamics.costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
+        self.dynamics().costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
     }
 
     /// The schedule that is asked for, for numbers of `precision`: what fits into `optimise.memory`, or segments of a

@@ -66,7 +66,7 @@ impl<R: Sweeps> Ready<R> {
             Source::Channel(scene) => {
                 let config = scene.load()?.config;
                 let (channel, _) = build::<R>(&config)?;
-                (channel.model.clone(), channel.problem.start(&channel.problem.first), Some(channel.problem.objective))
+                (channel.model.clone(), channel.start(&channel.first), Some(channel.objective))
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);
@@ -78,7 +78,7 @@ impl<R: Sweeps> Ready<R> {
                     None => {
                         let config = scene.load()?.config;
                         let (channel, _) = build::<R>(&config)?;
-                        let state = channel.problem.start(&channel.problem.first).state;
+                        let state = channel.start(&channel.first).state;
                         (needs::owned(channel.model), state)
                     }
                 };
@@ -122,7 +122,7 @@ fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
     let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
-    (needs::owned(flow.model), flow.state)
+    (needs::owned(flow.model), flow.start.state)
 }
 
 /// A state at step 0 (its list's reference is filled in by [`Ready::new`]).

@@ -21,7 +21,7 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
     match config.objective.kind {
         ObjectiveKind::HeatOutflow => {
             let scale = match config.objective.form {
-                ObjectiveForm::Flux => config.resolution.dx,
+                ObjectiveForm::Flux => outlet.spacing,
                 ObjectiveForm::Sum => 1.0,
             };
             Arc::new(HeatOutflow { outlet, scale, samples })

@@ -23,6 +23,8 @@ use std::sync::Arc;
 pub struct Outlet {
     pub interpolation: Interpolation,
     pub mode: Mode,
+    /// Of the targets.
+    pub spacing: f64,
 }
 
 /// What flows through the targets: sums over them of rho u, u, and rho u T, without their spacing.
