@@ -1,17 +1,18 @@
 //! Verification flows against their exact solutions.
 
-use hydrograd::scene::flow::{Flow, FlowFigures};
+use hydrograd::scene::figures::FlowFigures;
 use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
 use hydrograd::scene::poiseuille::Poiseuille;
 use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
 use hydrograd::scene::taylor_green::TaylorGreen;
+use hydrograd::scene::Scene;
 use hydrograd::sph::solver::Solver;
 use hydrograd::sph::Sweeps;
 
 /// Figures after every step up to `end`, the start first.
-fn run<R: Sweeps>(flow: &Flow<R>, end: f64) -> Vec<FlowFigures> {
+fn run<R: Sweeps>(flow: &Scene<R>, end: f64) -> Vec<FlowFigures> {
     let steps = (end / flow.model.dt).round() as usize;
-    let mut solver = Solver::new(flow.model.clone(), flow.state.clone()).unwrap();
+    let mut solver = Solver::new(flow.model.clone(), flow.start.state.clone()).unwrap();
     let mut all = vec![flow.figures(&solver.state, 0.0)];
     for _ in 0..steps {
         solver.advance().unwrap();
@@ -200,7 +201,7 @@ fn the_cavity_is_that_of_ghia() {
     let flow = scene.build::<f64>();
     let (n, l) = (flow.model.particles(), flow.model.layout);
     assert_eq!(n, 31 * 31);
-    let mut solver = Solver::new(flow.model.clone(), flow.state.clone()).unwrap();
+    let mut solver = Solver::new(flow.model.clone(), flow.start.state.clone()).unwrap();
     while (solver.step as f64) < 10.0 / flow.model.dt {
         solver.advance().unwrap();
     }

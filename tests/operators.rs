@@ -6,12 +6,11 @@ use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::design::diagnostics::start;
 use hydrograd::design::shape::Shape;
 use hydrograd::numerics::candle::{apply1, apply2};
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::tag;
-use hydrograd::scene::heated_channel::HeatedChannel;
+use hydrograd::scene::Scene;
 use hydrograd::sph::chain::{Chain, Step};
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::kernels::KernelName;
@@ -469,8 +468,8 @@ fn state_and_gradient_of_a_run() {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap().config;
     let shape = Shape::from_config(&config).unwrap();
-    let channel = HeatedChannel::<f64>::new(&config, &shape);
-    let start = start::<f64>(&channel, &shape.offsets);
+    let channel = Scene::<f64>::from_config(&config).unwrap().design.unwrap();
+    let start = channel.start(&shape.offsets);
     let mut solver = Solver::restore(channel.model.clone(), &start).unwrap();
     (0..50).for_each(|_| solver.advance().unwrap());
     let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
@@ -478,7 +477,7 @@ fn state_and_gradient_of_a_run() {
     let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
     let mut numbers = solver.state.clone();
     numbers.extend(self::numbers(&found.state));
-    numbers.extend(channel.deformation.adjoint(&self::numbers(&found.state)));
+    numbers.extend(channel.by_variables(&self::numbers(&found.state)));
     std::fs::write(path, numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
 }
 

@@ -8,8 +8,8 @@ use hydrograd::config::scene::{
 };
 use hydrograd::config::schema::{described, description, known_keys};
 use hydrograd::design::shape::{default_nodes, Shape};
-use hydrograd::scene::flow::Flow;
 use hydrograd::scene::load::Source;
+use hydrograd::scene::Scene;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -397,13 +397,13 @@ fn flows_follow_the_configuration() {
     let sets = [format!("resolution.dx={dx}"), "fluid.transport_velocity=0".into(), "time.cfl=0.25".into()];
     let loaded = Config::load(file.to_str(), None, &sets).unwrap();
     assert_eq!(read(&loaded.text), loaded.config);
-    let flow = Flow::<f64>::from_config(&loaded.config).unwrap();
+    let flow = Scene::<f64>::from_config(&loaded.config).unwrap();
     assert_eq!((flow.model.particles(), flow.model.layout.dimension, flow.model.layout.transport), (1728, 3, false));
     assert_eq!(flow.model.viscosity, 0.05);
     assert_eq!((flow.model.dt, loaded.config.steps()), (0.5 / 43.0, 43), "0.25 dx / 11 = 0.0119");
     let poiseuille = Config::load(Some("poiseuille"), None, &["time.steps=7".into()]).unwrap().config;
-    let flow = Flow::<f32>::from_config(&poiseuille).unwrap();
+    let flow = Scene::<f32>::from_config(&poiseuille).unwrap();
     assert_eq!(flow.model.particles(), 12 * 46);
     assert!((flow.model.dt - 0.25 * 0.025 * 0.025 * 0.0125).abs() < 1e-18);
-    assert!(Flow::<f64>::from_config(&Config::default()).is_none());
+    assert!(flow.design.is_none() && Scene::<f64>::from_config(&Config::default()).unwrap().design.is_some());
 }

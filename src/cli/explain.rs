@@ -1,12 +1,10 @@
 //! `--explain`: what would be run, without running it.
 
-use super::prepare::build;
+use super::prepare::require_design;
 use crate::config::scene::{Config, Precision};
-use crate::design::diagnostics::start;
-use crate::design::optimise;
 use crate::error::Error;
-use crate::scene::flow::Flow;
 use crate::scene::load::Loaded;
+use crate::scene::Scene;
 use crate::sph::plan::Plan;
 use crate::sph::Sweeps;
 
@@ -26,18 +24,15 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     let failed = |e: crate::particles::neighbour_list::NeighbourError| {
         Error::run(e.to_string(), "another resolution.dx or time.skin")
     };
-    if let Some(flow) = Flow::<R>::from_config(config) {
-        return Ok(Plan::of(&flow.model, &flow.state, Some(limit(config))).map_err(failed)?);
+    if gradient {
+        require_design(config)?;
     }
-    let (channel, shape) = build::<R>(config)?;
-    let first = start(&channel, &shape.offsets);
-    let plan = Plan::of(&channel.model, &first.state, Some(limit(config))).map_err(failed)?;
-    if !gradient {
-        return Ok(plan);
-    }
-    let schedule = optimise::schedule(config, &channel)?;
-    let costs = optimise::costs(config, &channel)?;
-    Ok(plan.with_gradient(&channel.model, &schedule, costs, Some(config.optimise.memory.bytes())))
+    let scene = Scene::<R>::from_config(config)?;
+    let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config))).map_err(failed)?;
+    let Some(design) = scene.design.filter(|_| gradient) else { return Ok(plan) };
+    let schedule = design.schedule(&config.optimise, config.run.precision)?;
+    let costs = design.costs()?;
+    Ok(plan.with_gradient(&design.model, &schedule, costs, Some(config.optimise.memory.bytes())))
 }
 
 /// What the time step was chosen by.

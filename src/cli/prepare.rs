@@ -4,9 +4,10 @@ use crate::config::builtin::SCENES;
 pub use crate::config::difference::difference;
 use crate::config::scene::Config;
 use crate::design::shape::Shape;
+use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
-use crate::scene::heated_channel::HeatedChannel;
+use crate::scene::Scene;
 
 /// Sets the number of worker threads. Must come before the first operator: candle's pools read it once.
 pub fn set_threads(config: &Config) {
@@ -30,19 +31,21 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
     if config.scene.has_design() {
         return Ok(());
     }
-    let with_design = SCENES.iter().filter(|built_in| built_in.scene().has_design());
+    let with_design = SCENES.iter().filter(|built_in| built_in.family().has_design());
     let with_design: Vec<&str> = with_design.map(|built_in| built_in.name).collect();
-    let name = config.scene.built_in().name;
+    let name = config.scene.name();
     Err(BadInput::new(format!("scene {name} has no design, so there is nothing to differentiate or optimise"))
         .allowed(format!("a scene with a design: {}", with_design.join(", ")))
         .advice(format!("hydrograd simulate {name}")))
 }
 
-/// Builds the scene and its start shape.
-pub fn build<R: Real>(config: &Config) -> Result<(HeatedChannel<R>, Shape), Error> {
+/// Builds a scene with a design, and its start shape.
+pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     require_design(config)?;
-    let shape = Shape::from_config(config)?;
-    Ok((HeatedChannel::new(config, &shape), shape))
+    let design = Scene::from_config(config)?.design;
+    let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
+    let shape = design.first_wall();
+    Ok((design, shape))
 }
 
 /// `a -> b (+1.2 %)`.

@@ -7,7 +7,7 @@ use super::prepare::{build, difference, set_threads};
 use super::simulate_flow;
 use crate::adjoint::Dynamics;
 use crate::config::scene::{Config, Precision};
-use crate::design::diagnostics::{simulate, start};
+use crate::design::diagnostics::simulate;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
@@ -84,7 +84,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let (channel, shape) = build::<R>(config)?;
     let first = match resume {
         Some(from) => read_checkpoint::<R>(&from.join("checkpoint.safetensors"), config, &channel.model)?,
-        None => start(&channel, &shape.offsets),
+        None => channel.start(&shape.offsets),
     };
     check_unfinished(first.step, channel.steps)?;
     prepare_output_folder(folder)?;
@@ -107,7 +107,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let mut before: Option<Fields> = None;
     let resumed = first.step;
     let dynamics = Sph::new(channel.model.clone(), config.run.kernels);
-    let finished = simulate(&channel, config.run.kernels, first, |solver| {
+    let mut look = |_: &Sph<R>, solver: &mut Solver<R>| {
         let step = solver.step;
         if step == resumed {
             before = Some(Fields::of(solver));
@@ -119,8 +119,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         }
         if step % history_every == 0 || step == channel.steps {
             write_history(folder, &history)?;
-            let flows = channel.objective.numbers(&dynamics.look(solver)?)?;
-            let (q, flow) = (channel.spacing * flows.heat, channel.spacing * flows.volume);
+            let flows = channel.outlet.numbers(&dynamics.look(solver)?)?;
+            let (q, flow) = (channel.outlet.spacing * flows.heat, channel.outlet.spacing * flows.volume);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);
             bar.message(format!("Q {q:.5}"));
@@ -131,8 +131,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
             write_checkpoint(&folder.join("checkpoint.safetensors"), solver, loaded)?;
         }
         Ok(())
-    })
-    .map_err(diverged)?;
+    };
+    let finished = simulate(&channel, config.run.kernels, &first, &mut [&mut look]).map_err(diverged)?;
     bar.finish();
     let mut solver = finished.solver;
     let fields = Fields::of(&mut solver);

@@ -4,36 +4,31 @@ use super::files::{self, Fields, VERSION};
 use super::simulate::{check_unfinished, earlier_history, read_checkpoint, write_checkpoint, CHECKPOINTS, HISTORY};
 use crate::adjoint::Dynamics;
 use crate::adjoint::RunError;
-use crate::error::{BadInput, Error};
+use crate::error::Error;
 use crate::io::atomic::prepare_output_folder;
 use crate::io::vtk::VtkSeries;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
-use crate::scene::flow::{Exact, Flow, FlowFigures};
+use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
+use crate::scene::{Exact, Scene};
 use crate::sph::dynamics::Sph;
-use crate::sph::solver::Snapshot;
 use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
-use std::sync::Arc;
 
 /// Points of the exact profile's curve.
 const PROFILE: usize = 100;
 
 pub fn run<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
     let config = &loaded.config;
-    let flow = Flow::<R>::from_config(config).ok_or_else(|| BadInput::new("the scene is no verification flow"))?;
-    let (model, steps) = (flow.model.clone(), config.steps());
+    let flow = Scene::<R>::from_config(config)?;
+    let (model, steps) = (flow.model.clone(), flow.steps);
     let (n, dt) = (model.particles(), model.dt);
     let first = match resume {
         Some(from) => read_checkpoint::<R>(&from.join("checkpoint.safetensors"), config, &model)?,
-        None => Snapshot {
-            step: 0,
-            state: flow.state.clone(),
-            reference: Arc::new(flow.state[..model.layout.dimension * n].to_vec()),
-        },
+        None => flow.start.clone(),
     };
     let resumed = first.step;
     check_unfinished(resumed, steps)?;
@@ -154,7 +149,7 @@ fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
 }
 
 /// `profile.png` and `.svg`: the velocity along the channel over the height.
-fn plot_profile<R: Sweeps>(folder: &Path, flow: &Flow<R>, fields: &Fields, highest: f64) -> anyhow::Result<()> {
+fn plot_profile<R: Sweeps>(folder: &Path, flow: &Scene<R>, fields: &Fields, highest: f64) -> anyhow::Result<()> {
     let n = flow.model.particles();
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
     let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], fields.velocity[i])).collect();

@@ -1,7 +1,7 @@
 //! The scenes and presets that are compiled into the program; their text is in `data/scenes/`.
 
 use crate::config::layers::Layer;
-use crate::config::scene::{Config, Scene};
+use crate::config::scene::{Config, Family};
 use crate::config::schema::described;
 use crate::config::suggest;
 use crate::error::BadInput;
@@ -17,7 +17,7 @@ pub struct BuiltIn {
 
 impl BuiltIn {
     /// The scene's family.
-    pub fn scene(&self) -> Scene {
+    pub fn family(&self) -> Family {
         toml::from_str::<Config>(self.text).expect("a built-in scene is a configuration").scene
     }
 
@@ -105,10 +105,10 @@ pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     SCENES.iter().find(|scene| scene.name == name)
 }
 
-impl Scene {
+impl Family {
     /// The built-in scene of this family.
     pub fn built_in(self) -> &'static BuiltIn {
-        &SCENES[self as usize]
+        scene(self.name()).expect("every family has a built-in scene of its name")
     }
 
     /// Its configuration.
@@ -132,5 +132,25 @@ pub fn unknown(kind: &str, name: &str, known: &[BuiltIn]) -> BadInput {
     match suggest::nearest(name, &names) {
         Some(near) => bad.advice(format!("`{near}`")),
         None => bad.advice("`hydrograd scenes` describes them"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn families_and_their_scenes_have_the_same_name() {
+        for built_in in SCENES {
+            let family = built_in.family();
+            assert_eq!(family.name(), built_in.name);
+            assert_eq!(family.built_in(), built_in);
+            assert_eq!(family.defaults().scene, family);
+            assert_eq!(
+                toml::Value::try_from(family).unwrap().as_str(),
+                Some(built_in.name),
+                "as the key `scene` has it"
+            );
+        }
     }
 }

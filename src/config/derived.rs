@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use crate::config::scene::{Config, Scene};
+use crate::config::scene::{Config, Family};
 
 /// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,7 +22,7 @@ impl Config {
 
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
-        if self.scene == Scene::TaylorGreen3d {
+        if self.scene == Family::TaylorGreen3d {
             3
         } else {
             2
@@ -57,7 +57,7 @@ impl Config {
         let dx = self.resolution.dx;
         let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
-            Scene::HeatedChannel => {
+            Family::HeatedChannel => {
                 (self.fluid.viscosity / self.fluid.density + artificial).max(self.thermal_diffusivity())
             }
             _ => 1.0 / self.flow.reynolds + artificial,
@@ -146,11 +146,11 @@ mod tests {
 
     #[test]
     fn artificial_viscosity_limits_the_step() {
-        let mut config = Scene::TaylorGreen.defaults();
+        let mut config = Family::TaylorGreen.defaults();
         config.fluid.artificial_viscosity = 4.0;
         // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
-        let mut config = Scene::TaylorGreen3d.defaults();
+        let mut config = Family::TaylorGreen3d.defaults();
         config.fluid.artificial_viscosity = 1.0;
         let dx = config.resolution.dx;
         assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");

@@ -47,7 +47,7 @@ pub fn difference<S: Schema>(before: &S, now: &S, free: &[&str]) -> Option<Strin
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::scene::{Config, Scene};
+    use crate::config::scene::{Config, Family};
     use crate::config::training::Settings;
 
     #[test]
@@ -62,7 +62,7 @@ mod tests {
         let found = differences(&before, &now, &["output", "run.threads"]);
         let words: Vec<String> = found.iter().map(Difference::to_string).collect();
         assert_eq!(words, ["run.seed = 0, not 1", "time.steps = nothing, not 7"]);
-        now.scene = Scene::TaylorGreen;
+        now.scene = Family::TaylorGreen;
         let words = difference(&before, &now, &["output", "run", "time"]);
         assert_eq!(words.as_deref(), Some("scene = \"heated-channel\", not \"taylor-green\""));
     }

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    pub scene: Scene,
+    pub scene: Family,
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
@@ -28,7 +28,7 @@ pub struct Config {
 /// The scene family; one file per family in `src/scene/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
-pub enum Scene {
+pub enum Family {
     #[default]
     HeatedChannel,
     TaylorGreen,
@@ -39,8 +39,20 @@ pub enum Scene {
     LidDrivenCavity,
 }
 
-impl Scene {
-    /// Whether there is something to optimise; the others are [`crate::scene::flow::Flow`]s.
+impl Family {
+    /// What configurations call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::HeatedChannel => "heated-channel",
+            Self::TaylorGreen => "taylor-green",
+            Self::TaylorGreen3d => "taylor-green-3d",
+            Self::Poiseuille => "poiseuille",
+            Self::ReversePoiseuille => "reverse-poiseuille",
+            Self::LidDrivenCavity => "lid-driven-cavity",
+        }
+    }
+
+    /// Whether there is something to optimise.
     pub fn has_design(self) -> bool {
         self == Self::HeatedChannel
     }

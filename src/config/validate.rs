@@ -2,7 +2,7 @@
 
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
-use crate::config::scene::{Config, GradientMode, Precision, Scene};
+use crate::config::scene::{Config, Family, GradientMode, Precision};
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
 
@@ -47,11 +47,11 @@ impl Schema for Config {
     }
 
     fn origin(&self) -> String {
-        format!("default of scene {}", self.scene.built_in().name)
+        format!("default of scene {}", self.scene.name())
     }
 
     fn check_together(&self) -> Result<(), BadInput> {
-        if self.scene != Scene::HeatedChannel {
+        if self.scene != Family::HeatedChannel {
             self.check_box()?;
             return self.check_steps();
         }
@@ -69,7 +69,7 @@ fn numbers(config: &Config) -> Vec<Number> {
     let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
         config;
     // The other scenes have no such key: they choose for themselves.
-    let least_rows = if config.scene == Scene::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
+    let least_rows = if config.scene == Family::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
         ("resolution.dx", resolution.dx, Positive),
         ("resolution.smoothing_length", resolution.smoothing_length, Within(0.5, 3.0)),
@@ -216,12 +216,12 @@ impl Config {
     /// dx divides the box of a verification flow, which is large enough for it.
     fn check_box(&self) -> Result<(), BadInput> {
         let dx = self.resolution.dx;
-        let walls = matches!(self.scene, Scene::Poiseuille | Scene::LidDrivenCavity);
+        let walls = matches!(self.scene, Family::Poiseuille | Family::LidDrivenCavity);
         let (size, text, dimension) = match self.scene {
-            Scene::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
-            Scene::Poiseuille => (1.0, "1, the height of the channel", 1),
-            Scene::ReversePoiseuille => (1.0, "1, the length of the box", 2),
-            Scene::LidDrivenCavity => (1.0, "1, the side of the cavity", 2),
+            Family::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
+            Family::Poiseuille => (1.0, "1, the height of the channel", 1),
+            Family::ReversePoiseuille => (1.0, "1, the length of the box", 2),
+            Family::LidDrivenCavity => (1.0, "1, the side of the cavity", 2),
             _ => (1.0, "1, the side of the box", 2),
         };
         let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
@@ -278,7 +278,7 @@ impl Config {
         if !(limit > 0.0 && limit.is_finite()) {
             return Err(BadInput::new(format!("the fluid's numbers allow a time step of {limit}"))
                 .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
-                .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.built_in().name)));
+                .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.name())));
         }
         let needed = self.time.end / limit;
         if self.time.steps.is_none() && needed > MAX_STEPS {

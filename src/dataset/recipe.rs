@@ -8,7 +8,7 @@
 use super::trajectory::Split;
 use super::walls::{wall, Section, Walls};
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Scene};
+use crate::config::scene::{Config, Family};
 use crate::design::shape::default_nodes;
 use crate::error::{BadInput, Error};
 use crate::numerics::random::{new_seed, numbered};
@@ -76,14 +76,14 @@ pub struct Ready {
 impl Recipe {
     /// What a scene's data set is like unless told otherwise. The heated channel's is the report's; the flows' are
     /// LagrangeBench's with fewer (and for those that it cuts from one long run, more and shorter) trajectories.
-    pub fn of(scene: Scene) -> Self {
+    pub fn of(scene: Family) -> Self {
         let (trajectories, frames, skip, relax) = match scene {
-            Scene::HeatedChannel => ([100, 50, 50], 147, 300, 0),
-            Scene::TaylorGreen => ([20, 10, 10], 126, 0, 5000),
-            Scene::TaylorGreen3d => ([4, 2, 2], 61, 0, 5000),
-            Scene::Poiseuille => ([4, 2, 2], 147, 0, 0),
-            Scene::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
-            Scene::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
+            Family::HeatedChannel => ([100, 50, 50], 147, 300, 0),
+            Family::TaylorGreen => ([20, 10, 10], 126, 0, 5000),
+            Family::TaylorGreen3d => ([4, 2, 2], 61, 0, 5000),
+            Family::Poiseuille => ([4, 2, 2], 147, 0, 0),
+            Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
+            Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
         };
         Self { trajectories, frames, every: 100, skip, relax, walls: Walls::default(), given: Vec::new() }
     }
@@ -116,7 +116,7 @@ impl Recipe {
                 .advice("a longer --skip"));
         }
         if !config.scene.has_design() && self.walls != Walls::default() {
-            let scene = config.scene.built_in().name;
+            let scene = config.scene.name();
             let option = if self.walls == Walls::File { "--walls-file" } else { "--walls" };
             return Err(bad(option, format!("scene {scene} has no walls to shape"))
                 .allowed("--walls and --walls-file with scene heated-channel only"));
@@ -142,11 +142,11 @@ impl Recipe {
     pub fn pace(&self, config: &Config) -> Pace {
         let limits = config.time_step_limits();
         let courant = match config.scene {
-            Scene::HeatedChannel | Scene::Poiseuille => 0.25,
+            Family::HeatedChannel | Family::Poiseuille => 0.25,
             // LagrangeBench's: 4e-4 at a spacing of 0.02, 5e-4 at 0.025.
-            Scene::TaylorGreen | Scene::ReversePoiseuille | Scene::LidDrivenCavity => 0.22,
+            Family::TaylorGreen | Family::ReversePoiseuille | Family::LidDrivenCavity => 0.22,
             // 5e-3 at a spacing of 2 pi/20.
-            Scene::TaylorGreen3d => 0.175,
+            Family::TaylorGreen3d => 0.175,
         };
         let longest = (limits.acoustic / config.time.cfl).min(limits.diffusive / config.time.diffusion_number);
         let reference = courant * longest;

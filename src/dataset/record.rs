@@ -1,20 +1,17 @@
 //! Runs one trajectory of a data set and keeps its frames.
 //!
-//! Positions are written from the lower corner of [`Frame`]'s box, so that they are all within 0 ... size as
+//! Positions are written from the lower corner of [`Enclosure`], so that they are all within 0 ... size as
 //! LagrangeBench's readers want them; `origin` is where that corner is in the scene.
 
 use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
 use crate::adjoint::Dynamics;
-use crate::adjoint::RunError;
-use crate::config::scene::{Config, Scene};
-use crate::design::diagnostics::start;
-use crate::design::shape::Shape;
+use crate::config::scene::{Config, Family};
 use crate::error::Error;
 use crate::particles::tag;
-use crate::scene::flow::Flow;
-use crate::scene::heated_channel::HeatedChannel;
+use crate::scene::assembly::Numerics;
 use crate::scene::taylor_green::TaylorGreen;
+use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
@@ -23,7 +20,7 @@ use std::sync::Arc;
 
 /// The box that holds every particle of a data set, walls included.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct Enclosure {
     pub dimension: usize,
     /// Its lower corner in the scene's coordinates.
     pub origin: [f64; 3],
@@ -33,67 +30,49 @@ pub struct Frame {
     pub particles: usize,
 }
 
-/// A scene ready to run.
+/// A scene, and what is written of it.
 struct Stage<R> {
-    model: Arc<Model<R>>,
-    start: Snapshot<R>,
-    frame: Frame,
+    scene: Scene<R>,
+    enclosure: Enclosure,
     /// Particles that are written.
     kept: Vec<usize>,
-    shape: Option<Shape>,
 }
 
-impl Frame {
+impl Enclosure {
     /// The box of a scene.
     pub fn of(config: &Config) -> Result<Self, Error> {
-        Ok(stage::<f32>(config)?.frame)
+        Ok(stage::<f32>(config)?.enclosure)
     }
 }
 
 fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
-    let dx = config.resolution.dx;
-    if let Some(flow) = Flow::<R>::from_config(config) {
-        let (model, origin) = (flow.model, flow.corner);
-        let kept: Vec<usize> = (0..model.particles())
-            .filter(|&i| config.scene != Scene::LidDrivenCavity || is_inner(&model, &flow.state, i))
-            .collect();
-        let start = snapshot(&model, flow.state);
-        let (size, periodic, dimension) = (model.domain.size, model.domain.periodic, model.layout.dimension);
-        let frame = Frame { dimension, origin, size, periodic, particles: kept.len() };
-        return Ok(Stage { model, start, frame, kept, shape: None });
+    let scene = Scene::<R>::from_config(config)?;
+    let (model, mut origin) = (&scene.model, scene.corner);
+    let written =
+        |&i: &usize| config.scene != Family::LidDrivenCavity || is_inner(config, model, &scene.start.state, i);
+    let kept: Vec<usize> = (0..model.particles()).filter(written).collect();
+    let mut size = model.domain.size;
+    if scene.design.is_some() {
+        // Below the lowest wall's dummy rows.
+        origin[1] -= config.design.bound;
+        size[1] += config.design.bound;
     }
-    let shape = Shape::from_config(config)?;
-    let channel = HeatedChannel::<R>::new(config, &shape);
-    let model = channel.model.clone();
-    // Below the lowest wall's dummy rows.
-    let below = config.channel.wall_rows as f64 * dx + config.design.bound;
-    let size = [model.domain.size[0], model.domain.size[1] + config.design.bound, 1.0];
-    let kept: Vec<usize> = (0..model.particles()).collect();
-    let frame = Frame {
-        dimension: 2,
-        origin: [0.0, -below, 0.0],
-        size,
-        periodic: model.domain.periodic,
-        particles: kept.len(),
-    };
-    Ok(Stage { start: start(&channel, &shape.offsets), model, frame, kept, shape: Some(shape) })
+    let (periodic, dimension) = (model.domain.periodic, model.layout.dimension);
+    let enclosure = Enclosure { dimension, origin, size, periodic, particles: kept.len() };
+    Ok(Stage { scene, enclosure, kept })
 }
 
 /// The cavity's fluid and the innermost row of its walls, as in LagrangeBench: 2708 particles of 3136. The lid's row is
 /// as long as the box.
-fn is_inner<R: Sweeps>(model: &Model<R>, state: &[R], i: usize) -> bool {
-    let (n, dx) = (model.particles(), model.kernel.smoothing_length);
-    // How far outside of the fluid's square, which three rows surround.
+fn is_inner<R: Sweeps>(config: &Config, model: &Model<R>, state: &[R], i: usize) -> bool {
+    let (n, dx) = (model.particles(), config.resolution.dx);
+    // How far outside of the fluid's square, which the walls' rows surround.
+    let walls = Numerics::from_config(config).wall_rows as f64 * dx;
     let outside = |d: usize| {
         let x = state[d * n + i].f64();
-        (3.0 * dx - x).max(x - (model.domain.size[d] - 3.0 * dx))
+        (walls - x).max(x - (model.domain.size[d] - walls))
     };
     outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
-}
-
-fn snapshot<R: Sweeps>(model: &Model<R>, state: Vec<R>) -> Snapshot<R> {
-    let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
-    Snapshot { step: 0, state, reference }
 }
 
 /// Runs a trajectory; `progress` is called after each frame.
@@ -105,12 +84,12 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
     let mut stage = stage::<R>(config)?;
     if let Some((rest, steps)) = &ready.relaxation {
         let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, error))?;
-        restart(config, &stage.model, &mut stage.start, &relaxed);
+        restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
-    let model = stage.model.clone();
+    let model = stage.scene.model.clone();
     let dynamics = Sph::new(model.clone(), config.run.kernels);
-    let mut solver = dynamics.start(&stage.start).map_err(|error| failed(ready, error))?;
-    let (frames, dimension, n) = (frames(ready), stage.frame.dimension, stage.kept.len());
+    let mut solver = dynamics.start(&stage.scene.start).map_err(|error| failed(ready, error))?;
+    let (frames, dimension, n) = (frames(ready), stage.enclosure.dimension, stage.kept.len());
     let mut trajectory = Trajectory {
         name: ready.job.group(),
         frames,
@@ -119,7 +98,7 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
         kind: stage.kept.iter().map(|&i| kind_of(model.tags[i])).collect(),
         ..Default::default()
     };
-    if let Some(shape) = &stage.shape {
+    if let Some(shape) = stage.scene.design.as_ref().map(|design| design.first_wall()) {
         (trajectory.wall_x, trajectory.wall_offset) = (shape.nodes.clone(), shape.offsets.clone());
     }
     let mut temperatures = model.heat.as_ref().map(|heat| {
@@ -165,7 +144,7 @@ fn write_positions<R: Sweeps>(
     solver: &Solver<R>,
     to: &mut Vec<f32>,
 ) -> Result<(), Error> {
-    let (n, frame) = (stage.model.particles(), &stage.frame);
+    let (n, frame) = (stage.scene.model.particles(), &stage.enclosure);
     for &i in &stage.kept {
         for d in 0..frame.dimension {
             let x = solver.state[d * n + i].f64() - frame.origin[d];
@@ -213,15 +192,15 @@ fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last
 }
 
 /// Positions `[D, N]` after a run from rest without forces: disordered and evenly spread.
-fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> Result<Vec<R>, RunError> {
-    let Some(flow) = Flow::<R>::at_rest(config) else { return Ok(Vec::new()) };
-    let dynamics = Sph::new(flow.model.clone(), config.run.kernels);
-    let mut solver = dynamics.start(&snapshot(&flow.model, flow.state))?;
+fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
+    let scene = Scene::<R>::at_rest(config)?;
+    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    let mut solver = dynamics.start(&scene.start)?;
     for _ in 0..steps {
         dynamics.advance(&mut solver)?;
     }
     solver.check_finite()?;
-    Ok(solver.state[..flow.model.layout.dimension * flow.model.particles()].to_vec())
+    Ok(solver.state[..scene.model.layout.dimension * scene.model.particles()].to_vec())
 }
 
 /// The start of a flow with the fluid at other places, and the velocity that it starts with there.
@@ -232,7 +211,7 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
         for d in 0..l.dimension {
             start.state[d * n + i] = position[d * n + i];
         }
-        if matches!(config.scene, Scene::TaylorGreen | Scene::TaylorGreen3d) {
+        if matches!(config.scene, Family::TaylorGreen | Family::TaylorGreen3d) {
             let place = std::array::from_fn(|d| if d < l.dimension { position[d * n + i].f64() } else { 0.0 });
             let velocity = vortices.start(place);
             for d in 0..l.dimension {
@@ -243,7 +222,8 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
     start.reference = Arc::new(start.state[..l.dimension * n].to_vec());
 }
 
-fn failed(ready: &Ready, error: RunError) -> anyhow::Error {
+fn failed(ready: &Ready, error: impl Into<anyhow::Error>) -> anyhow::Error {
+    let error = error.into();
     let advice = "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)";
     Error::run(format!("{}: {error}", ready.job), advice).into()
 }

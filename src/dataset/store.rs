@@ -2,10 +2,10 @@
 
 use super::metadata::{Heat, Metadata};
 use super::recipe::{Job, Recipe};
-use super::record::Frame;
+use super::record::Enclosure;
 use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
-use crate::config::scene::{Config, Scene};
+use crate::config::scene::{Config, Family};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
 use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
@@ -130,7 +130,7 @@ impl Store {
                 )
                 .into());
             }
-            let frame = Frame::of(config)?;
+            let frame = Enclosure::of(config)?;
             let mut metadata = metadata(config, recipe, &frame);
             let mut statistics = Statistics::default();
             for split in Split::ALL {
@@ -206,12 +206,12 @@ pub fn read_provenance(path: &Path, group: &hdf5::Group) -> Result<Provenance, F
 }
 
 /// Metadata without statistics.
-fn metadata(config: &Config, recipe: &Recipe, frame: &Frame) -> Metadata {
+fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
     let (d, dx, pace) = (frame.dimension, config.resolution.dx, recipe.pace(config));
     let (fluid, channel) = (&config.fluid, &config.channel);
     let heated = config.scene.has_design();
     let serde_json::Value::Object(other) = json!({
-        "case": config.scene.built_in().name,
+        "case": config.scene.name(),
         "solver": "SPH",
         "density_evolution": false,
         "is_bc_trick": true,
@@ -220,8 +220,8 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Frame) -> Metadata {
         "viscosity": if heated { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
-            Scene::HeatedChannel | Scene::ReversePoiseuille => fluid.body_force,
-            Scene::Poiseuille => 8.0 / config.flow.reynolds,
+            Family::HeatedChannel | Family::ReversePoiseuille => fluid.body_force,
+            Family::Poiseuille => 8.0 / config.flow.reynolds,
             _ => 0.0,
         },
         "t_end": pace.reference * (recipe.every * (recipe.frames - 1)) as f64,

@@ -1,10 +1,9 @@
 //! What a run of the heated channel did, in numbers that one can check against each other.
 
-use super::objectives::HeatOutflow;
-use crate::adjoint::gradient::value;
-use crate::adjoint::{Dynamics, Objective, RunError};
+use super::problem::Problem;
+use crate::adjoint::run::{run, Observer};
+use crate::adjoint::Dynamics;
 use crate::config::scene::Kernels;
-use crate::scene::heated_channel::HeatedChannel;
 use crate::sph::dynamics::Sph;
 use crate::sph::laws::conduction;
 use crate::sph::solver::{Snapshot, Solver};
@@ -41,57 +40,36 @@ pub struct Finished<R> {
     pub seconds: f64,
 }
 
-/// Runs a design forward and measures it. `visit` sees the run after each step (and before the first).
+/// Runs a design forward and measures it; the observers see the run after it was measured.
+///
+/// # Errors
+/// As for [`run`].
 pub fn simulate<R: Sweeps>(
-    channel: &HeatedChannel<R>,
+    design: &Problem<R>,
     kernels: Kernels,
-    start: Snapshot<R>,
-    mut visit: impl FnMut(&mut Solver<R>) -> anyhow::Result<()>,
+    start: &Snapshot<R>,
+    observers: &mut [&mut dyn Observer<Sph<R>>],
 ) -> anyhow::Result<Finished<R>> {
     let clock = std::time::Instant::now();
-    let dynamics = Sph::new(channel.model.clone(), kernels);
-    let mut solver = dynamics.start(&start)?;
-    let mut measured = Measured::default();
-    let first = channel.steps - channel.window;
-    let stride = channel.window.div_ceil(SAMPLES).max(1);
-    visit(&mut solver)?;
-    while solver.step < channel.steps {
-        dynamics.advance(&mut solver)?;
-        if solver.step >= first && (channel.steps - solver.step).is_multiple_of(stride) {
-            measured.sample(channel, &dynamics, &mut solver)?;
-        }
-        if solver.step % 64 == 0 || solver.step == channel.steps {
-            solver.check_finite()?;
-        }
-        visit(&mut solver)?;
+    let dynamics = Sph::new(design.model.clone(), kernels);
+    let mut measurement = Measurement::of(design);
+    let mut all: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut measurement];
+    for observer in observers {
+        all.push(&mut **observer);
     }
-    let diagnostics = measured.finish(channel);
-    Ok(Finished { diagnostics, solver, seconds: clock.elapsed().as_secs_f64() })
+    let solver = run(&dynamics, start, design.steps, &mut all)?;
+    Ok(Finished { diagnostics: measurement.diagnostics(), solver, seconds: clock.elapsed().as_secs_f64() })
 }
 
-/// The start of a design.
-pub fn start<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Snapshot<R> {
-    Snapshot::first(&channel.model, channel.deformation.state::<R>(offsets))
-}
-
-/// Q of a design by the objective alone.
-pub fn evaluate<R: Sweeps>(channel: &HeatedChannel<R>, offsets: &[f64]) -> Result<f64, RunError> {
-    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
-    let mut solver = dynamics.start(&start(channel, offsets))?;
-    let mut q = 0.0;
-    while solver.step < channel.steps {
-        solver.advance()?;
-        if let Some(weight) = channel.objective.weight(solver.step) {
-            let fields = dynamics.look(&mut solver)?;
-            q += weight * value(&channel.objective, &fields).map_err(RunError::tensor(solver.step))?;
-        }
-    }
-    Ok(q)
+/// Observer that measures a run in the objective's window.
+pub struct Measurement<'a, R> {
+    design: &'a Problem<R>,
+    sums: Sums,
 }
 
 /// Sums over the window's samples.
 #[derive(Default)]
-struct Measured {
+struct Sums {
     count: f64,
     q: f64,
     flow: f64,
@@ -103,24 +81,37 @@ struct Measured {
     heat: Vec<(f64, f64)>,
 }
 
-impl Measured {
-    fn sample<R: Sweeps>(
-        &mut self,
-        channel: &HeatedChannel<R>,
-        dynamics: &Sph<R>,
-        solver: &mut Solver<R>,
-    ) -> anyhow::Result<()> {
-        let (model, objective): (_, &HeatOutflow) = (channel.model.clone(), &channel.objective);
+impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
+    fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        let (steps, window) = (self.design.steps, self.design.window);
+        let stride = window.div_ceil(SAMPLES).max(1);
+        // Never the start of a run: it is given, not found.
+        let is_inside = solver.step >= (steps - window).max(1);
+        if is_inside && (steps - solver.step).is_multiple_of(stride) {
+            self.sample(dynamics, solver)?;
+        }
+        Ok(())
+    }
+}
+
+impl<'a, R: Sweeps> Measurement<'a, R> {
+    pub fn of(design: &'a Problem<R>) -> Self {
+        Self { design, sums: Sums::default() }
+    }
+
+    fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        let (design, sums) = (self.design, &mut self.sums);
+        let (model, outlet) = (&design.model, &design.outlet);
         let (n, l) = (model.particles(), model.layout);
-        let flows = objective.numbers(&dynamics.look(solver)?)?;
-        let scale = channel.spacing;
-        self.count += 1.0;
-        self.q += scale * flows.heat;
-        self.flow += scale * flows.volume;
-        self.mass_flow += scale * flows.mass;
+        let flows = outlet.numbers(&dynamics.look(solver)?)?;
+        let scale = outlet.spacing;
+        sums.count += 1.0;
+        sums.q += scale * flows.heat;
+        sums.flow += scale * flows.volume;
+        sums.mass_flow += scale * flows.mass;
         let step = solver.step_now();
-        let target_x = objective.place();
-        self.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
+        let target_x = outlet.place();
+        sums.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
@@ -133,26 +124,28 @@ impl Measured {
                 heat += mass * solver.state[l.temperature() * n + i].f64();
             }
         }
-        self.density += density / fluids;
-        self.u_max += fastest;
-        self.heat.push((solver.step as f64 * model.dt, heat));
+        sums.density += density / fluids;
+        sums.u_max += fastest;
+        sums.heat.push((solver.step as f64 * model.dt, heat));
         Ok(())
     }
 
-    fn finish<R: Sweeps>(self, channel: &HeatedChannel<R>) -> Diagnostics {
-        let mean = |sum: f64| sum / self.count.max(1.0);
-        let inlet = channel.model.heat.as_ref().map_or(0.0, |h| h.reference);
-        let stored = slope(&self.heat);
-        let (q, wall) = (mean(self.q), mean(self.wall));
+    /// The averages over what was seen.
+    pub fn diagnostics(&self) -> Diagnostics {
+        let sums = &self.sums;
+        let mean = |sum: f64| sum / sums.count.max(1.0);
+        let inlet = self.design.model.heat.as_ref().map_or(0.0, |h| h.reference);
+        let stored = slope(&sums.heat);
+        let (q, wall) = (mean(sums.q), mean(sums.wall));
         Diagnostics {
             q,
-            flow_rate: mean(self.flow),
-            mean_outlet_temperature: inlet + self.q / self.mass_flow,
+            flow_rate: mean(sums.flow),
+            mean_outlet_temperature: inlet + sums.q / sums.mass_flow,
             wall_heat_flux: wall,
             stored_heat_rate: stored,
             energy_imbalance: (wall - q - stored) / wall,
-            mean_density: mean(self.density),
-            u_max: mean(self.u_max),
+            mean_density: mean(sums.density),
+            u_max: mean(sums.u_max),
         }
     }
 }

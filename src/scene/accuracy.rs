@@ -1,14 +1,15 @@
 //! Run time against error: scenes with a known answer over spacing, time step and precision.
 
-use super::flow::{Flow, Numerics};
-use super::heated_channel::HeatedChannel;
+use super::assembly::Numerics;
 use super::poiseuille::Poiseuille;
 use super::taylor_green::TaylorGreen;
+use super::Scene;
+use crate::adjoint::run::run;
 use crate::adjoint::RunError;
 use crate::config::scene::{Config, Kernels, Precision};
-use crate::design::diagnostics::{simulate, start};
-use crate::design::shape::Shape;
-use crate::sph::solver::Solver;
+use crate::design::diagnostics::Measurement;
+use crate::error::Error;
+use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use serde::Serialize;
 use std::f64::consts::{LN_2, PI};
@@ -23,7 +24,7 @@ const POISEUILLE_END: f64 = 0.2;
 
 /// One run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Point {
+pub struct AccuracyPoint {
     pub scene: &'static str,
     /// Particle spacing.
     pub dx: f64,
@@ -54,7 +55,7 @@ enum Run {
 ///
 /// Taylor-Green 2D over particles per side and CFL, Poiseuille over rows and diffusion number, the heated channel over
 /// spacing and CFL, each in f64 and f32. `quick`: coarse ones only.
-pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<Point>> {
+pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<AccuracyPoint>> {
     let runs = runs(quick)?;
     let total: f64 = runs.iter().map(|run| 2.0 * run.work()).sum();
     let mut done = 0.0;
@@ -118,52 +119,45 @@ fn even_steps(end: f64, limit: f64) -> (usize, f64) {
 }
 
 impl Run {
-    /// The flow with a time step that divides the run, and the number of steps.
-    fn flow<R: Sweeps>(&self) -> Option<(Flow<R>, usize)> {
-        match self {
+    /// The scene; the flows' with a time step that divides the run.
+    fn scene<R: Sweeps>(&self) -> Result<Scene<R>, Error> {
+        Ok(match self {
             Self::TaylorGreen(scene) => {
                 let (steps, dt) = even_steps(scene.half_life(), scene.time_step());
-                let numerics = Numerics { time_step: Some(dt), ..scene.numerics };
-                Some((TaylorGreen { numerics, ..*scene }.build(), steps))
+                let numerics = Numerics { time_step: Some(dt), steps, ..scene.numerics };
+                TaylorGreen { numerics, ..*scene }.build()
             }
             Self::Poiseuille(scene) => {
                 let (steps, dt) = even_steps(POISEUILLE_END * scene.reynolds, scene.time_step());
-                let numerics = Numerics { time_step: Some(dt), ..scene.numerics };
-                Some((Poiseuille { numerics, ..*scene }.build(), steps))
+                let numerics = Numerics { time_step: Some(dt), steps, ..scene.numerics };
+                Poiseuille { numerics, ..*scene }.build()
             }
-            Self::HeatedChannel(_) => None,
-        }
+            Self::HeatedChannel(config) => Scene::from_config(config)?,
+        })
     }
 
     /// Particles times steps.
     fn work(&self) -> f64 {
         match self {
             Self::HeatedChannel(config) => (config.columns() * config.rows() * config.steps()) as f64,
-            _ => self.flow::<f64>().map_or(0.0, |(flow, steps)| (flow.model.particles() * steps) as f64),
+            _ => self.scene::<f64>().map_or(0.0, |scene| (scene.model.particles() * scene.steps) as f64),
         }
     }
 
-    fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<Point> {
-        let (scene, spacing, velocity_scale, particles, steps, dt, (seconds, error)) = match self {
-            Self::HeatedChannel(config) => {
-                let channel = HeatedChannel::<R>::new(config, &Shape::from_config(config)?);
-                let speed = config.sound_speed() + config.fluid.reference_velocity;
-                let (n, dt) = (channel.model.particles(), channel.model.dt);
-                ("heated-channel", channel.spacing, speed, n, channel.steps, dt, heated_channel(&channel)?)
-            }
-            _ => {
-                let Some((flow, steps)) = self.flow::<R>() else { anyhow::bail!("not a flow") };
-                let speed = flow.sound_speed() + flow.reference_velocity;
-                (flow.name, flow.spacing, speed, flow.model.particles(), steps, flow.model.dt, velocity(&flow, steps)?)
-            }
-        };
-        Ok(Point {
-            scene,
-            dx: spacing,
-            cfl: dt * velocity_scale / spacing,
+    fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<AccuracyPoint> {
+        let scene = self.scene::<R>()?;
+        let dt = scene.model.dt;
+        let clock = Instant::now();
+        let found = error(&scene);
+        let seconds = clock.elapsed().as_secs_f64();
+        let error = found.or_else(diverged)?;
+        Ok(AccuracyPoint {
+            scene: scene.name,
+            dx: scene.spacing,
+            cfl: dt * (scene.sound_speed() + scene.reference_velocity) / scene.spacing,
             precision,
-            particles,
-            steps,
+            particles: scene.model.particles(),
+            steps: scene.steps,
             time_step: dt,
             seconds,
             error,
@@ -172,37 +166,30 @@ impl Run {
     }
 }
 
-/// Seconds and velocity error of a flow.
-fn velocity<R: Sweeps>(flow: &Flow<R>, steps: usize) -> anyhow::Result<(f64, Option<f64>)> {
-    let mut solver = Solver::new(flow.model.clone(), flow.state.clone())?;
-    let clock = Instant::now();
-    let result = (0..steps).try_for_each(|_| solver.advance()).and_then(|()| solver.check_finite());
-    let seconds = clock.elapsed().as_secs_f64();
-    match result {
-        Ok(()) => Ok((seconds, flow.figures(&solver.state, steps as f64 * flow.model.dt).velocity_error)),
-        Err(error) => diverged(error).map(|()| (seconds, None)),
-    }
-}
-
-/// Seconds and error of Q.
-fn heated_channel<R: Sweeps>(channel: &HeatedChannel<R>) -> anyhow::Result<(f64, Option<f64>)> {
-    let offsets = vec![0.0; channel.deformation.variables];
-    let clock = Instant::now();
-    match simulate(channel, Kernels::Fused, start(channel, &offsets), |_| Ok(())) {
-        Ok(finished) => Ok((finished.seconds, Some((finished.diagnostics.q / HEATED_CHANNEL_Q - 1.0).abs()))),
-        Err(error) => {
-            let seconds = clock.elapsed().as_secs_f64();
-            diverged(error.downcast::<RunError>()?).map(|()| (seconds, None))
+/// Runs a scene: the velocity error of a flow at its end, or the error of a channel's Q.
+fn error<R: Sweeps>(scene: &Scene<R>) -> anyhow::Result<Option<f64>> {
+    let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
+    match &scene.design {
+        Some(design) => {
+            let mut measured = Measurement::of(design);
+            run(&dynamics, &scene.start, scene.steps, &mut [&mut measured])?;
+            Ok(Some((measured.diagnostics().q / HEATED_CHANNEL_Q - 1.0).abs()))
+        }
+        None => {
+            let end = run(&dynamics, &scene.start, scene.steps, &mut [])?;
+            Ok(scene.figures(&end.state, scene.steps as f64 * scene.model.dt).velocity_error)
         }
     }
 }
 
 /// A run that diverged is a result; anything else that went wrong is not.
-fn diverged(error: RunError) -> anyhow::Result<()> {
+fn diverged(error: anyhow::Error) -> anyhow::Result<Option<f64>> {
     use crate::particles::neighbour_list::NeighbourError::BoxTooSmall;
-    match error {
-        RunError::Tensor { .. } | RunError::Neighbours { source: BoxTooSmall { .. }, .. } => Err(error.into()),
-        RunError::Neighbours { .. } | RunError::NotFinite { .. } => Ok(()),
+    match error.downcast::<RunError>()? {
+        error @ (RunError::Tensor { .. } | RunError::Neighbours { source: BoxTooSmall { .. }, .. }) => {
+            Err(error.into())
+        }
+        RunError::Neighbours { .. } | RunError::NotFinite { .. } => Ok(None),
     }
 }
 

@@ -3,167 +3,152 @@
 //! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
-use crate::config::scene::{
-    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, ObjectiveForm, Start,
-};
-use crate::design::objectives::{HeatOutflow, Samples};
-use crate::design::parametrisation::Deformation;
+use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start};
+use crate::design::objectives::{self, Figure, Outlet, Samples};
 use crate::design::shape::Shape;
+use crate::design::{parametrisations, Deformation, Problem};
+use crate::error::Error;
 use crate::numerics::lanes::Real;
-use crate::numerics::random::{stream, Normal};
-use crate::particles::{tag, Domain};
-use crate::sph::kernels::{Kernel, KernelName};
+use crate::particles::tag;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::model::{Heat, Layout, Model, Scratch};
+use crate::sph::model::{Heat, Model};
 use crate::sph::operators::interpolation::Interpolation;
 use std::sync::Arc;
 
-/// A scene ready to run.
-pub struct HeatedChannel<R> {
-    pub model: Arc<Model<R>>,
-    pub deformation: Arc<Deformation>,
-    pub objective: HeatOutflow,
-    pub steps: usize,
-    /// Steps of the objective's window.
-    pub window: usize,
-    /// Spacing of the targets.
-    pub spacing: f64,
+/// The channel of a checked configuration, with its start shape.
+///
+/// # Errors
+/// A wall shape that its file or its numbers do not allow.
+pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
+    let shape = Shape::from_config(config)?;
+    let lattice = lattice(config);
+    let share = shape.hot_share(config.resolution.dx, config.channel.length);
+    let hot = |i: usize| if lattice.is_below(i, 1) { share[lattice.rows(i)[0]] } else { 0.0 };
+    let hot: Vec<f64> = (0..lattice.particles()).map(hot).collect();
+    let mut parts = Parts {
+        name: config.scene.name(),
+        lattice,
+        numerics: Numerics { wall_rows: config.channel.wall_rows, ..Numerics::from_config(config) },
+        density: config.fluid.density,
+        velocity: config.fluid.reference_velocity,
+        viscosity: config.fluid.viscosity,
+        body_force: body_force(config),
+        lid: 0.0,
+        own_mass: config.wall.mass == MassConvention::ColumnArea,
+        heat: Some(heat(config, &hot)),
+        exact: Exact::Unknown,
+    };
+    let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
+    let (n, l) = (model.particles(), model.layout);
+    for i in (0..n).filter(|&i| hot[i] > 0.0) {
+        model.tags[i] = tag::HOT_WALL;
+        base[l.temperature() * n + i] = config.wall.hot_temperature - config.fluid.inlet_temperature;
+    }
+    if l.mass {
+        base[l.state_mass() * n..][..n].fill(model.mass);
+    }
+    let deformation = Arc::new(deformation(config, &parts.lattice, &model, base));
+    let (parametrisation, first) = parametrisations::of_config(config, &shape)?;
+    let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
+    let samples = Samples::window(steps, window, config.objective.samples);
+    let design = Problem {
+        model: Arc::new(model),
+        kernels: config.run.kernels,
+        deformation,
+        parametrisation,
+        objective: objectives::of_config(config, outlet.clone(), samples),
+        figure: Figure::of_config(config),
+        smoothing: config.optimise.smoothing,
+        steps,
+        first,
+        outlet,
+        window,
+    };
+    let (model, start) = (design.model.clone(), design.start(&design.first));
+    Ok(Scene { design: Some(design), ..parts.scene(model, start) })
 }
 
-impl<R: Real> HeatedChannel<R> {
-    /// Builds the scene of a checked configuration for the nodes of `shape` (its offsets do not matter here).
-    pub fn new(config: &Config, shape: &Shape) -> Self {
-        let dx = config.resolution.dx;
-        let (length, height) = (config.channel.length, config.channel.height);
-        let (columns, rows, wall_rows) = (config.columns(), config.rows(), config.channel.wall_rows);
-        let n = columns * (rows + 2 * wall_rows);
-        let share = shape.hot_share(dx, length);
-
-        let mut tags = vec![tag::FLUID; n];
-        let mut hot = vec![0.0; n];
-        for i in 0..n {
-            let (row, column) = (i / columns, i % columns);
-            if row < wall_rows {
-                hot[i] = share[column];
-                tags[i] = if share[column] > 0.0 { tag::HOT_WALL } else { tag::WALL };
-            } else if row >= wall_rows + rows {
-                tags[i] = tag::WALL;
-            }
-        }
-        let layout = Layout {
-            dimension: 2,
-            transport: config.fluid.transport_velocity > 0.0,
-            heat: true,
-            mass: config.wall.mass == MassConvention::ColumnArea,
-        };
-        let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
-        // T_wall = constant + factor <T>: adiabatic for the share of a column outside the hot section.
-        let (constant, factor) = match config.wall.hot_isotherm {
-            HotIsotherm::Surface => (2.0 * excess, -1.0),
-            HotIsotherm::Dummy => (excess, 0.0),
-        };
-        let sound_speed = config.sound_speed();
-        let pressure = config.fluid.density * sound_speed * sound_speed;
-        let force = config.fluid.body_force;
-        let model = Model {
-            domain: Domain {
-                dimension: 2,
-                size: [length, height + 2.0 * wall_rows as f64 * dx, 1.0],
-                periodic: [true, false, false],
-            },
-            layout,
-            kernel: Kernel::new(KernelName::QuinticSpline, 2, dx),
-            skin: config.time.skin * dx,
-            dt: config.time_step(),
-            mass: config.fluid.density * dx * dx,
-            equation_of_state: EquationOfState {
-                reference_density: config.fluid.density,
-                reference_pressure: pressure,
-                background_pressure: config.fluid.background_pressure_factor * pressure,
-                gamma: 1,
-            },
-            viscosity: config.fluid.viscosity,
-            artificial_viscosity: None,
-            transport: config.fluid.transport_velocity * 0.25 * dx
-                / (sound_speed + config.fluid.reference_velocity)
-                / config.time_step(),
-            body_force: match config.fluid.body_force_region {
-                BodyForceRegion::Fluid => BodyForce::Uniform(force),
-                BodyForceRegion::OriginalChannel => BodyForce::Band { strength: force, from: 0.0, to: height },
-            },
-            heat: Some(Heat {
-                conductivity: config.fluid.conductivity,
-                capacity: config.fluid.heat_capacity,
-                reference: config.fluid.inlet_temperature,
-                inlet_below: config.channel.inlet_length,
-                outlet_above: length - config.channel.outlet_length,
-                wall_constant: hot.iter().map(|s| R::of(s * constant)).collect(),
-                wall_factor: hot.iter().map(|s| R::of(1.0 - s + s * factor)).collect(),
-            }),
-            scratch: Scratch::default(),
-            tags,
-        };
-
-        let mut base = vec![0.0; layout.state_rows() * n];
-        let mut by_height = vec![0.0; n];
-        let mut by_mass = vec![0.0; n];
-        let mut normal = Normal::new(stream(config.run.seed, "jitter"));
-        for i in 0..n {
-            let (row, column) = (i / columns, i % columns);
-            let mut x = (column as f64 + 0.5) * dx;
-            let mut y = (row as f64 + 0.5 - wall_rows as f64) * dx;
-            if model.is_fluid(i) {
-                x += config.time.jitter * dx * normal.next();
-                y += config.time.jitter * dx * normal.next();
-                if config.time.start == Start::Developed {
-                    let kinematic = config.fluid.viscosity / config.fluid.density;
-                    base[2 * n + i] = (0.5 * force / kinematic * y * (height - y)).max(0.0);
-                }
-                by_height[i] = 1.0 - y / height;
-                by_mass[i] = -model.mass / height;
-            } else if row < wall_rows {
-                by_height[i] = 1.0;
-            }
-            base[i] = x.rem_euclid(length);
-            base[n + i] = y;
-            if model.tags[i] == tag::HOT_WALL {
-                base[layout.temperature() * n + i] = excess;
-            }
-            if layout.mass {
-                base[layout.state_mass() * n + i] = model.mass;
-            }
-        }
-        let deformation = Deformation {
-            variables: shape.nodes.len(),
-            base,
-            particles: n,
-            column: (0..n).map(|i| (i % columns) as u32).collect(),
-            by_height,
-            by_mass: layout.mass.then_some((layout.state_mass(), by_mass)),
-            weights: shape.column_weights(dx, length),
-        };
-
-        let steps = config.steps();
-        let window = ((config.objective.window / model.dt).round() as usize).clamp(1, steps);
-        // Fluxes: three more targets beyond each wall, so that every particle counts with its whole kernel.
-        let beyond = if config.objective.interpolation == Mode::Flux { 3 } else { 0 };
-        let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
-        let targets = (0..rows + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
-        let objective = HeatOutflow {
-            interpolation: Interpolation {
-                kernel: model.kernel,
-                domain: model.domain,
-                targets: Arc::new(targets),
-                kernels: config.run.kernels,
-            },
-            scale: match config.objective.form {
-                ObjectiveForm::Flux => dx,
-                ObjectiveForm::Sum => 1.0,
-            },
-            mode: config.objective.interpolation,
-            samples: Samples::window(steps, window, config.objective.samples),
-        };
-        Self { model: Arc::new(model), deformation: Arc::new(deformation), objective, steps, window, spacing: dx }
+fn lattice(config: &Config) -> Lattice {
+    let (dx, walls) = (config.resolution.dx, config.channel.wall_rows);
+    let height = config.channel.height + 2.0 * walls as f64 * dx;
+    Lattice {
+        wall_rows: [0, walls, 0],
+        periodic: [true, false, false],
+        size: Some([config.channel.length, height, 1.0]),
+        before: [0.0, walls as f64, 0.0],
+        ..Lattice::new(2, dx, [config.columns(), config.rows() + 2 * walls, 1])
     }
+}
+
+fn body_force(config: &Config) -> BodyForce {
+    let force = config.fluid.body_force;
+    match config.fluid.body_force_region {
+        BodyForceRegion::Fluid => BodyForce::Uniform(force),
+        BodyForceRegion::OriginalChannel => BodyForce::Band { strength: force, from: 0.0, to: config.channel.height },
+    }
+}
+
+/// At rest, or the steady parabola F/(2 nu) y (H - y).
+fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
+    if config.time.start == Start::Rest {
+        return [0.0; 3];
+    }
+    let kinematic = config.fluid.viscosity / config.fluid.density;
+    [(0.5 * config.fluid.body_force / kinematic * y * (config.channel.height - y)).max(0.0), 0.0, 0.0]
+}
+
+/// Conduction, and walls of a share `hot` of the hot temperature: T_wall = constant + factor <T>, adiabatic for the share of
+/// a column outside the hot section.
+fn heat<R: Real>(config: &Config, hot: &[f64]) -> Heat<R> {
+    let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
+    let (constant, factor) = match config.wall.hot_isotherm {
+        HotIsotherm::Surface => (2.0 * excess, -1.0),
+        HotIsotherm::Dummy => (excess, 0.0),
+    };
+    Heat {
+        conductivity: config.fluid.conductivity,
+        capacity: config.fluid.heat_capacity,
+        reference: config.fluid.inlet_temperature,
+        inlet_below: config.channel.inlet_length,
+        outlet_above: config.channel.length - config.channel.outlet_length,
+        wall_constant: hot.iter().map(|s| R::of(s * constant)).collect(),
+        wall_factor: hot.iter().map(|s| R::of(1.0 - s + s * factor)).collect(),
+    }
+}
+
+/// How the heights of columns move the particles of `base`: see [`Deformation`].
+fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, base: Vec<f64>) -> Deformation {
+    let (n, l, height) = (model.particles(), model.layout, config.channel.height);
+    let by_height = |i: usize| match model.is_fluid(i) {
+        true => 1.0 - base[n + i] / height,
+        false => lattice.is_below(i, 1) as usize as f64,
+    };
+    let by_mass = |i: usize| if model.is_fluid(i) { -model.mass / height } else { 0.0 };
+    Deformation {
+        columns: config.columns(),
+        particles: n,
+        column: (0..n).map(|i| lattice.rows(i)[0] as u32).collect(),
+        by_height: (0..n).map(by_height).collect(),
+        by_mass: l.mass.then(|| (l.state_mass(), (0..n).map(by_mass).collect())),
+        base,
+    }
+}
+
+/// Steps of the objective's window.
+fn window(config: &Config) -> usize {
+    ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
+}
+
+/// A column of targets across the flow.
+fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
+    let dx = config.resolution.dx;
+    // Fluxes: more targets beyond each wall, so that every particle counts with its whole kernel.
+    let beyond = if config.objective.interpolation == Mode::Flux { config.least_wall_rows().max(3) } else { 0 };
+    let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
+    let targets = (0..config.rows() + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
+    let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
+    let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
+    Outlet { interpolation, mode: config.objective.interpolation, spacing: dx }
 }

@@ -1,10 +1,12 @@
 //! Lid-driven cavity: a square box of fluid whose upper wall moves along x (Ghia, Ghia and Shin 1982).
 //!
 //! Side, density and velocity of the lid are 1. The box has its corner at 0, 0 and three rows of dummy particles all
-//! around; it is periodic in x, so that the lid's particles come in again (no fluid sees across: six rows are between).
+//! around (more where the kernel is wider); it is periodic in x, so that the lid's particles come in again (no fluid sees
+//! across: the rows of two walls are between).
 
-use super::flow::{Exact, Flow, Numerics, Parts};
-use super::poiseuille::WALL_ROWS;
+use super::assembly::{count, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::scene::Config;
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
 
@@ -27,21 +29,30 @@ impl Default for LidDrivenCavity {
 }
 
 impl LidDrivenCavity {
-    pub fn build<R: Real>(&self) -> Flow<R> {
-        let cells = self.per_side + 2 * WALL_ROWS;
+    /// The cavity of a checked configuration.
+    pub fn from_config(config: &Config) -> Self {
+        let (reynolds, numerics) = (config.flow.reynolds, Numerics::from_config(config));
+        Self { per_side: count(config, 1.0), reynolds, numerics }
+    }
+
+    pub fn build<R: Real>(&self) -> Scene<R> {
+        let walls = self.numerics.wall_rows;
+        let cells = self.per_side + 2 * walls;
         Parts {
             name: "lid-driven-cavity",
-            dimension: 2,
-            cells: [cells, cells, 1],
-            wall_rows: [WALL_ROWS, WALL_ROWS, 0],
-            periodic: [true, false, false],
-            corner: [0.0; 3],
-            lid: 1.0,
-            spacing: 1.0 / self.per_side as f64,
-            velocity: 1.0,
-            kinematic_viscosity: 1.0 / self.reynolds,
+            lattice: Lattice {
+                wall_rows: [walls, walls, 0],
+                periodic: [true, false, false],
+                ..Lattice::new(2, 1.0 / self.per_side as f64, [cells, cells, 1])
+            },
             numerics: self.numerics,
+            density: 1.0,
+            velocity: 1.0,
+            viscosity: 1.0 / self.reynolds,
             body_force: BodyForce::None,
+            lid: 1.0,
+            own_mass: false,
+            heat: None,
             exact: Exact::Unknown,
         }
         .build(|_| [0.0; 3])

@@ -8,7 +8,7 @@ use toml_edit::{Array, Value};
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
-use crate::config::scene::{Config, Scene};
+use crate::config::scene::{Config, Family};
 use crate::config::schema::Schema;
 use crate::design::shape;
 use crate::design::shape::Shape;
@@ -177,7 +177,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
-    if config.scene == Scene::HeatedChannel {
+    if config.scene == Family::HeatedChannel {
         fit_defaults(&mut merged, &config);
     }
     let config = merged.checked(check_shape)?;

@@ -1,10 +1,81 @@
 //! Scenes: geometry, start states, wall shapes.
+//!
+//! A scene family is a file here that says what differs (lattice, walls, forces, start, exact solution); [`assembly`] makes
+//! a [`Scene`] of it. A new one is such a file and an arm in [`Scene::from_config`].
 pub mod accuracy;
-pub mod flow;
+pub mod assembly;
+pub mod exact;
+pub mod figures;
 pub mod heated_channel;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
-pub mod start_shape;
 pub mod taylor_green;
+
+pub use exact::Exact;
+
+use crate::config::scene::{Config, Family};
+use crate::design::Problem;
+use crate::error::Error;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::model::Model;
+use crate::sph::solver::Snapshot;
+use std::sync::Arc;
+
+/// A scene ready to run.
+#[derive(Debug, Clone)]
+pub struct Scene<R> {
+    pub name: &'static str,
+    pub model: Arc<Model<R>>,
+    /// The first state.
+    pub start: Snapshot<R>,
+    /// Of the run.
+    pub steps: usize,
+    /// Particle spacing.
+    pub spacing: f64,
+    /// The lower corner of the box, in front of the walls.
+    pub corner: [f64; 3],
+    pub reference_velocity: f64,
+    pub exact: Exact,
+    /// What only a scene with a design has.
+    pub design: Option<Problem<R>>,
+}
+
+impl<R: Real> Scene<R> {
+    /// The scene of a checked configuration.
+    ///
+    /// # Errors
+    /// A wall shape that its file or its numbers do not allow.
+    pub fn from_config(config: &Config) -> Result<Self, Error> {
+        Ok(match config.scene {
+            Family::HeatedChannel => heated_channel::build(config)?,
+            Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
+            Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
+            Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
+            Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
+        })
+    }
+
+    /// The same particles with nothing that moves them but their disorder.
+    ///
+    /// # Errors
+    /// As for [`Self::from_config`].
+    pub fn at_rest(config: &Config) -> Result<Self, Error> {
+        let mut scene = Self::from_config(config)?;
+        // Others hold the model of a design.
+        scene.design = None;
+        let (n, d) = (scene.model.particles(), scene.model.layout.dimension);
+        scene.start.state[d * n..2 * d * n].fill(R::default());
+        let model = Arc::get_mut(&mut scene.model);
+        model.ok_or_else(|| Error::run("a new scene is shared", "report this"))?.body_force = BodyForce::None;
+        Ok(scene)
+    }
+
+    /// c = sqrt(dp/drho).
+    pub fn sound_speed(&self) -> f64 {
+        let state = &self.model.equation_of_state;
+        state.slope(state.reference_density).sqrt()
+    }
+}

@@ -3,12 +3,11 @@
 //! Reference velocity (the steady centre line), density and height are 1, so the Reynolds number is 1/viscosity and
 //! the force 8/Re. Coordinates as in the heated channel: y = 0 on the bottom wall's surface, periodic in x.
 
-use super::flow::{Exact, Flow, Numerics, Parts};
+use super::assembly::{count, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::scene::Config;
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
-
-/// Rows of dummy particles in each wall: the kernel reaches three spacings.
-pub(crate) const WALL_ROWS: usize = 3;
 
 /// The channel and how it is resolved. Defaults: JAX-SPH's case (height 30 spacings, length 12, Re = 0.0125).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,21 +33,31 @@ impl Poiseuille {
         self.numerics.step(1.0 / self.rows as f64, 1.0, 1.0 / self.reynolds)
     }
 
-    pub fn build<R: Real>(&self) -> Flow<R> {
-        let kinematic_viscosity = 1.0 / self.reynolds;
+    /// The channel of a checked configuration.
+    pub fn from_config(config: &Config) -> Self {
+        let (rows, reynolds, numerics) = (count(config, 1.0), config.flow.reynolds, Numerics::from_config(config));
+        Self { rows, reynolds, numerics, ..Default::default() }
+    }
+
+    pub fn build<R: Real>(&self) -> Scene<R> {
+        let (kinematic_viscosity, spacing, walls) =
+            (1.0 / self.reynolds, 1.0 / self.rows as f64, self.numerics.wall_rows);
         Parts {
             name: "poiseuille",
-            dimension: 2,
-            cells: [self.columns, self.rows + 2 * WALL_ROWS, 1],
-            wall_rows: [0, WALL_ROWS, 0],
-            periodic: [true, false, false],
-            corner: [0.0, -(WALL_ROWS as f64) / self.rows as f64, 0.0],
-            lid: 0.0,
-            spacing: 1.0 / self.rows as f64,
-            velocity: 1.0,
-            kinematic_viscosity,
+            lattice: Lattice {
+                wall_rows: [0, walls, 0],
+                periodic: [true, false, false],
+                corner: [0.0, -(walls as f64) / self.rows as f64, 0.0],
+                ..Lattice::new(2, spacing, [self.columns, self.rows + 2 * walls, 1])
+            },
             numerics: self.numerics,
+            density: 1.0,
+            velocity: 1.0,
+            viscosity: kinematic_viscosity,
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
+            lid: 0.0,
+            own_mass: false,
+            heat: None,
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity, height: 1.0 },
         }
         .build(|_| [0.0; 3])

@@ -3,7 +3,9 @@
 //! Length, height of a half, density and reference velocity are 1. The streams hold each other: at y = 0, 1, 2 the fluid
 //! is at rest, and each half is plane Poiseuille flow with a steady centre line of force Re / 8.
 
-use super::flow::{Exact, Flow, Numerics, Parts};
+use super::assembly::{count, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::scene::Config;
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
 
@@ -28,22 +30,31 @@ impl Default for ReversePoiseuille {
 }
 
 impl ReversePoiseuille {
-    pub fn build<R: Real>(&self) -> Flow<R> {
+    /// The flow of a checked configuration.
+    pub fn from_config(config: &Config) -> Self {
+        Self {
+            per_height: count(config, 1.0),
+            reynolds: config.flow.reynolds,
+            force: config.fluid.body_force,
+            numerics: Numerics::from_config(config),
+        }
+    }
+
+    pub fn build<R: Real>(&self) -> Scene<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         let velocity = self.force * self.reynolds / 8.0;
+        let cells = [self.per_height, 2 * self.per_height, 1];
         Parts {
             name: "reverse-poiseuille",
-            dimension: 2,
-            cells: [self.per_height, 2 * self.per_height, 1],
-            wall_rows: [0; 3],
-            periodic: [true; 3],
-            corner: [0.0; 3],
-            lid: 0.0,
-            spacing: 1.0 / self.per_height as f64,
-            velocity: 1.0,
-            kinematic_viscosity,
+            lattice: Lattice::new(2, 1.0 / self.per_height as f64, cells),
             numerics: self.numerics,
+            density: 1.0,
+            velocity: 1.0,
+            viscosity: kinematic_viscosity,
             body_force: BodyForce::Reversing { strength: self.force, turn: 1.0 },
+            lid: 0.0,
+            own_mass: false,
+            heat: None,
             exact: Exact::ReversePoiseuille { velocity, kinematic_viscosity, height: 1.0 },
         }
         .build(|_| [0.0; 3])

@@ -4,7 +4,9 @@
 //! dimensions: the unit box, an exact solution. Three: a box of 2 pi with u = sin x cos y cos z, v = -cos x sin y cos z
 //! (Brachet et al. 1983); no closed form, but its energy starts to decay as exp(-6 nu t).
 
-use super::flow::{Exact, Flow, Numerics, Parts};
+use super::assembly::{count, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::scene::Config;
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
 use std::f64::consts::PI;
@@ -45,22 +47,28 @@ impl TaylorGreen {
         self.numerics.step(self.size() / self.per_side as f64, 1.0, 1.0 / self.reynolds)
     }
 
-    pub fn build<R: Real>(&self) -> Flow<R> {
+    /// The vortices of a checked configuration, in 2 or 3 dimensions.
+    pub fn from_config(config: &Config) -> Self {
+        let (dimension, reynolds) = (config.dimension(), config.flow.reynolds);
+        let scene = Self { dimension, reynolds, numerics: Numerics::from_config(config), ..Default::default() };
+        Self { per_side: count(config, scene.size()), ..scene }
+    }
+
+    pub fn build<R: Real>(&self) -> Scene<R> {
         assert!((2..=3).contains(&self.dimension), "Taylor and Green's vortices have 2 or 3 dimensions");
-        let (spacing, kinematic_viscosity) = (self.size() / self.per_side as f64, 1.0 / self.reynolds);
+        let kinematic_viscosity = 1.0 / self.reynolds;
+        let spacing = self.size() / self.per_side as f64;
         Parts {
             name: if self.dimension == 2 { "taylor-green" } else { "taylor-green-3d" },
-            dimension: self.dimension,
-            cells: [self.per_side; 3],
-            wall_rows: [0; 3],
-            periodic: [true; 3],
-            corner: [0.0; 3],
-            lid: 0.0,
-            spacing,
-            velocity: 1.0,
-            kinematic_viscosity,
+            lattice: Lattice::new(self.dimension, spacing, [self.per_side; 3]),
             numerics: self.numerics,
+            density: 1.0,
+            velocity: 1.0,
+            viscosity: kinematic_viscosity,
             body_force: BodyForce::None,
+            lid: 0.0,
+            own_mass: false,
+            heat: None,
             exact: match self.dimension {
                 2 => Exact::TaylorGreen { velocity: 1.0, kinematic_viscosity },
                 _ => Exact::Unknown,

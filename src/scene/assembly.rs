@@ -1,0 +1,304 @@
+//! The one place where models and start states are put together, from what a scene family says.
+
+use super::{Exact, Scene};
+use crate::config::scene::{Config, KernelName};
+use crate::numerics::lanes::Real;
+use crate::numerics::random::{stream, Normal};
+use crate::particles::{tag, Domain};
+use crate::sph::kernels::Kernel;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::laws::ArtificialViscosity;
+use crate::sph::model::{Heat, Layout, Model, Scratch};
+use crate::sph::solver::Snapshot;
+use std::sync::Arc;
+
+/// Numbers of the method rather than of the flow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Numerics {
+    pub kernel: KernelName,
+    /// In spacings.
+    pub smoothing_length: f64,
+    /// Rows of dummy particles per wall: at least the kernel's support.
+    pub wall_rows: usize,
+    /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
+    pub cfl: f64,
+    /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
+    pub diffusion_number: f64,
+    /// The time step itself, instead of the limits.
+    pub time_step: Option<f64>,
+    /// Of the run.
+    pub steps: usize,
+    /// Sound speed c over reference velocity U.
+    pub sound_speed_factor: f64,
+    /// Background pressure over density c^2.
+    pub background_pressure_factor: f64,
+    /// 0 (off) ... 1 (Adami, Hu and Adams 2013, at the strength that it has at CFL 0.25).
+    pub transport_velocity: f64,
+    /// alpha of [`ArtificialViscosity`]; 0 switches it off.
+    pub artificial_viscosity: f64,
+    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
+    pub jitter: f64,
+    /// Extra reach of the neighbour list, in spacings.
+    pub skin: f64,
+    pub seed: u64,
+}
+
+impl Default for Numerics {
+    fn default() -> Self {
+        Self {
+            kernel: KernelName::QuinticSpline,
+            smoothing_length: 1.0,
+            wall_rows: 3,
+            cfl: 0.25,
+            diffusion_number: 0.25,
+            time_step: None,
+            steps: 1,
+            sound_speed_factor: 10.0,
+            background_pressure_factor: 0.0,
+            transport_velocity: 1.0,
+            artificial_viscosity: 0.0,
+            jitter: 0.0,
+            skin: 0.2,
+            seed: 0,
+        }
+    }
+}
+
+impl Numerics {
+    /// Those of a configuration, for a family whose walls are as thick as the kernel needs.
+    pub fn from_config(config: &Config) -> Self {
+        Self {
+            kernel: config.resolution.kernel,
+            smoothing_length: config.resolution.smoothing_length,
+            wall_rows: config.least_wall_rows().max(3),
+            cfl: config.time.cfl,
+            diffusion_number: config.time.diffusion_number,
+            time_step: Some(config.time_step()),
+            steps: config.steps(),
+            sound_speed_factor: config.fluid.sound_speed_factor,
+            background_pressure_factor: config.fluid.background_pressure_factor,
+            transport_velocity: config.fluid.transport_velocity,
+            artificial_viscosity: config.fluid.artificial_viscosity,
+            jitter: config.time.jitter,
+            skin: config.time.skin,
+            seed: config.run.seed,
+        }
+    }
+
+    /// The largest time step, or the given one.
+    pub fn step(&self, spacing: f64, velocity: f64, kinematic_viscosity: f64) -> f64 {
+        let acoustic = self.cfl * spacing / ((self.sound_speed_factor + 1.0) * velocity);
+        let diffusive = self.diffusion_number * spacing * spacing / kinematic_viscosity;
+        self.time_step.unwrap_or(acoustic.min(diffusive))
+    }
+}
+
+/// Particles along a side of a box of this size, as counted by the configuration's check: the spacing that divides the box
+/// exactly.
+pub(super) fn count(config: &Config, size: f64) -> usize {
+    (size / config.resolution.dx).round() as usize
+}
+
+/// A lattice of particles in a box, x fastest, with walls of dummy particles at its ends.
+#[derive(Debug, Clone)]
+pub(super) struct Lattice {
+    pub dimension: usize,
+    pub spacing: f64,
+    /// Particles along each direction, walls included.
+    pub cells: [usize; 3],
+    /// Rows of dummy particles at both ends of each direction.
+    pub wall_rows: [usize; 3],
+    pub periodic: [bool; 3],
+    /// The box, if it is not cells times the spacing to the bit.
+    pub size: Option<[f64; 3]>,
+    /// Coordinate of a row's first particle: (row + 1/2 - before) spacing + corner.
+    pub before: [f64; 3],
+    pub corner: [f64; 3],
+}
+
+impl Lattice {
+    /// Without walls, periodic everywhere, its corner at 0.
+    pub fn new(dimension: usize, spacing: f64, cells: [usize; 3]) -> Self {
+        let (wall_rows, periodic, before, corner) = ([0; 3], [true; 3], [0.0; 3], [0.0; 3]);
+        Self { dimension, spacing, cells, wall_rows, periodic, size: None, before, corner }
+    }
+
+    pub fn particles(&self) -> usize {
+        self.cells[..self.dimension].iter().product()
+    }
+
+    /// Its row along each direction.
+    pub fn rows(&self, i: usize) -> [usize; 3] {
+        let cells = self.cells;
+        [i % cells[0], i / cells[0] % cells[1], i / (cells[0] * cells[1])]
+    }
+
+    /// Whether a particle is in the wall at the lower or at the upper end of direction `d`.
+    pub fn is_below(&self, i: usize, d: usize) -> bool {
+        self.rows(i)[d] < self.wall_rows[d]
+    }
+    pub fn is_above(&self, i: usize, d: usize) -> bool {
+        self.rows(i)[d] + self.wall_rows[d] >= self.cells[d]
+    }
+
+    fn is_wall(&self, i: usize) -> bool {
+        (0..self.dimension).any(|d| self.is_below(i, d) || self.is_above(i, d))
+    }
+
+    /// The box; lengths of directions that there are not are 1.
+    fn domain(&self) -> Domain {
+        let dimension = self.dimension;
+        let of_cells =
+            || std::array::from_fn(|d| if d < dimension { self.cells[d] as f64 * self.spacing } else { 1.0 });
+        let periodic = std::array::from_fn(|d| d < dimension && self.periodic[d]);
+        Domain { dimension, size: self.size.unwrap_or_else(of_cells), periodic }
+    }
+
+    /// Positions `[D, N]`, the fluid's moved at random with a standard deviation of `jitter` spacings.
+    fn positions(&self, domain: &Domain, jitter: f64, seed: u64) -> Vec<f64> {
+        let n = self.particles();
+        let mut positions = vec![0.0; self.dimension * n];
+        let mut normal = Normal::new(stream(seed, "jitter"));
+        for i in 0..n {
+            let rows = self.rows(i);
+            for d in 0..self.dimension {
+                let mut x = (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
+                if !self.is_wall(i) {
+                    x += jitter * self.spacing * normal.next();
+                }
+                positions[d * n + i] = if domain.periodic[d] { x.rem_euclid(domain.size[d]) } else { x };
+            }
+        }
+        positions
+    }
+}
+
+/// What a scene is made of: what a family says of it.
+pub(super) struct Parts<R> {
+    pub name: &'static str,
+    pub lattice: Lattice,
+    pub numerics: Numerics,
+    pub density: f64,
+    /// Reference velocity U.
+    pub velocity: f64,
+    /// Dynamic.
+    pub viscosity: f64,
+    pub body_force: BodyForce,
+    /// Velocity along x of the wall above; 0: it is like the others.
+    pub lid: f64,
+    /// Whether each particle has a mass of its own.
+    pub own_mass: bool,
+    pub heat: Option<Heat<R>>,
+    pub exact: Exact,
+}
+
+/// A model, and the start's positions and velocities in f64: the other rows of the state are 0.
+pub(super) struct Assembled<R> {
+    pub model: Model<R>,
+    /// `[F, N]`, see [`Layout`].
+    pub base: Vec<f64>,
+}
+
+impl<R: Real> Parts<R> {
+    /// The model, and the start with the fluid's velocity as a function of the place.
+    pub fn assemble(&mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Assembled<R> {
+        let model = self.model();
+        let (n, l) = (model.particles(), model.layout);
+        let mut base = self.lattice.positions(&model.domain, self.numerics.jitter, self.numerics.seed);
+        base.resize(l.state_rows() * n, 0.0);
+        for i in 0..n {
+            let u = match model.tags[i] {
+                tag::FLUID => velocity(std::array::from_fn(|d| if d < l.dimension { base[d * n + i] } else { 0.0 })),
+                tag::MOVING_WALL => [self.lid, 0.0, 0.0],
+                _ => [0.0; 3],
+            };
+            for d in 0..l.dimension {
+                base[(l.velocity() + d) * n + i] = u[d];
+            }
+        }
+        Assembled { model, base }
+    }
+
+    fn model(&mut self) -> Model<R> {
+        let Self { lattice, numerics, density, .. } = self;
+        let (dx, density) = (lattice.spacing, *density);
+        let layout = Layout {
+            dimension: lattice.dimension,
+            transport: numerics.transport_velocity > 0.0,
+            heat: self.heat.is_some(),
+            mass: self.own_mass,
+        };
+        let lid = self.lid != 0.0;
+        let tag_of = |i: usize| match lattice.is_wall(i) {
+            true if lid && lattice.is_above(i, 1) => tag::MOVING_WALL,
+            true => tag::WALL,
+            false => tag::FLUID,
+        };
+        let sound_speed = numerics.sound_speed_factor * self.velocity;
+        let pressure = density * sound_speed * sound_speed;
+        let dt = numerics.step(dx, self.velocity, self.viscosity / density);
+        let smoothing_length = numerics.smoothing_length * dx;
+        let alpha = numerics.artificial_viscosity;
+        let artificial = ArtificialViscosity { alpha, beta: 0.0, sound_speed, smoothing_length };
+        Model {
+            domain: lattice.domain(),
+            layout,
+            kernel: Kernel::new(numerics.kernel, lattice.dimension, smoothing_length),
+            tags: (0..lattice.particles()).map(tag_of).collect(),
+            skin: numerics.skin * dx,
+            dt,
+            mass: (0..lattice.dimension).fold(density, |mass, _| mass * dx),
+            equation_of_state: EquationOfState {
+                reference_density: density,
+                reference_pressure: pressure,
+                background_pressure: numerics.background_pressure_factor * pressure,
+                gamma: 1,
+            },
+            viscosity: self.viscosity,
+            artificial_viscosity: (alpha > 0.0).then_some(artificial),
+            // Independent of the time step: the strength that dt at CFL 0.25 gives.
+            transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
+            body_force: self.body_force,
+            heat: self.heat.take(),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// The scene without a design.
+    pub fn build(mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
+        let Assembled { model, base } = self.assemble(velocity);
+        let start = Snapshot::first(&model, rounded(&model, &base));
+        self.scene(Arc::new(model), start)
+    }
+
+    pub fn scene(self, model: Arc<Model<R>>, start: Snapshot<R>) -> Scene<R> {
+        let behind = |d: usize| self.lattice.corner[d] - self.lattice.before[d] * self.lattice.spacing;
+        Scene {
+            name: self.name,
+            model,
+            start,
+            steps: self.numerics.steps,
+            spacing: self.lattice.spacing,
+            corner: std::array::from_fn(behind),
+            reference_velocity: self.velocity,
+            exact: self.exact,
+            design: None,
+        }
+    }
+}
+
+/// A state in R. Rounded to f32, a place just below the box's end is the end itself: it becomes the beginning.
+fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
+    let (n, domain) = (model.particles(), &model.domain);
+    let place = |(k, &x): (usize, &f64)| {
+        let (d, x) = (k / n, R::of(x));
+        let at_end = d < domain.dimension && domain.periodic[d] && x >= R::of(domain.size[d]);
+        if at_end {
+            R::default()
+        } else {
+            x
+        }
+    };
+    base.iter().enumerate().map(place).collect()
+}

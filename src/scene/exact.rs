@@ -1,0 +1,72 @@
+//! Exact solutions that verification flows are measured against.
+
+use std::f64::consts::PI;
+
+/// The exact solution of the incompressible Navier-Stokes equations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Exact {
+    /// The plane vortices of Taylor and Green (1937) in the unit box:
+    /// u = -U exp(-8 pi^2 nu t) cos(2 pi x) sin(2 pi y), v = U exp(-8 pi^2 nu t) sin(2 pi x) cos(2 pi y).
+    TaylorGreen { velocity: f64, kinematic_viscosity: f64 },
+    /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force
+    /// (Morris, Fox and Zhu 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
+    Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// Two such channels, at 0 < y < height and with the opposite sign at height < y < 2 height.
+    ReversePoiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// No closed form.
+    Unknown,
+}
+
+impl Exact {
+    /// The velocity at a point, if it is known.
+    pub fn velocity(&self, position: [f64; 3], time: f64) -> Option<[f64; 3]> {
+        let [x, y, _] = position;
+        match *self {
+            Self::TaylorGreen { .. } => {
+                let amplitude = self.amplitude(time)?;
+                let ((sin_x, cos_x), (sin_y, cos_y)) = ((2.0 * PI * x).sin_cos(), (2.0 * PI * y).sin_cos());
+                Some([-amplitude * cos_x * sin_y, amplitude * sin_x * cos_y, 0.0])
+            }
+            Self::Poiseuille { velocity, kinematic_viscosity, height } => {
+                // In terms of the steady centre line U: 4 U y (H - y)/H^2 - sum over odd k of 32 U/(pi k)^3 ...
+                let s = y / height;
+                let mut u = 4.0 * velocity * s * (1.0 - s);
+                for k in (1..200).step_by(2).map(|k| PI * k as f64) {
+                    let decay = (-k * k * kinematic_viscosity * time / (height * height)).exp();
+                    u -= 32.0 * velocity / (k * k * k) * (k * s).sin() * decay;
+                }
+                Some([u, 0.0, 0.0])
+            }
+            Self::ReversePoiseuille { velocity, kinematic_viscosity, height } => {
+                let half = Self::Poiseuille { velocity, kinematic_viscosity, height };
+                if y < height {
+                    half.velocity(position, time)
+                } else {
+                    half.velocity([x, y - height, 0.0], time).map(|u| u.map(|u| -u))
+                }
+            }
+            Self::Unknown => None,
+        }
+    }
+
+    /// The height of the profile, if the velocity depends on y alone.
+    pub fn profile_height(&self) -> Option<f64> {
+        match *self {
+            Self::Poiseuille { height, .. } => Some(height),
+            Self::ReversePoiseuille { height, .. } => Some(2.0 * height),
+            Self::TaylorGreen { .. } | Self::Unknown => None,
+        }
+    }
+
+    /// What velocity errors are measured against: the vortices' present amplitude, or the channel's steady centre line
+    /// (the flow there begins with zero).
+    pub fn amplitude(&self, time: f64) -> Option<f64> {
+        match *self {
+            Self::TaylorGreen { velocity, kinematic_viscosity } => {
+                Some(velocity * (-8.0 * PI * PI * kinematic_viscosity * time).exp())
+            }
+            Self::Poiseuille { velocity, .. } | Self::ReversePoiseuille { velocity, .. } => Some(velocity),
+            Self::Unknown => None,
+        }
+    }
+}
