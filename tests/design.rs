@@ -214,9 +214,8 @@ fn a_variable_without_influence_is_an_error() {
     // After two steps, only the wall near the targets has been felt there.
     let sets = ["time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
     let channel = scene::<f64>(&sets).2;
-    let evaluate = |channel: &Problem<f64>| {
-        channel.gradient(&channel.first, &Schedule::taped(channel.steps), &mut |_| ())
-    };
+    let evaluate =
+        |channel: &Problem<f64>| channel.gradient(&channel.first, &Schedule::taped(channel.steps), &mut |_| ());
     let error = evaluate(&channel).unwrap_err().to_string();
     assert!(error.contains("design variable 0 received no gradient"), "{error}");
     // All of them are felt if they are near.

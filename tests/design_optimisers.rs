@@ -156,8 +156,7 @@ fn a_badly_scaled_quadratic_takes_few_steps() {
     // Curvatures from 1 to 1e6; a step per variable would do with exact line searches.
     let n = 7;
     let diagonal = |i: usize| 10f64.powi(i as i32);
-    let a: Vec<Vec<f64>> =
-        (0..n).map(|i| (0..n).map(|j| if i == j { diagonal(i) } else { 0.0 }).collect()).collect();
+    let a: Vec<Vec<f64>> = (0..n).map(|i| (0..n).map(|j| if i == j { diagonal(i) } else { 0.0 }).collect()).collect();
     let c = vec![1.0; n];
     let (evaluations, x) = minimise(&mut LBfgsB::new(0.1, &vec![0.0; n]), &free(n), &quadratic(&a, &c), 1e-8);
     println!("{evaluations} evaluations");

@@ -167,7 +167,10 @@ fn limits_on_variables_limit_the_wall() {
         let step = (section.to - section.from) / 1000.0;
         for k in 0..1000 {
             assert!(height(k).abs() <= BOUND * (1.0 + 1e-12), "{name}");
-            assert!(k == 0 || (height(k) - height(k - 1)).abs() <= MAX_SLOPE * step * (1.0 + 1e-9), "{name} is too steep");
+            assert!(
+                k == 0 || (height(k) - height(k - 1)).abs() <= MAX_SLOPE * step * (1.0 + 1e-9),
+                "{name} is too steep"
+            );
         }
         // The columns of the wall are what a file of it gives back, and such a file is a valid start shape.
         let sampled = one.sampled(&x);

@@ -60,7 +60,12 @@ fn history_of_an_optimisation() -> TestResult {
             }
         })
         .collect();
-    let paths = history(&folder.path.join("history"), &epochs, ("Q", "heat outflow Q"), Some(("finite elements: 0.0420", 0.042)))?;
+    let paths = history(
+        &folder.path.join("history"),
+        &epochs,
+        ("Q", "heat outflow Q"),
+        Some(("finite elements: 0.0420", 0.042)),
+    )?;
     check_picture(&paths, 2000, 1200)?;
     let svg = std::fs::read_to_string(&paths[1])?;
     for text in ["epoch", "heat outflow Q", "finite elements: 0.0420", "|gradient|", "0.040"] {

@@ -189,9 +189,9 @@ impl<R: Sweeps> Problem<R> {
             (_, segment) => Schedule::truncated(steps, steps - first, segment),
         };
         match schedule.memory(costs) {
-            needed if needed > budget.bytes() => Err(does_not_fit(&schedule, costs, needed)
-                .allowed(format!("optimise.memory = {budget}"))
-                .into()),
+            needed if needed > budget.bytes() => {
+                Err(does_not_fit(&schedule, costs, needed).allowed(format!("optimise.memory = {budget}")).into())
+            }
             _ => Ok(schedule),
         }
     }

@@ -5,9 +5,7 @@
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
 use super::{Exact, Scene};
-use crate::config::scene::{
-    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start,
-};
+use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
 use crate::design::shape::Shape;
 use crate::design::{parametrisations, Deformation, Problem};

@@ -24,8 +24,9 @@
 //!
 //! The first step moves no variable by more than `first_step`; where there is no pair yet, the scale of B is chosen so.
 //!
-//! Of the crates, `argmin` has no bounds in its L-BFGS, and the translations of the original code keep their state to
-//! themselves: none can be stopped between two evaluations of a line search and resume to the bit.
+//! Why no crate: `argmin` has no bounds in its L-BFGS, `lbfgsb-rs-pure` calls a closure and keeps its state to itself,
+//! `lbfgsb` wraps a C translation. None can be stopped between two evaluations of a line search and resume to the bit, and
+//! none knows limits between neighbours.
 
 use super::{count, numbers, Optimiser, Record};
 use crate::design::limits::Limits;
@@ -114,8 +115,7 @@ impl LBfgsB {
             let slope = dot(&self.gradient, &direction);
             if slope < -NO_FALL * self.value.abs() {
                 let longest = longest(&self.point, &direction, limits);
-                self.search =
-                    Search { direction, slope, step: 1.0, low: 0.0, high: f64::MAX, longest, tries: 0 };
+                self.search = Search { direction, slope, step: 1.0, low: 0.0, high: f64::MAX, longest, tries: 0 };
                 return self.propose(limits);
             }
             if self.pairs.is_empty() {
