@@ -10,7 +10,7 @@ use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::objectives::{HeatOutflow, Samples};
 use hydrograd::design::shape::Shape;
-use hydrograd::design::space::DesignSpace;
+use hydrograd::design::Problem;
 use hydrograd::scene::Scene;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::{Snapshot, Solver};
@@ -48,7 +48,7 @@ static ALLOCATOR: Counting = Counting;
 static TURN: Mutex<()> = Mutex::new(());
 
 /// A short run of the heated channel with an uneven wall.
-fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (DesignSpace<R>, Snapshot<R>) {
+fn channel<R: Sweeps>(steps: usize, sets: &[&str]) -> (Problem<R>, Snapshot<R>) {
     let mut all = vec![format!("time.steps={steps}"), "objective.window=0".into(), "design.shape=\"sine\"".into()];
     all.extend(sets.iter().map(|s| s.to_string()));
     let config = Config::load(None, None, &all).unwrap().config;
@@ -79,17 +79,18 @@ impl Objective for Both {
 
 /// An objective that looks at steps within, at the start and at the end of segments. Targets over the hot section,
 /// where a short run has heat already.
-fn objective<R: Sweeps>(channel: &DesignSpace<R>) -> Both {
+fn objective<R: Sweeps>(channel: &Problem<R>) -> Both {
     let steps = channel.steps;
-    let mut outflow = channel.objective.clone();
-    let targets = outflow.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
-    outflow.interpolation.targets = std::sync::Arc::new(targets);
+    let mut outlet = channel.outlet.clone();
+    let targets = outlet.interpolation.targets.iter().map(|t| [0.5, t[1], 0.0]).collect();
+    outlet.interpolation.targets = std::sync::Arc::new(targets);
     let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
-    outflow.samples = Samples(BTreeMap::from(samples));
+    let samples = Samples(BTreeMap::from(samples));
+    let outflow = HeatOutflow { outlet, scale: channel.outlet.spacing, samples };
     Both(outflow, FinalSum { steps, of: Summed::Heat })
 }
 
-fn run<R: Sweeps>(channel: &DesignSpace<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
+fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
     let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
     gradient(&dynamics, start, &schedule, &objective(channel), &mut |_| ()).unwrap()
 }
@@ -113,7 +114,7 @@ fn segments_equal_one_tape<R: Sweeps>() {
     assert!((6..=steps / 3).contains(&lists), "{lists} neighbour lists in {steps} steps");
     let taped = run(&channel, &start, Schedule::taped(steps));
     let expected = numbers::<R>(&taped);
-    let design = channel.deformation.adjoint(&expected);
+    let design = channel.by_variables(&expected);
     assert!(design.iter().all(|g| g.is_finite() && *g != 0.0), "{design:?}");
     for schedule in [1, 2, 7, 30, 59, 60]
         .map(|segment| Schedule::segments(steps, segment))
@@ -131,7 +132,7 @@ fn segments_equal_one_tape<R: Sweeps>() {
         assert_eq!(found.len(), expected.len());
         let differing = found.iter().zip(&expected).filter(|(a, b)| a.f64().to_bits() != b.f64().to_bits()).count();
         assert_eq!(differing, 0, "{schedule:?}: {differing} of {} components differ from one tape", expected.len());
-        assert_eq!(channel.deformation.adjoint(&found), design);
+        assert_eq!(channel.by_variables(&found), design);
     }
 }
 
@@ -246,7 +247,7 @@ fn rounded_states_give_nearly_the_same_gradient() {
     // The value comes from the run, which is not rounded.
     assert!(exact.value == rounded.value);
     assert!((rounded.storage as f64) < 0.65 * exact.storage as f64, "{} of {}", rounded.storage, exact.storage);
-    let design = |g: &Gradient| channel.deformation.adjoint(&numbers::<f64>(g));
+    let design = |g: &Gradient| channel.by_variables(&numbers::<f64>(g));
     let (exact, rounded) = (design(&exact), design(&rounded));
     let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
     let gap: Vec<f64> = exact.iter().zip(&rounded).map(|(a, b)| a - b).collect();

@@ -6,10 +6,8 @@ use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::design::diagnostics;
-use hydrograd::design::optimise;
 use hydrograd::design::shape::Shape;
-use hydrograd::design::space::DesignSpace;
+use hydrograd::design::Problem;
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::Scene;
@@ -17,7 +15,7 @@ use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::Sweeps;
 use support::final_sum::{FinalSum, Summed};
 
-fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, DesignSpace<R>) {
+fn scene<R: Sweeps>(sets: &[&str]) -> (Config, Shape, Problem<R>) {
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
     let shape = Shape::from_config(&config).unwrap();
@@ -46,7 +44,9 @@ fn the_deformation_keeps_particles_and_mass_exactly() {
         let (model, deformation) = (&channel.model, &channel.deformation);
         let (n, l, dx) = (model.particles(), model.layout, config.resolution.dx);
         let offsets = random_offsets(&shape, seed as u64);
-        let (flat, state) = (deformation.state::<f64>(&vec![0.0; offsets.len()]), deformation.state::<f64>(&offsets));
+        let heights = channel.parametrisation.column_heights(&offsets);
+        let flat = deformation.state::<f64>(&vec![0.0; heights.len()]);
+        let state = deformation.state::<f64>(&heights);
         assert_eq!(flat, deformation.base);
         assert_eq!(state.len(), flat.len());
         assert_eq!(state[..n], flat[..n], "{sets:?}: particles move vertically only");
@@ -64,7 +64,6 @@ fn the_deformation_keeps_particles_and_mass_exactly() {
             .sum();
         let expected = if l.mass { area } else { config.channel.length * config.channel.height };
         assert!((mass / (config.fluid.density * expected) - 1.0).abs() < 1e-13, "{sets:?}: {mass} is not {expected}");
-        let heights = deformation.column_heights(&offsets);
         for i in 0..n {
             let (before, after) = (flat[n + i], state[n + i]);
             let s = heights[deformation.column[i] as usize];
@@ -90,14 +89,13 @@ fn the_deformation_keeps_particles_and_mass_exactly() {
 fn the_adjoint_of_the_deformation_is_its_derivative() {
     for (seed, sets) in SCENES.iter().enumerate() {
         let (_, shape, channel) = scene::<f64>(sets);
-        let deformation = &channel.deformation;
+        let problem = &channel;
         let offsets = random_offsets(&shape, seed as u64);
         let mut normal = Normal::new(stream(seed as u64, "bars"));
-        let bar: Vec<f64> = deformation.base.iter().map(|_| normal.next()).collect();
-        let adjoint = deformation.adjoint(&bar);
+        let bar: Vec<f64> = problem.deformation.base.iter().map(|_| normal.next()).collect();
+        let adjoint = problem.by_variables(&bar);
         assert_eq!(adjoint.len(), shape.nodes.len());
-        let at =
-            |offsets: &[f64]| -> f64 { deformation.state::<f64>(offsets).iter().zip(&bar).map(|(x, b)| x * b).sum() };
+        let at = |offsets: &[f64]| -> f64 { problem.start(offsets).state.iter().zip(&bar).map(|(x, b)| x * b).sum() };
         for k in 0..offsets.len() {
             // Linear: any step will do, a large one has the least rounding.
             let moved = |by: f64| {
@@ -125,8 +123,8 @@ fn a_truncated_gradient_drops_what_the_fluid_was() {
 }
 
 /// Gradient of an objective by the offsets, without regularisation.
-fn design_gradient<R: Sweeps, O: Objective>(
-    channel: &DesignSpace<R>,
+fn design_gradient<R: Sweeps, O: Objective + ?Sized>(
+    channel: &Problem<R>,
     offsets: &[f64],
     objective: &O,
 ) -> (f64, Vec<f64>) {
@@ -134,7 +132,7 @@ fn design_gradient<R: Sweeps, O: Objective>(
     let schedule = Schedule::segments(channel.steps, 20);
     let found = gradient(&dynamics, &channel.start(offsets), &schedule, objective, &mut |_| ()).unwrap();
     let bar = found.state.flatten_all().unwrap().to_vec1::<R>().unwrap();
-    (found.value, channel.deformation.adjoint(&bar))
+    (found.value, channel.by_variables(&bar))
 }
 
 fn norm(x: &[f64]) -> f64 {
@@ -146,8 +144,8 @@ fn norm(x: &[f64]) -> f64 {
 fn design_gradient_over_500_steps_is_the_derivative() {
     let (_, shape, channel) = scene::<f64>(&["time.steps=500", "time.cfl=1.0"]);
     let offsets = shape.offsets.clone();
-    let (value, gradient) = design_gradient(&channel, &offsets, &channel.objective);
-    let q = diagnostics::evaluate(&channel, &offsets).unwrap();
+    let (value, gradient) = design_gradient(&channel, &offsets, &*channel.objective);
+    let q = channel.evaluate(&offsets).unwrap();
     assert_eq!(value, q, "the gradient's run is the plain run");
     let mut normal = Normal::new(stream(11, "along"));
     for _ in 0..3 {
@@ -155,7 +153,7 @@ fn design_gradient_over_500_steps_is_the_derivative() {
         let slope: f64 = gradient.iter().zip(&direction).map(|(g, v)| g * v).sum();
         let at = |t: f64| {
             let moved: Vec<f64> = offsets.iter().zip(&direction).map(|(o, v)| o + t * v).collect();
-            diagnostics::evaluate(&channel, &moved).unwrap()
+            channel.evaluate(&moved).unwrap()
         };
         // Q is smooth between jumps: a particle that crosses the inlet or the outlet strip one step earlier changes Q by
         // 1e-9 to 1e-7. Steps of 1e-6 meet such jumps, smaller ones rarely do; below 1e-9 rounding takes over.
@@ -182,8 +180,8 @@ where
     let ((_, exact), (_, found)) = match &chosen {
         Some(o) => (design_gradient(&double, &shape.offsets, o), design_gradient(&single, &shape.offsets, o)),
         None => (
-            design_gradient(&double, &shape.offsets, &double.objective),
-            design_gradient(&single, &shape.offsets, &single.objective),
+            design_gradient(&double, &shape.offsets, &*double.objective),
+            design_gradient(&single, &shape.offsets, &*single.objective),
         ),
     };
     let gap: Vec<f64> = exact.iter().zip(&found).map(|(a, b)| a - b).collect();
@@ -215,11 +213,10 @@ fn single_precision_gradient_agrees_with_double() {
 fn a_variable_without_influence_is_an_error() {
     // After two steps, only the wall near the targets has been felt there.
     let sets = ["time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
-    let (config, shape, channel) = scene::<f64>(&sets);
-    let evaluate = |channel: &DesignSpace<f64>, config: &Config, shape: &Shape| {
-        optimise::evaluate(config, channel, &Schedule::taped(channel.steps), &shape.offsets, &mut |_| ())
-    };
-    let error = evaluate(&channel, &config, &shape).unwrap_err().to_string();
+    let channel = scene::<f64>(&sets).2;
+    let evaluate =
+        |channel: &Problem<f64>| channel.gradient(&channel.first, &Schedule::taped(channel.steps), &mut |_| ());
+    let error = evaluate(&channel).unwrap_err().to_string();
     assert!(error.contains("design variable 0 received no gradient"), "{error}");
     // All of them are felt if they are near.
     let near = [
@@ -229,7 +226,7 @@ fn a_variable_without_influence_is_an_error() {
         "design.nodes=[0.85, 0.87]",
         "design.offsets=[0,0]",
     ];
-    let (config, shape, channel) = scene::<f64>(&near);
-    let found = evaluate(&channel, &config, &shape).unwrap();
+    let channel = scene::<f64>(&near).2;
+    let found = evaluate(&channel).unwrap();
     assert!(found.gradient.iter().all(|g| *g != 0.0 && g.is_finite()), "{:?}", found.gradient);
 }

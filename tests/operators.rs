@@ -477,7 +477,7 @@ fn state_and_gradient_of_a_run() {
     let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
     let mut numbers = solver.state.clone();
     numbers.extend(self::numbers(&found.state));
-    numbers.extend(channel.deformation.adjoint(&self::numbers(&found.state)));
+    numbers.extend(channel.by_variables(&self::numbers(&found.state)));
     std::fs::write(path, numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
 }
 

@@ -60,16 +60,21 @@ fn history_of_an_optimisation() -> TestResult {
             }
         })
         .collect();
-    let paths = history(&folder.path.join("history"), &epochs, Some(("finite elements: 0.0420", 0.042)))?;
+    let paths = history(
+        &folder.path.join("history"),
+        &epochs,
+        ("Q", "heat outflow Q"),
+        Some(("finite elements: 0.0420", 0.042)),
+    )?;
     check_picture(&paths, 2000, 1200)?;
     let svg = std::fs::read_to_string(&paths[1])?;
     for text in ["epoch", "heat outflow Q", "finite elements: 0.0420", "|gradient|", "0.040"] {
         assert!(svg.contains(text), "{text}");
     }
     // One epoch only, without reference: still a picture.
-    let paths = history(&folder.path.join("history_one"), &epochs[..1], None)?;
+    let paths = history(&folder.path.join("history_one"), &epochs[..1], ("Q", "heat outflow Q"), None)?;
     check_picture(&paths, 2000, 1200)?;
-    assert!(input_message(history(&folder.path.join("none"), &[], None)).contains("no epoch"));
+    assert!(input_message(history(&folder.path.join("none"), &[], ("Q", "heat outflow Q"), None)).contains("no epoch"));
     Ok(())
 }
 

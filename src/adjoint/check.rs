@@ -9,12 +9,12 @@
 pub struct Direction {
     /// g.d.
     pub gradient: f64,
-    pub points: Vec<Point>,
+    pub points: Vec<DifferenceStep>,
 }
 
 /// One step of the sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct DifferenceStep {
     pub step: f64,
     pub difference: f64,
     /// |difference - gradient| / |gradient|.
@@ -25,7 +25,7 @@ pub struct Point {
 
 impl Direction {
     /// The point with the smallest error.
-    pub fn best(&self) -> Option<&Point> {
+    pub fn best(&self) -> Option<&DifferenceStep> {
         self.points.iter().min_by(|a, b| a.error.total_cmp(&b.error))
     }
 
@@ -58,7 +58,7 @@ pub fn check<E>(
             let moved = |h: f64| -> Vec<f64> { x.iter().zip(d).map(|(x, d)| x + h * d).collect() };
             let (up, down) = (f(&moved(step))?, f(&moved(-step))?);
             let difference = (up - down) / (2.0 * step);
-            points.push(Point {
+            points.push(DifferenceStep {
                 step,
                 difference,
                 error: (difference - slope).abs() / slope.abs(),

@@ -6,8 +6,6 @@ use super::prepare::{build, set_threads};
 use crate::adjoint::check::{check, cosine};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
-use crate::design::diagnostics::evaluate;
-use crate::design::optimise;
 use crate::error::Error;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::numerics::random::{stream, uniform};
@@ -75,27 +73,24 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     let folder = arguments.folder(&loaded)?;
     set_threads(&loaded.config);
     let config = &loaded.config;
-    let (offsets, found) = match config.run.precision {
+    let by_variables = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,
     };
-    // The objective without smoothing: the penalty is exact by inspection and would hide errors.
-    let (_, penalty) = optimise::smoothing(config.optimise.smoothing, &offsets);
-    let by_offsets: Vec<f64> = found.gradient.iter().zip(penalty).map(|(g, p)| p - g).collect();
-    let (channel, shape) = build::<f64>(config)?;
-    let scale = channel.objective.scale / channel.spacing;
-    let gradient: Vec<f64> = by_offsets.iter().map(|g| g / scale).collect();
+    let (problem, _) = build::<f64>(config)?;
+    let (first, figure) = (&problem.first, problem.figure);
+    let gradient: Vec<f64> = by_variables.iter().map(|g| g * figure.factor).collect();
     let mut random = stream(config.run.seed, "check");
     let directions: Vec<Vec<f64>> =
-        (0..arguments.directions).map(|_| offsets.iter().map(|_| 2.0 * uniform(&mut random) - 1.0).collect()).collect();
+        (0..arguments.directions).map(|_| first.iter().map(|_| 2.0 * uniform(&mut random) - 1.0).collect()).collect();
     let bar = Progress::new((directions.len() * STEPS.len() * 2 + 1) as u64, "check-gradient");
     let f = |x: &[f64]| {
         bar.advance(1);
-        evaluate(&channel, x).map(|q| q / scale)
+        problem.evaluate(x).map(|value| value * figure.factor)
     };
-    let value = f(&offsets).map_err(|e| Error::run(e.to_string(), "--set time.cfl=0.5"))?;
-    let results = check(value, &gradient, &offsets, &directions, &STEPS, f)
-        .map_err(|e| Error::run(e.to_string(), "--set time.cfl=0.5, or a wall further from its limits"))?;
+    let value = f(first).map_err(|e| Error::run(e.to_string(), "time.cfl=0.5"))?;
+    let results = check(value, &gradient, first, &directions, &STEPS, f)
+        .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5, or a wall further from its limits"))?;
     bar.finish();
 
     let tolerance = if config.run.precision == Precision::F32 { TOLERANCE_F32 } else { TOLERANCE_F64 };
@@ -137,10 +132,10 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         "tolerance": tolerance,
         "worst_relative_error": worst,
         "cosine": cosine(&results),
-        "q": value,
+        (figure.symbol.to_lowercase()): value,
         "gradient": gradient,
         "gradient_norm": norm,
-        "steps": channel.steps,
+        "steps": problem.steps,
         "precision": config.run.precision,
         "directions": results.iter().zip(&directions).map(|(r, d)| json!({
             "direction": d,
@@ -155,9 +150,10 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     write_bytes_atomically(&folder.join("gradient_check.json"), text.as_bytes())?;
 
     println!(
-        "{} steps, {} design variables, Q = {value:.9}, |gradient| = {norm:.4e}",
-        channel.steps,
-        shape.nodes.len()
+        "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",
+        problem.steps,
+        first.len(),
+        figure.symbol
     );
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));
@@ -180,9 +176,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     Ok(())
 }
 
-fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<(Vec<f64>, optimise::Evaluation)> {
-    let (channel, shape) = build::<R>(config)?;
-    let schedule = optimise::schedule(config, &channel)?;
-    let found = optimise::evaluate(config, &channel, &schedule, &shape.offsets, &mut |_| ())?;
-    Ok((shape.offsets, found))
+/// The objective's gradient, without the penalty on roughness: that is exact by inspection and would hide errors.
+fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Vec<f64>> {
+    let (problem, _) = build::<R>(config)?;
+    let schedule = problem.schedule(&config.optimise, config.run.precision)?;
+    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?.1)
 }

@@ -2,7 +2,6 @@
 
 use super::prepare::require_design;
 use crate::config::scene::{Config, Precision};
-use crate::design::optimise;
 use crate::error::Error;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
@@ -31,8 +30,8 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     let scene = Scene::<R>::from_config(config)?;
     let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config))).map_err(failed)?;
     let Some(design) = scene.design.filter(|_| gradient) else { return Ok(plan) };
-    let schedule = optimise::schedule(config, &design)?;
-    let costs = optimise::costs(config, &design)?;
+    let schedule = design.schedule(&config.optimise, config.run.precision)?;
+    let costs = design.costs()?;
     Ok(plan.with_gradient(&design.model, &schedule, costs, Some(config.optimise.memory.bytes())))
 }
 

@@ -4,17 +4,15 @@ use super::arguments::{name_of, option, CommonArguments, ExplainArgument, Gradie
 use super::explain::explain;
 use super::files::{self, Fields};
 use super::prepare::{build, change, difference, set_threads};
-use super::simulate::{diverged, foreign, number, read_tensors, stored_config};
+use super::simulate::{diverged, foreign, read_tensors, stored_config};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
-use crate::design::adam::Adam;
-use crate::design::diagnostics::{simulate, Finished};
-use crate::design::optimise::{self, Epoch, Progress as State};
+use crate::design::diagnostics::{simulate, Diagnostics, Finished};
+use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
-use crate::design::space::DesignSpace;
+use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
-use crate::io::tensor_file::{write_tensors, Data, Tensors};
 use crate::io::vtk::VtkSeries;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::Progress;
@@ -25,7 +23,6 @@ use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
@@ -96,7 +93,6 @@ impl OptimizeArguments {
 }
 
 const CHECKPOINT: &str = "checkpoint.safetensors";
-const KIND: &str = "hydrograd optimisation";
 /// Work units of the progress bar per epoch.
 const UNITS: u64 = 1000;
 
@@ -125,7 +121,8 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
 struct Outcome {
     text: String,
     summary: Map<String, Value>,
-    q: Vec<f64>,
+    /// The objective per epoch, as it is reported.
+    values: Vec<f64>,
 }
 
 fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
@@ -142,7 +139,9 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
             .advice(format!("--resume {}/flat (or random, linear, sine)", folder.display()))
             .into());
     }
-    let mut table = Table::new(["start", "Q before", "Q best", "gain", "epoch", "seconds"]);
+    let figure = Figure::of_config(&loaded.config);
+    let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
+    let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
     let mut curves = Vec::new();
     let mut all = Map::new();
     let mut runs = Vec::new();
@@ -157,22 +156,23 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         let outcome = one(&loaded, &folder.join(&name), None, &name)?;
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
+        let values = outcome.values;
         table.row([
             name.clone(),
-            format!("{:.6}", outcome.q[0]),
-            format!("{:.6}", outcome.q[best]),
-            format!("{:+.2} %", 100.0 * (outcome.q[best] / outcome.q[0] - 1.0)),
+            format!("{:.6}", values[0]),
+            format!("{:.6}", values[best]),
+            format!("{:+.2} %", 100.0 * (values[best] / values[0] - 1.0)),
             best.to_string(),
             format!("{seconds:.1}"),
         ]);
-        curves.push((name.clone(), outcome.q.iter().enumerate().map(|(k, &q)| (k as f64, q)).collect()));
+        curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| (k as f64, q)).collect()));
         all.insert(name, Value::Object(outcome.summary));
     }
     compare(
         &folder.join("starts"),
-        "Outflowing heat by start shape",
+        &capitalised(&format!("{} by start shape", figure.quantity)),
         "epoch",
-        "Q (rho u T length)",
+        &format!("{} ({})", figure.symbol, figure.unit),
         &curves,
         false,
         false,
@@ -183,123 +183,209 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     Ok(())
 }
 
+fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
-    let (channel, shape) = build::<R>(config)?;
-    let schedule = optimise::schedule(config, &channel)?;
-    let mut state = match resume {
-        Some(from) => read_checkpoint(&from.join(CHECKPOINT), config, &shape.nodes)?,
-        None => State::new(config, shape.offsets.clone()),
-    };
-    if state.history.len() >= config.optimise.epochs && resume.is_some() {
-        return Err(BadInput::new(format!("the run has its {} epochs already", state.history.len()))
-            .place("--resume")
-            .allowed("more epochs than it has")
-            .advice(format!("--epochs {}", 2 * state.history.len()))
-            .into());
-    }
+    let (problem, _) = build::<R>(config)?;
+    let schedule = problem.schedule(&config.optimise, config.run.precision)?;
+    let mut optimisation = begin(config, &problem, resume)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
-    let done = state.history.len();
+    let done = optimisation.history.len();
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
     let bar = Progress::new((config.optimise.epochs - done) as u64 * UNITS, &label);
-    while state.history.len() < config.optimise.epochs {
-        let base = (state.history.len() - done) as u64 * UNITS;
-        optimise::epoch(config, &channel, &schedule, &shape.nodes, &mut state, &mut |share| {
-            bar.set_position(base + (share * UNITS as f64) as u64)
-        })?;
-        write_checkpoint(&folder.join(CHECKPOINT), &state, loaded)?;
-        write_history(folder, &state)?;
-        if let Some(last) = state.history.last() {
-            let epoch = state.history.len() - 1;
-            bar.message(format!("Q {:.6} |gradient| {:.2e}", last.q, last.gradient_norm));
+    let evaluate = |epoch: usize, variables: &[f64]| {
+        let base = (epoch - done) as u64 * UNITS;
+        problem.gradient(variables, &schedule, &mut |share| bar.set_position(base + (share * UNITS as f64) as u64))
+    };
+    optimisation.run(config.optimise.epochs, problem.parametrisation.limits(), evaluate, |optimisation| {
+        checkpoint::write(&folder.join(CHECKPOINT), optimisation, &notes(loaded))?;
+        write_history(folder, problem.figure, optimisation)?;
+        if let Some(last) = optimisation.history.last() {
+            let (epoch, symbol) = (optimisation.history.len() - 1, problem.figure.symbol);
+            bar.message(format!("{symbol} {:.6} |gradient| {:.2e}", last.figure, last.gradient_norm));
             bar.line(&format!(
-                "epoch {epoch:3}  Q {:.6}  loss {:+.6}  |gradient| {:.3e}  {:.1} s",
-                last.q, last.loss, last.gradient_norm, last.seconds
+                "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}  {:.1} s",
+                last.figure, last.loss, last.gradient_norm, last.seconds
             ));
         }
-    }
+        Ok(())
+    })?;
     bar.finish();
-    // Of all sessions: a resumed run has taken what its parts took.
-    let seconds = state.history.iter().map(|e| e.seconds).sum();
-    let outcome = report(loaded, folder, &channel, &shape, &state, seconds)?;
-    Ok(outcome)
+    report(loaded, folder, &problem, &optimisation)
+}
+
+/// A new optimisation, or one that goes on.
+fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>) -> anyhow::Result<Optimisation> {
+    let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+    let Some(from) = resume else {
+        return Ok(Optimisation::new(new(&problem.first)));
+    };
+    let path = from.join(CHECKPOINT);
+    let file = read_tensors(&path, checkpoint::KIND)?;
+    if let Some(what) = difference(&stored_config(&path, &file)?, config, &FREE) {
+        return Err(foreign(&path, &what).into());
+    }
+    let optimisation = checkpoint::restore(&file, &*problem.parametrisation, new)?;
+    let epochs = optimisation.history.len();
+    let finished = match optimisation.is_finished(config.optimise.epochs) {
+        false => return Ok(optimisation),
+        true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
+            .allowed("a run whose optimiser has not stopped by itself")
+            .advice("a new run from another start shape"),
+        true => BadInput::new(format!("the run has its {epochs} epochs already"))
+            .allowed("more epochs than it has")
+            .advice(format!("--epochs {}", 2 * epochs)),
+    };
+    Err(finished.place("--resume").into())
+}
+
+/// What a checkpoint's metadata say besides the numbers.
+fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
+    [
+        // Random numbers are drawn while the scene is built, from named streams of the seed; none later.
+        ("rng.seed", loaded.config.run.seed.to_string()),
+        ("rng.position", "0".to_string()),
+        ("config", loaded.text.clone()),
+        ("version", files::VERSION.to_string()),
+    ]
 }
 
 /// Runs the first and the best design once more, with figures, and writes everything that is made of them.
 fn report<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    channel: &DesignSpace<R>,
-    shape: &Shape,
-    state: &State,
-    seconds: f64,
+    problem: &Problem<R>,
+    optimisation: &Optimisation,
 ) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
-    let offsets = |k: usize| state.history[k].offsets.as_slice();
-    let last = state.history.len() - 1;
-    let (first, best) = (offsets(0), offsets(state.best));
-    let plain =
-        |offsets: &[f64]| simulate(channel, config.run.kernels, &channel.start(offsets), &mut []).map_err(diverged);
-    let before: Finished<R> = plain(first)?;
+    let history = &optimisation.history;
+    let [before, after] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
+    let before = simulate(problem, config.run.kernels, &problem.start(before), &mut []).map_err(diverged)?;
+    let after = simulate_with_frames(config, folder, problem, after)?;
+    let (b, a) = (&before.diagnostics, &after.diagnostics);
+    // Of all sessions: a resumed run has taken what its parts took.
+    let seconds = history.iter().map(|e| e.seconds).sum();
+    let (summary_before, summary_after) =
+        (files::summary(loaded, b, problem.steps, before.seconds), files::summary(loaded, a, problem.steps, seconds));
+    let summary = summary(problem, optimisation, summary_before, summary_after);
+    let text = text(folder, problem.figure, optimisation, seconds, (b, a));
+    let (mut solver_before, mut solver_after) = (before.solver, after.solver);
+    let (fields_before, fields_after) = (Fields::of(&mut solver_before), Fields::of(&mut solver_after));
+    fields_after.write(folder, loaded)?;
+    files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
+    write_walls(folder, config, &*problem.parametrisation, optimisation)?;
+    plot_history(folder, problem, optimisation)?;
+    files::write_summary(folder, summary.clone())?;
+    let values = optimisation.column(|e| e.figure);
+    Ok(Outcome { text, summary, values })
+}
+
+/// Runs a design and writes ParaView frames of it.
+fn simulate_with_frames<R: Sweeps>(
+    config: &Config,
+    folder: &Path,
+    problem: &Problem<R>,
+    variables: &[f64],
+) -> anyhow::Result<Finished<R>> {
     let mut series = match config.output.frames {
         0 => None,
         _ => Some(VtkSeries::new(&folder.join("particles"), "particles")?),
     };
-    let every = if config.output.frames == 0 { usize::MAX } else { channel.steps.div_ceil(config.output.frames) };
+    let every = if config.output.frames == 0 { usize::MAX } else { problem.steps.div_ceil(config.output.frames) };
     let mut frames = |_: &Sph<R>, solver: &mut Solver<R>| {
         if let Some(series) = &mut series {
-            if solver.step % every == 0 || solver.step == channel.steps {
+            if solver.step % every == 0 || solver.step == problem.steps {
                 Fields::of(solver).with_frame(|frame| series.write(frame))?;
             }
         }
         Ok(())
     };
-    let after = simulate(channel, config.run.kernels, &channel.start(best), &mut [&mut frames]).map_err(diverged)?;
-    let (mut solver_before, mut solver_after) = (before.solver, after.solver);
-    let (fields_before, fields_after) = (Fields::of(&mut solver_before), Fields::of(&mut solver_after));
-    fields_after.write(folder, loaded)?;
-    files::write_shape(folder, &shape.nodes, &[("offset", best), ("first", first), ("last", offsets(last))])?;
-    files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
-    let points: Vec<HistoryPoint> = state
+    simulate(problem, config.run.kernels, &problem.start(variables), &mut [&mut frames]).map_err(diverged)
+}
+
+/// `shape.csv` with the best, the first and the last wall, and the plot of all of them.
+fn write_walls(
+    folder: &Path,
+    config: &Config,
+    parametrisation: &dyn Parametrisation,
+    optimisation: &Optimisation,
+) -> anyhow::Result<()> {
+    let walls: Vec<Shape> = optimisation.history.iter().map(|e| parametrisation.sampled(&e.variables)).collect();
+    let last = walls.len() - 1;
+    let column = |k: usize| walls[k].offsets.as_slice();
+    let columns = [("offset", column(optimisation.best)), ("first", column(0)), ("last", column(last))];
+    files::write_shape(folder, &walls[0].nodes, &columns)?;
+    let shapes: Vec<(String, Vec<f64>)> =
+        walls.iter().enumerate().map(|(k, wall)| (format!("epoch {k}"), wall.offsets.clone())).collect();
+    let best = Some(optimisation.best);
+    wall_shapes(&folder.join("shapes"), &walls[0].nodes, &shapes, best, config.design.bound)?;
+    Ok(())
+}
+
+fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisation) -> anyhow::Result<()> {
+    let points: Vec<HistoryPoint> = optimisation
         .history
         .iter()
         .enumerate()
-        .map(|(epoch, e)| HistoryPoint { epoch, q: e.q, loss: e.loss, gradient_norm: e.gradient_norm })
+        .map(|(epoch, e)| HistoryPoint { epoch, q: e.figure, loss: e.loss, gradient_norm: e.gradient_norm })
         .collect();
-    history(&folder.join("history"), &points, Some(("first design", state.history[0].q)))?;
-    let shapes: Vec<(String, Vec<f64>)> =
-        state.history.iter().enumerate().map(|(k, e)| (format!("epoch {k}"), e.offsets.clone())).collect();
-    wall_shapes(&folder.join("shapes"), &shape.nodes, &shapes, Some(state.best), config.design.bound)?;
+    let first = Some(("first design", optimisation.history[0].figure));
+    let symbol = problem.figure.symbol;
+    let label = format!("{} {symbol} (scene units)", problem.objective.name());
+    history(&folder.join("history"), &points, (symbol, &label), first)?;
+    Ok(())
+}
 
-    let (b, a) = (&before.diagnostics, &after.diagnostics);
-    let mut map = files::summary(loaded, a, channel.steps, seconds);
-    let column = |f: &dyn Fn(&Epoch) -> f64| state.history.iter().map(f).collect::<Vec<f64>>();
-    // Of the best design by the objective's own samples, so that it is one of q_per_epoch.
-    let (q_first, q_best) = (state.history[0].q, state.history[state.best].q);
-    map.insert("q".into(), json!(q_best));
-    map.insert("q_sum".into(), json!(q_best / channel.spacing));
-    map.insert("q_first".into(), json!(state.history[0].q));
-    map.insert("best_epoch".into(), json!(state.best));
-    map.insert("q_per_epoch".into(), json!(column(&|e| e.q)));
-    map.insert("loss_per_epoch".into(), json!(column(&|e| e.loss)));
-    map.insert("gradient_norm_per_epoch".into(), json!(column(&|e| e.gradient_norm)));
-    map.insert("seconds_per_epoch".into(), json!(column(&|e| e.seconds)));
-    map.insert("nodes".into(), json!(shape.nodes));
-    map.insert("offsets_first".into(), json!(first));
-    map.insert("offsets_best".into(), json!(best));
-    map.insert("offsets_last".into(), json!(offsets(last)));
-    let mut first_design = files::summary(loaded, b, channel.steps, before.seconds);
-    first_design.insert("q".into(), json!(q_first));
-    first_design.insert("q_sum".into(), json!(q_first / channel.spacing));
-    map.insert("before".into(), Value::Object(first_design));
-    files::write_summary(folder, map.clone())?;
+/// `summary.json`, from those of the first and the best design's runs.
+fn summary<R>(
+    problem: &Problem<R>,
+    optimisation: &Optimisation,
+    mut before: Map<String, Value>,
+    mut after: Map<String, Value>,
+) -> Map<String, Value> {
+    let (history, best) = (&optimisation.history, optimisation.best);
+    let last = history.len() - 1;
+    let name = problem.figure.symbol.to_lowercase();
+    // By the objective's own samples, so that the best is one of those per epoch.
+    for (map, epoch) in [(&mut before, 0), (&mut after, best)] {
+        map.insert(name.clone(), json!(history[epoch].figure));
+        let q = map.get("q").and_then(Value::as_f64);
+        map.insert("q_sum".into(), json!(q.map(|q| q / problem.outlet.spacing)));
+    }
+    let mut put = |key: &str, value: Value| after.insert(key.into(), value);
+    put(&format!("{name}_first"), json!(history[0].figure));
+    put("best_epoch", json!(best));
+    put(&format!("{name}_per_epoch"), json!(optimisation.column(|e| e.figure)));
+    put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
+    put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
+    put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
+    put("nodes", json!(problem.parametrisation.positions()));
+    put("offsets_first", json!(history[0].variables));
+    put("offsets_best", json!(history[best].variables));
+    put("offsets_last", json!(history[last].variables));
+    put("before", Value::Object(before));
+    after
+}
 
+/// What is printed at the end.
+fn text(
+    folder: &Path,
+    figure: Figure,
+    optimisation: &Optimisation,
+    seconds: f64,
+    (b, a): (&Diagnostics, &Diagnostics),
+) -> String {
+    let (first, best) = (optimisation.history[0].figure, optimisation.history[optimisation.best].figure);
     let mut table = Table::new(["", "before", "after"]);
     let mut row = |name: &str, x: f64, y: f64| {
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);
     };
-    row("Q, outflowing heat (window average)", q_first, q_best);
+    row(&format!("{}, {} (window average)", figure.symbol, figure.quantity), first, best);
     row("wall heat flux", b.wall_heat_flux, a.wall_heat_flux);
     row("heat stored per time", b.stored_heat_rate, a.stored_heat_rate);
     row("energy imbalance / wall heat flux", b.energy_imbalance, a.energy_imbalance);
@@ -309,11 +395,15 @@ fn report<R: Sweeps>(
     row("fastest particle", b.u_max, a.u_max);
     let mut text = table.to_text();
     text.push_str(&format!(
-        "\nQ {} in epoch {} of {}, {seconds:.1} s\n",
-        change(state.history[0].q, state.history[state.best].q),
-        state.best,
-        last
+        "\n{} {} in epoch {} of {}, {seconds:.1} s\n",
+        figure.symbol,
+        change(first, best),
+        optimisation.best,
+        optimisation.history.len() - 1
     ));
+    if optimisation.optimiser.is_done() {
+        text.push_str(&format!("{} stopped: no wall near by is better\n", optimisation.optimiser.name()));
+    }
     let balanced = a.energy_imbalance.abs() < 0.02;
     text.push_str(&format!(
         "the heat balance {} ({:+.2} %)\n",
@@ -324,17 +414,18 @@ fn report<R: Sweeps>(
         "files in {}: summary.json, history.png, shapes.png, temperature.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView)",
         folder.display()
     ));
-    Ok(Outcome { text, summary: map, q: column(&|e| e.q) })
+    text
 }
 
-fn write_history(folder: &Path, state: &State) -> anyhow::Result<()> {
-    let rows: Vec<Vec<f64>> = state
+fn write_history(folder: &Path, figure: Figure, optimisation: &Optimisation) -> anyhow::Result<()> {
+    let rows: Vec<Vec<f64>> = optimisation
         .history
         .iter()
         .enumerate()
-        .map(|(k, e)| vec![k as f64, e.q, e.loss, e.gradient_norm, e.seconds])
+        .map(|(k, e)| vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds])
         .collect();
-    files::write_numbers(&folder.join("history.csv"), &["epoch", "q", "loss", "gradient_norm", "seconds"], &rows)
+    let name = figure.symbol.to_lowercase();
+    files::write_numbers(&folder.join("history.csv"), &["epoch", &name, "loss", "gradient_norm", "seconds"], &rows)
 }
 
 /// Keys that may change when a run is resumed: how far and how it is computed, not what.
@@ -349,100 +440,3 @@ const FREE: [&str; 9] = [
     "optimise.store",
     "optimise.horizon",
 ];
-
-fn write_checkpoint(path: &Path, state: &State, loaded: &Loaded) -> anyhow::Result<()> {
-    let (k, epochs) = (state.offsets.len(), state.history.len());
-    let mut tensors: Tensors = BTreeMap::new();
-    let mut put = |name: &str, shape: Vec<usize>, values: Vec<f64>| {
-        tensors.insert(name.into(), (shape, Data::F64(values)));
-    };
-    put("offsets", vec![k], state.offsets.clone());
-    put("offsets_best", vec![k], state.history[state.best].offsets.clone());
-    put("adam.first_moment", vec![k], state.adam.first.clone());
-    put("adam.second_moment", vec![k], state.adam.second.clone());
-    put("history.offsets", vec![epochs, k], state.history.iter().flat_map(|e| e.offsets.clone()).collect());
-    type Column = fn(&Epoch) -> f64;
-    let columns: [(&str, Column); 4] = [
-        ("history.q", |e| e.q),
-        ("history.loss", |e| e.loss),
-        ("history.gradient_norm", |e| e.gradient_norm),
-        ("history.seconds", |e| e.seconds),
-    ];
-    for (name, column) in columns {
-        put(name, vec![epochs], state.history.iter().map(column).collect());
-    }
-    let metadata = BTreeMap::from(
-        [
-            ("kind", KIND.to_string()),
-            ("epochs", epochs.to_string()),
-            ("best_epoch", state.best.to_string()),
-            ("adam.steps", state.adam.steps.to_string()),
-            // Random numbers are drawn while the scene is built, from named streams of the seed; none later.
-            ("rng.seed", loaded.config.run.seed.to_string()),
-            ("rng.position", "0".to_string()),
-            ("config", loaded.text.clone()),
-            ("version", files::VERSION.to_string()),
-        ]
-        .map(|(k, v)| (k.to_string(), v)),
-    );
-    Ok(write_tensors(path, &tensors, &metadata)?)
-}
-
-/// A checkpoint's numbers must be ones that a run could have written.
-fn check_state(path: &Path, config: &Config, nodes: &[f64], state: &State) -> Result<(), BadInput> {
-    let channel = &config.channel;
-    let shape = Shape::new(nodes.to_vec(), state.offsets.clone(), channel.hot_from, channel.hot_to);
-    shape
-        .and_then(|shape| shape.check_bound(config.design.bound))
-        .map_err(|bad| bad.place(path.display().to_string()))?;
-    let moments = [("adam.first_moment", &state.adam.first), ("adam.second_moment", &state.adam.second)];
-    for (name, values) in moments {
-        if let Some(k) = values.iter().position(|x| !x.is_finite()) {
-            return Err(
-                BadInput::new(format!("{}: {name}[{k}] = {}", path.display(), values[k])).allowed("finite numbers")
-            );
-        }
-    }
-    Ok(())
-}
-
-fn read_checkpoint(path: &Path, config: &Config, nodes: &[f64]) -> anyhow::Result<State> {
-    let variables = nodes.len();
-    let file = read_tensors(path, KIND)?;
-    let theirs = stored_config(path, &file)?;
-    if let Some(what) = difference(&theirs, config, &FREE) {
-        return Err(foreign(path, &what).into());
-    }
-    let epochs = number(path, &file, "epochs")?;
-    let best = number(path, &file, "best_epoch")?;
-    let bad = |e: crate::io::FileError| BadInput::new(e.to_string());
-    let vector = |name: &str, shape: &[usize]| -> Result<Vec<f64>, BadInput> {
-        Ok(file.f64(name, shape).map_err(bad)?.to_vec())
-    };
-    let offsets = vector("history.offsets", &[epochs, variables])?;
-    let (q, loss) = (vector("history.q", &[epochs])?, vector("history.loss", &[epochs])?);
-    let (norm, seconds) = (vector("history.gradient_norm", &[epochs])?, vector("history.seconds", &[epochs])?);
-    if best >= epochs.max(1) {
-        return Err(BadInput::new(format!("{}: best_epoch = {best} of {epochs} epochs", path.display()))
-            .allowed("a checkpoint written by this version")
-            .into());
-    }
-    let history = (0..epochs)
-        .map(|k| Epoch {
-            offsets: offsets[k * variables..(k + 1) * variables].to_vec(),
-            q: q[k],
-            loss: loss[k],
-            gradient_norm: norm[k],
-            seconds: seconds[k],
-        })
-        .collect();
-    let adam = Adam {
-        learning_rate: config.optimise.learning_rate,
-        first: vector("adam.first_moment", &[variables])?,
-        second: vector("adam.second_moment", &[variables])?,
-        steps: number(path, &file, "adam.steps")? as u64,
-    };
-    let state = State { offsets: vector("offsets", &[variables])?, adam, history, best };
-    check_state(path, config, nodes, &state)?;
-    Ok(state)
-}

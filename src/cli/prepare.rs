@@ -4,7 +4,7 @@ use crate::config::builtin::SCENES;
 pub use crate::config::difference::difference;
 use crate::config::scene::Config;
 use crate::design::shape::Shape;
-use crate::design::space::DesignSpace;
+use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::scene::Scene;
@@ -40,11 +40,11 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
 }
 
 /// Builds a scene with a design, and its start shape.
-pub fn build<R: Real>(config: &Config) -> Result<(DesignSpace<R>, Shape), Error> {
+pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     require_design(config)?;
     let design = Scene::from_config(config)?.design;
     let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
-    let shape = design.shape.clone();
+    let shape = design.first_wall();
     Ok((design, shape))
 }
 

@@ -119,8 +119,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         }
         if step % history_every == 0 || step == channel.steps {
             write_history(folder, &history)?;
-            let flows = channel.objective.numbers(&dynamics.look(solver)?)?;
-            let (q, flow) = (channel.spacing * flows.heat, channel.spacing * flows.volume);
+            let flows = channel.outlet.numbers(&dynamics.look(solver)?)?;
+            let (q, flow) = (channel.outlet.spacing * flows.heat, channel.outlet.spacing * flows.volume);
             history.push(vec![step as f64 * channel.model.dt, q, flow]);
             bar.set_position(step as u64);
             bar.message(format!("Q {q:.5}"));

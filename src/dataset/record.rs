@@ -98,7 +98,7 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
         kind: stage.kept.iter().map(|&i| kind_of(model.tags[i])).collect(),
         ..Default::default()
     };
-    if let Some(shape) = stage.scene.design.as_ref().map(|design| &design.shape) {
+    if let Some(shape) = stage.scene.design.as_ref().map(|design| design.first_wall()) {
         (trajectory.wall_x, trajectory.wall_offset) = (shape.nodes.clone(), shape.offsets.clone());
     }
     let mut temperatures = model.heat.as_ref().map(|heat| {

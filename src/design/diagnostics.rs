@@ -1,9 +1,8 @@
 //! What a run of the heated channel did, in numbers that one can check against each other.
 
-use super::space::DesignSpace;
-use crate::adjoint::gradient::value;
+use super::problem::Problem;
 use crate::adjoint::run::{run, Observer};
-use crate::adjoint::{Dynamics, Objective, RunError};
+use crate::adjoint::Dynamics;
 use crate::config::scene::Kernels;
 use crate::sph::dynamics::Sph;
 use crate::sph::laws::conduction;
@@ -46,7 +45,7 @@ pub struct Finished<R> {
 /// # Errors
 /// As for [`run`].
 pub fn simulate<R: Sweeps>(
-    design: &DesignSpace<R>,
+    design: &Problem<R>,
     kernels: Kernels,
     start: &Snapshot<R>,
     observers: &mut [&mut dyn Observer<Sph<R>>],
@@ -62,27 +61,9 @@ pub fn simulate<R: Sweeps>(
     Ok(Finished { diagnostics: measurement.diagnostics(), solver, seconds: clock.elapsed().as_secs_f64() })
 }
 
-/// Q of a design by the objective alone.
-///
-/// # Errors
-/// As for [`run`].
-pub fn evaluate<R: Sweeps>(design: &DesignSpace<R>, offsets: &[f64]) -> anyhow::Result<f64> {
-    let dynamics = Sph::new(design.model.clone(), Kernels::Fused);
-    let mut q = 0.0;
-    let mut add = |dynamics: &Sph<R>, solver: &mut Solver<R>| {
-        if let Some(weight) = design.objective.weight(solver.step) {
-            let fields = dynamics.look(solver)?;
-            q += weight * value(&design.objective, &fields).map_err(RunError::tensor(solver.step))?;
-        }
-        Ok(())
-    };
-    run(&dynamics, &design.start(offsets), design.steps, &mut [&mut add])?;
-    Ok(q)
-}
-
 /// Observer that measures a run in the objective's window.
 pub struct Measurement<'a, R> {
-    design: &'a DesignSpace<R>,
+    design: &'a Problem<R>,
     sums: Sums,
 }
 
@@ -114,22 +95,22 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
 }
 
 impl<'a, R: Sweeps> Measurement<'a, R> {
-    pub fn of(design: &'a DesignSpace<R>) -> Self {
+    pub fn of(design: &'a Problem<R>) -> Self {
         Self { design, sums: Sums::default() }
     }
 
     fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (design, sums) = (self.design, &mut self.sums);
-        let (model, objective) = (&design.model, &design.objective);
+        let (model, outlet) = (&design.model, &design.outlet);
         let (n, l) = (model.particles(), model.layout);
-        let flows = objective.numbers(&dynamics.look(solver)?)?;
-        let scale = design.spacing;
+        let flows = outlet.numbers(&dynamics.look(solver)?)?;
+        let scale = outlet.spacing;
         sums.count += 1.0;
         sums.q += scale * flows.heat;
         sums.flow += scale * flows.volume;
         sums.mass_flow += scale * flows.mass;
         let step = solver.step_now();
-        let target_x = objective.place();
+        let target_x = outlet.place();
         sums.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);

@@ -1,8 +1,23 @@
 //! From a wall shape to a number, its gradient, and a better shape.
-pub mod adam;
+//!
+//! ```text
+//!   variables --parametrisation--> heights of columns --deformation--> initial state --dynamics--> objective
+//!       ^                                                                                             |
+//!   optimiser <------- pull back <---------- pull back <-------------------- gradient ----------------+
+//! ```
+pub mod checkpoint;
+pub mod deformation;
 pub mod diagnostics;
+pub mod limits;
 pub mod objectives;
 pub mod optimise;
-pub mod parametrisation;
+pub mod optimisers;
+pub mod parametrisations;
+pub mod problem;
 pub mod shape;
-pub mod space;
+pub mod start_shape;
+
+pub use deformation::Deformation;
+pub use optimise::Optimisation;
+pub use parametrisations::Parametrisation;
+pub use problem::Problem;

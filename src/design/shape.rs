@@ -110,49 +110,18 @@ impl Shape {
     }
 
     /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the
-    /// average of y(x) over the column: pairs (node, weight), exact, so that the fluid area is the same at every
-    /// resolution. A column cut by an end of the hot section has weights that sum to its hot share.
+    /// average of y(x) over the column: pairs (node, weight), exact, see [`HotSection::weights`].
     pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {
-        let share = self.hot_share(dx, length);
-        (0..columns(dx, length))
-            .map(|column| {
-                let Some((from, to)) = self.hot_part(column, dx) else {
-                    return vec![];
-                };
-                let mut weights = self.integrals(from, to, dx);
-                // Column edges c dx are rounded, which costs 1e-14 of a narrow column: a uniform shape would
-                // come out slightly rough.
-                let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
-                weights.iter_mut().for_each(|(_, weight)| *weight *= share[column] / sum);
-                weights
-            })
-            .collect()
+        self.section(dx, length).weights(|from, to| self.integrals(from, to, dx))
     }
 
     /// The share (0 ... 1) of each column's width that lies in the hot section.
     pub fn hot_share(&self, dx: f64, length: f64) -> Vec<f64> {
-        (0..columns(dx, length))
-            .map(|column| match self.hot_part(column, dx) {
-                // Exactly 1, where (to - from) / dx would be off by rounding.
-                Some((from, to)) if from == column as f64 * dx && to == (column + 1) as f64 * dx => 1.0,
-                Some((from, to)) => (to - from) / dx,
-                None => 0.0,
-            })
-            .collect()
+        self.section(dx, length).share()
     }
 
-    /// The part of a column in the hot section.
-    fn hot_part(&self, column: usize, dx: f64) -> Option<(f64, f64)> {
-        let (left, right) = (column as f64 * dx, (column + 1) as f64 * dx);
-        let from = match self.hot_from - left > EDGE * dx {
-            true => self.hot_from,
-            false => left,
-        };
-        let to = match right - self.hot_to > EDGE * dx {
-            true => self.hot_to,
-            false => right,
-        };
-        (to - from > EDGE * dx).then_some((from, to))
+    fn section(&self, dx: f64, length: f64) -> HotSection {
+        HotSection { from: self.hot_from, to: self.hot_to, dx, length }
     }
 
     /// Integrals over `from ..= to` of the nodes' hat functions, divided by dx.
@@ -185,8 +154,69 @@ impl Shape {
     }
 }
 
-fn columns(dx: f64, length: f64) -> usize {
-    (length / dx).round() as usize
+/// The hot section `from < x < to` of a wall of some length, and the particle columns over it, each dx wide.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HotSection {
+    pub from: f64,
+    pub to: f64,
+    pub dx: f64,
+    pub length: f64,
+}
+
+impl HotSection {
+    /// Columns of the whole wall.
+    pub fn columns(&self) -> usize {
+        (self.length / self.dx).round() as usize
+    }
+
+    /// For each column, pairs (variable, weight) that give the average over the column of a wall that is linear in its
+    /// variables, zero outside the section, and one where all variables are. `integrals` gives the integrals over
+    /// `from ..= to` of what each variable adds to the wall, up to a factor: a column's weights sum to its hot share. So
+    /// the fluid area is the same at every resolution.
+    pub fn weights(&self, integrals: impl Fn(f64, f64) -> Vec<(usize, f64)>) -> Vec<Vec<(usize, f64)>> {
+        let share = self.share();
+        (0..self.columns())
+            .map(|column| {
+                let Some((from, to)) = self.part(column) else {
+                    return vec![];
+                };
+                let mut weights = integrals(from, to);
+                // Column edges c dx are rounded, which costs 1e-14 of a narrow column: a uniform shape would
+                // come out slightly rough.
+                let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
+                weights.iter_mut().for_each(|(_, weight)| *weight *= share[column] / sum);
+                weights
+            })
+            .collect()
+    }
+
+    /// The share (0 ... 1) of each column's width that lies in the section.
+    pub fn share(&self) -> Vec<f64> {
+        let dx = self.dx;
+        (0..self.columns())
+            .map(|column| match self.part(column) {
+                // Exactly 1, where (to - from) / dx would be off by rounding.
+                Some((from, to)) if from == column as f64 * dx && to == (column + 1) as f64 * dx => 1.0,
+                Some((from, to)) => (to - from) / dx,
+                None => 0.0,
+            })
+            .collect()
+    }
+
+    /// The part of a column in the section.
+    pub fn part(&self, column: usize) -> Option<(f64, f64)> {
+        let dx = self.dx;
+        let (left, right) = (column as f64 * dx, (column + 1) as f64 * dx);
+        let from = match self.from - left > EDGE * dx {
+            true => self.from,
+            false => left,
+        };
+        let to = match right - self.to > EDGE * dx {
+            true => self.to,
+            false => right,
+        };
+        (to - from > EDGE * dx).then_some((from, to))
+    }
 }
 
 /// One node per spacing in the hot section: hot_from + (k + 1/2) dx.

@@ -5,13 +5,10 @@
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
 use super::{Exact, Scene};
-use crate::config::scene::{
-    BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, ObjectiveForm, Start,
-};
-use crate::design::objectives::{HeatOutflow, Samples};
-use crate::design::parametrisation::Deformation;
+use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start};
+use crate::design::objectives::{self, Figure, Outlet, Samples};
 use crate::design::shape::Shape;
-use crate::design::space::DesignSpace;
+use crate::design::{parametrisations, Deformation, Problem};
 use crate::error::Error;
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
@@ -52,13 +49,24 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
     if l.mass {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
-    let deformation = deformation(config, &shape, &parts.lattice, &model, base);
-    let objective = objective(config, &model);
-    let (model, window) = (Arc::new(model), window(config));
-    let (steps, spacing) = (parts.numerics.steps, parts.lattice.spacing);
-    let deformation = Arc::new(deformation);
-    let design = DesignSpace { model: model.clone(), deformation, objective, steps, window, spacing, shape };
-    let start = design.start(&design.shape.offsets);
+    let deformation = Arc::new(deformation(config, &parts.lattice, &model, base));
+    let (parametrisation, first) = parametrisations::of_config(config, &shape)?;
+    let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
+    let samples = Samples::window(steps, window, config.objective.samples);
+    let design = Problem {
+        model: Arc::new(model),
+        kernels: config.run.kernels,
+        deformation,
+        parametrisation,
+        objective: objectives::of_config(config, outlet.clone(), samples),
+        figure: Figure::of_config(config),
+        smoothing: config.optimise.smoothing,
+        steps,
+        first,
+        outlet,
+        window,
+    };
+    let (model, start) = (design.model.clone(), design.start(&design.first));
     Ok(Scene { design: Some(design), ..parts.scene(model, start) })
 }
 
@@ -110,14 +118,8 @@ fn heat<R: Real>(config: &Config, hot: &[f64]) -> Heat<R> {
     }
 }
 
-/// How the offsets of `shape`'s nodes move the particles of `base`: see [`Deformation`].
-fn deformation<R: Real>(
-    config: &Config,
-    shape: &Shape,
-    lattice: &Lattice,
-    model: &Model<R>,
-    base: Vec<f64>,
-) -> Deformation {
+/// How the heights of columns move the particles of `base`: see [`Deformation`].
+fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, base: Vec<f64>) -> Deformation {
     let (n, l, height) = (model.particles(), model.layout, config.channel.height);
     let by_height = |i: usize| match model.is_fluid(i) {
         true => 1.0 - base[n + i] / height,
@@ -125,12 +127,11 @@ fn deformation<R: Real>(
     };
     let by_mass = |i: usize| if model.is_fluid(i) { -model.mass / height } else { 0.0 };
     Deformation {
-        variables: shape.nodes.len(),
+        columns: config.columns(),
         particles: n,
         column: (0..n).map(|i| lattice.rows(i)[0] as u32).collect(),
         by_height: (0..n).map(by_height).collect(),
         by_mass: l.mass.then(|| (l.state_mass(), (0..n).map(by_mass).collect())),
-        weights: shape.column_weights(config.resolution.dx, config.channel.length),
         base,
     }
 }
@@ -140,24 +141,14 @@ fn window(config: &Config) -> usize {
     ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
 }
 
-fn objective<R>(config: &Config, model: &Model<R>) -> HeatOutflow {
+/// A column of targets across the flow.
+fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
     let dx = config.resolution.dx;
     // Fluxes: more targets beyond each wall, so that every particle counts with its whole kernel.
     let beyond = if config.objective.interpolation == Mode::Flux { config.least_wall_rows().max(3) } else { 0 };
     let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
     let targets = (0..config.rows() + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
-    HeatOutflow {
-        interpolation: Interpolation {
-            kernel: model.kernel,
-            domain: model.domain,
-            targets: Arc::new(targets),
-            kernels: config.run.kernels,
-        },
-        scale: match config.objective.form {
-            ObjectiveForm::Flux => dx,
-            ObjectiveForm::Sum => 1.0,
-        },
-        mode: config.objective.interpolation,
-        samples: Samples::window(config.steps(), window(config), config.objective.samples),
-    }
+    let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
+    let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
+    Outlet { interpolation, mode: config.objective.interpolation, spacing: dx }
 }

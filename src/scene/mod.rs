@@ -11,13 +11,12 @@ pub mod lid_driven_cavity;
 pub mod load;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
-pub mod start_shape;
 pub mod taylor_green;
 
 pub use exact::Exact;
 
 use crate::config::scene::{Config, Family};
-use crate::design::space::DesignSpace;
+use crate::design::Problem;
 use crate::error::Error;
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
@@ -41,7 +40,7 @@ pub struct Scene<R> {
     pub reference_velocity: f64,
     pub exact: Exact,
     /// What only a scene with a design has.
-    pub design: Option<DesignSpace<R>>,
+    pub design: Option<Problem<R>>,
 }
 
 impl<R: Real> Scene<R> {

@@ -11,7 +11,6 @@ use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::{Dynamics, Objective, RunError};
 use crate::cli::prepare::build;
 use crate::config::scene::Precision;
-use crate::design::objectives::HeatOutflow;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
 use crate::numerics::lanes::InstructionSet;
@@ -58,7 +57,7 @@ struct Ready<R> {
     dynamics: Sph<R>,
     start: Snapshot<R>,
     /// Of a channel: tied to the scene's steps.
-    outflow: Option<HeatOutflow>,
+    outflow: Option<Arc<dyn Objective + Send>>,
 }
 
 impl<R: Sweeps> Ready<R> {
@@ -66,8 +65,8 @@ impl<R: Sweeps> Ready<R> {
         let (model, start, outflow) = match source {
             Source::Channel(scene) => {
                 let config = scene.load()?.config;
-                let (channel, shape) = build::<R>(&config)?;
-                (channel.model.clone(), channel.start(&shape.offsets), Some(channel.objective))
+                let (channel, _) = build::<R>(&config)?;
+                (channel.model.clone(), channel.start(&channel.first), Some(channel.objective))
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);
@@ -78,8 +77,8 @@ impl<R: Sweeps> Ready<R> {
                     Some(size) => taylor_green(size),
                     None => {
                         let config = scene.load()?.config;
-                        let (channel, shape) = build::<R>(&config)?;
-                        let state = channel.start(&shape.offsets).state;
+                        let (channel, _) = build::<R>(&config)?;
+                        let state = channel.start(&channel.first).state;
                         (needs::owned(channel.model), state)
                     }
                 };
@@ -104,10 +103,10 @@ impl<R: Sweeps> Ready<R> {
     }
 
     /// What is differentiated: the channel's own objective, or the squared velocity after so many steps.
-    fn goal(&self, steps: usize) -> Box<dyn Objective> {
+    fn goal(&self, steps: usize) -> Arc<dyn Objective + Send> {
         match &self.outflow {
-            Some(outflow) => Box::new(outflow.clone()),
-            None => Box::new(SquaredVelocity { steps }),
+            Some(outflow) => outflow.clone(),
+            None => Arc::new(SquaredVelocity { steps }),
         }
     }
 

@@ -1,9 +1,68 @@
-//! What a design is judged by. Objectives see fields, and know no solver.
+//! What a design is judged by: the larger the better. Objectives see fields, and know no solver.
+//!
+//! Another one is a file here that implements [`Objective`], and a line in [`of_config`] and in
+//! [`Figure::of_config`].
+
 pub mod heat_outflow;
+pub mod outlet;
+pub mod outlet_temperature;
 
 pub use heat_outflow::HeatOutflow;
+pub use outlet::Outlet;
+pub use outlet_temperature::OutletTemperature;
 
+use crate::adjoint::Objective;
+use crate::config::scene::{Config, ObjectiveForm, ObjectiveKind};
 use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The objective of a configuration.
+pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn Objective + Send> {
+    match config.objective.kind {
+        ObjectiveKind::HeatOutflow => {
+            let scale = match config.objective.form {
+                ObjectiveForm::Flux => outlet.spacing,
+                ObjectiveForm::Sum => 1.0,
+            };
+            Arc::new(HeatOutflow { outlet, scale, samples })
+        }
+        ObjectiveKind::OutletTemperature => Arc::new(OutletTemperature { outlet, samples }),
+    }
+}
+
+/// How an objective's values are reported.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figure {
+    pub symbol: &'static str,
+    pub quantity: &'static str,
+    pub unit: &'static str,
+    /// Reported figure over value.
+    pub factor: f64,
+}
+
+impl Figure {
+    /// That of a configuration's objective.
+    pub fn of_config(config: &Config) -> Self {
+        match config.objective.kind {
+            ObjectiveKind::HeatOutflow => Self {
+                symbol: "Q",
+                quantity: "outflowing heat",
+                unit: "rho u T length",
+                // In flux form, whatever the loss counts.
+                factor: match config.objective.form {
+                    ObjectiveForm::Flux => 1.0,
+                    ObjectiveForm::Sum => config.resolution.dx,
+                },
+            },
+            ObjectiveKind::OutletTemperature => Self {
+                symbol: "T",
+                quantity: "mixed outlet temperature above the inlet's",
+                unit: "scene units",
+                factor: 1.0,
+            },
+        }
+    }
+}
 
 /// Which states of a run an objective looks at: the weight of the state after each of these steps.
 #[derive(Debug, Clone, Default, PartialEq)]

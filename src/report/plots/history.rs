@@ -26,6 +26,7 @@ pub struct HistoryPoint {
 pub fn history(
     path_stem: &Path,
     epochs: &[HistoryPoint],
+    (symbol, label): (&str, &str),
     q_reference: Option<(&str, f64)>,
 ) -> Result<[PathBuf; 2], FileError> {
     if epochs.is_empty() {
@@ -49,8 +50,8 @@ pub fn history(
     let on_gradient = Frame { y: gradient_axis.clone(), ..lower.clone() };
     let mut drawing = Drawing::new(left + width + gradient_axis.margin(), 735.0);
 
-    upper.draw(&mut drawing, "", "heat outflow Q (scene units)", INK);
-    let mut entries = vec![Entry { text: "Q".to_owned(), color: colors::series(0), sample: Sample::Marked(0) }];
+    upper.draw(&mut drawing, "", label, INK);
+    let mut entries = vec![Entry { text: symbol.to_owned(), color: colors::series(0), sample: Sample::Marked(0) }];
     if let Some((name, value)) = q_reference.filter(|(_, value)| value.is_finite()) {
         let y = upper.map((0.0, value)).1;
         drawing.dashed(&[(left, y), (left + width, y)], colors::series(1), 1.8, (7.0, 4.5));

@@ -1,17 +1,19 @@
-//! From offsets to the initial state: positions of wall and fluid particles and their masses.
+//! From the heights of a wall over the particle columns to the initial state: positions of wall and fluid particles and
+//! their masses.
 //!
-//! A column whose wall is raised by s (the average of the wall shape over the column) keeps its number of particles:
-//! wall particles move by s, fluid is remapped to y + s (1 - y/H), so the column's height becomes H - s. With the mass
-//! convention `column-area` a particle's mass is scaled with the column's area, m (1 - s/H), and the density stays what
-//! it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is linear in the offsets.
+//! A column whose wall is raised by s (the average of the wall's height over the column, see [`super::parametrisations`])
+//! keeps its number of particles: wall particles move by s, fluid is remapped to y + s (1 - y/H), so the column's height
+//! becomes H - s. With the mass convention `column-area` a particle's mass is scaled with the column's area, m (1 - s/H),
+//! and the density stays what it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is
+//! linear in the heights.
 
 use crate::numerics::lanes::Real;
 
-/// The map offsets `[K]` -> state `[F, N]`.
+/// The map heights of columns `[C]` -> state `[F, N]`.
 #[derive(Debug, Clone)]
 pub struct Deformation {
-    /// Number of design variables K.
-    pub variables: usize,
+    /// Columns C.
+    pub columns: usize,
     /// State of the undeformed channel, `[F, N]`.
     pub base: Vec<f64>,
     /// Particles N.
@@ -22,20 +24,12 @@ pub struct Deformation {
     pub by_height: Vec<f64>,
     /// dm/ds of each particle and the state's mass row, if mass is scaled.
     pub by_mass: Option<(usize, Vec<f64>)>,
-    /// s of each column as pairs (variable, weight).
-    pub weights: Vec<Vec<(usize, f64)>>,
 }
 
 impl Deformation {
-    /// Average wall height over each column.
-    pub fn column_heights(&self, offsets: &[f64]) -> Vec<f64> {
-        self.weights.iter().map(|w| w.iter().map(|(k, w)| w * offsets[*k]).sum()).collect()
-    }
-
-    /// The initial state of these offsets.
-    pub fn state<R: Real>(&self, offsets: &[f64]) -> Vec<R> {
+    /// The initial state with these heights of the columns.
+    pub fn state<R: Real>(&self, heights: &[f64]) -> Vec<R> {
         let n = self.particles;
-        let heights = self.column_heights(offsets);
         let mut state = self.base.clone();
         for i in 0..n {
             let s = heights[self.column[i] as usize];
@@ -47,10 +41,10 @@ impl Deformation {
         state.into_iter().map(R::of).collect()
     }
 
-    /// The derivative by the offsets from the cotangent of the state, summed in f64 in particle order.
-    pub fn adjoint<R: Real>(&self, state_bar: &[R]) -> Vec<f64> {
+    /// The derivative by the heights, `[C]`, from the cotangent of the state, summed in f64 in particle order.
+    pub fn pull_back<R: Real>(&self, state_bar: &[R]) -> Vec<f64> {
         let n = self.particles;
-        let mut heights_bar = vec![0.0; self.weights.len()];
+        let mut heights_bar = vec![0.0; self.columns];
         for i in 0..n {
             let mut bar = self.by_height[i] * state_bar[n + i].f64();
             if let Some((row, by_mass)) = &self.by_mass {
@@ -58,13 +52,7 @@ impl Deformation {
             }
             heights_bar[self.column[i] as usize] += bar;
         }
-        let mut gradient = vec![0.0; self.variables];
-        for (weights, bar) in self.weights.iter().zip(heights_bar) {
-            for (k, w) in weights {
-                gradient[*k] += w * bar;
-            }
-        }
-        gradient
+        heights_bar
     }
 
     /// Sets the cotangent of everything to zero that a state in the middle of a run does not take from the design

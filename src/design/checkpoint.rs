@@ -1,0 +1,82 @@
+//! The checkpoint of an optimisation: one safetensors file, from which it goes on to the bit.
+//!
+//! ```text
+//!   offsets [K]                 the design that the next epoch evaluates
+//!   offsets_best [K]            the best one
+//!   history.offsets [E, K]      of each epoch: variables,
+//!   history.q, .loss, .gradient_norm, .seconds [E]      objective, loss, norm of its gradient, time
+//!   adam.*                      what the optimiser adds, see [`Optimiser::save`]
+//! ```
+//!
+//! and in the metadata the kind of file, `epochs`, `best_epoch`, the configuration, and the program's version.
+
+use super::optimise::{Epoch, Optimisation};
+use super::optimisers::{count, unreadable, Optimiser, Record};
+use super::parametrisations::Parametrisation;
+use crate::error::BadInput;
+use crate::io::tensor_file::{write_tensors, TensorFile};
+use crate::io::FileError;
+use std::path::Path;
+
+/// What the metadata call it.
+pub const KIND: &str = "hydrograd optimisation";
+
+/// Writes a checkpoint of at least one epoch, with `notes` (the configuration, the version, ...) in its metadata.
+///
+/// # Errors
+/// System errors.
+pub fn write(path: &Path, optimisation: &Optimisation, notes: &[(&str, String)]) -> Result<(), FileError> {
+    let (history, x) = (&optimisation.history, optimisation.optimiser.ask());
+    let (k, epochs) = (x.len(), history.len());
+    let mut record = Record::default();
+    record.put("offsets", &[k], x.to_vec());
+    record.put("offsets_best", &[k], history[optimisation.best].variables.clone());
+    let variables = history.iter().flat_map(|epoch| epoch.variables.iter().copied()).collect();
+    record.put("history.offsets", &[epochs, k], variables);
+    record.put("history.q", &[epochs], optimisation.column(|e| e.figure));
+    record.put("history.loss", &[epochs], optimisation.column(|e| e.loss));
+    record.put("history.gradient_norm", &[epochs], optimisation.column(|e| e.gradient_norm));
+    record.put("history.seconds", &[epochs], optimisation.column(|e| e.seconds));
+    record.note("kind", KIND);
+    record.note("epochs", epochs);
+    record.note("best_epoch", optimisation.best);
+    notes.iter().for_each(|(key, text)| record.note(key, text));
+    optimisation.optimiser.save(&mut record);
+    write_tensors(path, &record.tensors, &record.metadata)
+}
+
+/// The optimisation of a checkpoint. `begin` makes the optimiser at a point.
+///
+/// # Errors
+/// Numbers that no run could have written.
+pub fn restore(
+    file: &TensorFile,
+    parametrisation: &dyn Parametrisation,
+    begin: impl FnOnce(&[f64]) -> Box<dyn Optimiser>,
+) -> Result<Optimisation, BadInput> {
+    let k = parametrisation.variables();
+    let epochs = count(file, "epochs")?;
+    let best = count(file, "best_epoch")?;
+    if best >= epochs.max(1) {
+        let problem = format!("{}: best_epoch = {best} of {epochs} epochs", file.path.display());
+        return Err(BadInput::new(problem).allowed("a checkpoint written by this version"));
+    }
+    let column = |name: &str| file.f64(name, &[epochs]).map_err(unreadable);
+    let variables = file.f64("history.offsets", &[epochs, k]).map_err(unreadable)?;
+    let (q, loss) = (column("history.q")?, column("history.loss")?);
+    let (norm, seconds) = (column("history.gradient_norm")?, column("history.seconds")?);
+    let history = (0..epochs)
+        .map(|e| Epoch {
+            variables: variables[e * k..(e + 1) * k].to_vec(),
+            figure: q[e],
+            loss: loss[e],
+            gradient_norm: norm[e],
+            seconds: seconds[e],
+        })
+        .collect();
+    let x = file.f64("offsets", &[k]).map_err(unreadable)?;
+    parametrisation.check(x).map_err(|bad| bad.place(file.path.display().to_string()))?;
+    let mut optimiser = begin(x);
+    optimiser.restore(file)?;
+    Ok(Optimisation { optimiser, history, best })
+}

@@ -1,0 +1,202 @@
+//! Where design variables may be: bounds for each, and a limit on the steepness between neighbours.
+
+use crate::error::BadInput;
+
+/// The convex set `lower <= x <= upper`, `|x_{k+1} - x_k| <= slope (p_{k+1} - p_k)` with positions p.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Limits {
+    pub lower: Vec<f64>,
+    pub upper: Vec<f64>,
+    steepness: Option<Steepness>,
+}
+
+/// How much neighbours may differ.
+#[derive(Debug, Clone, PartialEq)]
+struct Steepness {
+    positions: Vec<f64>,
+    slope: f64,
+}
+
+/// Most sweeps over the sets of Dykstra's algorithm; it converges linearly, usually within ten.
+const SWEEPS: usize = 10_000;
+
+impl Limits {
+    /// Bounds alone.
+    pub fn within(lower: Vec<f64>, upper: Vec<f64>) -> Self {
+        Self { lower, upper, steepness: None }
+    }
+
+    /// `|x_k| <= bound`, and neighbours, at increasing `positions`, no steeper than `slope`.
+    pub fn symmetric(bound: f64, positions: &[f64], slope: f64) -> Self {
+        let steepness = Some(Steepness { positions: positions.to_vec(), slope });
+        Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steepness }
+    }
+
+    /// Most that the variables k and k + 1 may differ by, if that is limited. A little inside, so that a wall passes its
+    /// own check after rounding.
+    fn most(&self, k: usize) -> Option<f64> {
+        let steepness = self.steepness.as_ref()?;
+        let (from, to) = (steepness.positions[k], steepness.positions[k + 1]);
+        Some(steepness.slope * (to - from).abs() * (1.0 - 1e-12))
+    }
+
+    /// Cuts `x` to its bounds.
+    pub fn clamp(&self, x: &mut [f64]) {
+        for (x, (lower, upper)) in x.iter_mut().zip(self.lower.iter().zip(&self.upper)) {
+            *x = x.clamp(*lower, *upper);
+        }
+    }
+
+    /// Takes `x` into the set, to the bit: bounds first, then steepness, sweeping from the middle outwards. What is in
+    /// the set stays as it is. Quick, but not the nearest point: see [`Self::nearest`].
+    pub fn project(&self, x: &mut [f64]) {
+        self.clamp(x);
+        let middle = x.len() / 2;
+        for k in middle + 1..x.len() {
+            if let Some(most) = self.most(k - 1) {
+                x[k] = x[k].clamp(x[k - 1] - most, x[k - 1] + most);
+            }
+        }
+        for k in (0..middle).rev() {
+            if let Some(most) = self.most(k) {
+                x[k] = x[k].clamp(x[k + 1] - most, x[k + 1] + most);
+            }
+        }
+    }
+
+    /// Whether `x` is in the set.
+    pub fn contains(&self, x: &[f64]) -> bool {
+        let mut projected = x.to_vec();
+        self.project(&mut projected);
+        projected == x
+    }
+
+    /// Takes `x` to the nearest point of the set (Euclidean norm), by Dykstra's algorithm over three simple sets: the
+    /// bounds, the pairs (0, 1), (2, 3), ... and the pairs (1, 2), (3, 4), ... (Boyle and Dykstra 1986).
+    pub fn nearest(&self, x: &mut [f64]) {
+        if self.steepness.is_none() {
+            return self.clamp(x);
+        }
+        if self.contains(x) {
+            return;
+        }
+        let scale = self.upper.iter().zip(&self.lower).map(|(u, l)| u - l).fold(0.0, f64::max);
+        let mut corrections = [vec![0.0; x.len()], vec![0.0; x.len()], vec![0.0; x.len()]];
+        for _ in 0..SWEEPS {
+            let mut moved: f64 = 0.0;
+            for (set, correction) in corrections.iter_mut().enumerate() {
+                let asked: Vec<f64> = x.iter().zip(correction.iter()).map(|(x, c)| x + c).collect();
+                let mut found = asked.clone();
+                match set {
+                    0 => self.clamp(&mut found),
+                    _ => self.level_pairs(set - 1, &mut found),
+                }
+                for k in 0..x.len() {
+                    moved = moved.max((asked[k] - found[k] - correction[k]).abs());
+                    correction[k] = asked[k] - found[k];
+                    x[k] = found[k];
+                }
+            }
+            if moved <= 1e-13 * scale {
+                break;
+            }
+        }
+        self.project(x);
+    }
+
+    /// The nearest point whose pairs (first, first + 1), (first + 2, first + 3), ... are no steeper than allowed.
+    fn level_pairs(&self, first: usize, x: &mut [f64]) {
+        for k in (first..x.len().saturating_sub(1)).step_by(2) {
+            let difference = x[k + 1] - x[k];
+            if let Some(most) = self.most(k).filter(|most| difference.abs() > *most) {
+                let excess = 0.5 * (difference - most.copysign(difference));
+                x[k] += excess;
+                x[k + 1] -= excess;
+            }
+        }
+    }
+
+    /// An error that names the first of `values` that is no number or out of bounds, or the first pair that is too steep.
+    /// `what` is what the values are called.
+    ///
+    /// # Errors
+    /// As said.
+    pub fn check(&self, what: &str, values: &[f64]) -> Result<(), BadInput> {
+        for (k, (&x, (&lower, &upper))) in values.iter().zip(self.lower.iter().zip(&self.upper)).enumerate() {
+            if !x.is_finite() {
+                let problem = format!("{what}[{k}] = {x} is not a number to compute with");
+                return Err(BadInput::new(problem).allowed("finite numbers"));
+            }
+            let slack = 1e-12 * lower.abs().max(upper.abs());
+            if x < lower - slack || x > upper + slack {
+                let problem = format!("{what}[{k}] = {x} is out of bounds");
+                return Err(BadInput::new(problem).allowed(format!("{lower} ... {upper} (design.bound)")));
+            }
+        }
+        for k in 1..values.len() {
+            let step = (values[k] - values[k - 1]).abs();
+            if let Some(most) = self.most(k - 1).filter(|most| step > most * (1.0 + 2e-9)) {
+                let problem = format!("{what} is too steep between [{}] and [{k}]", k - 1);
+                return Err(BadInput::new(problem).allowed(format!("a step of at most {most:.6}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numerics::random::{stream, uniform};
+
+    #[test]
+    fn projection_limits_slopes() {
+        let limits = Limits::symmetric(0.04, &[0.0, 0.01, 0.02, 0.03], 2.0);
+        let mut x = [0.05, -0.05, 0.05, 0.0];
+        limits.project(&mut x);
+        for k in 1..4 {
+            assert!((x[k] - x[k - 1]).abs() <= 0.02, "{x:?}");
+        }
+        assert_eq!(x[2], 0.04);
+        assert!(limits.contains(&x) && !limits.contains(&[0.0, 0.03, 0.0, 0.0]));
+    }
+
+    /// The nearest point p of a convex set is the one with (x - p).(z - p) <= 0 for every z of the set.
+    #[test]
+    fn the_nearest_point_is_nearest() {
+        let mut random = stream(3, "limits");
+        let mut number = |width: f64| width * (2.0 * uniform(&mut random) - 1.0);
+        let positions: Vec<f64> = (0..9).map(|k| 0.1 * k as f64).collect();
+        let limits = Limits::symmetric(0.5, &positions, 2.0);
+        for _ in 0..40 {
+            let x: Vec<f64> = (0..9).map(|_| number(1.0)).collect();
+            let mut nearest = x.clone();
+            limits.nearest(&mut nearest);
+            assert!(limits.contains(&nearest));
+            limits.check("x", &nearest).unwrap();
+            for _ in 0..200 {
+                let mut other: Vec<f64> = (0..9).map(|_| number(1.0)).collect();
+                limits.project(&mut other);
+                let product: f64 = (0..9).map(|k| (x[k] - nearest[k]) * (other[k] - nearest[k])).sum();
+                assert!(product < 1e-10, "{product:e}");
+            }
+            let mut again = nearest.clone();
+            limits.nearest(&mut again);
+            assert_eq!(again, nearest);
+        }
+    }
+
+    #[test]
+    fn what_is_out_of_the_limits_is_named() {
+        let limits = Limits::symmetric(0.02, &[0.0, 0.005, 0.01], 2.0);
+        for (values, expected) in [
+            ([0.0, f64::NAN, 0.0], "offsets[1] = NaN is not a number"),
+            ([0.0, 0.0, 0.03], "offsets[2] = 0.03 is out of bounds"),
+            ([0.0, 0.0, 0.012], "too steep between [1] and [2]"),
+        ] {
+            let error = limits.check("offsets", &values).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        limits.check("offsets", &[0.0, 0.01, 0.02]).unwrap();
+    }
+}

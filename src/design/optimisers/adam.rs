@@ -1,0 +1,105 @@
+//! Adam (Kingma and Ba 2015, algorithm 1) with moments that can be stored, and limits by projection.
+//!
+//! m <- b1 m + (1-b1) g, v <- b2 v + (1-b2) g^2, x <- x - lr m^ / (sqrt(v^) + eps), m^ = m/(1-b1^t), v^ = v/(1-b2^t).
+//! A step moves each variable by about `learning_rate`, whatever the gradient's scale: for wall offsets, 2e-2 is one
+//! spacing per step at dx = 0.02.
+
+use super::{count, numbers, Optimiser, Record};
+use crate::design::limits::Limits;
+use crate::error::BadInput;
+use crate::io::tensor_file::TensorFile;
+
+/// Adam: each evaluation is a step, taken whatever the value is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adam {
+    pub learning_rate: f64,
+    x: Vec<f64>,
+    first: Vec<f64>,
+    second: Vec<f64>,
+    steps: u64,
+}
+
+const FIRST_DECAY: f64 = 0.9;
+const SECOND_DECAY: f64 = 0.999;
+/// Smaller than any gradient that matters here (1e-4), larger than 0.
+const EPSILON: f64 = 1e-12;
+
+impl Adam {
+    pub fn new(learning_rate: f64, x: &[f64]) -> Self {
+        Self { learning_rate, x: x.to_vec(), first: vec![0.0; x.len()], second: vec![0.0; x.len()], steps: 0 }
+    }
+
+    /// One step against the gradient.
+    fn step(&mut self, gradient: &[f64]) {
+        self.steps += 1;
+        let first_share = 1.0 - FIRST_DECAY.powi(self.steps as i32);
+        let second_share = 1.0 - SECOND_DECAY.powi(self.steps as i32);
+        for k in 0..self.x.len() {
+            let g = gradient[k];
+            self.first[k] = FIRST_DECAY * self.first[k] + (1.0 - FIRST_DECAY) * g;
+            self.second[k] = SECOND_DECAY * self.second[k] + (1.0 - SECOND_DECAY) * g * g;
+            let (m, v) = (self.first[k] / first_share, self.second[k] / second_share);
+            self.x[k] -= self.learning_rate * m / (v.sqrt() + EPSILON);
+        }
+    }
+}
+
+impl Optimiser for Adam {
+    fn name(&self) -> &str {
+        "adam"
+    }
+
+    fn ask(&self) -> &[f64] {
+        &self.x
+    }
+
+    fn tell(&mut self, limits: &Limits, _: f64, gradient: &[f64]) {
+        self.step(gradient);
+        limits.project(&mut self.x);
+    }
+
+    fn save(&self, record: &mut Record) {
+        let k = self.x.len();
+        record.put("adam.first_moment", &[k], self.first.clone());
+        record.put("adam.second_moment", &[k], self.second.clone());
+        record.note("adam.steps", self.steps);
+    }
+
+    fn restore(&mut self, file: &TensorFile) -> Result<(), BadInput> {
+        let k = self.x.len();
+        self.first = numbers(file, "adam.first_moment", &[k])?;
+        self.second = numbers(file, "adam.second_moment", &[k])?;
+        self.steps = count(file, "adam.steps")? as u64;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_steps_by_hand() {
+        // The first step is lr * sign(g); the second, with g = (1, -1) then (1, 3), follows from the formulas.
+        let mut adam = Adam::new(0.1, &[0.0, 0.0]);
+        adam.step(&[1.0, -1.0]);
+        assert!((adam.x[0] + 0.1).abs() < 1e-9 && (adam.x[1] - 0.1).abs() < 1e-9);
+        adam.step(&[1.0, 3.0]);
+        let (m, v) = ((0.9 * -0.1 + 0.1 * 3.0) / 0.19, (0.999 * 0.001 + 0.001 * 9.0) / (1.0 - 0.999f64.powi(2)));
+        assert!((adam.x[0] + 0.2).abs() < 1e-9);
+        assert!((adam.x[1] - (0.1 - 0.1 * m / v.sqrt())).abs() < 1e-9);
+    }
+
+    #[test]
+    fn finds_the_minimum_of_a_quadratic_within_bounds() {
+        let target = [0.3, -5.0, 0.02];
+        let limits = Limits::symmetric(1.0, &[0.0, 100.0, 200.0], 2.0);
+        let mut adam = Adam::new(0.02, &[0.0; 3]);
+        for _ in 0..400 {
+            let gradient: Vec<f64> = adam.ask().iter().zip(target).map(|(x, t)| 2.0 * (x - t)).collect();
+            adam.tell(&limits, f64::NAN, &gradient);
+        }
+        let x = adam.ask();
+        assert!((x[0] - 0.3).abs() < 1e-2 && x[1] == -1.0 && (x[2] - 0.02).abs() < 1e-2, "{x:?}");
+    }
+}

@@ -1,0 +1,121 @@
+//! From gradients to better variables.
+//!
+//! An optimiser is asked for the point to evaluate next and told what was found there: [`Optimiser::ask`],
+//! [`Optimiser::tell`]. So each evaluation is an epoch that can be recorded, a line search too can be interrupted between
+//! any two of them, and whoever evaluates owns the loop ([`super::optimise`]).
+//!
+//! ```
+//! use hydrograd::design::limits::Limits;
+//! use hydrograd::design::optimisers::{LBfgsB, Optimiser};
+//!
+//! // (x - 3)^2 over -1 <= x <= 2.
+//! let limits = Limits::within(vec![-1.0], vec![2.0]);
+//! let mut optimiser = LBfgsB::new(0.1, &[0.0]);
+//! while !optimiser.is_done() {
+//!     let x = optimiser.ask()[0];
+//!     optimiser.tell(&limits, (x - 3.0) * (x - 3.0), &[2.0 * (x - 3.0)]);
+//! }
+//! assert_eq!(optimiser.ask(), [2.0]);
+//! ```
+//!
+//! Another one is a file here that implements [`Optimiser`] and a line in [`of_config`].
+
+pub mod adam;
+pub mod l_bfgs_b;
+
+pub use adam::Adam;
+pub use l_bfgs_b::LBfgsB;
+
+use super::limits::Limits;
+use crate::config::scene::{Optimise, OptimiserName};
+use crate::error::BadInput;
+use crate::io::tensor_file::{Data, TensorFile, Tensors};
+use crate::io::FileError;
+use std::collections::BTreeMap;
+
+/// The optimiser of a configuration, to begin at `x`.
+pub fn of_config(wanted: &Optimise, x: &[f64]) -> Box<dyn Optimiser> {
+    match wanted.method {
+        OptimiserName::Adam => Box::new(Adam::new(wanted.learning_rate, x)),
+        OptimiserName::LBfgsB => Box::new(LBfgsB::new(wanted.learning_rate, x)),
+    }
+}
+
+/// Minimises a function of `[K]` variables within limits.
+pub trait Optimiser: std::fmt::Debug + Send {
+    /// What it is called in tables and files.
+    fn name(&self) -> &str;
+
+    /// The point to evaluate next, `[K]`, within the limits.
+    fn ask(&self) -> &[f64];
+
+    /// Takes the function's value and gradient at the point that was asked for, and chooses the next one. A value that is
+    /// not finite means that the function has none there.
+    fn tell(&mut self, limits: &Limits, value: f64, gradient: &[f64]);
+
+    /// Whether there is nothing left to evaluate: the last point can not be improved, as far as rounding can tell.
+    fn is_done(&self) -> bool {
+        false
+    }
+
+    /// Adds everything to `record` that the next [`Self::ask`]s depend on, but for the point of the next one.
+    fn save(&self, record: &mut Record);
+
+    /// Takes over what [`Self::save`] wrote, for an optimiser of the same settings made at the point to ask for next:
+    /// it goes on to the bit.
+    ///
+    /// # Errors
+    /// Something that is missing, of another size, or not finite.
+    fn restore(&mut self, file: &TensorFile) -> Result<(), BadInput>;
+}
+
+/// What a checkpoint holds: tensors and text by name.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Record {
+    pub tensors: Tensors,
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Record {
+    /// Adds numbers of a shape.
+    pub fn put(&mut self, name: &str, shape: &[usize], values: Vec<f64>) {
+        self.tensors.insert(name.into(), (shape.to_vec(), Data::F64(values)));
+    }
+
+    /// Adds text.
+    pub fn note(&mut self, key: &str, text: impl std::fmt::Display) {
+        self.metadata.insert(key.into(), text.to_string());
+    }
+}
+
+/// Finite numbers of a checkpoint.
+///
+/// # Errors
+/// A tensor that is missing or of another shape, and the first number that is not finite.
+pub fn numbers(file: &TensorFile, name: &str, shape: &[usize]) -> Result<Vec<f64>, BadInput> {
+    let values = file.f64(name, shape).map_err(unreadable)?;
+    match values.iter().position(|x| !x.is_finite()) {
+        None => Ok(values.to_vec()),
+        Some(k) => {
+            let problem = format!("{}: {name}[{k}] = {}", file.path.display(), values[k]);
+            Err(BadInput::new(problem).allowed("finite numbers"))
+        }
+    }
+}
+
+/// A whole number in a checkpoint's metadata.
+///
+/// # Errors
+/// An entry that is missing or something else.
+pub fn count(file: &TensorFile, key: &str) -> Result<usize, BadInput> {
+    let text = file.text(key).map_err(unreadable)?;
+    text.parse().map_err(|_| {
+        let problem = format!("{}: {key} = `{text}` in its metadata", file.path.display());
+        BadInput::new(problem).allowed("a whole number")
+    })
+}
+
+/// A file that is not what it should be is bad input.
+pub fn unreadable(error: FileError) -> BadInput {
+    BadInput::new(error.to_string())
+}

@@ -1,0 +1,205 @@
+//! The wall as a cubic B-spline curve with n control points c_j over the hot section a < x < b:
+//!
+//! ```text
+//!   y(x) = sum_j c_j N_j(x),      N_j cubic B-splines on the knots  a a a a  a + h ... b - h  b b b b,   h = (b - a) / (n - 3)
+//! ```
+//!
+//! by the recurrence of Cox and de Boor (de Boor, A Practical Guide to Splines, 1978, ch. X; Piegl and Tiller, The NURBS
+//! Book, 1997, algorithm A2.2). The end knots are fourfold ("clamped"): the N_j sum to one in the whole section, and the
+//! wall begins at c_0 and ends at c_{n-1}. Outside the section it is zero, as with [`super::Nodes`], and it may jump there
+//! as theirs may. Inside, it is twice continuously differentiable.
+//!
+//! Control points belong to the Greville abscissae g_j = (t_{j+1} + t_{j+2} + t_{j+3}) / 3: with c_j = p + q g_j the curve
+//! is the line p + q x. It lies in the convex hull of its control points, so |c_j| <= bound limits |y|; and dy/dx is a
+//! quadratic B-spline curve with the control points (c_{j+1} - c_j) / (g_{j+1} - g_j), so limits on those limit the slope.
+
+use super::{ColumnAverages, Parametrisation};
+use crate::design::limits::Limits;
+use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
+use crate::error::BadInput;
+
+/// Four control points make one cubic.
+pub const FEWEST: usize = 4;
+
+/// Steps of the conjugate gradients of [`BSpline::fitted`], as a multiple of the number of control points.
+const FIT_STEPS: usize = 4;
+
+/// A cubic B-spline curve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BSpline {
+    section: HotSection,
+    /// n + 4 of them.
+    knots: Vec<f64>,
+    greville: Vec<f64>,
+    averages: ColumnAverages,
+    limits: Limits,
+}
+
+impl BSpline {
+    /// A curve with `control_points` of height up to `bound`.
+    ///
+    /// # Errors
+    /// Fewer than [`FEWEST`] control points.
+    pub fn new(control_points: usize, section: HotSection, bound: f64) -> Result<Self, BadInput> {
+        if control_points < FEWEST {
+            let problem = format!("design.control_points = {control_points} is too few for a cubic B-spline");
+            return Err(BadInput::new(problem).key("design.control_points").allowed(format!("at least {FEWEST}")));
+        }
+        let spans = control_points - 3;
+        let inner = (0..=spans).map(|k| match k {
+            // To the bit.
+            _ if k == spans => section.to,
+            _ => section.from + (section.to - section.from) * (k as f64 / spans as f64),
+        });
+        let knots: Vec<f64> = [section.from; 3].into_iter().chain(inner).chain([section.to; 3]).collect();
+        let greville: Vec<f64> = (0..control_points).map(|j| knots[j + 1..j + 4].iter().sum::<f64>() / 3.0).collect();
+        let limits = Limits::symmetric(bound, &greville, MAX_SLOPE);
+        let averages = ColumnAverages::new(control_points, vec![]);
+        let mut spline = Self { section, knots, greville, averages, limits };
+        let weights = section.weights(|from, to| spline.integrals(from, to));
+        spline.averages = ColumnAverages::new(control_points, weights);
+        Ok(spline)
+    }
+
+    /// The last span k with knots[k] <= x < knots[k + 1], of those that are not empty.
+    fn span(&self, x: f64) -> usize {
+        let last = self.greville.len() - 1;
+        (self.knots.partition_point(|knot| *knot <= x).max(4) - 1).min(last)
+    }
+
+    /// The number of the first of the four B-splines that are not zero at x, and their values.
+    pub fn basis(&self, x: f64) -> (usize, [f64; 4]) {
+        let span = self.span(x);
+        let (mut left, mut right) = ([0.0; 4], [0.0; 4]);
+        let mut values = [1.0, 0.0, 0.0, 0.0];
+        for degree in 1..4 {
+            left[degree] = x - self.knots[span + 1 - degree];
+            right[degree] = self.knots[span + degree] - x;
+            let mut carried = 0.0;
+            for r in 0..degree {
+                let share = values[r] / (right[r + 1] + left[degree - r]);
+                values[r] = carried + right[r + 1] * share;
+                carried = left[degree - r] * share;
+            }
+            values[degree] = carried;
+        }
+        (span - 3, values)
+    }
+
+    /// Integrals over `from ..= to` of the B-splines, as pairs (number, integral): two Gauss points per piece between
+    /// knots, exact for cubics.
+    fn integrals(&self, from: f64, to: f64) -> Vec<(usize, f64)> {
+        let (first, last) = (self.span(from) - 3, self.span(to));
+        let mut integrals: Vec<(usize, f64)> = (first..=last).map(|j| (j, 0.0)).collect();
+        let mut start = from;
+        while start < to {
+            let end = self.knots[self.span(start) + 1].min(to);
+            let (middle, half) = (0.5 * (start + end), 0.5 * (end - start));
+            for side in [-1.0, 1.0] {
+                let (j, values) = self.basis(middle + side * half / 3f64.sqrt());
+                for (k, value) in values.into_iter().enumerate() {
+                    integrals[j + k - first].1 += half * value;
+                }
+            }
+            if end <= start {
+                break;
+            }
+            start = end;
+        }
+        integrals.retain(|(_, integral)| *integral > 0.0);
+        integrals
+    }
+
+    /// The curve's height inside the section, its ends included.
+    fn curve(&self, variables: &[f64], x: f64) -> f64 {
+        let (first, values) = self.basis(x);
+        values.iter().zip(&variables[first..]).map(|(n, c)| n * c).sum()
+    }
+
+    /// Control points whose curve comes nearest to a wall's offsets at its nodes: those with the least squared distance
+    /// there, and of these, where nodes are few, those nearest to the wall's heights at the Greville abscissae. A curve's
+    /// own [`Parametrisation::sampled`] wall gives its control points back, up to rounding, if every control point is seen
+    /// by a node. Conjugate gradients for least squares (Björck 1996, algorithm 7.4.1), then the limits.
+    pub fn fitted(&self, wall: &Shape) -> Vec<f64> {
+        let rows: Vec<(usize, [f64; 4])> = wall.nodes.iter().map(|&x| self.basis(x)).collect();
+        let inside = |x: f64| {
+            let margin = 1e-9 * (self.section.to - self.section.from);
+            x.clamp(self.section.from + margin, self.section.to - margin)
+        };
+        let mut points: Vec<f64> = self.greville.iter().map(|&g| wall.height(inside(g))).collect();
+        let apply = |points: &[f64]| -> Vec<f64> {
+            rows.iter().map(|(j, n)| n.iter().zip(&points[*j..]).map(|(n, c)| n * c).sum()).collect()
+        };
+        let adjoint = |residual: &[f64]| {
+            let mut bar = vec![0.0; self.greville.len()];
+            for ((j, n), r) in rows.iter().zip(residual) {
+                n.iter().enumerate().for_each(|(k, n)| bar[j + k] += n * r);
+            }
+            bar
+        };
+        let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+        let mut residual: Vec<f64> = apply(&points).iter().zip(&wall.offsets).map(|(y, o)| o - y).collect();
+        let mut slope = adjoint(&residual);
+        let mut direction = slope.clone();
+        let (mut norm, first) = (square(&slope), square(&slope));
+        for _ in 0..FIT_STEPS * self.greville.len() {
+            if norm <= 1e-32 * first || norm == 0.0 {
+                break;
+            }
+            let moved = apply(&direction);
+            let step = norm / square(&moved);
+            points.iter_mut().zip(&direction).for_each(|(c, d)| *c += step * d);
+            residual.iter_mut().zip(&moved).for_each(|(r, m)| *r -= step * m);
+            slope = adjoint(&residual);
+            let before = std::mem::replace(&mut norm, square(&slope));
+            direction.iter_mut().zip(&slope).for_each(|(d, s)| *d = s + norm / before * *d);
+        }
+        self.limits.project(&mut points);
+        points
+    }
+}
+
+impl Parametrisation for BSpline {
+    fn name(&self) -> &str {
+        "b-spline"
+    }
+
+    /// The Greville abscissae.
+    fn positions(&self) -> &[f64] {
+        &self.greville
+    }
+
+    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
+        self.averages.heights(variables)
+    }
+
+    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
+        self.averages.pull_back(heights_bar)
+    }
+
+    fn height(&self, variables: &[f64], x: f64) -> f64 {
+        match self.section.from < x && x < self.section.to {
+            true => self.curve(variables, x),
+            false => 0.0,
+        }
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
+        self.limits.check("control points", variables)
+    }
+
+    /// At evenly spaced points, as many as there are columns, and no fewer than four per control point.
+    fn sampled(&self, variables: &[f64]) -> Shape {
+        let section = self.section;
+        let columns = (0..section.columns()).filter_map(|column| section.part(column)).count();
+        let count = columns.max(4 * variables.len());
+        let width = (section.to - section.from) / count as f64;
+        let nodes: Vec<f64> = (0..count).map(|k| section.from + (k as f64 + 0.5) * width).collect();
+        let offsets = nodes.iter().map(|&x| self.curve(variables, x)).collect();
+        Shape { nodes, offsets, hot_from: section.from, hot_to: section.to }
+    }
+}

@@ -1,0 +1,119 @@
+//! From design variables to the height of a wall over each particle column, and back.
+//!
+//! A parametrisation is a linear map s = A x from variables x `[K]` to the averages s `[C]` of the wall's height y(x) over
+//! the particle columns: with averages the fluid's area is the same at every resolution. [`super::deformation`] takes the
+//! heights on to the particles.
+//!
+//! Another one is a file here that implements [`Parametrisation`] (a [`ColumnAverages`] has the map and its adjoint), and
+//! a line in [`of_config`].
+
+pub mod b_spline;
+pub mod nodes;
+
+pub use b_spline::BSpline;
+pub use nodes::Nodes;
+
+use super::limits::Limits;
+use super::shape::{HotSection, Shape};
+use crate::config::scene::{Config, ParametrisationName};
+use crate::error::BadInput;
+use std::sync::Arc;
+
+/// The parametrisation of a configuration, and its variables at a start shape.
+///
+/// # Errors
+/// Too few control points.
+pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisation>, Vec<f64>), BadInput> {
+    let (channel, design) = (&config.channel, &config.design);
+    let (dx, length) = (config.resolution.dx, channel.length);
+    let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    Ok(match design.parametrisation {
+        ParametrisationName::Nodes => {
+            (Arc::new(Nodes::new(start.nodes.clone(), section, design.bound)?), start.offsets.clone())
+        }
+        ParametrisationName::BSpline => {
+            let spline = BSpline::new(design.control_points, section, design.bound)?;
+            let points = spline.fitted(start);
+            (Arc::new(spline), points)
+        }
+    })
+}
+
+/// How design variables shape a wall.
+pub trait Parametrisation: std::fmt::Debug + Send + Sync {
+    /// What it is called in tables and files.
+    fn name(&self) -> &str;
+
+    /// Where along the wall each variable acts, increasing, `[K]`.
+    fn positions(&self) -> &[f64];
+
+    /// Average height of the wall over each particle column, `[K]` -> `[C]`, in length units: linear.
+    fn column_heights(&self, variables: &[f64]) -> Vec<f64>;
+
+    /// The adjoint of [`Self::column_heights`]: from the derivative by the columns' heights, `[C]`, to that by the
+    /// variables, `[K]`.
+    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64>;
+
+    /// Height of the wall at x, in length units; 0 outside the hot section.
+    fn height(&self, variables: &[f64], x: f64) -> f64;
+
+    /// Where the variables may be. A parametrisation chooses limits that keep |y| and |dy/dx| in theirs.
+    fn limits(&self) -> &Limits;
+
+    /// An error that names what is wrong with variables that were read from somewhere.
+    ///
+    /// # Errors
+    /// Variables that are no numbers, or outside the limits.
+    fn check(&self, variables: &[f64]) -> Result<(), BadInput>;
+
+    /// The wall at points, such that a file of them can be given back as `design.file`.
+    fn sampled(&self, variables: &[f64]) -> Shape;
+
+    /// Number of variables K.
+    fn variables(&self) -> usize {
+        self.positions().len()
+    }
+
+    /// What roughness costs, w sum (x_{k+1} - x_k)^2, and its derivative by the variables.
+    fn penalty(&self, weight: f64, variables: &[f64]) -> (f64, Vec<f64>) {
+        let mut gradient = vec![0.0; variables.len()];
+        let mut value = 0.0;
+        for k in 1..variables.len() {
+            let difference = variables[k] - variables[k - 1];
+            value += weight * difference * difference;
+            gradient[k] += 2.0 * weight * difference;
+            gradient[k - 1] -= 2.0 * weight * difference;
+        }
+        (value, gradient)
+    }
+}
+
+/// A linear map from variables to the averages over columns, as a sparse matrix, and its adjoint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnAverages {
+    variables: usize,
+    /// Pairs (variable, weight) of each column.
+    weights: Vec<Vec<(usize, f64)>>,
+}
+
+impl ColumnAverages {
+    pub fn new(variables: usize, weights: Vec<Vec<(usize, f64)>>) -> Self {
+        Self { variables, weights }
+    }
+
+    /// `[K]` -> `[C]`.
+    pub fn heights(&self, variables: &[f64]) -> Vec<f64> {
+        self.weights.iter().map(|w| w.iter().map(|(k, w)| w * variables[*k]).sum()).collect()
+    }
+
+    /// `[C]` -> `[K]`, summed in the order of the columns.
+    pub fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
+        let mut gradient = vec![0.0; self.variables];
+        for (weights, bar) in self.weights.iter().zip(heights_bar) {
+            for (k, w) in weights {
+                gradient[*k] += w * bar;
+            }
+        }
+        gradient
+    }
+}

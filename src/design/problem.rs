@@ -1,0 +1,239 @@
+//! What is optimised: variables in, an objective's value and its derivative by the variables out.
+
+use super::deformation::Deformation;
+use super::objectives::{Figure, Outlet};
+use super::parametrisations::Parametrisation;
+use super::shape::Shape;
+use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
+use crate::adjoint::schedule::{Costs, Schedule};
+use crate::adjoint::{run, Dynamics, Objective, RunError};
+use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
+use crate::error::{BadInput, Error};
+use crate::numerics::lanes::Real;
+use crate::sph::dynamics::Sph;
+use crate::sph::model::Model;
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
+use std::sync::Arc;
+
+/// A wall to shape, a flow over it, and what is made large.
+#[derive(Clone)]
+pub struct Problem<R> {
+    pub model: Arc<Model<R>>,
+    pub kernels: Kernels,
+    pub deformation: Arc<Deformation>,
+    pub parametrisation: Arc<dyn Parametrisation>,
+    pub objective: Arc<dyn Objective + Send>,
+    /// How the objective is reported.
+    pub figure: Figure,
+    /// Weight of the penalty on roughness.
+    pub smoothing: f64,
+    /// Steps of a run.
+    pub steps: usize,
+    /// The variables to begin with.
+    pub first: Vec<f64>,
+    /// Where the flow is measured, whatever the objective is.
+    pub outlet: Outlet,
+    /// Steps of the objective's window, at the run's end.
+    pub window: usize,
+}
+
+impl<R> std::fmt::Debug for Problem<R> {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.debug_struct("Problem")
+            .field("parametrisation", &self.parametrisation)
+            .field("objective", &self.objective.name())
+            .field("steps", &self.steps)
+            .field("first", &self.first)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Loss and gradient of a design.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation {
+    /// The objective as it is reported.
+    pub figure: f64,
+    /// Penalty - objective: what is made small.
+    pub loss: f64,
+    /// Of the loss by the variables.
+    pub gradient: Vec<f64>,
+}
+
+impl<R: Real> Problem<R> {
+    /// The start of a design's run.
+    pub fn start(&self, variables: &[f64]) -> Snapshot<R> {
+        let heights = self.parametrisation.column_heights(variables);
+        Snapshot::first(&self.model, self.deformation.state::<R>(&heights))
+    }
+
+    /// The wall to begin with, at points.
+    pub fn first_wall(&self) -> Shape {
+        self.parametrisation.sampled(&self.first)
+    }
+}
+
+impl<R: Sweeps> Problem<R> {
+    /// What runs a design.
+    pub fn dynamics(&self) -> Sph<R> {
+        Sph::new(self.model.clone(), self.kernels)
+    }
+
+    /// The objective of a design, without a gradient. By the fused step, which is the composed one to rounding.
+    ///
+    /// # Errors
+    /// A [`RunError`] if the run can not go on.
+    pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
+        let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
+        let mut sum = 0.0;
+        let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
+            if let Some(weight) = self.objective.weight(solver.step) {
+                let fields = dynamics.look(solver)?;
+                sum += weight * value(&*self.objective, &fields).map_err(RunError::tensor(solver.step))?;
+            }
+            Ok(())
+        };
+        run(&dynamics, &self.start(variables), self.steps, &mut [&mut measure])?;
+        Ok(sum)
+    }
+
+    /// The objective of a design and its derivative by the variables, `[K]`.
+    ///
+    /// # Errors
+    /// A run that can not go on, and variables without a gradient.
+    pub fn differentiate(
+        &self,
+        variables: &[f64],
+        schedule: &Schedule,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<f64>), Error> {
+        let start = self.start(variables);
+        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
+            .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5 (a smaller time step), or a smaller design.bound"))?;
+        let by_variables = self.pull_back(&found, schedule)?;
+        check_gradient(&by_variables)?;
+        Ok((found.value, by_variables))
+    }
+
+    /// The derivative by the variables from that by the state at the schedule's first step.
+    fn pull_back(&self, found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
+        let mut state_bar: Vec<R> = found
+            .state
+            .flatten_all()
+            .and_then(|s| s.to_vec1::<R>())
+            .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
+        if schedule.first > 0 {
+            let model = &self.model;
+            self.deformation.keep_static(&mut state_bar, |i| model.is_fluid(i));
+        }
+        Ok(self.by_variables(&state_bar))
+    }
+
+    /// The derivative by the variables, `[K]`, from the cotangent of the initial state, `[F, N]`.
+    pub fn by_variables(&self, state_bar: &[R]) -> Vec<f64> {
+        self.parametrisation.pull_back(&self.deformation.pull_back(state_bar))
+    }
+
+    /// The loss of a design and its derivative.
+    ///
+    /// # Errors
+    /// As for [`Self::differentiate`].
+    pub fn gradient(
+        &self,
+        variables: &[f64],
+        schedule: &Schedule,
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, Error> {
+        let (value, by_variables) = self.differentiate(variables, schedule, progress)?;
+        // The objective enters the loss with a minus: more is better.
+        let (penalty, penalty_gradient) = self.parametrisation.penalty(self.smoothing, variables);
+        let gradient = by_variables.iter().zip(penalty_gradient).map(|(v, p)| p - v).collect();
+        Ok(Evaluation { figure: value * self.figure.factor, loss: penalty - value, gradient })
+    }
+
+    /// What keeping a state and taping a step cost, from the first neighbour list over a flat wall.
+    ///
+    /// # Errors
+    /// Particles without a neighbour list.
+    pub fn costs(&self) -> Result<Costs, Error> {
+        let state = self.deformation.state::<R>(&vec![0.0; self.deformation.columns]);
+        self.dynamics().costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
+    }
+
+    /// The schedule that is asked for, for numbers of `precision`: what fits into `optimise.memory`, or segments of a
+    /// given length.
+    ///
+    /// # Errors
+    /// A schedule that would not fit, and a budget that is too small for any.
+    pub fn schedule(&self, wanted: &Optimise, precision: Precision) -> Result<Schedule, Error> {
+        let (costs, steps) = (self.costs()?, self.steps);
+        let budget = wanted.memory;
+        let first = match wanted.gradient {
+            GradientMode::Truncated => steps - wanted.horizon.min(steps),
+            _ => 0,
+        };
+        // In f32 a rounded state is the state.
+        let rounded = wanted.store == Precision::F32 && precision == Precision::F64;
+        let schedule = match (wanted.gradient, wanted.segment) {
+            (GradientMode::Taped, _) => Schedule::taped(steps),
+            _ if rounded => Schedule::every_state(steps, first, true),
+            (_, 0) => Schedule::within(steps, first, costs, budget.bytes()).map_err(|too_small| {
+                let segments = Schedule::least_memory(steps - first, costs);
+                let good = Schedule::segments(steps - first, segments).memory(costs);
+                let problem =
+                    format!("optimise.memory = {budget} is too small for the gradient of {} steps", steps - first);
+                BadInput::new(problem)
+                    .allowed(format!("at least {} (one state kept, and very slow)", rounded_up(too_small.least)))
+                    .advice(format!("optimise.memory={} (no step is run twice)", rounded_up(good)))
+            })?,
+            (_, segment) => Schedule::truncated(steps, steps - first, segment),
+        };
+        match schedule.memory(costs) {
+            needed if needed > budget.bytes() => {
+                Err(does_not_fit(&schedule, costs, needed).allowed(format!("optimise.memory = {budget}")).into())
+            }
+            _ => Ok(schedule),
+        }
+    }
+}
+
+/// The error for a schedule that needs more than it is given.
+fn does_not_fit(schedule: &Schedule, costs: Costs, needed: usize) -> BadInput {
+    let counts = schedule.counts();
+    let state = if schedule.is_rounded() { costs.rounded_state } else { costs.state };
+    BadInput::new(format!(
+        "the gradient of {} steps ({schedule}) would take about {:.1} MB: {} states of {} kB and {} taped steps of {} kB",
+        schedule.steps - schedule.first,
+        needed as f64 / 1e6,
+        counts.stored_states,
+        state / 1000,
+        counts.taped_steps,
+        costs.tape_step / 1000,
+    ))
+    .advice(format!(
+        "optimise.memory={}, or optimise.gradient=segments optimise.segment=0 optimise.store=f64 (what fits is chosen)",
+        rounded_up(needed)
+    ))
+}
+
+/// A number of bytes as `optimise.memory` takes it, up to the next tenth of a megabyte.
+fn rounded_up(bytes: usize) -> String {
+    format!("{:.1}MB", (bytes as f64 / 1e5).ceil() / 10.0)
+}
+
+/// Every design variable must have received a finite gradient.
+fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
+    if let Some(k) = gradient.iter().position(|g| !g.is_finite()) {
+        return Err(Error::run(
+            format!("the gradient by design variable {k} is {}", gradient[k]),
+            "time.cfl=0.5, a shorter time.end, or optimise.gradient=truncated optimise.horizon=100",
+        ));
+    }
+    if let Some(k) = gradient.iter().position(|g| *g == 0.0) {
+        return Err(Error::run(
+            format!("design variable {k} received no gradient: nothing that the objective sees depends on it"),
+            "a longer time.end, or a later part of the run in objective.window",
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,148 @@
+//! Problems of every kind: the gradient by the variables through the solver, and the loop with its checkpoint.
+
+use hydrograd::adjoint::schedule::Schedule;
+use hydrograd::config::scene::Config;
+use hydrograd::design::{checkpoint, optimisers, Optimisation, Problem};
+use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::numerics::random::{stream, Normal};
+use hydrograd::scene::Scene;
+use tempfile::TempDir;
+
+const PARAMETRISATIONS: [&str; 2] = ["design.parametrisation=nodes", "design.parametrisation=b-spline"];
+const OBJECTIVES: [&str; 2] = ["objective.kind=heat-outflow", "objective.kind=outlet-temperature"];
+const METHODS: [&str; 2] = ["optimise.method=adam", "optimise.method=l-bfgs-b"];
+
+fn problem(sets: &[&str]) -> (Config, Problem<f64>) {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    let config = Config::load(None, None, &sets).unwrap_or_else(|e| panic!("{e}")).config;
+    let problem = Scene::from_config(&config).unwrap().design.unwrap();
+    (config, problem)
+}
+
+/// Variables, parametrisation, deformation, solver, interpolation, objective over a window.
+#[test]
+fn the_gradient_is_the_derivative() {
+    for parametrisation in PARAMETRISATIONS {
+        for objective in OBJECTIVES {
+            let sets = [parametrisation, objective, "time.steps=200", "time.cfl=1.0", "design.shape=sine"];
+            let (_, problem) = problem(&[&sets[..], &["objective.window=0.02", "objective.samples=5"]].concat());
+            let x = &problem.first;
+            let schedule = Schedule::segments(problem.steps, 20);
+            let (value, gradient) = problem.differentiate(x, &schedule, &mut |_| ()).unwrap();
+            assert_eq!(value, problem.evaluate(x).unwrap(), "the gradient's run is the plain run");
+            assert_eq!(gradient.len(), problem.parametrisation.variables());
+            let mut normal = Normal::new(stream(5, "along"));
+            let direction: Vec<f64> = x.iter().map(|_| normal.next()).collect();
+            let slope: f64 = gradient.iter().zip(&direction).map(|(g, v)| g * v).sum();
+            let at = |t: f64| {
+                let moved: Vec<f64> = x.iter().zip(&direction).map(|(x, v)| x + t * v).collect();
+                problem.evaluate(&moved).unwrap()
+            };
+            // Small steps meet no particle that crosses a strip; below them rounding takes over.
+            let gap = |h: f64| ((at(h) - at(-h)) / (2.0 * h) / slope - 1.0).abs();
+            let best = [1e-7, 3e-8, 1e-8].map(gap).into_iter().fold(f64::INFINITY, f64::min);
+            println!("{parametrisation}, {objective}: relative error {best:.1e} of {slope:.3e}");
+            assert!(best <= 1e-5, "{parametrisation}, {objective}: {best:e}");
+        }
+    }
+}
+
+/// The mixed outlet temperature is Q over the mass flow, in every way to look at the flow.
+#[test]
+fn the_outlet_temperature_is_heat_over_mass() {
+    for interpolation in ["flux", "fluid", "fluid-and-walls"] {
+        let interpolation = format!("objective.interpolation={interpolation}");
+        let sets = ["time.steps=40", "objective.window=0", "objective.target_x=0.76", &interpolation];
+        let of = |objective: &str| problem(&[&sets[..], &[objective]].concat()).1;
+        let (heat, temperature) = (of(OBJECTIVES[0]), of(OBJECTIVES[1]));
+        let found = hydrograd::design::diagnostics::simulate(
+            &temperature,
+            temperature.kernels,
+            &temperature.start(&temperature.first),
+            &mut [],
+        );
+        let (q, t) = (heat.evaluate(&heat.first).unwrap(), temperature.evaluate(&temperature.first).unwrap());
+        let diagnostics = found.unwrap().diagnostics;
+        let inlet = temperature.model.heat.as_ref().unwrap().reference;
+        assert!(t > 0.0 && q > 0.0);
+        assert!((diagnostics.mean_outlet_temperature - inlet - t).abs() < 1e-12, "{interpolation}");
+    }
+}
+
+/// Stopped after every epoch and resumed from the file: the same bits, for every optimiser and parametrisation.
+#[test]
+fn a_checkpoint_goes_on_to_the_bit() {
+    let folder = TempDir::new().unwrap();
+    for method in METHODS {
+        for parametrisation in PARAMETRISATIONS {
+            let sets = [method, parametrisation, OBJECTIVES[0], "time.steps=30", "objective.window=0"];
+            let near = ["objective.target_x=0.76", "optimise.learning_rate=2e-3", "design.control_points=5"];
+            let nodes: &[&str] = match parametrisation == PARAMETRISATIONS[0] {
+                true => &["design.nodes=[0.6, 0.65, 0.7]", "design.offsets=[0.0, 0.001, 0.0]"],
+                false => &["channel.hot_from=0.6"],
+            };
+            let (config, problem) = problem(&[&sets[..], &near, nodes].concat());
+            let schedule = Schedule::segments(problem.steps, 5);
+            let limits = problem.parametrisation.limits();
+            let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+            let evaluate = |_: usize, x: &[f64]| problem.gradient(x, &schedule, &mut |_| ());
+            let mut whole = Optimisation::new(new(&problem.first));
+            whole.run(8, limits, evaluate, |_| Ok(())).unwrap();
+            let path = folder.path().join("checkpoint.safetensors");
+            let mut parts = Optimisation::new(new(&problem.first));
+            for epochs in 1..=8 {
+                parts.run(epochs, limits, evaluate, |now| Ok(checkpoint::write(&path, now, &[])?)).unwrap();
+                let file = TensorFile::read(&path).unwrap();
+                parts = checkpoint::restore(&file, &*problem.parametrisation, new).unwrap();
+            }
+            let name = format!("{method}, {parametrisation}");
+            assert_eq!(whole.history.len(), parts.history.len(), "{name}");
+            for (one, two) in whole.history.iter().zip(&parts.history) {
+                assert_eq!((&one.variables, one.figure, one.loss), (&two.variables, two.figure, two.loss), "{name}");
+            }
+            assert_eq!(format!("{:?}", whole.optimiser), format!("{:?}", parts.optimiser), "{name}");
+            assert!(whole.history[whole.best].loss < whole.history[0].loss, "{name} gained nothing");
+        }
+    }
+}
+
+/// A checkpoint as it was written before there was more than one optimiser.
+#[test]
+fn earlier_checkpoints_are_read() {
+    let (config, problem) = problem(&["design.nodes=[0.4, 0.5]", "design.offsets=[0.0, 0.0]"]);
+    let mut record = optimisers::Record::default();
+    record.put("offsets", &[2], vec![0.001, 0.002]);
+    record.put("offsets_best", &[2], vec![0.0, 0.0]);
+    record.put("adam.first_moment", &[2], vec![0.1, 0.2]);
+    record.put("adam.second_moment", &[2], vec![0.3, 0.4]);
+    record.put("history.offsets", &[1, 2], vec![0.0, 0.0]);
+    for (name, value) in [("q", 0.04), ("loss", -0.04), ("gradient_norm", 0.5), ("seconds", 1.0)] {
+        record.put(&format!("history.{name}"), &[1], vec![value]);
+    }
+    for (key, text) in [("kind", checkpoint::KIND), ("epochs", "1"), ("best_epoch", "0"), ("adam.steps", "1")] {
+        record.note(key, text);
+    }
+    let (tensors, metadata) = (record.tensors.clone(), record.metadata.clone());
+    let file = TensorFile { path: "checkpoint.safetensors".into(), tensors, metadata };
+    let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+    let found = checkpoint::restore(&file, &*problem.parametrisation, new).unwrap();
+    assert_eq!(found.optimiser.ask(), [0.001, 0.002]);
+    assert_eq!((found.history.len(), found.history[0].figure, found.best), (1, 0.04, 0));
+    let mut again = optimisers::Record::default();
+    found.optimiser.save(&mut again);
+    assert!(again.tensors.iter().all(|(name, tensor)| record.tensors[name] == *tensor));
+    // What no run could have written.
+    for (name, values, expected) in [
+        ("offsets", vec![f64::NAN, 0.0], "design.offsets[0] = NaN"),
+        ("offsets", vec![0.03, 0.0], "design.offsets[0] = 0.03 is out of bounds"),
+        ("adam.first_moment", vec![f64::INFINITY, 0.0], "adam.first_moment[0] = inf"),
+        ("adam.second_moment", vec![0.0], "adam.second_moment"),
+    ] {
+        let mut broken = file.clone();
+        let mut record = optimisers::Record::default();
+        record.put(name, &[values.len()], values);
+        broken.tensors.extend(record.tensors);
+        let error = checkpoint::restore(&broken, &*problem.parametrisation, new).unwrap_err().to_string();
+        assert!(error.contains(expected) && error.contains("checkpoint.safetensors"), "{error}");
+    }
+}
