@@ -7,6 +7,7 @@ use hydrograd::config::scene::Kernels;
 use hydrograd::config::training::{HeatModel, Settings};
 use hydrograd::dataset::{kind, Metadata, Trajectory};
 use hydrograd::numerics::candle::{apply2, apply3};
+use hydrograd::numerics::pool::Buffers;
 use hydrograd::numerics::random::stream;
 use hydrograd::surrogate::differentiable_rollout::DifferentiableRollout;
 use hydrograd::surrogate::evaluation::rollout::rollout;
@@ -18,7 +19,6 @@ use hydrograd::surrogate::models::setup::Setup;
 use hydrograd::surrogate::network::graph::{Ends, Graph};
 use hydrograd::surrogate::network::interaction::{edge_shape, node_shape, Rounds};
 use hydrograd::surrogate::network::layers::{builder, Perceptron, Round};
-use hydrograd::surrogate::network::memory::Memory;
 use hydrograd::surrogate::network::mlp::{Mlp, MlpShape};
 use hydrograd::surrogate::network::parameters::{detached, tracked, Network, Parameter};
 use hydrograd::surrogate::predictor::{Frame, Scenery};
@@ -166,7 +166,7 @@ fn fused_perceptron_is_composed() {
     for shape in shapes {
         for rows in [1, 37, 1500] {
             let (x, p) = (random(&[rows, shape.inputs], 11), random(&[shape.parameters()], 12));
-            let memory = Memory::<f64>::default();
+            let memory = Buffers::<f64>::default();
             let fused = || apply2(Mlp::<f64>::new(shape, &memory), &x, &p).unwrap();
             let composed = || perceptron(&shape, &p).forward(&x).unwrap();
             assert!(largest(&plain(&fused()), &plain(&composed())) < 1e-12, "{shape:?} {rows}");
@@ -190,7 +190,7 @@ fn fused_rounds_are_composed() {
         let (x, y) = (random(&[n, latent], 21), random(&[e, latent], 22));
         let length = edge.parameters() + node.parameters();
         let p = random(&[rounds * length], 23);
-        let memory = Memory::<f64>::default();
+        let memory = Buffers::<f64>::default();
         let fused = || {
             let op = Rounds::<f64>::new(&graph, (latent, latent, linears), rounds, true, &memory, None);
             apply3(op, &x, &y, &p).unwrap()

@@ -301,7 +301,7 @@ pub enum ShapeName {
 pub struct Optimise {
     pub method: OptimiserName,
     pub epochs: usize,
-    /// Adam's step, in offset units: 2e-2 is one spacing per epoch at dx = 0.02.
+    /// Adam's step, or the most that L-BFGS-B's first step moves an offset, in offset units: 2e-2 is one spacing at dx = 0.02.
     pub learning_rate: f64,
     /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
     pub smoothing: f64,

@@ -24,8 +24,9 @@
 //!
 //! The first step moves no variable by more than `first_step`; where there is no pair yet, the scale of B is chosen so.
 //!
-//! Of the crates, `argmin` has no bounds in its L-BFGS, and the translations of the original code keep their state to
-//! themselves: none can be stopped between two evaluations of a line search and resume to the bit.
+//! Why no crate: `argmin` has no bounds in its L-BFGS, `lbfgsb-rs-pure` calls a closure and keeps its state to itself,
+//! `lbfgsb` wraps a C translation. None can be stopped between two evaluations of a line search and resume to the bit, and
+//! none knows limits between neighbours.
 
 use super::{count, numbers, Optimiser, Record};
 use crate::design::limits::Limits;

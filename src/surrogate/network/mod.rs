@@ -5,7 +5,6 @@ pub mod graph;
 pub mod interaction;
 pub mod layers;
 pub mod matrix;
-pub mod memory;
 pub mod mlp;
 pub mod parameters;
 pub mod row;

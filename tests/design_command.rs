@@ -1,0 +1,116 @@
+//! `optimize` and `check-gradient` with every optimiser, parametrisation and objective, from the command line.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// A short, small run.
+const SHORT: [&str; 8] = [
+    "--set",
+    "time.end=0.3",
+    "--set",
+    "objective.window=0.1",
+    "--set",
+    "output.frames=0",
+    "--set",
+    "optimise.learning_rate=1e-3",
+];
+
+const NODES: &str = "design.parametrisation=nodes";
+const B_SPLINE: &str = "design.parametrisation=b-spline";
+const HEAT: &str = "objective.kind=heat-outflow";
+const TEMPERATURE: &str = "objective.kind=outlet-temperature";
+const ADAM: &str = "optimise.method=adam";
+const L_BFGS_B: &str = "optimise.method=l-bfgs-b";
+
+fn hydrograd(folder: &Path, arguments: &[&str]) -> std::process::Output {
+    let mut command = Command::cargo_bin("hydrograd").unwrap();
+    command.current_dir(folder).env("CANDLE_NUM_THREADS", "1").args(arguments).output().unwrap()
+}
+
+fn succeeds(folder: &Path, arguments: &[&str]) -> String {
+    let output = hydrograd(folder, arguments);
+    let error = String::from_utf8_lossy(&output.stderr).to_string();
+    assert!(output.status.success(), "{arguments:?}: {error}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn summary(folder: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+/// Every tensor of a checkpoint but the seconds.
+fn tensors(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let bytes = std::fs::read(folder.join("checkpoint.safetensors")).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let mut names: Vec<String> = file.names().iter().map(|name| name.to_string()).collect();
+    names.retain(|name| name != "history.seconds");
+    names.sort();
+    names.into_iter().map(|name| (name.clone(), file.tensor(&name).unwrap().data().to_vec())).collect()
+}
+
+#[test]
+fn every_choice_runs_and_resumes_bit_for_bit() {
+    for choices in [[L_BFGS_B, B_SPLINE, TEMPERATURE], [L_BFGS_B, NODES, HEAT], [ADAM, B_SPLINE, HEAT]] {
+        let folder = TempDir::new().unwrap();
+        let at = folder.path();
+        let sets = ["--set", choices[0], "--set", choices[1], "--set", choices[2]];
+        let run = |out: &str, epochs: &str| {
+            succeeds(at, &[&["optimize", "--out", out, "--epochs", epochs], &SHORT[..], &sets].concat())
+        };
+        let text = run("whole", "3");
+        run("parts", "1");
+        succeeds(at, &["optimize", "--resume", "parts", "--epochs", "2"]);
+        succeeds(at, &["optimize", "--resume", "parts", "--epochs", "3"]);
+        assert_eq!(tensors(&at.join("whole")), tensors(&at.join("parts")), "{choices:?}");
+
+        let found = summary(&at.join("whole"));
+        let (symbol, key) = if choices[2] == HEAT { ("Q", "q") } else { ("T", "t") };
+        assert!(text.contains(&format!("\n{symbol} 0.")), "{text}");
+        let values = numbers(&found[&format!("{key}_per_epoch")]);
+        assert_eq!(values.len(), 3);
+        let best = found["best_epoch"].as_u64().unwrap() as usize;
+        assert!(best > 0 && values[best] > values[0], "{choices:?} gained nothing: {values:?}");
+        assert_eq!(found[key].as_f64().unwrap(), values[best]);
+        let history = std::fs::read_to_string(at.join("whole/history.csv")).unwrap();
+        assert!(history.starts_with(&format!("epoch,{key},loss,")), "{history}");
+        let variables = if choices[1] == NODES { 25 } else { 8 };
+        assert_eq!(numbers(&found["offsets_best"]).len(), variables);
+        assert_eq!(numbers(&found["nodes"]).len(), variables);
+
+        // The best wall again, from its file: the same control points up to rounding, and the same flow.
+        let file = format!("design.file={}", at.join("whole/shape.csv").display());
+        let back = [&["optimize", "--out", "back", "--epochs", "1", "--set", &file], &SHORT[..], &sets].concat();
+        succeeds(at, &back);
+        let again = summary(&at.join("back"));
+        for (one, two) in numbers(&found["offsets_best"]).iter().zip(numbers(&again["offsets_first"])) {
+            assert!((one - two).abs() < 1e-12, "{choices:?}: {one} became {two}");
+        }
+        assert!((again[key].as_f64().unwrap() / values[best] - 1.0).abs() < 1e-6);
+
+        // Another optimiser can not go on with this one's checkpoint.
+        let other = if choices[0] == ADAM { L_BFGS_B } else { ADAM };
+        let output = hydrograd(at, &["optimize", "--resume", "parts", "--epochs", "4", "--set", other]);
+        let error = String::from_utf8_lossy(&output.stderr).to_string();
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains("another scene") && error.contains("optimise.method"), "{error}");
+    }
+}
+
+#[test]
+fn gradients_of_every_choice_pass_the_check() {
+    for choices in [[B_SPLINE, TEMPERATURE], [NODES, TEMPERATURE], [B_SPLINE, HEAT]] {
+        let folder = TempDir::new().unwrap();
+        let sets = ["--set", choices[0], "--set", choices[1], "--set", "design.shape=cosine"];
+        let arguments = ["check-gradient", "--steps", "120", "--directions", "1", "--out", "out"];
+        let text = succeeds(folder.path(), &[&arguments[..], &sets].concat());
+        assert!(text.contains("PASSED"), "{choices:?}: {text}");
+        let symbol = if choices[1] == HEAT { "Q = " } else { "T = " };
+        assert!(text.contains(symbol), "{text}");
+    }
+}
