@@ -118,7 +118,7 @@ fn rows_by_ends_and_sums_are_each_others_adjoint() {
 /// A perceptron of a shape from candle-nn's layers, with its parameters in one vector.
 fn perceptron(shape: &MlpShape, p: &Tensor) -> Perceptron {
     let parameter = Parameter::perceptron("mlp", shape, &mut stream(0, "weights"), DType::F64).unwrap();
-    Perceptron::new(shape, builder(&[parameter], &[p.clone()]).unwrap().pp("mlp")).unwrap()
+    Perceptron::new(shape, builder(&[parameter], std::slice::from_ref(p)).unwrap().pp("mlp")).unwrap()
 }
 
 /// A perceptron on one row, number by number.
