@@ -6,6 +6,7 @@ use super::files;
 use super::prepare::{diverged, use_threads};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
+use crate::adjoint::Dynamics;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
 use crate::design::Problem;
@@ -17,7 +18,6 @@ use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History};
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::{checkpoint, Scene};
 use crate::sph::dynamics::Sph;
-use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -85,8 +85,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
         None => scene.start.clone(),
     };
+    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
     check_unfinished(began, scene.steps)?;
+    let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| diverged(error.into()))?);
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     if let Some(wall) = scene.design.as_ref().map(Problem::first_wall) {
@@ -95,7 +97,13 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     // A resumed run leaves the frames and the history of its first part alone and adds to them.
     let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };
     let mut frames = Frames::new(&folder.join(&part), scene.steps, config.output.frames)?;
-    let mut history = History::new(&scene, folder, HISTORY);
+    let bar = Progress::new(scene.steps as u64, "simulate");
+    let label = if scene.design.is_some() { "Q" } else { "kinetic energy" };
+    let mut show = |step: usize, row: &[f64]| {
+        bar.set_position(step as u64);
+        bar.message(format!("{label} {:.5}", row[1]));
+    };
+    let mut history = History::new(&scene, folder, HISTORY, &mut show);
     if let Some(from) = resume {
         history = history.continued(from, began);
     }
@@ -107,32 +115,17 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         window: scene.design.as_ref().map_or(0, |design| design.window),
     };
     let mut measurement = scene.design.as_ref().map(Measurement::of);
-    let mut start = None;
-    let mut keep_start = |_: &Sph<R>, solver: &mut Solver<R>| {
-        start.get_or_insert_with(|| ParticleFields::of(solver));
-        Ok(())
-    };
-    let bar = Progress::new(scene.steps as u64, "simulate");
-    let shown = EvenSteps::new(scene.steps, HISTORY);
-    let mut show = |_: &Sph<R>, solver: &mut Solver<R>| {
-        if shown.contains(solver.step) {
-            bar.set_position(solver.step as u64);
-        }
-        Ok(())
-    };
     let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
     observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-    observers.push(&mut keep_start);
     observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
     observers.push(&mut history);
-    observers.push(&mut show);
     observers.push(&mut checkpoints);
     let clock = Instant::now();
-    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let mut solver = run_to_the_end(&dynamics, &first, scene.steps, &mut observers).map_err(diverged)?;
     let seconds = clock.elapsed().as_secs_f64();
+    let history = history.rows;
     bar.finish();
-    let (end, start) = (ParticleFields::of(&mut solver), start);
+    let end = ParticleFields::of(&mut solver);
     end.write(folder, loaded)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     println!(
@@ -140,11 +133,9 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         1e9 * seconds / (done * n) as f64
     );
     let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
-    let finished = Finished { loaded, folder, scene: &scene, history: &history.rows, end: &end, seconds, pictures };
-    match (&scene.design, measurement, start) {
-        (Some(design), Some(measured), Some(start)) => {
-            report_design(&finished, design, &measured.diagnostics(), &start)
-        }
+    let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, pictures };
+    match (&scene.design, measurement) {
+        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start),
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt)),
     }
 }

@@ -90,3 +90,54 @@ pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<T
         None => Ok(file),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::adjoint::run::run;
+    use crate::design::diagnostics::simulate;
+    use crate::scene::Scene;
+    use crate::sph::dynamics::Sph;
+
+    /// Resumed where the averages begin, so that they are the same too.
+    fn resumes<R: Sweeps>(precision: &str) {
+        let sets = ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
+        let loaded = Config::load(None, None, &sets).unwrap();
+        let mut config = loaded.config;
+        config.objective.window = 10.0 * config.time_step();
+        let text = toml::to_string(&config).unwrap();
+        let scene = Scene::<R>::from_config(&config).unwrap();
+        let design = scene.design.as_ref().unwrap();
+        assert_eq!(design.window, 10);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        let mut keep = |_: &Sph<R>, solver: &mut Solver<R>| {
+            if solver.step == 30 {
+                write(&path, solver, &text)?;
+            }
+            Ok(())
+        };
+        let whole = simulate(design, config.run.kernels, &scene.start, &mut [&mut keep]).unwrap();
+        let from = read(&path, &config, &scene.model).unwrap();
+        assert_eq!(from.step, 30);
+        let rest = simulate(design, config.run.kernels, &from, &mut []).unwrap();
+        let bits = |state: &[R]| state.iter().map(|x| x.f64().to_bits()).collect::<Vec<u64>>();
+        assert!(bits(&whole.solver.state) == bits(&rest.solver.state));
+        assert_eq!(whole.diagnostics, rest.diagnostics);
+        // It is not that of another scene, and not of another kind.
+        let other = Config { scene: config.scene, ..Config::default() };
+        let error = read(&path, &other, &scene.model).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("checkpoint of another scene: it has"), "{error}");
+        let error = open(&path, "hydrograd optimisation", &config, &[]).unwrap_err().to_string();
+        assert!(error.contains("holds hydrograd simulation, not a hydrograd optimisation"), "{error}");
+        // A run that ends where it begins has its start.
+        let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+        assert!(bits(&run(&dynamics, &from, 30, &mut []).unwrap().state) == bits(&from.state));
+    }
+
+    #[test]
+    fn a_simulation_goes_on_to_the_bit() {
+        resumes::<f64>("f64");
+        resumes::<f32>("f32");
+    }
+}

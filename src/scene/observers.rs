@@ -61,14 +61,15 @@ pub struct History<'a, R> {
     scene: &'a Scene<R>,
     path: PathBuf,
     steps: EvenSteps,
+    tell: &'a mut dyn FnMut(usize, &[f64]),
     pub rows: Vec<Vec<f64>>,
 }
 
 impl<'a, R: Sweeps> History<'a, R> {
-    /// About `count` rows, in a folder.
-    pub fn new(scene: &'a Scene<R>, folder: &Path, count: usize) -> Self {
+    /// About `count` rows, in a folder; `tell` is called with the step and the row.
+    pub fn new(scene: &'a Scene<R>, folder: &Path, count: usize, tell: &'a mut dyn FnMut(usize, &[f64])) -> Self {
         let steps = EvenSteps::new(scene.steps, count);
-        Self { scene, path: folder.join("history.csv"), steps, rows: Vec::new() }
+        Self { scene, path: folder.join("history.csv"), steps, tell, rows: Vec::new() }
     }
 
     /// Begins with the rows of a run that was interrupted, in its folder, as far as they are before `step`; none if it left
@@ -86,7 +87,9 @@ impl<'a, R: Sweeps> History<'a, R> {
 impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
     fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.steps.contains(solver.step) {
-            self.rows.push(self.scene.history_row(dynamics, solver)?);
+            let row = self.scene.history_row(dynamics, solver)?;
+            (self.tell)(solver.step, &row);
+            self.rows.push(row);
             write_rows(&self.path, self.scene.history_columns(), &self.rows)?;
         }
         Ok(())
