@@ -14,10 +14,12 @@ import csv
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
 
+sys.dont_write_bytecode = True
 from pages import ROOT, check, table, write
 from speed import FIGURES as SPEED
 from speed import OUT, PROGRAM
@@ -199,7 +201,7 @@ def main():
     if not wanted or any(name not in FIGURES for name in wanted):
         sys.exit(__doc__)
     for name in wanted:
-        text = FIGURES[name]()
+        text = re.sub(r"e([+-])0(\d)\b", lambda m: "e" + m[1].strip("+") + m[2], FIGURES[name]())
         print(f"\n## {name}\n\n{text}\n")
         if not only_print and not write(name, text):
             sys.exit(f"no page has the place of {name}: <!-- figures: {name} --> and <!-- end -->")

@@ -39,14 +39,26 @@ def megabytes(row):
 
 
 def bench_kernels():
-    rows = bench("bench-kernels", "kernels", "--threads", "2", "--precision", "f64")
+    rows = bench("bench-kernels", "kernels", "--threads", "2", "--precision", "f64", "--repeats", "2")
     lines = []
-    for fused in (row for row in rows if row["mode"] == "fused"):
-        same = {key: fused[key] for key in ("scene", "particles", "precision", "kind")}
-        composed = find(rows, mode="composed", **same)
-        lines.append([fused["scene"], fused["particles"], fused["precision"], fused["kind"], ms(composed["ms_per_step"]),
-                      ms(fused["ms_per_step"]), f"{composed['ms_per_step'] / fused['ms_per_step']:.1f}", megabytes(composed), megabytes(fused)])
-    return table(["scene", "particles", "type", "work", "composed, ms per step", "fused", "faster by", "composed, MB", "fused"], lines)
+    for scene, n in dict.fromkeys((row["scene"], row["particles"]) for row in rows):
+        same = [row for row in rows if (row["scene"], row["particles"]) == (scene, n)]
+        cells, gradient = [], None
+        for kinds in (("forward",), ("gradient", "training")):
+            both = [next(row for row in same if row["kind"] in kinds and row["mode"] == mode) for mode in ("composed", "fused")]
+            composed, fused = (row["ms_per_step"] for row in both)
+            cells += [ms(composed), ms(fused), f"{composed / fused:.1f}"]
+            gradient = both
+        lines.append([f"{words(scene)}, {n}, {same[0]['precision']}", *cells, ", ".join(megabytes(row) for row in gradient)])
+    return table(["ms per step", "composed", "fused", "faster by", "gradient or training: composed", "fused", "faster by", "MB"], lines)
+
+
+def words(scene):
+    """A scene or a network as a page names it."""
+    if scene.startswith("gns-"):
+        _, rounds, latent, radius = scene.split("-")
+        return f"GNS-{rounds}-{latent}, {radius.removesuffix('dx')} dx"
+    return scene.replace("-", " ").capitalize()
 
 
 def bench_gradient():
@@ -92,8 +104,7 @@ def bench_surrogate():
     rows = bench("bench-surrogate", "surrogate", "--threads", "2", "--repeats", "2")
     lines = []
     for row in sorted(rows, key=lambda row: (-row["gflop_per_step"], row["kind"] == "forward")):
-        _, rounds, latent, radius = row["scene"].split("-")
-        lines.append([f"GNS-{rounds}-{latent}, {radius.removesuffix('dx')} dx", row["kind"], ms(row["ms_per_step"]), f"{row['gflops']:.0f}",
+        lines.append([words(row["scene"]), row["kind"], ms(row["ms_per_step"]), f"{row['gflops']:.0f}",
                       f"{row['sgemm_gflops']:.0f}", f"{100 * row['gflops'] / row['sgemm_gflops']:.0f} %", megabytes(row)])
     lines.sort(key=lambda line: line[0], reverse=True)
     return table(["network, radius", "work", "ms", "GFLOP/s", "sgemm", "share", "memory, MB"], lines)
@@ -118,7 +129,7 @@ def peers():
         if not ours or "segments" in (theirs.get("mode") or ""):
             continue
         ours = min(ours, key=lambda row: row["ms_per_step"])
-        scene = theirs["scene"].replace("-", " ").capitalize() + (" 3D" if theirs["dimension"] == 3 else "")
+        scene = words(theirs["scene"]) + (" 3D" if theirs["dimension"] == 3 else "")
         work = f"{theirs['steps']}-step gradient" if theirs["steps"] == 2000 and theirs["kind"] == "gradient" else theirs["kind"]
         lines.append([scene, theirs["particles"], theirs["precision"], work, ms(theirs["ms_per_step"]), ms(ours["ms_per_step"]),
                       f"{theirs['ms_per_step'] / ours['ms_per_step']:.0f}", megabytes(theirs), megabytes(ours)])

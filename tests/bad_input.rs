@@ -427,6 +427,47 @@ fn scenes_prints_a_complete_scene() {
     assert_eq!(loaded.config, preset.config);
 }
 
+/// The settings of a training have the same messages, by the same loader.
+#[test]
+fn settings_of_a_training() {
+    let case = Case::new(&[
+        ("range.toml", "steps = 5\n[model]\n\nlatent = 0\n"),
+        ("type.toml", "noise = \"a lot\"\n"),
+        ("broken.toml", "[model\n"),
+    ]);
+    let set = |set: &str, parts: &[&str]| case.refuses(&["train", "--print-config", "--set", set], parts);
+    set("model.latentt=8", &["--set model.latentt=8", "unknown field `latentt`", "rounds", "try: `latent`"]);
+    set("latent=8", &["--set latent=8", "try: `model.latent`"]);
+    set("model.kind=gsn", &["--set model.kind=gsn", "gns, egnn", "try: `gns`"]);
+    set("noise=much", &["--set noise=much", "a number", "Standard deviation of the position noise"]);
+    set("clip=-1", &["--set clip=-1: clip = -1", "clip >= 0", "the default clip = 0"]);
+    set(
+        "pushforward.after=[-1]",
+        &["--set pushforward.after=[-1]", "three lists", "--set pushforward.unrolls=[0] --set"],
+    );
+    let file = |file: &str, parts: &[&str]| case.refuses(&["train", "--print-config", "--config", file], parts);
+    file("range.toml", &["range.toml, line 4: model.latent = 0", "1 <= model.latent <= 4096"]);
+    file("type.toml", &["type.toml", "line 1", "noise = \"a lot\"", "a number"]);
+    file("broken.toml", &["broken.toml", "line 1", "hydrograd help train"]);
+    file("none.toml", &["cannot read none.toml", "settings of a training"]);
+    case.refuses(&["train", "--steps", "0"], &["--steps 0: steps = 0", "steps >= 1"]);
+}
+
+#[test]
+fn settings_of_a_training_are_printed_with_comments_and_read_back() {
+    let run = |arguments: &[&str]| {
+        let output = Command::cargo_bin("hydrograd").unwrap().args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(0));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert_eq!(run(&["train", "--print-config"]), hydrograd::config::training::TRAINING);
+    let text = run(&["train", "--print-config", "--set", "model.radius=1.45", "--seed", "3"]);
+    assert!(text.contains("\nradius = 1.45\n") && text.contains("\nseed = 3\n"), "{text}");
+    let case = Case::new(&[("mine.toml", &text)]);
+    let file = case.folder.path().join("mine.toml");
+    assert_eq!(run(&["train", "--print-config", "--config", file.to_str().unwrap()]), text);
+}
+
 #[test]
 fn keys_that_a_scene_does_not_have() {
     let case = Case::new(&[

@@ -113,9 +113,10 @@ fn networks_are_measured_beside_sgemm() {
 fn fused_and_composed_operators_are_compared() {
     let folder = TempDir::new().unwrap();
     let (text, rows) = rows(folder.path(), "out", &["kernels", "--filter", "/forward/"]);
-    rows.iter().for_each(check_row);
+    let (flows, network) = rows.split_at(6);
+    flows.iter().for_each(check_row);
     assert!(text.starts_with("\nkernels, ") && text.lines().all(|line| line.chars().count() <= 120), "{text}");
-    let seen: Vec<String> = rows
+    let seen: Vec<String> = flows
         .iter()
         .map(|row| format!("{} {} {}", row["scene"], row["particles"], row["mode"]).replace('"', ""))
         .collect();
@@ -125,8 +126,12 @@ fn fused_and_composed_operators_are_compared() {
         ["fused", "composed"].map(|mode| format!("{scene} {n} {mode}"))
     });
     assert_eq!(seen, channel.map(String::from).into_iter().chain(vortices).collect::<Vec<_>>());
+    let of_network =
+        |row: &Value| (row["scene"] == "gns-5-64-1.45dx" && row["precision"] == "f32").then(|| row["mode"].clone());
+    let modes: Vec<_> = network.iter().map(of_network).collect();
+    assert_eq!(modes, [Some(json!("fused")), Some(json!("composed"))]);
     // Each composed row beside its fused one, and only those.
-    assert_eq!(text.lines().filter(|line| line.trim_end().ends_with('x')).count(), 3, "{text}");
+    assert_eq!(text.lines().filter(|line| line.trim_end().ends_with('x')).count(), 4, "{text}");
     assert!(text.contains("vs fused"), "{text}");
     let ms = |row: usize| rows[row]["ms_per_step"].as_f64().unwrap();
     let ratio = format!("{:.1}x", ms(1) / ms(0));

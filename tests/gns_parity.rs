@@ -4,16 +4,21 @@
 
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::config::scene::Kernels;
+use hydrograd::config::training::{HeatModel, Kind};
 use hydrograd::dataset::{kind, Metadata};
 use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::surrogate::differentiable_rollout::DifferentiableRollout;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::integrate;
 use hydrograd::surrogate::models::gns::{Gns, Sizes};
+use hydrograd::surrogate::models::learned::Learned;
+use hydrograd::surrogate::models::setup::Setup;
 use hydrograd::surrogate::network::adamw::AdamW;
 use hydrograd::surrogate::network::parameters::{tracked, Network};
 use hydrograd::surrogate::predictor::Scenery;
 use hydrograd::surrogate::training::{loss, noise};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 const DOUBLE: f64 = 1e-10;
 const SINGLE: f64 = 1e-4;
@@ -296,35 +301,43 @@ impl Fixture {
         if !self.has("roll.pos") {
             return;
         }
-        let model = self.model(DType::F64);
+        let network = self.model(DType::F64);
         let tame = numbers(&self.file, "roll.decoder_last_layer_scale")[0];
-        let mut parameters: Vec<Tensor> = tracked(&model).iter().map(|p| p.detach()).collect();
+        let mut parameters: Vec<Tensor> = tracked(&network).iter().map(|p| p.detach()).collect();
         let decoder = parameters.pop().unwrap();
-        let last = model.parameters().last().unwrap().parts.len() - 2;
-        let begin = model.parameters().last().unwrap().parts[last].1.start;
+        let last = network.parameters().last().unwrap().parts.len() - 2;
+        let begin = network.parameters().last().unwrap().parts[last].1.start;
         let head = decoder.narrow(0, 0, begin).unwrap();
         let tail = decoder.narrow(0, begin, decoder.dim(0).unwrap() - begin).unwrap();
         parameters.push(Tensor::cat(&[head, (tail * tame).unwrap()], 0).unwrap());
+        let setup = Setup {
+            kind: Kind::Gns,
+            sizes: self.sizes,
+            features: self.features,
+            normalisation: self.normalisation.clone(),
+            heat: HeatModel::None,
+            periodic: self.metadata.periodic()[..self.metadata.dim].to_vec(),
+            spacing: None,
+            frame_time: None,
+        };
+        let learned = Learned { name: "fixture".into(), setup, network: Arc::new(network), parameters };
+        let (metadata, kind) = (self.metadata.clone(), self.kind.clone());
+        let scenery = Scenery { metadata: &metadata, kind: &kind, wall_temperature: None };
+        let rollout = DifferentiableRollout::new(&learned, scenery).unwrap();
         let inputs: Vec<Var> = self.frames[..6].iter().map(|f| Var::from_tensor(f).unwrap()).collect();
-        let mut window: Vec<Tensor> = inputs.iter().map(|v| v.as_tensor().clone()).collect();
-        let moves = self.mask(DType::F64);
-        let stays = (1.0 - &moves).unwrap();
-        let held = window[5].clone();
+        let position = inputs.iter().map(|v| v.as_tensor().clone()).collect();
+        let mut window = Window { position, temperature: Vec::new() };
         let mut positions = Vec::new();
         for step in 1..=20 {
-            let features = self.inputs(&window, DType::F64);
-            let out = model.apply(&features, &parameters).unwrap();
-            let next = integrate::position(&window[5], &features, &out, &self.normalisation, &self.metadata).unwrap();
-            let next = ((next * &moves).unwrap() + (&held * &stays).unwrap()).unwrap();
+            window = rollout.advance(&window, self.force.as_ref()).unwrap();
+            let next = window.position[5].clone();
             positions.extend(plain(&next));
-            window.remove(0);
-            window.push(next.clone());
             if self.has(&format!("roll.loss_{step}")) {
                 let off = hydrograd::surrogate::features::displacement(&next, &self.frames[6], &self.metadata).unwrap();
                 let value = (off.sqr().unwrap().sum_all().unwrap() / self.kind.len() as f64).unwrap();
                 self.compare(&format!("roll.loss_{step}"), &plain(&value), DOUBLE);
                 let store = value.backward().unwrap();
-                let zeros = held.zeros_like().unwrap();
+                let zeros = next.zeros_like().unwrap();
                 let gradient: Vec<Tensor> = inputs.iter().map(|v| store.get(v).unwrap_or(&zeros).clone()).collect();
                 let gradient = plain(&Tensor::stack(&gradient, 1).unwrap());
                 self.compare(&format!("roll.grad_pos_{step}"), &gradient, DOUBLE);

@@ -7,7 +7,7 @@ use hydrograd::sph::solver::Solver;
 use std::sync::Arc;
 use support::jax_sph::{field, reference_file, Case};
 
-/// Largest difference relative to the field's largest value. The plain-C floor reaches 6e-12 after 100 steps.
+/// Largest difference relative to the field's largest value.
 const TOLERANCES: [(usize, f64); 3] = [(1, 1e-10), (10, 1e-10), (100, 1e-8)];
 
 /// JAX-SPH rounds every r_ij to the box (it adds and subtracts half of the box), we do not. Where a field is a sum of

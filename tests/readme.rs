@@ -157,7 +157,7 @@ fn files_named_in_the_tree_exist() {
 
 #[test]
 fn commands_parse() {
-    let mut seen = 0;
+    let (mut seen, mut wrong) = (0, vec![]);
     for page in pages() {
         let inside = page.parts().0.join("\n").replace("\\\n", " ");
         let begins = ["hydrograd ", "cargo run --release -- "];
@@ -168,27 +168,23 @@ fn commands_parse() {
         });
         for line in lines {
             seen += 1;
-            if let Some(problem) = problem(&line, true) {
-                panic!("{}: `{line}`: {problem}", page.name());
-            }
+            wrong.extend(problem(&line, true).map(|problem| format!("{}: `{line}`: {problem}", page.name())));
         }
         for line in page.quoted().iter().filter(|text| text.starts_with("hydrograd ") && !text.contains("...")) {
             seen += 1;
-            if let Some(problem) = problem(line, false) {
-                panic!("{}: `{line}`: {problem}", page.name());
-            }
+            wrong.extend(problem(&line, false).map(|problem| format!("{}: `{line}`: {problem}", page.name())));
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(seen > 40, "only {seen} commands were found");
 }
 
 #[test]
 fn configuration_keys_exist() {
-    let mut known: BTreeSet<String> = known_keys::<Config>().into_iter().collect();
-    known.extend(known_keys::<Settings>());
+    let known: BTreeSet<String> = [known_keys::<Config>(), known_keys::<Settings>()].concat().into_iter().collect();
     let sections: BTreeSet<&str> = known.iter().filter_map(|key| Some(key.split_once('.')?.0)).collect();
     let is_key = |text: &str| text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || "_.*".contains(c));
-    let mut seen = 0;
+    let (mut seen, mut wrong) = (0, vec![]);
     for page in pages() {
         for text in page.quoted() {
             for word in text.split(' ').map(|word| word.split('=').next().unwrap_or_default()) {
@@ -199,10 +195,13 @@ fn configuration_keys_exist() {
                     continue;
                 }
                 seen += 1;
-                assert!(key == "*" || known.contains(word), "{}: there is no key {word}", page.name());
+                if key != "*" && !known.contains(word) {
+                    wrong.push(format!("{}: there is no key {word}", page.name()));
+                }
             }
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(seen > 30, "only {seen} keys were found");
 }
 

@@ -4,19 +4,24 @@
 use candle_core::{DType, Device, Tensor, Var};
 use candle_nn::Module;
 use hydrograd::config::scene::Kernels;
-use hydrograd::dataset::Metadata;
+use hydrograd::config::training::{HeatModel, Settings};
+use hydrograd::dataset::{kind, Metadata, Trajectory};
 use hydrograd::numerics::candle::{apply2, apply3};
 use hydrograd::numerics::random::stream;
+use hydrograd::surrogate::differentiable_rollout::DifferentiableRollout;
+use hydrograd::surrogate::evaluation::rollout::rollout;
 use hydrograd::surrogate::features::{Features, Inputs, Normalisation, Window};
 use hydrograd::surrogate::models::egnn::Egnn;
 use hydrograd::surrogate::models::gns::{Gns, Sizes};
+use hydrograd::surrogate::models::learned::{window, Learned};
+use hydrograd::surrogate::models::setup::Setup;
 use hydrograd::surrogate::network::graph::{Ends, Graph};
 use hydrograd::surrogate::network::interaction::{edge_shape, node_shape, Rounds};
 use hydrograd::surrogate::network::layers::{builder, Perceptron, Round};
 use hydrograd::surrogate::network::memory::Memory;
 use hydrograd::surrogate::network::mlp::{Mlp, MlpShape};
 use hydrograd::surrogate::network::parameters::{detached, tracked, Network, Parameter};
-use hydrograd::surrogate::predictor::Scenery;
+use hydrograd::surrogate::predictor::{Frame, Scenery};
 use std::sync::Arc;
 
 /// Pseudo-random numbers in -1..1.
@@ -493,4 +498,78 @@ fn clumped_particles_are_an_error() {
     let normalisation = Normalisation::new(&metadata, 3e-4, 0.145, None);
     let error = Features::default().inputs(&scenery, &normalisation, &window, None, DType::F32).unwrap_err();
     assert!(error.to_string().contains("clumped"), "{error}");
+}
+
+/// A heated box with an inlet, and a learned model of it with random parameters, in f64.
+fn heated() -> (Metadata, Learned) {
+    let mut metadata = metadata(1.0);
+    let heat = serde_json::json!({
+        "temperature_mean": 1.2, "temperature_std": 0.3, "change_mean": 0.01, "change_std": 0.05,
+        "inlet_length": 0.4, "inlet_temperature": 1.0, "target_x": 0.9, "diffusivity": 0.02,
+        "conductivity": 0.02, "heat_capacity": 1.0, "outlet_length": 0.1
+    });
+    metadata.heat = Some(serde_json::from_value(heat).unwrap());
+    let mut settings = Settings::default();
+    (settings.model.latent, settings.model.rounds, settings.model.embedding) = (12, 2, 4);
+    let setup = Setup::new(&settings, &metadata).unwrap();
+    let network: Arc<dyn Network> = Arc::from(setup.network(Kernels::Fused, 2, DType::F64).unwrap());
+    scatter(&*network);
+    (metadata, Learned::new("random".into(), setup, network))
+}
+
+/// On candle's graph: the frames of the plain rollout, and the gradient by the first frames and the parameters.
+#[test]
+fn rollout_on_the_graph_is_the_plain_one_and_has_its_gradient() {
+    let (metadata, mut learned) = heated();
+    let kind: Vec<i32> = (0..60).map(|i| if i % 4 == 0 { kind::SOLID_WALL } else { kind::FLUID }).collect();
+    let frames = cloud();
+    let still = |k: usize| kind[k / 2] == kind::SOLID_WALL;
+    let place = |t: usize, k: usize| frames[if still(k) { 0 } else { t.min(5) }][k] as f32;
+    let warm = noise(60, 41);
+    let trajectory = Trajectory {
+        name: "0".into(),
+        frames: 9,
+        particles: 60,
+        position: (0..9).flat_map(|t| (0..120).map(move |k| (t, k))).map(|(t, k)| place(t, k)).collect(),
+        temperature: Some((0..9 * 60).map(|k| (1.2 + 0.1 * warm[k % 60]) as f32).collect()),
+        kind: kind.clone(),
+        ..Trajectory::default()
+    };
+    let plainly = rollout(&learned, &metadata, &trajectory, 0, 3).unwrap();
+    assert!(plainly.broken.is_none(), "{:?}", plainly.broken);
+
+    let scenery = Scenery::of(&metadata, &trajectory);
+    let seen: Vec<Frame> = (0..6).map(|frame| Frame::of(&trajectory, frame)).collect();
+    let variables = |t: &[Tensor]| t.iter().map(|t| Var::from_tensor(t).unwrap()).collect::<Vec<Var>>();
+    let first = window(&seen, 2).unwrap();
+    let (position, temperature) = (variables(&first.position), variables(&first.temperature));
+    let parameters: Vec<Var> = learned.network.parameters().iter().map(|p| p.values.clone()).collect();
+    learned.parameters = tracked(&*learned.network);
+    let on_graph = DifferentiableRollout::new(&learned, scenery).unwrap();
+    let tensors = |v: &[Var]| v.iter().map(|v| v.as_tensor().clone()).collect::<Vec<_>>();
+    let run = |mut see: Box<dyn FnMut(&Window)>| {
+        let mut window = Window { position: tensors(&position), temperature: tensors(&temperature) };
+        for _ in 0..3 {
+            window = on_graph.advance(&window, None).unwrap();
+            see(&window);
+        }
+        Tensor::cat(&[&window.position[5], &window.temperature[5].unsqueeze(1).unwrap()], 1).unwrap()
+    };
+    let mut wanted = plainly.frames.clone().into_iter();
+    let inlet = std::rc::Rc::new(std::cell::Cell::new(0));
+    let met = inlet.clone();
+    run(Box::new(move |window| {
+        let frame = wanted.next().unwrap();
+        let temperature = plain(&window.temperature[5]);
+        assert!(largest(&plain(&window.position[5]), &frame.position) < 1e-15);
+        assert_eq!(Some(&temperature), frame.temperature.as_ref());
+        met.set(met.get() + temperature.iter().filter(|t| **t == 1.0).count());
+    }));
+    assert!(inlet.get() > 0, "nobody met the inlet: nothing was tried");
+    let all: Vec<&Var> = position.iter().chain(&temperature).chain(&parameters).collect();
+    check_gradient_with(1e-8, "rollout", &all, || run(Box::new(|_| ())));
+
+    learned.setup.heat = HeatModel::Conduction;
+    let error = DifferentiableRollout::new(&learned, scenery).err().unwrap().to_string();
+    assert!(error.contains("conduction is no part of candle's graph"), "{error}");
 }

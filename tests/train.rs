@@ -241,10 +241,15 @@ fn every_kind_of_model_and_of_heat_trains() {
 fn composed_kernels_train_evaluate_and_roll_out() {
     let folder = tempfile::tempdir().unwrap();
     let [fused, composed, mixed]: [PathBuf; 3] = ["fused", "composed", "mixed"].map(|name| folder.path().join(name));
-    train(&fused, &["--steps", "8"]).assert().success();
-    train(&composed, &["--steps", "8", "--kernels", "composed"]).assert().success();
-    train(&mixed, &["--steps", "4", "--kernels", "composed"]).assert().success();
-    train(&mixed, &["--steps", "8", "--kernels", "fused", "--resume"]).assert().success();
+    // AdamW's first steps are as long as the rate wherever a gradient is not 0, and rounding decides about the sign of the
+    // smallest: a small rate, so that only what is computed differs.
+    let run = |out: &Path, more: &[&str]| {
+        train(out, more).args(["--set", "learning_rate=1e-6"]).assert().success();
+    };
+    run(&fused, &["--steps", "8"]);
+    run(&composed, &["--steps", "8", "--kernels", "composed"]);
+    run(&mixed, &["--steps", "4", "--kernels", "composed"]);
+    run(&mixed, &["--steps", "8", "--kernels", "fused", "--resume"]);
     let losses = |folder: &Path| -> Vec<f64> {
         let text = std::fs::read_to_string(folder.join("history.csv")).unwrap();
         text.lines().skip(1).map(|line| line.split(',').nth(2).unwrap().parse().unwrap()).collect()
@@ -253,7 +258,7 @@ fn composed_kernels_train_evaluate_and_roll_out() {
     assert_eq!(wanted.len(), 4);
     for other in [&composed, &mixed] {
         for (a, b) in losses(other).iter().zip(&wanted) {
-            assert!((a / b - 1.0).abs() < 1e-4, "{a} {b}");
+            assert!((a / b - 1.0).abs() < 1e-5, "{a} {b}");
         }
     }
     // Rounding differs, or the option did nothing.

@@ -482,7 +482,7 @@ fn repetitions(length: usize, states: usize) -> usize {
 
 /// Least number of steps to run forward for the adjoints of `length` steps, last to first, with `states` places for
 /// states, the first among them (the taped run of each step not counted): r l - C(states + r, r - 1), r =
-/// [`repetitions`] (Griewank and Walther 2000).
+/// `repetitions` (Griewank and Walther 2000).
 pub fn least_steps(length: usize, states: usize) -> usize {
     let r = repetitions(length, states);
     // C(states + r, r - 1).
@@ -495,7 +495,7 @@ pub fn least_steps(length: usize, states: usize) -> usize {
 }
 
 /// Where to keep the next state: the m that minimises m + t(l - m, s - 1) + t(m, s), t = [`least_steps`]. t is convex
-/// in the length with slope [`repetitions`], so the slope of the sum changes its sign once.
+/// in the length with slope `repetitions`, so the slope of the sum changes its sign once.
 fn split(length: usize, states: usize) -> usize {
     let (mut low, mut high) = (1, length - 1);
     while low < high {

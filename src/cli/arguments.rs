@@ -231,21 +231,20 @@ pub(super) fn with_options(message: &str) -> String {
 const ADVICE: &str = "  try: ";
 
 fn options_in(advice: &str) -> String {
-    let mut words: Vec<String> = Vec::new();
-    let mut before = "";
+    let (mut words, mut before) = (Vec::new(), "");
     for word in advice.split(' ') {
-        let is_option = std::mem::replace(&mut before, word).starts_with("--");
         // `(time.cfl=1)` begins with a bracket.
         let bare = word.trim_start_matches(['(', '`']);
         let is_key = |key: &str| key.starts_with(|c: char| c.is_ascii_lowercase()) && key.chars().all(is_of_key);
         let shown = match bare.split_once('=') {
-            Some((key, value)) if is_key(key) && !is_option => match option_of(key) {
+            Some((key, value)) if is_key(key) && !before.starts_with("--") => match option_of(key) {
                 Some(option) => format!("{option} {value}"),
                 None => format!("--set {bare}"),
             },
             _ => bare.to_string(),
         };
         words.push(format!("{}{shown}", &word[..word.len() - bare.len()]));
+        before = word;
     }
     words.join(" ")
 }
@@ -277,10 +276,10 @@ mod tests {
             ("resolution.dx=0.025 or resolution.dx=0.02", "--set resolution.dx=0.025 or --set resolution.dx=0.02"),
             ("optimise.memory=20MB, or a smaller resolution.dx", "--memory 20MB, or a smaller resolution.dx"),
             ("clipping (clip=1)", "clipping (--set clip=1)"),
+            ("seed=1 model.latent=8", "--set seed=1 --set model.latent=8"),
             ("--set time.cfl=1 or --memory 3MB", "--set time.cfl=1 or --memory 3MB"),
             ("the built-in scene's time.cfl = 2", "the built-in scene's time.cfl = 2"),
             ("`hydrograd scenes heated-channel` prints them", "`hydrograd scenes heated-channel` prints them"),
-            ("optimise.gradient=segments optimise.segment=0", "--gradient segments --segment 0"),
         ] {
             let message = |advice: &str| format!("a.toml: time.cfl=9 is bad\n  allowed: time.cfl=1\n  try: {advice}");
             assert_eq!(with_options(&message(advice)), message(expected));

@@ -304,7 +304,7 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
         Precision::F64 => record::<f64>(&ready, &progress)?,
     };
     let provenance = Provenance {
-        configuration: toml::to_string(&ready.config)?,
+        configuration: ready.config.recorded()?,
         seed: ready.config.run.seed,
         version: VERSION.into(),
         wall: ready.wall,

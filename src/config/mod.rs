@@ -4,6 +4,7 @@ pub mod derived;
 pub mod difference;
 pub mod layers;
 pub mod memory_size;
+pub mod provenance;
 pub mod range;
 pub mod scene;
 pub mod schema;

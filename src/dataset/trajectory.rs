@@ -1,7 +1,7 @@
 //! One trajectory of a data set: frames of particles, and what belongs to the trajectory as a whole.
 //!
-//! Group "00000" holds `position` [T, N, D] f32 and `particle_type` [N] i32 as in LagrangeBench; ours add
-//! `temperature` [T, N] f32, `wall_temperature` [N] f32 (not-a-number where none is set), and `wall_x`, `wall_offset` [M]
+//! Group "00000" holds `position` `[T, N, D]` f32 and `particle_type` `[N]` i32 as in LagrangeBench; ours add
+//! `temperature` `[T, N]` f32, `wall_temperature` `[N]` f32 (not-a-number where none is set), and `wall_x`, `wall_offset` `[M]`
 //! f64 (the shape of the wall).
 
 use super::metadata::Metadata;

@@ -1,7 +1,7 @@
 //! The state of a run at one time, in HDF5 (gzip 4 with shuffle), readable by h5py and by ourselves.
 //!
-//! Datasets: `position` [N, D], and where known `velocity` [N, D], `temperature`, `density`, `pressure`, `mass`
-//! [N] (all f64) and `tag` [N] (u8). Attributes of the file: `time`, `step`, `box_size` [D], `dx`,
+//! Datasets: `position` `[N, D]`, and where known `velocity` `[N, D]`, `temperature`, `density`, `pressure`, `mass`
+//! `[N]` (all f64) and `tag` `[N]` (u8). Attributes of the file: `time`, `step`, `box_size` `[D]`, `dx`,
 //! `configuration` (TOML text), `version`, `seed`.
 
 use super::atomic::write_path_atomically;
@@ -12,16 +12,16 @@ use super::hdf5_file::{
 use super::FileError;
 use std::path::Path;
 
-/// One state. Vectors are component-major [D, N] in memory (all x first), [N, D] in the file.
+/// One state. Vectors are component-major `[D, N]` in memory (all x first), `[N, D]` in the file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// D, 1 to 3.
     pub dimension: usize,
-    /// [D, N], scene length units.
+    /// `[D, N]`, scene length units.
     pub position: Vec<f64>,
-    /// [D, N], scene velocity units.
+    /// `[D, N]`, scene velocity units.
     pub velocity: Option<Vec<f64>>,
-    /// [N], as are the following.
+    /// `[N]`, as are the following.
     pub temperature: Option<Vec<f64>>,
     pub density: Option<Vec<f64>>,
     pub pressure: Option<Vec<f64>>,
@@ -30,7 +30,7 @@ pub struct State {
     /// Scene time units.
     pub time: f64,
     pub step: u64,
-    /// [D], scene length units.
+    /// `[D]`, scene length units.
     pub box_size: Vec<f64>,
     /// Particle spacing, scene length units.
     pub dx: f64,
@@ -156,13 +156,13 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
     })
 }
 
-/// [D, N] to [N, D].
+/// `[D, N]` to `[N, D]`.
 fn particle_major(values: &[f64], dimension: usize) -> Vec<f64> {
     let count = values.len() / dimension;
     (0..values.len()).map(|index| values[(index % dimension) * count + index / dimension]).collect()
 }
 
-/// [N, D] to [D, N].
+/// `[N, D]` to `[D, N]`.
 fn component_major(values: &[f64], dimension: usize) -> Vec<f64> {
     let count = values.len() / dimension;
     (0..values.len()).map(|index| values[(index % count) * dimension + index / count]).collect()

@@ -19,20 +19,20 @@ pub enum Precision {
     F32,
 }
 
-/// Particles at one time. Vectors are component-major [D, N]: all x first, then all y, then all z.
+/// Particles at one time. Vectors are component-major `[D, N]`: all x first, then all y, then all z.
 #[derive(Clone, Copy, Debug)]
 pub struct ParticleFrame<'a> {
     /// D, 1 to 3; missing components are written as 0.
     pub dimension: usize,
     /// Time in scene units.
     pub time: f64,
-    /// [D, N], scene length units.
+    /// `[D, N]`, scene length units.
     pub position: &'a [f64],
-    /// [D, N], scene velocity units; empty leaves the array out.
+    /// `[D, N]`, scene velocity units; empty leaves the array out.
     pub velocity: &'a [f64],
-    /// Name and values [N], for example temperature, density, pressure.
+    /// Name and values `[N]`, for example temperature, density, pressure.
     pub scalars: &'a [(&'a str, &'a [f64])],
-    /// [N]; empty leaves the array out.
+    /// `[N]`; empty leaves the array out.
     pub tag: &'a [u8],
 }
 

@@ -34,7 +34,7 @@ impl Layout {
         }
     }
 
-    /// State: position D, velocity D, acceleration D, [transport acceleration D], [temperature, its rate], [mass].
+    /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass).
     pub fn state_rows(&self) -> usize {
         self.state_mass() + self.mass as usize
     }
@@ -57,8 +57,8 @@ impl Layout {
         self.temperature() + 2 * self.heat as usize
     }
 
-    /// Moved state, after the drift: position D, velocity D, [transport velocity - velocity D],
-    /// [temperature before, temperature after], [mass].
+    /// Moved state, after the drift: position D, velocity D, (transport velocity - velocity D),
+    /// (temperature before, temperature after), (mass).
     pub fn moved_rows(&self) -> usize {
         self.moved_mass() + self.mass as usize
     }
@@ -75,7 +75,7 @@ impl Layout {
         self.moved_old_temperature() + 2 * self.heat as usize
     }
 
-    /// Primitives, walls included: density, velocity D, [transport velocity - velocity D], [temperature].
+    /// Primitives, walls included: density, velocity D, (transport velocity - velocity D), (temperature).
     pub fn primitive_rows(&self) -> usize {
         self.primitive_temperature() + self.heat as usize
     }
@@ -89,7 +89,7 @@ impl Layout {
         1 + self.d() + self.w()
     }
 
-    /// Rates: acceleration D, [transport acceleration D], [temperature rate].
+    /// Rates: acceleration D, (transport acceleration D), (temperature rate).
     pub fn rate_rows(&self) -> usize {
         self.rate_temperature() + self.heat as usize
     }

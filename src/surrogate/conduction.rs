@@ -10,10 +10,10 @@
 use super::predictor::{Frame, Scenery};
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
-use crate::numerics::lanes::{Lanes, PortableF64};
 use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
 use crate::sph::kernels::{Kernel, KernelName};
+use crate::sph::laws::conduction;
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;
@@ -76,65 +76,80 @@ impl<'a> Conduction<'a> {
         Ok(temperature)
     }
 
-    /// dT/dt `[N]`; also sets the walls' temperatures. `position` is `[D, N]`, from the box's corner.
+    /// dT/dt `[N]`. `position` is `[D, N]`, from the box's corner.
     fn rate(&self, position: &[f64], temperature: &[f64]) -> anyhow::Result<Vec<f64>> {
-        let (metadata, heat) = (self.scenery.metadata, self.heat);
         let n = temperature.len();
-        let list = NeighbourList::build(position, &self.tags, &self.domain, 3.0 * metadata.dx, 32)?;
-        let inverse = self.domain.inverse_period();
-        let kernel = self.kernel.lanes::<PortableF64>();
-        let value = |lanes: PortableF64| lanes.sum() / PortableF64::COUNT as f64;
-        let square = |i: usize, j: usize| {
-            (0..metadata.dim)
-                .map(|k| {
-                    let dr = position[k * n + i] - position[k * n + j];
-                    let dr = dr - metadata.size()[k] * (dr * inverse[k]).round();
-                    dr * dr
-                })
-                .sum::<f64>()
+        let pairs = self.pairs(position)?;
+        let sums = |of: &dyn Fn(&Pair) -> f64| {
+            let mut sums = vec![0.0; n];
+            pairs.iter().for_each(|pair| sums[pair.i] += of(pair));
+            sums
         };
-        let row = |i: usize| list.row(i)[..list.count[i] as usize].iter().map(|&j| j as usize);
-        let weight = |i: usize, j: usize| value(kernel.value(PortableF64::splat(square(i, j))));
-        // Volumes: 1/sum_j W_ij, which is m/rho for equal masses; walls have that of the lattice, as in the solver.
-        let spacing = metadata.dx.powi(metadata.dim as i32);
-        let itself = value(kernel.value(PortableF64::splat(0.0)));
-        let volume: Vec<f64> = (0..n)
-            .map(|i| {
-                if self.tags[i] == tag::FLUID {
-                    1.0 / (itself + row(i).map(|j| weight(i, j)).sum::<f64>())
-                } else {
-                    spacing
-                }
-            })
-            .collect();
-        let mut now = temperature.to_vec();
-        for &i in &list.wall_rows {
-            let i = i as usize;
-            let set = self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
-            let (mut sum, mut weights) = (0.0, f64::MIN_POSITIVE);
-            for j in row(i) {
-                let w = weight(i, j);
-                sum += w * temperature[j];
-                weights += w;
-            }
-            let mean = sum / weights;
-            // A set temperature holds on the wall's surface, midway between a dummy particle and the fluid.
-            now[i] = if set.is_finite() { 2.0 * f64::from(set) - mean } else { mean };
-        }
-        let (low, high) = (metadata.bounds[0][0], metadata.bounds[0][1]);
+        let weights = sums(&|pair| pair.weight);
+        let volume = self.volumes(&weights);
+        let means = sums(&|pair| pair.weight * temperature[pair.j]);
+        let now = self.with_walls(temperature, &means, &weights);
+        let flows = sums(&|pair| {
+            let Pair { i, j, slope, .. } = *pair;
+            conduction::flow([volume[i], volume[j]], slope, [now[i], now[j]])
+        });
+        let (heat, [low, high]) = (self.heat, self.scenery.metadata.bounds[0]);
         let conducts = |x: f64| x + low >= heat.inlet_length && x + low <= high - heat.outlet_length;
-        let mut rate = vec![0.0; n];
-        for &i in &list.fluid_rows {
-            let i = i as usize;
-            if !conducts(position[i]) {
-                continue;
-            }
-            let flow: f64 = row(i)
-                .map(|j| volume[j] * value(kernel.slope(PortableF64::splat(square(i, j)))) * (now[i] - now[j]))
-                .sum();
-            // V_i/m_i = 1/rho_i: with 2 alpha = 2 k/(c rho) at the reference density.
-            rate[i] = 2.0 * heat.diffusivity * flow;
-        }
-        Ok(rate)
+        let conducts = |i: usize| self.tags[i] == tag::FLUID && conducts(position[i]);
+        // Over m_i = rho_i V_i: with 2 alpha = 2 k/(c rho) at the reference density.
+        let rate = |i: usize| if conducts(i) { 2.0 * heat.diffusivity / volume[i] * flows[i] } else { 0.0 };
+        Ok((0..n).map(rate).collect())
     }
+
+    /// All pairs of fluid with fluid and walls, and of walls with fluid.
+    fn pairs(&self, position: &[f64]) -> anyhow::Result<Vec<Pair>> {
+        let (n, d) = (self.tags.len(), self.domain.dimension);
+        let list = NeighbourList::build(position, &self.tags, &self.domain, self.kernel.cutoff(), 32)?;
+        let mut pairs = Vec::new();
+        for &i in list.fluid_rows.iter().chain(&list.wall_rows) {
+            let i = i as usize;
+            for &j in &list.row(i)[..list.count[i] as usize] {
+                let j = j as usize;
+                let apart = |k: usize| self.domain.nearest(k, position[k * n + i] - position[k * n + j]);
+                let (weight, slope) = self.kernel.pair((0..d).map(|k| apart(k).powi(2)).sum::<f64>());
+                pairs.push(Pair { i, j, weight, slope });
+            }
+        }
+        Ok(pairs)
+    }
+
+    /// 1/sum_j W_ij, which is m/rho for equal masses, from the sums over the neighbours; walls have that of the lattice, as
+    /// in the solver.
+    fn volumes(&self, weights: &[f64]) -> Vec<f64> {
+        let metadata = self.scenery.metadata;
+        let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
+        let volume = |(&tag, sum): (&u8, &f64)| if tag == tag::FLUID { 1.0 / (itself + sum) } else { lattice };
+        self.tags.iter().zip(weights).map(volume).collect()
+    }
+
+    /// Temperatures with those of the walls set, from the sums of their neighbours' temperatures by weight.
+    fn with_walls(&self, temperature: &[f64], means: &[f64], weights: &[f64]) -> Vec<f64> {
+        let wall = |i: usize| {
+            let set = self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
+            let mean = means[i] / weights[i];
+            // A set temperature holds on the wall's surface, midway between a dummy particle and the fluid.
+            if set.is_finite() {
+                2.0 * f64::from(set) - mean
+            } else {
+                mean
+            }
+        };
+        let now = |i: usize| if self.tags[i] == tag::FLUID || weights[i] == 0.0 { temperature[i] } else { wall(i) };
+        (0..temperature.len()).map(now).collect()
+    }
+}
+
+/// Two particles that see each other.
+struct Pair {
+    i: usize,
+    j: usize,
+    /// W.
+    weight: f64,
+    /// F = W'(d)/d.
+    slope: f64,
 }

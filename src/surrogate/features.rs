@@ -116,62 +116,26 @@ impl Features {
         dtype: DType,
     ) -> anyhow::Result<Inputs> {
         let metadata = scenery.metadata;
-        let d = metadata.dim;
         let frames = &window.position[window.position.len() - self.frames..];
         let last = &frames[self.frames - 1];
-        let mut corner = last.detach().flatten_all()?.to_vec1::<f64>()?;
-        let extent = Extent::of(metadata);
-        corner.iter_mut().enumerate().for_each(|(at, x)| *x = extent.from_corner(at % d, *x));
-        let graph = Arc::new(Graph::build(&corner, &metadata.domain(), normalisation.radius)?);
-
-        let row = |values: &[f64]| Tensor::from_slice(values, (1, d), &Device::Cpu);
-        let mean = row(&normalisation.velocity_mean)?;
-        let scale = row(&normalisation.velocity_scale)?;
-        let mut velocities = Vec::new();
+        let graph = Arc::new(graph(last, metadata, normalisation.radius)?);
         let mut columns = Vec::new();
+        let mut velocity = last.clone();
+        let row = |values: &[f64]| Tensor::from_slice(values, (1, metadata.dim), &Device::Cpu);
+        let (mean, scale) = (row(&normalisation.velocity_mean)?, row(&normalisation.velocity_scale)?);
         for pair in frames.windows(2) {
-            let velocity = displacement(&pair[1], &pair[0], metadata)?;
+            velocity = displacement(&pair[1], &pair[0], metadata)?;
             columns.push(velocity.broadcast_sub(&mean)?.broadcast_div(&scale)?);
-            velocities.push(velocity);
         }
         if self.speed {
             let speeds: Vec<Tensor> = columns.iter().map(length).collect::<Result<_>>()?;
             columns.extend(speeds);
         }
-        let open: Vec<usize> = (0..d).filter(|&k| !metadata.periodic()[k]).collect();
-        let clipped = |x: Tensor| (x / normalisation.radius)?.clamp(-1.0, 1.0);
         if self.boundary {
-            for low in [true, false] {
-                for &k in &open {
-                    let (x, [lo, hi]) = (last.narrow(1, k, 1)?, metadata.bounds[k]);
-                    columns.push(clipped(if low { (x - lo)? } else { x.affine(-1.0, hi)? })?);
-                }
-            }
+            columns.extend(ends_of_the_box(last, metadata, normalisation.radius)?);
         }
         columns.extend(force.cloned());
-        if let (Some([t_mean, t_scale]), Some([c_mean, c_scale])) = (normalisation.temperature, normalisation.change) {
-            let first = window.temperature.len() - self.frames;
-            let temperature = &window.temperature[first..];
-            for pair in temperature.windows(2) {
-                columns.push(((&pair[1] - &pair[0])?.affine(1.0 / c_scale, -c_mean / c_scale)?).unsqueeze(1)?);
-            }
-            let now = &temperature[self.frames - 1];
-            columns.push(now.affine(1.0 / t_scale, -t_mean / t_scale)?.unsqueeze(1)?);
-            let (mut set, mut is_set) = (vec![0.0; scenery.kind.len()], vec![0.0; scenery.kind.len()]);
-            for (i, &t) in scenery.wall_temperature.unwrap_or_default().iter().enumerate() {
-                if t.is_finite() {
-                    (set[i], is_set[i]) = ((f64::from(t) - t_mean) / t_scale, 1.0);
-                }
-            }
-            for column in [set, is_set] {
-                let n = column.len();
-                columns.push(Tensor::from_vec(column, (n, 1), &Device::Cpu)?);
-            }
-            // For heat the two ends of the channel are boundaries, though the flow is periodic there.
-            let (x, [lo, hi]) = (last.narrow(1, 0, 1)?, metadata.bounds[0]);
-            columns.push(clipped((&x - lo)?)?);
-            columns.push(clipped(x.affine(-1.0, hi)?)?);
-        }
+        columns.extend(self.heat(scenery, normalisation, window, last)?);
         let nodes = Tensor::cat(&columns, 1)?.to_dtype(dtype)?;
 
         let ends = Ends::new(&graph, last.device())?;
@@ -179,14 +143,64 @@ impl Features {
         let relative = (displacement(&to, &from, metadata)? / normalisation.radius)?;
         let edges = Tensor::cat(&[&relative, &length(&relative)?], 1)?.to_dtype(dtype)?;
         let kinds: Vec<u32> = scenery.kind.iter().map(|&k| if k == kind::PADDING { 8 } else { k as u32 }).collect();
-        Ok(Inputs {
-            graph,
-            nodes,
-            edges,
-            kinds: Tensor::new(kinds, &Device::Cpu)?,
-            velocity: velocities.pop().unwrap_or_else(|| last.clone()),
-        })
+        Ok(Inputs { graph, nodes, edges, kinds: Tensor::new(kinds, &Device::Cpu)?, velocity })
     }
+
+    /// The columns that are there with heat only.
+    fn heat(
+        &self,
+        scenery: &Scenery,
+        normalisation: &Normalisation,
+        window: &Window,
+        last: &Tensor,
+    ) -> Result<Vec<Tensor>> {
+        let (Some([t_mean, t_scale]), Some([c_mean, c_scale])) = (normalisation.temperature, normalisation.change)
+        else {
+            return Ok(Vec::new());
+        };
+        let temperature = &window.temperature[window.temperature.len() - self.frames..];
+        let mut columns = Vec::new();
+        for pair in temperature.windows(2) {
+            columns.push(((&pair[1] - &pair[0])?.affine(1.0 / c_scale, -c_mean / c_scale)?).unsqueeze(1)?);
+        }
+        columns.push(temperature[self.frames - 1].affine(1.0 / t_scale, -t_mean / t_scale)?.unsqueeze(1)?);
+        let (mut set, mut is_set) = (vec![0.0; scenery.kind.len()], vec![0.0; scenery.kind.len()]);
+        for (i, &t) in scenery.wall_temperature.unwrap_or_default().iter().enumerate() {
+            if t.is_finite() {
+                (set[i], is_set[i]) = ((f64::from(t) - t_mean) / t_scale, 1.0);
+            }
+        }
+        for column in [set, is_set] {
+            let n = column.len();
+            columns.push(Tensor::from_vec(column, (n, 1), &Device::Cpu)?);
+        }
+        // For heat the two ends of the channel are boundaries, though the flow is periodic there.
+        let (bounds, radius) = (scenery.metadata.bounds[0], normalisation.radius);
+        columns.extend([distance(last, 0, bounds, true, radius)?, distance(last, 0, bounds, false, radius)?]);
+        Ok(columns)
+    }
+}
+
+/// The graph of all pairs within the radius, from positions `[N, D]`.
+fn graph(position: &Tensor, metadata: &Metadata, radius: f64) -> anyhow::Result<Graph> {
+    let mut corner = position.detach().flatten_all()?.to_vec1::<f64>()?;
+    let extent = Extent::of(metadata);
+    corner.iter_mut().enumerate().for_each(|(at, x)| *x = extent.from_corner(at % metadata.dim, *x));
+    Ok(Graph::build(&corner, &metadata.domain(), radius)?)
+}
+
+/// Distances to the lower ends of the directions that are not periodic, and to the upper ones.
+fn ends_of_the_box(position: &Tensor, metadata: &Metadata, radius: f64) -> Result<Vec<Tensor>> {
+    let open: Vec<usize> = (0..metadata.dim).filter(|&d| !metadata.periodic()[d]).collect();
+    let all = [true, false].into_iter().flat_map(|low| open.iter().map(move |&d| (low, d)));
+    all.map(|(low, d)| distance(position, d, metadata.bounds[d], low, radius)).collect()
+}
+
+/// Distance `[N, 1]` from the lower or upper end of the box in direction `d`, over the radius, clipped.
+fn distance(position: &Tensor, d: usize, [lo, hi]: [f64; 2], low: bool, radius: f64) -> Result<Tensor> {
+    let x = position.narrow(1, d, 1)?;
+    let distance = if low { (x - lo)? } else { x.affine(-1.0, hi)? };
+    (distance / radius)?.clamp(-1.0, 1.0)
 }
 
 /// Norm of each row, `[rows, 1]`; its gradient at 0 is 0.

@@ -3,6 +3,7 @@
 //! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
 
 pub mod conduction;
+pub mod differentiable_rollout;
 pub mod evaluation;
 pub mod features;
 pub mod integrate;

@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use clap::ValueEnum;
 
-use crate::cli::arguments::name_of;
-use crate::cli::arguments::{check_preset, set_option};
+use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
 use crate::config::layers::Setting;
 use crate::config::memory_size::MemorySize;

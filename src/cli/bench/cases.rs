@@ -224,7 +224,7 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
-    /// The report's channel and vortices in a box, each with fused and with composed operators, in turns.
+    /// The report's channel, vortices in a box and a network, each with fused and with composed operators, in turns.
     fn kernels(&self) -> Result<Vec<Family>, Error> {
         let quick = self.arguments.quick;
         let steps = format!("time.steps={}", if quick { 10 } else { 100 });
@@ -245,22 +245,33 @@ impl<'a> Cases<'a> {
             length: Length::Steps(if quick { 2 } else { 10 }),
             ..self.case(Group::Kernels, size.scene(), size.particles(), Source::TaylorGreen(size))
         });
-        let bases = std::iter::once(channel).chain(vortices);
+        let network = Network::ALL[2];
+        let network = Case {
+            length: Length::Seconds { seconds: if quick { 0.1 } else { 1.0 }, least: 1 },
+            ..self.case(Group::Kernels, &network.name(), Network::PARTICLES, Source::Network(network))
+        };
+        let flows = std::iter::once(channel).chain(vortices);
+        let flows = flows.flat_map(|base| [Kind::Forward, Kind::Gradient].map(|kind| (base.clone(), kind)));
+        let networks = [Kind::Forward, Kind::Training].map(|kind| (network.clone(), kind));
         let family = |(base, kind): (Case, Kind)| -> Family {
+            // Networks are trained in f32.
+            let precision = match base.source {
+                Source::Network(_) => Precision::F32,
+                _ => self.arguments.precisions()[0],
+            };
             let with = |kernels: Kernels, mode: &str, blocks: usize| Case {
                 kind,
                 kernels,
                 mode: Some(mode.into()),
                 blocks: if quick { 1 } else { blocks },
-                precision: self.arguments.precisions()[0],
+                precision,
                 threads: self.arguments.threads().last().copied().unwrap_or(1),
                 ..base.clone()
             };
             // Fused runs are short: their best needs more of them.
             vec![with(Kernels::Fused, FUSED, 10), with(Kernels::Composed, COMPOSED, 2)]
         };
-        let kinds = [Kind::Forward, Kind::Gradient];
-        Ok(bases.flat_map(|base| kinds.map(|kind| (base.clone(), kind))).map(family).collect())
+        Ok(flows.chain(networks).map(family).collect())
     }
 
     /// Networks on one graph, in f32 alone: that is what they are trained in.

@@ -1,4 +1,10 @@
 //! `hydrograd bench`: how long steps and gradients take, and how much memory, in groups of comparable cases.
+//!
+//! Each row is measured in a process of its own, which answers in JSON. Who imports whom:
+//!
+//! ```text
+//! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, compare, plots, runner  <-  tables  <-  run
+//! ```
 
 mod accuracy;
 mod arguments;

@@ -1,6 +1,6 @@
 //! Figures, each as `<stem>.png` (twice the nominal size, smoothed) and `<stem>.svg`.
 //!
-//! A figure is first a list of shapes ([`drawing::Drawing`]), laid out once; both formats show the same picture.
+//! A figure is first a list of shapes (`drawing::Drawing`), laid out once; both formats show the same picture.
 
 mod axis;
 mod colors;

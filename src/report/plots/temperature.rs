@@ -21,11 +21,11 @@ const HOT_OUTLINE: Color = [200, 30, 30];
 #[derive(Clone, Copy, Debug)]
 pub struct TemperaturePanel<'a> {
     pub title: &'a str,
-    /// Component-major [2, N]: all x, then all y; scene length units.
+    /// Component-major `[2, N]`: all x, then all y; scene length units.
     pub position: &'a [f64],
-    /// [N]; not looked at for walls.
+    /// `[N]`; not looked at for walls.
     pub temperature: &'a [f64],
-    /// [N]: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature.
+    /// `[N]`: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature.
     pub tag: &'a [u8],
     /// Of a particle, scene length units.
     pub diameter: f64,

@@ -39,6 +39,12 @@ pub fn is_inlet<R: Real>(model: &Model<R>, x: R) -> bool {
     model.heat.as_ref().is_some_and(|h| x < R::of(h.inlet_below))
 }
 
+/// What the second of two particles gives to the first: V_i V_j F_ij (T_i - T_j), to be multiplied with 2 k/c_p.
+#[inline(always)]
+pub fn flow(volume: [f64; 2], slope: f64, temperature: [f64; 2]) -> f64 {
+    volume[0] * volume[1] * slope * (temperature[0] - temperature[1])
+}
+
 /// Heat that walls give to conducting fluid with x < `until`, in units of density * temperature * volume per time (times
 /// the heat capacity: power): sum over fluid i and walls j of the pair flow (2 k/c_p) V_i V_j F_ij (T_i - T_j).
 pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: f64) -> f64 {
@@ -61,7 +67,7 @@ pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: 
                 r2 += dr * dr;
             }
             let (_, slope) = model.kernel.pair(r2);
-            sum += volume(i) * volume(j) * slope * (temperature(i) - temperature(j));
+            sum += flow([volume(i), volume(j)], slope, [temperature(i), temperature(j)]);
         }
     }
     factor(model) * sum

@@ -2,7 +2,7 @@
 //!
 //! A [`PairLaw`] is written once over lanes: its contribution to the sums of particle i, the derivative of that by the
 //! fields of i (the pair pass has a row for j too), and the same from candle's operators. A tuple of laws is a law, so the
-//! pair pass ([`super::operators::rates`]) names none. Which tuples there are stands in [`with_laws`]; a law that few scenes
+//! pair pass ([`super::operators::rates`]) names none. Which tuples there are stands in `with_laws`; a law that few scenes
 //! have joins the last, optional one (`Option<Law>` is a law), so that it does not double their number.
 
 pub mod artificial_viscosity;

@@ -193,7 +193,7 @@ pub fn splat_fields<L: Lanes>(record: &[L::Real], fields: usize) -> Fields<L> {
 /// What one sweep of a step leaves for those behind it, so that nothing is computed or packed twice.
 #[derive(Debug, Default)]
 pub struct PairCache<R> {
-    /// x y [z] in records of 4, `[N, 4]`.
+    /// x y (z) in records of 4, `[N, 4]`.
     pub position: Vec<R>,
     /// F = W'(d)/d of every pair, `[N, K]`, rows as the neighbour list's, 0 in the padding and beyond the cut-off. Rows of
     /// walls only if there is a `curvature` too.
@@ -232,7 +232,7 @@ impl<R: Real> RowKernel<R> for Packing<'_, R> {
     }
 }
 
-/// Positions as records of 4: x y [z], then `extra`.
+/// Positions as records of 4: x y (z), then `extra`.
 pub fn pack_positions<R: Real>(
     model: &Model<R>,
     moved: &[R],

@@ -1,11 +1,11 @@
 //! Fields of all particles before the pair pass: the fluid's own, and the walls' extrapolated from it.
 //!
 //! Generalised wall boundary condition (Adami, Hu and Adams 2012, eq. 22-27): with Shepard averages over the
-//! fluid neighbours j of a wall particle, <x> = sum_j x_j W_ij / (sum_j W_ij + eps),
+//! fluid neighbours j of a wall particle, `<x> = sum_j x_j W_ij / (sum_j W_ij + eps)`,
 //!
-//! * velocity 2 u_wall - <u> (no slip), transport shift 2 w_wall - <w>;
-//! * pressure <p>, and density from it by the equation of state;
-//! * temperature wall_constant + wall_factor <T>, with T before this step's conduction as in JAX-SPH:
+//! * velocity `2 u_wall - <u>` (no slip), transport shift `2 w_wall - <w>`;
+//! * pressure `<p>`, and density from it by the equation of state;
+//! * temperature `wall_constant + wall_factor <T>`, with T before this step's conduction as in JAX-SPH:
 //!   adiabatic (0, 1), held in the dummy particles (T_hot, 0), or held on the surface (2 T_hot, -1), which
 //!   puts the isotherm where the wall is instead of half a spacing behind it.
 //!

@@ -15,7 +15,7 @@ pub struct Learned {
     pub name: String,
     pub setup: Setup,
     pub network: Arc<dyn Network>,
-    /// Detached.
+    /// What the network computes with: detached where nobody asks for a gradient.
     pub parameters: Vec<Tensor>,
 }
 
@@ -24,6 +24,32 @@ impl Learned {
     pub fn new(name: String, setup: Setup, network: Arc<dyn Network>) -> Self {
         let parameters = detached(&*network);
         Self { name, setup, network, parameters }
+    }
+}
+
+impl Learned {
+    /// Positions `[N, D]` and, if the network learns them, temperatures `[N]` behind a window, before anything is held where
+    /// it must be. On candle's graph if the window or the parameters are. `force` `[N, D]`: an external one, if there is one.
+    ///
+    /// # Errors
+    /// Lost or clumped particles, tensor errors.
+    pub fn predict(
+        &self,
+        scenery: &Scenery,
+        window: &Window,
+        force: Option<&Tensor>,
+    ) -> anyhow::Result<(Tensor, Option<Tensor>)> {
+        let (metadata, normalisation) = (scenery.metadata, &self.setup.normalisation);
+        let dtype = self.parameters[0].dtype();
+        let inputs = self.setup.features.inputs(scenery, normalisation, window, force, dtype)?;
+        let output = self.network.apply(&inputs, &self.parameters)?;
+        let last = &window.position[window.position.len() - 1];
+        let position = integrate::position(last, &inputs, &output, normalisation, metadata)?;
+        let temperature = match (self.setup.heat, window.temperature.last()) {
+            (HeatModel::Learned, Some(last)) => Some(integrate::temperature(last, &output, normalisation, metadata)?),
+            _ => None,
+        };
+        Ok((position, temperature))
     }
 }
 
@@ -54,21 +80,15 @@ impl Predictor for Learned {
     }
 
     fn next(&self, scenery: &Scenery, frames: &[Frame]) -> anyhow::Result<Frame> {
-        let (metadata, normalisation) = (scenery.metadata, &self.setup.normalisation);
-        let window = window(frames, metadata.dim)?;
-        let dtype = self.parameters[0].dtype();
-        let inputs = self.setup.features.inputs(scenery, normalisation, &window, None, dtype)?;
-        let output = self.network.apply(&inputs, &self.parameters)?;
-        let last = &window.position[window.position.len() - 1];
-        let position = integrate::position(last, &inputs, &output, normalisation, metadata)?;
+        let window = window(frames, scenery.metadata.dim)?;
+        let (position, temperature) = self.predict(scenery, &window, None)?;
         let position = position.flatten_all()?.to_vec1::<f64>()?;
-        let temperature = match (self.setup.heat, window.temperature.last(), frames.last()) {
-            (HeatModel::Learned, Some(last), _) => {
-                Some(integrate::temperature(last, &output, normalisation, metadata)?.to_vec1::<f64>()?)
+        let temperature = match (self.setup.heat, temperature, frames.last()) {
+            (_, Some(temperature), _) => Some(temperature.to_vec1::<f64>()?),
+            (HeatModel::Conduction, None, Some(last)) if last.temperature.is_some() => {
+                Some(Conduction::new(scenery)?.advance(last, &position)?)
             }
-            (HeatModel::Conduction, Some(_), Some(last)) => Some(Conduction::new(scenery)?.advance(last, &position)?),
-            (_, _, Some(last)) => last.temperature.clone(),
-            _ => None,
+            (_, None, last) => last.and_then(|last| last.temperature.clone()),
         };
         Ok(Frame { position, temperature })
     }

@@ -38,7 +38,7 @@ impl Setup {
         if model.heat == HeatModel::Conduction && heat.is_none() {
             return Err(BadInput::new("model.heat = \"conduction\", but the data have no temperature")
                 .allowed("data made by `hydrograd generate` from a scene with heat")
-                .advice("model.heat = \"none\""));
+                .advice("model.heat=none"));
         }
         let learned = heat.is_some() && model.heat == HeatModel::Learned;
         let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
@@ -107,7 +107,7 @@ impl Setup {
         if self.heat != HeatModel::None && metadata.heat.is_none() {
             return Err(BadInput::new("the model wants temperatures, but the data have none")
                 .allowed("data of a scene with heat")
-                .advice("train with model.heat = \"none\" for such data"));
+                .advice("train with model.heat=none for such data"));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Checkpoints of a training: one safetensors file with everything that the next step depends on.
 //!
-//! Tensors, all F32: `param.NAME` (weights `[in, out]`; NAME as in [`crate::surrogate::network::mlp::Shape::names`] behind `embed`, `enc.node`,
+//! Tensors, all F32: `param.NAME` (weights `[in, out]`; NAME that of a perceptron's tensors behind `embed`, `enc.node`,
 //! `enc.edge`, `proc.K.edge`, `proc.K.node`, `dec`), `adam.first.NAME` and `adam.second.NAME` (moments), `ema.NAME` if an
 //! average is kept. Metadata, all text: `format`, `version`, `kind`, `step`, `seconds`, `best`, `settings` (TOML), `setup`
 //! (JSON: sizes, features, normalisation). Random numbers follow from seed and step, so the step is their position too.

@@ -59,7 +59,7 @@ impl<'a> Samples<'a> {
             if setup.heat != HeatModel::None && trajectory.temperature.is_none() {
                 return Err(BadInput::new(format!("trajectory {} has no temperature", trajectory.name))
                     .allowed("temperature [T, N] in every trajectory")
-                    .advice("model.heat = \"none\""));
+                    .advice("model.heat=none"));
             }
         }
         if count == 0 {

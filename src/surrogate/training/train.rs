@@ -228,7 +228,7 @@ impl Training<'_> {
         if !mean.is_finite() || !square.is_finite() {
             return Err(Error::run(
                 format!("step {step}: the loss is {mean}, the gradient's norm {}: the training has diverged", square.sqrt()),
-                "a smaller learning_rate (1e-4) or clipping (clip = 1); a resumed training begins at the last checkpoint",
+                "a smaller learning rate (learning_rate=1e-4) or clipping (clip=1); a resumed training begins at the last checkpoint",
             )
             .into());
         }
