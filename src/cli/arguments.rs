@@ -280,7 +280,6 @@ mod tests {
             ("--set time.cfl=1 or --memory 3MB", "--set time.cfl=1 or --memory 3MB"),
             ("the built-in scene's time.cfl = 2", "the built-in scene's time.cfl = 2"),
             ("`hydrograd scenes heated-channel` prints them", "`hydrograd scenes heated-channel` prints them"),
-            ("optimise.gradient=segments optimise.segment=0", "--gradient segments --segment 0"),
         ] {
             let message = |advice: &str| format!("a.toml: time.cfl=9 is bad\n  allowed: time.cfl=1\n  try: {advice}");
             assert_eq!(with_options(&message(advice)), message(expected));
