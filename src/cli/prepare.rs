@@ -49,8 +49,10 @@ pub fn diverged(error: anyhow::Error) -> anyhow::Error {
     if error.downcast_ref::<RunError>().is_none() {
         return error;
     }
-    Error::run(error.to_string(), "time.cfl=0.5 (a smaller time step), or a gentler wall (a smaller design.amplitude)")
-        .into()
+    let advice =
+        "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler \
+                  one (a smaller design.amplitude)";
+    Error::run(error.to_string(), advice).into()
 }
 
 /// `a -> b (+1.2 %)`.

@@ -227,6 +227,16 @@ impl VtkSeries {
         self.folder.join(format!("{}.pvd", self.name))
     }
 
+    /// Number of frames so far.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// True before the first frame.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+
     /// Ends the series; returns the path of the `.pvd` (written even if there is no frame).
     ///
     /// # Errors

@@ -101,7 +101,8 @@ mod tests {
 
     /// Resumed where the averages begin, so that they are the same too.
     fn resumes<R: Sweeps>(precision: &str) {
-        let sets = ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
+        let sets =
+            ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
         let loaded = Config::load(None, None, &sets).unwrap();
         let mut config = loaded.config;
         config.objective.window = 10.0 * config.time_step();
