@@ -248,8 +248,8 @@ fn every_evaluation_can_be_resumed_from() {
         false => rosenbrock(x),
     };
     let begin = [-1.0, 0.0, 1.0, 0.5, -0.5, 0.3];
-    let new: [fn(&[f64]) -> Box<dyn Optimiser>; 2] =
-        [|x| Box::new(LBfgsB::new(0.3, x)), |x| Box::new(Adam::new(0.05, x))];
+    type New = fn(&[f64]) -> Box<dyn Optimiser>;
+    let new: [New; 2] = [|x| Box::new(LBfgsB::new(0.3, x)), |x| Box::new(Adam::new(0.05, x))];
     for new in new {
         let (mut whole, mut parts) = (new(&begin), new(&begin));
         for evaluation in 0..60 {
