@@ -157,7 +157,7 @@ impl RandomScene {
                 gamma: options.gamma,
             },
             viscosity: 0.3,
-            artificial_viscosity: options.artificial_viscosity.then(|| ArtificialViscosity {
+            artificial_viscosity: options.artificial_viscosity.then_some(ArtificialViscosity {
                 alpha: 0.7,
                 beta: 1.1,
                 sound_speed,
