@@ -363,7 +363,8 @@ fn flows_resume_and_agree_between_kernels_and_precisions() {
     let checkpoint = at.join("part/checkpoint.safetensors");
     let bytes = std::fs::read(&checkpoint).unwrap();
     // In the bytes themselves: text made of them moves where they are no UTF-8.
-    let from = bytes.windows(10).position(|part| part == b"steps = 30").expect("the checkpoint holds its configuration");
+    let from =
+        bytes.windows(10).position(|part| part == b"steps = 30").expect("the checkpoint holds its configuration");
     let mut longer = bytes.clone();
     longer[from..from + 10].copy_from_slice(b"steps = 88");
     std::fs::write(&checkpoint, longer).unwrap();
