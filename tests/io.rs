@@ -199,7 +199,6 @@ fn the_series_list_is_complete_after_every_frame() -> TestResult {
     assert!(one.ends_with("</VTKFile>\n"));
     let path = series.write(&ParticleFrame { time: 1e-7, ..frame() })?;
     assert!(path.ends_with("a&b_000001.vtp") && path.is_file());
-    assert_eq!(series.len(), 2);
     let two = std::fs::read_to_string(series.finish()?)?;
     assert_eq!(two.matches("<DataSet").count(), 2);
     assert!(two.contains("timestep=\"1e-7\""));

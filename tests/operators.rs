@@ -295,6 +295,39 @@ fn adjoints_are_derivatives() {
     println!("largest relative difference: {worst:.1e}");
 }
 
+/// The composed step is candle's alone: here the state is of another type than the model, so whatever read a tensor's
+/// numbers as the model's would fail, as it would on another device. Where there is a GPU, it runs there too.
+#[test]
+fn composed_operators_leave_the_state_where_it_is() {
+    let mut devices = vec![Device::Cpu];
+    devices.extend(Device::cuda_if_available(0).ok().filter(|device| !device.is_cpu()));
+    for options in [Options::rich(2), Options::rich(3), Options { artificial_viscosity: true, ..Options::rich(2) }] {
+        let scene = RandomScene::new(options);
+        let (model, n) = (scene.model::<f64>(), scene.particles());
+        let first = Snapshot::first(&model, scene.state::<f64>());
+        let step = |kernels, state: &Tensor| {
+            let mut run = TensorSolver::restore(model.clone(), &first, kernels).unwrap();
+            let end = run.advance(state).unwrap();
+            let (_, primitives) = run.look(&end).unwrap();
+            (end, primitives)
+        };
+        let state = tensor(&scene.state::<f64>(), n);
+        let exact = step(Kernels::Fused, &state);
+        for device in &devices {
+            for dtype in [DType::F64, DType::F32] {
+                let elsewhere = state.to_device(device).unwrap().to_dtype(dtype).unwrap();
+                let found = step(Kernels::Composed, &elsewhere);
+                let tolerance = if dtype == DType::F64 { SAME } else { 1e-3 };
+                for (found, exact) in [(found.0, &exact.0), (found.1, &exact.1)] {
+                    assert!(found.dtype() == dtype && found.device().same_device(device));
+                    let gap = difference(&found.to_device(&Device::Cpu).unwrap(), exact);
+                    assert!(gap <= tolerance, "{dtype:?}, {options:?}: {gap:e}");
+                }
+            }
+        }
+    }
+}
+
 /// A random direction in which each row moves by a share of its own size; positions by a share of the spacing.
 fn direction(input: &Tensor, n: usize, dimension: usize, normal: &mut Normal) -> Vec<f64> {
     let values = numbers(input);

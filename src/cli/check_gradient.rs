@@ -2,7 +2,7 @@
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files;
-use super::prepare::{build, set_threads};
+use super::prepare::{build, use_threads};
 use crate::adjoint::check::{check, cosine};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
@@ -71,7 +71,7 @@ const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11]
 
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
-    set_threads(&loaded.config);
+    use_threads(loaded.config.run.threads);
     let config = &loaded.config;
     let by_variables = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,

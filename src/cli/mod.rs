@@ -15,7 +15,7 @@ mod prepare;
 mod rollout;
 mod scenes;
 mod simulate;
-mod simulate_flow;
+mod simulate_report;
 mod study;
 mod train;
 

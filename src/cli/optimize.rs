@@ -2,9 +2,9 @@
 
 use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
 use super::explain::explain;
-use super::files::{self, Fields};
-use super::prepare::{build, change, difference, set_threads};
-use super::simulate::{diverged, foreign, read_tensors, stored_config};
+use super::files;
+use super::prepare::{build, change, diverged, use_threads};
+use crate::adjoint::run::Observer;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, Diagnostics, Finished};
@@ -13,13 +13,15 @@ use crate::design::shape::Shape;
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
-use crate::io::vtk::VtkSeries;
+use crate::io::csv::write_rows;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
+use crate::scene::observers::Frames;
+use crate::scene::particle_fields::ParticleFields;
 use crate::sph::dynamics::Sph;
-use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
@@ -98,7 +100,7 @@ const UNITS: u64 = 1000;
 
 pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
-    set_threads(&loaded.config);
+    use_threads(loaded.config.run.threads);
     if arguments.explain.explain {
         return explain(&loaded, true);
     }
@@ -226,10 +228,7 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
         return Ok(Optimisation::new(new(&problem.first)));
     };
     let path = from.join(CHECKPOINT);
-    let file = read_tensors(&path, checkpoint::KIND)?;
-    if let Some(what) = difference(&stored_config(&path, &file)?, config, &FREE) {
-        return Err(foreign(&path, &what).into());
-    }
+    let file = open(&path, checkpoint::KIND, config, &FREE)?;
     let optimisation = checkpoint::restore(&file, &*problem.parametrisation, new)?;
     let epochs = optimisation.history.len();
     let finished = match optimisation.is_finished(config.optimise.epochs) {
@@ -275,7 +274,7 @@ fn report<R: Sweeps>(
     let summary = summary(problem, optimisation, summary_before, summary_after);
     let text = text(folder, problem.figure, optimisation, seconds, (b, a));
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
-    let (fields_before, fields_after) = (Fields::of(&mut solver_before), Fields::of(&mut solver_after));
+    let (fields_before, fields_after) = (ParticleFields::of(&mut solver_before), ParticleFields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
     files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
     write_walls(folder, config, &*problem.parametrisation, optimisation)?;
@@ -292,20 +291,10 @@ fn simulate_with_frames<R: Sweeps>(
     problem: &Problem<R>,
     variables: &[f64],
 ) -> anyhow::Result<Finished<R>> {
-    let mut series = match config.output.frames {
-        0 => None,
-        _ => Some(VtkSeries::new(&folder.join("particles"), "particles")?),
-    };
-    let every = if config.output.frames == 0 { usize::MAX } else { problem.steps.div_ceil(config.output.frames) };
-    let mut frames = |_: &Sph<R>, solver: &mut Solver<R>| {
-        if let Some(series) = &mut series {
-            if solver.step % every == 0 || solver.step == problem.steps {
-                Fields::of(solver).with_frame(|frame| series.write(frame))?;
-            }
-        }
-        Ok(())
-    };
-    simulate(problem, config.run.kernels, &problem.start(variables), &mut [&mut frames]).map_err(diverged)
+    let mut frames = Frames::new(&folder.join("particles"), problem.steps, config.output.frames)?;
+    let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
+    observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
+    simulate(problem, config.run.kernels, &problem.start(variables), &mut observers).map_err(diverged)
 }
 
 /// `shape.csv` with the best, the first and the last wall, and the plot of all of them.
@@ -425,7 +414,7 @@ fn write_history(folder: &Path, figure: Figure, optimisation: &Optimisation) -> 
         .map(|(k, e)| vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds])
         .collect();
     let name = figure.symbol.to_lowercase();
-    files::write_numbers(&folder.join("history.csv"), &["epoch", &name, "loss", "gradient_norm", "seconds"], &rows)
+    Ok(write_rows(&folder.join("history.csv"), &["epoch", &name, "loss", "gradient_norm", "seconds"], &rows)?)
 }
 
 /// Keys that may change when a run is resumed: how far and how it is computed, not what.

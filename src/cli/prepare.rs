@@ -1,5 +1,6 @@
 //! What every run does first.
 
+use crate::adjoint::RunError;
 use crate::config::builtin::SCENES;
 pub use crate::config::difference::difference;
 use crate::config::scene::Config;
@@ -9,12 +10,7 @@ use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::scene::Scene;
 
-/// Sets the number of worker threads. Must come before the first operator: candle's pools read it once.
-pub fn set_threads(config: &Config) {
-    use_threads(config.run.threads);
-}
-
-/// [`set_threads`] by number; 0 takes every core.
+/// Sets the number of worker threads; 0 takes every core. Must come before the first operator: candle's pools read it once.
 pub fn use_threads(threads: usize) {
     if threads > 0 {
         // More than that only wait for each other, and the results do not depend on their number.
@@ -46,6 +42,17 @@ pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
     let shape = design.first_wall();
     Ok((design, shape))
+}
+
+/// A run that failed, with advice.
+pub fn diverged(error: anyhow::Error) -> anyhow::Error {
+    if error.downcast_ref::<RunError>().is_none() {
+        return error;
+    }
+    let advice =
+        "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler \
+                  one (a smaller design.amplitude)";
+    Error::run(error.to_string(), advice).into()
 }
 
 /// `a -> b (+1.2 %)`.

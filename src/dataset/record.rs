@@ -5,7 +5,8 @@
 
 use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
-use crate::adjoint::Dynamics;
+use crate::adjoint::run::{run, Observer};
+use crate::adjoint::{Dynamics, RunError};
 use crate::config::scene::{Config, Family};
 use crate::error::Error;
 use crate::particles::tag;
@@ -16,7 +17,9 @@ use crate::sph::dynamics::Sph;
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
-use std::sync::Arc;
+
+/// What to do about a run that diverges.
+const ADVICE: &str = "time.cfl=0.5 (a smaller time step), or gentler walls (a smaller design.bound)";
 
 /// The box that holds every particle of a data set, walls included.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,8 +51,7 @@ impl Enclosure {
 fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let scene = Scene::<R>::from_config(config)?;
     let (model, mut origin) = (&scene.model, scene.corner);
-    let written =
-        |&i: &usize| config.scene != Family::LidDrivenCavity || is_inner(config, model, &scene.start.state, i);
+    let written = |&i: &usize| config.scene != Family::LidDrivenCavity || is_inner(config, &scene, i);
     let kept: Vec<usize> = (0..model.particles()).filter(written).collect();
     let mut size = model.domain.size;
     if scene.design.is_some() {
@@ -64,8 +66,9 @@ fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
 
 /// The cavity's fluid and the innermost row of its walls, as in LagrangeBench: 2708 particles of 3136. The lid's row is
 /// as long as the box.
-fn is_inner<R: Sweeps>(config: &Config, model: &Model<R>, state: &[R], i: usize) -> bool {
-    let (n, dx) = (model.particles(), config.resolution.dx);
+fn is_inner<R: Sweeps>(config: &Config, scene: &Scene<R>, i: usize) -> bool {
+    let (model, state, dx) = (&scene.model, &scene.start.state, scene.spacing);
+    let n = model.particles();
     // How far outside of the fluid's square, which the walls' rows surround.
     let walls = Numerics::from_config(config).wall_rows as f64 * dx;
     let outside = |d: usize| {
@@ -86,46 +89,64 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
         let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, error))?;
         restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
-    let model = stage.scene.model.clone();
-    let dynamics = Sph::new(model.clone(), config.run.kernels);
-    let mut solver = dynamics.start(&stage.scene.start).map_err(|error| failed(ready, error))?;
-    let (frames, dimension, n) = (frames(ready), stage.enclosure.dimension, stage.kept.len());
-    let mut trajectory = Trajectory {
-        name: ready.job.group(),
-        frames,
-        particles: n,
-        position: Vec::with_capacity(frames * n * dimension),
-        kind: stage.kept.iter().map(|&i| kind_of(model.tags[i])).collect(),
-        ..Default::default()
-    };
-    if let Some(shape) = stage.scene.design.as_ref().map(|design| design.first_wall()) {
-        (trajectory.wall_x, trajectory.wall_offset) = (shape.nodes.clone(), shape.offsets.clone());
-    }
-    let mut temperatures = model.heat.as_ref().map(|heat| {
-        let hot = config.wall.hot_temperature;
-        let set = |&i: &usize| if model.tags[i] == tag::HOT_WALL { hot as f32 } else { f32::NAN };
-        trajectory.wall_temperature = Some(stage.kept.iter().map(set).collect());
-        (vec![heat.reference; model.particles()], Vec::with_capacity(frames * n))
-    });
-    for frame in 0..frames {
-        let until = ready.pace.skip + frame * ready.pace.every;
-        while solver.step < until {
-            dynamics.advance(&mut solver).map_err(|error| failed(ready, error))?;
-        }
-        solver.check_finite().map_err(|error| failed(ready, error))?;
-        write_positions(ready, &stage, &solver, &mut trajectory.position)?;
-        if let Some((last, all)) = &mut temperatures {
-            look_at_temperatures(config, &mut solver, last);
-            all.extend(stage.kept.iter().map(|&i| last[i] as f32));
-        }
-        progress();
-    }
-    trajectory.temperature = temperatures.map(|(_, all)| all);
-    Ok(trajectory)
+    let dynamics = Sph::new(stage.scene.model.clone(), config.run.kernels);
+    let mut recorder = Recorder::new(ready, &stage, progress);
+    run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder]).map_err(|error| failed(ready, error))?;
+    Ok(recorder.trajectory)
 }
 
-fn frames(ready: &Ready) -> usize {
-    (ready.pace.total - ready.pace.skip) / ready.pace.every + 1
+/// Observer that keeps the frames of a trajectory.
+struct Recorder<'a, R> {
+    ready: &'a Ready,
+    stage: &'a Stage<R>,
+    progress: &'a dyn Fn(),
+    trajectory: Trajectory,
+    /// The last temperature that each particle had, `[N]`.
+    last: Vec<f64>,
+}
+
+impl<'a, R: Sweeps> Recorder<'a, R> {
+    fn new(ready: &'a Ready, stage: &'a Stage<R>, progress: &'a dyn Fn()) -> Self {
+        let (model, kept) = (&stage.scene.model, &stage.kept);
+        let (frames, n) = ((ready.pace.total - ready.pace.skip) / ready.pace.every + 1, kept.len());
+        let mut trajectory = Trajectory {
+            name: ready.job.group(),
+            frames,
+            particles: n,
+            position: Vec::with_capacity(frames * n * stage.enclosure.dimension),
+            kind: kept.iter().map(|&i| kind_of(model.tags[i])).collect(),
+            ..Default::default()
+        };
+        if let Some(shape) = stage.scene.design.as_ref().map(|design| design.first_wall()) {
+            (trajectory.wall_x, trajectory.wall_offset) = (shape.nodes, shape.offsets);
+        }
+        let mut last = Vec::new();
+        if let Some(heat) = &model.heat {
+            let hot = ready.config.wall.hot_temperature;
+            let set = |&i: &usize| if model.tags[i] == tag::HOT_WALL { hot as f32 } else { f32::NAN };
+            trajectory.wall_temperature = Some(kept.iter().map(set).collect());
+            trajectory.temperature = Some(Vec::with_capacity(frames * n));
+            last = vec![heat.reference; model.particles()];
+        }
+        Self { ready, stage, progress, trajectory, last }
+    }
+}
+
+impl<R: Sweeps> Observer<Sph<R>> for Recorder<'_, R> {
+    fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        let pace = &self.ready.pace;
+        if solver.step < pace.skip || !(solver.step - pace.skip).is_multiple_of(pace.every) {
+            return Ok(());
+        }
+        dynamics.check(solver)?;
+        write_positions(self.ready, self.stage, solver, &mut self.trajectory.position)?;
+        if let Some(all) = &mut self.trajectory.temperature {
+            look_at_temperatures(&self.ready.config, solver, &mut self.last);
+            all.extend(self.stage.kept.iter().map(|&i| self.last[i] as f32));
+        }
+        (self.progress)();
+        Ok(())
+    }
 }
 
 fn kind_of(tag: u8) -> i32 {
@@ -144,11 +165,11 @@ fn write_positions<R: Sweeps>(
     solver: &Solver<R>,
     to: &mut Vec<f32>,
 ) -> Result<(), Error> {
-    let (n, frame) = (stage.scene.model.particles(), &stage.enclosure);
+    let (n, enclosure) = (stage.scene.model.particles(), &stage.enclosure);
     for &i in &stage.kept {
-        for d in 0..frame.dimension {
-            let x = solver.state[d * n + i].f64() - frame.origin[d];
-            if !(0.0..=frame.size[d]).contains(&x) {
+        for d in 0..enclosure.dimension {
+            let x = solver.state[d * n + i].f64() - enclosure.origin[d];
+            if !(0.0..=enclosure.size[d]).contains(&x) {
                 return Err(Error::run(
                     format!(
                         "{}: particle {i} left the box in step {}: {:?} = {x}",
@@ -156,12 +177,12 @@ fn write_positions<R: Sweeps>(
                         solver.step,
                         ["x", "y", "z"][d]
                     ),
-                    "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)",
+                    ADVICE,
                 ));
             }
             // Rounded to f32, a place just below a period's end is the end itself.
             let x = x as f32;
-            to.push(if frame.periodic[d] && x >= frame.size[d] as f32 { 0.0 } else { x });
+            to.push(if enclosure.periodic[d] && x >= enclosure.size[d] as f32 { 0.0 } else { x });
         }
     }
     Ok(())
@@ -195,11 +216,7 @@ fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last
 fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
     let scene = Scene::<R>::at_rest(config)?;
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
-    let mut solver = dynamics.start(&scene.start)?;
-    for _ in 0..steps {
-        dynamics.advance(&mut solver)?;
-    }
-    solver.check_finite()?;
+    let solver = run(&dynamics, &scene.start, steps, &mut [])?;
     Ok(solver.state[..scene.model.layout.dimension * scene.model.particles()].to_vec())
 }
 
@@ -219,11 +236,13 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
             }
         }
     }
-    start.reference = Arc::new(start.state[..l.dimension * n].to_vec());
+    *start = Snapshot::first(model, std::mem::take(&mut start.state));
 }
 
-fn failed(ready: &Ready, error: impl Into<anyhow::Error>) -> anyhow::Error {
-    let error = error.into();
-    let advice = "a smaller time step (--set time.cfl=0.5), or gentler walls (--set design.bound=...)";
-    Error::run(format!("{}: {error}", ready.job), advice).into()
+/// A run that could not go on, with advice; other errors as they are.
+fn failed(ready: &Ready, error: anyhow::Error) -> anyhow::Error {
+    if error.downcast_ref::<RunError>().is_none() {
+        return error;
+    }
+    Error::run(format!("{}: {error}", ready.job), ADVICE).into()
 }

@@ -188,7 +188,6 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
 pub struct VtkSeries {
     folder: PathBuf,
     name: String,
-    precision: Precision,
     /// Time and file name of each frame.
     frames: Vec<(f64, String)>,
 }
@@ -207,19 +206,7 @@ impl VtkSeries {
             ));
         }
         prepare_output_folder(folder)?;
-        Ok(Self {
-            folder: folder.to_owned(),
-            name: name.to_owned(),
-            precision: Precision::default(),
-            frames: Vec::new(),
-        })
-    }
-
-    /// Sets the element type of velocity and scalars.
-    #[must_use]
-    pub fn with_precision(mut self, precision: Precision) -> Self {
-        self.precision = precision;
-        self
+        Ok(Self { folder: folder.to_owned(), name: name.to_owned(), frames: Vec::new() })
     }
 
     /// Writes the next frame and the list of frames so far; returns the path of the frame.
@@ -229,7 +216,7 @@ impl VtkSeries {
     pub fn write(&mut self, frame: &ParticleFrame) -> Result<PathBuf, FileError> {
         let file_name = format!("{}_{:06}.vtp", self.name, self.frames.len());
         let path = self.folder.join(&file_name);
-        write_vtp(&path, frame, self.precision)?;
+        write_vtp(&path, frame, Precision::default())?;
         self.frames.push((frame.time, file_name));
         self.write_list()?;
         Ok(path)

@@ -52,6 +52,10 @@ impl<R: Real> Buffers<R> {
         let numbers = place.map(|place| pile.swap_remove(place));
         drop(pile);
         let mut numbers = numbers.unwrap_or_default();
+        if numbers.capacity() < length {
+            // `resize` would double it, and a buffer twice as long is nobody's: the pile would grow with every step.
+            numbers = Vec::with_capacity(length + length / 16);
+        }
         numbers.resize(length, R::default());
         Buffer { numbers, pool: self.clone() }
     }
@@ -105,5 +109,17 @@ mod tests {
         let (a, b) = (pool.buffer(100), pool.buffer(100));
         assert_ne!(a.as_ptr(), b.as_ptr());
         assert_eq!((a.len(), b.len()), (100, 100));
+    }
+
+    #[test]
+    fn lengths_that_change_a_little_do_not_pile_up() {
+        let pool = Buffers::<f64>::default();
+        for step in 0..500 {
+            // Up and down by some per cent, with a stride that repeats late.
+            let lengths = [1, 2, 3].map(|k| 1000 * k + 37 * step % 101);
+            let held = lengths.map(|length| pool.buffer(length));
+            assert_eq!(held.each_ref().map(|buffer| buffer.len()), lengths);
+        }
+        assert!(pool.lock().len() <= 4, "{} buffers for three at a time", pool.lock().len());
     }
 }

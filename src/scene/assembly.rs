@@ -302,3 +302,41 @@ fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
     };
     base.iter().enumerate().map(place).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::builtin::SCENES;
+
+    fn scene(name: &str, sets: &[&str]) -> Scene<f64> {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let loaded = Config::load(Some(name), None, &sets).unwrap_or_else(|error| panic!("{name}: {error}"));
+        Scene::from_config(&loaded.config).unwrap()
+    }
+
+    #[test]
+    fn configured_kernels_and_laws_reach_every_scene() {
+        for built_in in SCENES {
+            let usual = scene(built_in.name, &[]);
+            assert_eq!((usual.name, usual.model.artificial_viscosity), (built_in.name, None));
+            assert_eq!(usual.model.kernel.smoothing_length, usual.spacing);
+            let sets = ["resolution.kernel=\"wendland-c2\"", "resolution.smoothing_length=1.5"];
+            let other = scene(built_in.name, &[sets[0], sets[1], "fluid.artificial_viscosity=0.1"]);
+            let kernel = Kernel::new(KernelName::WendlandC2, other.model.layout.dimension, 1.5 * other.spacing);
+            assert_eq!(other.model.kernel, kernel);
+            let artificial = other.model.artificial_viscosity.unwrap();
+            assert_eq!((artificial.alpha, artificial.smoothing_length), (0.1, 1.5 * other.spacing));
+            assert!((artificial.sound_speed - other.sound_speed()).abs() < 1e-12 * artificial.sound_speed);
+            assert_eq!(other.model.tags, usual.model.tags);
+        }
+    }
+
+    #[test]
+    fn walls_are_as_thick_as_the_kernel_needs() {
+        let wide = ["resolution.smoothing_length=1.3"];
+        let particles = |name: &str| scene(name, &wide).model.particles();
+        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58));
+        assert_eq!(particles("heated-channel"), 50 * (10 + 8));
+        assert_eq!(scene("poiseuille", &wide).corner, [0.0, -0.1, 0.0]);
+    }
+}

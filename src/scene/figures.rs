@@ -1,7 +1,11 @@
 //! What a state of a scene is like, in numbers beside those of the exact solution.
 
-use super::Scene;
+use super::{Exact, Scene};
+use crate::adjoint::Dynamics;
 use crate::numerics::lanes::Real;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
 
 /// What the flow is like after a number of steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,7 +17,7 @@ pub struct FlowFigures {
     pub exact_kinetic_energy: Option<f64>,
     /// Of the fastest fluid particle.
     pub largest_velocity: f64,
-    /// Root mean square over the fluid particles of |u - u_exact| at their places, over [`super::Exact::amplitude`].
+    /// Root mean square over the fluid particles of |u - u_exact| at their places, over [`Exact::amplitude`].
     pub velocity_error: Option<f64>,
 }
 
@@ -50,5 +54,32 @@ impl<R: Real> Scene<R> {
             largest_velocity: largest,
             velocity_error: amplitude.map(|amplitude| (error / fluid as f64).sqrt() / amplitude),
         }
+    }
+}
+
+impl<R: Sweeps> Scene<R> {
+    /// What [`Self::history_row`] has.
+    pub fn history_columns(&self) -> &'static [&'static str] {
+        match (&self.design, &self.exact) {
+            (Some(_), _) => &["time", "q", "flow_rate"],
+            (None, Exact::Unknown) => &["time", "kinetic_energy", "largest_velocity"],
+            (None, _) => &["time", "kinetic_energy", "largest_velocity", "exact_kinetic_energy", "velocity_error"],
+        }
+    }
+
+    /// Figures of a run's present state: heat and volume that flow out (sums of rho u (T - T_in) and u over the targets,
+    /// times their spacing) where there is a design, else [`FlowFigures`].
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn history_row(&self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<Vec<f64>> {
+        let time = solver.step as f64 * self.model.dt;
+        if let Some(design) = &self.design {
+            let (spacing, flows) = (design.outlet.spacing, design.outlet.numbers(&dynamics.look(solver)?)?);
+            return Ok(vec![time, spacing * flows.heat, spacing * flows.volume]);
+        }
+        let found = self.figures(&solver.state, time);
+        let known = [found.exact_kinetic_energy, found.velocity_error].into_iter().flatten();
+        Ok([time, found.kinetic_energy, found.largest_velocity].into_iter().chain(known).collect())
     }
 }

@@ -4,11 +4,14 @@
 //! a [`Scene`] of it. A new one is such a file and an arm in [`Scene::from_config`].
 pub mod accuracy;
 pub mod assembly;
+pub mod checkpoint;
 pub mod exact;
 pub mod figures;
 pub mod heated_channel;
 pub mod lid_driven_cavity;
 pub mod load;
+pub mod observers;
+pub mod particle_fields;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 pub mod taylor_green;

@@ -1,6 +1,7 @@
 //! The SPH solver as [`Dynamics`], and the memory that its gradient takes.
 
 use super::model::Model;
+use super::operators::composed::per_particle;
 use super::operators::pairs::stride;
 use super::operators::rates::record_fields;
 use super::solver::{Snapshot, Solver, TensorSolver};
@@ -176,7 +177,7 @@ impl<R: Sweeps> Sph<R> {
         };
         let mass = match l.mass {
             true => moved.narrow(0, l.moved_mass(), 1)?,
-            false => Tensor::full(R::of(model.mass), (1, n), moved.device())?,
+            false => per_particle(vec![R::of(model.mass); n], moved)?,
         };
         Ok(Fields {
             step,

@@ -248,7 +248,8 @@ impl<R: Sweeps> TensorSolver<R> {
     fn update_list(&mut self, moved: &Tensor) -> Result<(), RunError> {
         let (step, l) = (self.step, self.model.layout);
         let failed = RunError::tensor(step);
-        let position = moved.detach().narrow(0, 0, l.dimension).and_then(|position| position.to_device(&Device::Cpu));
+        let position = moved.detach().narrow(0, 0, l.dimension);
+        let position = position.and_then(|position| position.to_device(&Device::Cpu)?.to_dtype(R::DTYPE));
         let mut updated = Ok(());
         read(&position.map_err(&failed)?, |position: &[R]| {
             updated = self.neighbourhood.update(&self.model.reach(), position);
@@ -310,7 +311,7 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
     }
 }
 
-/// The same from ordinary candle operators, on any device.
+/// The same from ordinary candle operators, on any device. Only the neighbour list is built on the CPU.
 struct Composed<'a, R: Sweeps> {
     run: &'a mut TensorSolver<R>,
     pairs: Option<(Arc<Step<R>>, Pairs)>,

@@ -1,5 +1,10 @@
 //! Learned flow: models that advance particles by one (large) step, their training and evaluation.
 //!
+//! A step of a learned model: [`features`] of a window of frames and their graph, a network of [`models`] made of what
+//! [`network`] has, and [`integrate`]: next frame. [`predictor`] hides all of it from [`evaluation`], which compares with the
+//! truth; [`training`] moves the parameters; [`differentiable_rollout`] has the steps on candle's graph. Networks compute with
+//! fused operators, or with candle-nn's layers ([`network::layers`]), on the same parameters.
+//!
 //! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
 
 pub mod conduction;

@@ -1,6 +1,7 @@
 //! The operators' composed form: the same formulas from ordinary candle ops over the padded list.
 //!
-//! Slow and readable. It is what the fused kernels are tested against, values and gradients, and the path for
+//! Slow and readable, and nothing in it reads a tensor's numbers: it runs on whatever device and in whatever type the state
+//! is in. It is what the fused kernels are tested against, values and gradients, and the path for
 //! devices without them.
 
 use crate::numerics::lanes::Real;
@@ -31,7 +32,7 @@ impl Pairs {
         let device = moved.device();
         let index = Tensor::from_vec(list.index.clone(), n * k, device)?;
         let mask: Vec<R> = (0..n * k).map(|e| R::of(((e % k) < list.count[e / k] as usize) as u8 as f64)).collect();
-        let mask = Tensor::from_vec(mask, (1, n, k), device)?;
+        let mask = Tensor::from_vec(mask, (1, n, k), device)?.to_dtype(moved.dtype())?;
         let mut pairs = Self {
             particles: n,
             capacity: k,
@@ -70,15 +71,20 @@ pub fn mass<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Tensor> {
     if l.mass {
         moved.narrow(0, l.moved_mass(), 1)
     } else {
-        Tensor::full(R::of(model.mass), (1, model.particles()), moved.device())
+        per_particle(vec![R::of(model.mass); model.particles()], moved)
     }
 }
 
 /// 1 for fluid, 0 for walls, `[1, N]`, of the type and on the device of `like`.
 pub fn fluid_mask<R: Real>(model: &Model<R>, like: &Tensor) -> Result<Tensor> {
     let n = model.particles();
-    let mask: Vec<R> = (0..n).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
-    Tensor::from_vec(mask, (1, n), like.device())
+    per_particle((0..n).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect(), like)
+}
+
+/// A number of each particle as a tensor `[1, N]`, of the type and on the device of `like`.
+pub fn per_particle<R: Real>(values: Vec<R>, like: &Tensor) -> Result<Tensor> {
+    let n = values.len();
+    Tensor::from_vec(values, (1, n), like.device())?.to_dtype(like.dtype())
 }
 
 /// 1 where x < limit, else 0: piecewise constant, so without derivative.

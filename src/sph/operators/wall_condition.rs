@@ -615,9 +615,8 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
         rows.push(choose(&shift, &(shift.affine(2.0, 0.0)? - average(&shift)?)?)?);
     }
     if let Some(heat) = &model.heat {
-        let n = model.particles();
-        let constant = Tensor::from_vec(heat.wall_constant.clone(), (1, n), moved.device())?;
-        let factor = Tensor::from_vec(heat.wall_factor.clone(), (1, n), moved.device())?;
+        let constant = composed::per_particle(heat.wall_constant.clone(), moved)?;
+        let factor = composed::per_particle(heat.wall_factor.clone(), moved)?;
         let old = moved.narrow(0, l.moved_old_temperature(), 1)?;
         let guard = inverse.affine(EPSILON * heat.reference, 0.0)?;
         let of_wall = (constant + factor.mul(&(average(&old)? - guard)?)?)?;

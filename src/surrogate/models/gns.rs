@@ -3,12 +3,12 @@
 use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
+use crate::numerics::pool::Buffers;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::composed_gns::ComposedGns;
 use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
 use crate::surrogate::network::layers::builder;
-use crate::surrogate::network::memory::Memory;
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
@@ -37,8 +37,8 @@ pub struct Gns {
     kernels: Kernels,
     /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
-    single: Memory<f32>,
-    double: Memory<f64>,
+    single: Buffers<f32>,
+    double: Buffers<f64>,
 }
 
 impl Sizes {
@@ -88,10 +88,10 @@ impl Gns {
         add(vec![("enc.edge".into(), sizes.edge_encoder())])?;
         add((0..sizes.rounds).flat_map(round).collect())?;
         add(vec![("dec".into(), sizes.decoder())])?;
-        Ok(Self { sizes, dtype, kernels, parameters, single: Memory::default(), double: Memory::default() })
+        Ok(Self { sizes, dtype, kernels, parameters, single: Buffers::default(), double: Buffers::default() })
     }
 
-    fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Memory<R>, trace: Option<Trace>) -> Result<Tensor> {
+    fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Buffers<R>, trace: Option<Trace>) -> Result<Tensor> {
         let s = &self.sizes;
         let embedded = p[0].reshape((KINDS, s.embedding))?.index_select(&inputs.kinds, 0)?;
         let nodes = Tensor::cat(&[&inputs.nodes, &embedded], 1)?;

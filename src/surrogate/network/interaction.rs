@@ -10,9 +10,9 @@
 
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::pool::{Buffer, Buffers};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
-use crate::surrogate::network::memory::{Memory, Owned};
 use crate::surrogate::network::mlp;
 use crate::surrogate::network::mlp::{Activations, Cotangents, MlpShape, SharedActivations};
 use crate::surrogate::network::row;
@@ -35,7 +35,7 @@ pub struct Rounds<R: Real> {
     edge_room: usize,
     /// Most nodes that go through together.
     node_block: usize,
-    memory: Memory<R>,
+    memory: Buffers<R>,
     activations: Mutex<Vec<RoundActivations<R>>>,
     trace: Option<Trace>,
 }
@@ -45,11 +45,11 @@ pub type Trace = Arc<Mutex<Vec<Tensor>>>;
 
 struct RoundActivations<R: Real> {
     /// `[N, L]` and `[E, L]` before the round; none before the first, where they are the operator's inputs.
-    before: Option<(Owned<R>, Owned<R>)>,
+    before: Option<(Buffer<R>, Buffer<R>)>,
     edge: Activations<R>,
     node: Activations<R>,
     /// `[N, L]`: sums of messages.
-    sums: Owned<R>,
+    sums: Buffer<R>,
 }
 
 /// The edges' perceptron of a latent size.
@@ -69,7 +69,7 @@ impl<R: Real> Rounds<R> {
         (latent, hidden, linears): (usize, usize, usize),
         rounds: usize,
         keeps: bool,
-        memory: &Memory<R>,
+        memory: &Buffers<R>,
         trace: Option<Trace>,
     ) -> Self {
         let (edge, node) = (edge_shape(latent, hidden, linears), node_shape(latent, hidden, linears));
@@ -286,7 +286,7 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
         let mut edge_room = Cotangents::new(&op.memory, &op.edge, op.edge_room, false);
         for k in range {
             let nodes = op.parts[k].clone();
-            let mut sums_bar = op.memory.take(nodes.len() * l);
+            let mut sums_bar = op.memory.buffer(nodes.len() * l);
             let (edge_length, node_length) = (op.edge.parameters(), op.node.parameters());
             // SAFETY: each part belongs to one iteration.
             let (edge_g, node_g) = unsafe {
@@ -387,7 +387,7 @@ impl<R: Real> RowKernel<R> for Collect<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
         let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.p);
-        let mut sent_bar = op.memory.take(op.node_block * h);
+        let mut sent_bar = op.memory.buffer(op.node_block * h);
         for k in range {
             let length = op.edge.parameters();
             // SAFETY (all): each part and its nodes belong to one iteration.
@@ -425,10 +425,10 @@ impl<R: Real> Rounds<R> {
         edges: Option<&[R]>,
         edges_out: &mut [R],
         p: &[R],
-    ) -> (Owned<R>, Option<RoundActivations<R>>) {
+    ) -> (Buffer<R>, Option<RoundActivations<R>>) {
         let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
         let (edge_p, node_p) = self.parameters(round);
-        let (edge_p, node_p, take) = (&p[edge_p], &p[node_p], |length| self.memory.take(length));
+        let (edge_p, node_p, take) = (&p[edge_p], &p[node_p], |length| self.memory.buffer(length));
         let mut nodes_out = take(n * l);
         let (mut projected, mut sums) = (take(2 * n * self.edge.hidden), take(n * l));
         let activations = |shape, rows| Activations::new(&self.memory, shape, rows);
@@ -467,9 +467,9 @@ impl<R: Real> Rounds<R> {
     ) {
         let (n, e, h, parts) = (self.graph.nodes(), self.graph.edges(), self.edge.hidden, self.parts.len());
         let (edge_p, node_p) = self.parameters(round);
-        let mut edge_p_bar = self.memory.take(parts * edge_p.len());
-        let mut node_p_bar = self.memory.take(parts * node_p.len());
-        let (mut first_bar, mut received_bar) = (self.memory.take(e * h), self.memory.take(n * h));
+        let mut edge_p_bar = self.memory.buffer(parts * edge_p.len());
+        let mut node_p_bar = self.memory.buffer(parts * node_p.len());
+        let (mut first_bar, mut received_bar) = (self.memory.buffer(e * h), self.memory.buffer(n * h));
         let pass = Backward {
             op: self,
             nodes,
@@ -517,13 +517,13 @@ impl<R: Real> Operator<3> for Rounds<R> {
             candle_core::bail!("rounds: {} and {} numbers, not {n} x {l} and {e} x {l}", nodes.len(), edges.len());
         }
         let mut activations = Vec::with_capacity(self.rounds);
-        let (mut nodes_now, mut edges_now): (Option<Owned<R>>, Option<Owned<R>>) = (None, None);
+        let (mut nodes_now, mut edges_now): (Option<Buffer<R>>, Option<Buffer<R>>) = (None, None);
         for round in 0..self.rounds {
             // Without an adjoint nobody asks again for the edges before the round.
             let own = if self.keeps { None } else { edges_now.take() };
             let given = own.is_none().then(|| edges_now.as_deref().map_or(edges, |edges| edges));
             let mut edges_out =
-                own.unwrap_or_else(|| self.memory.take(if self.gives_edges(round) { e * l } else { 0 }));
+                own.unwrap_or_else(|| self.memory.buffer(if self.gives_edges(round) { e * l } else { 0 }));
             let from = nodes_now.as_deref().map_or(nodes, |nodes| nodes);
             let (nodes_out, one) = self.forward_round(round, from, given, &mut edges_out, p);
             if let Some(trace) = &self.trace {

@@ -6,8 +6,8 @@
 
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::pool::{Buffer, Buffers};
 use crate::surrogate::network::matrix;
-use crate::surrogate::network::memory::{Memory, Owned};
 use crate::surrogate::network::row;
 use candle_core::Result;
 use std::ops::Range;
@@ -100,20 +100,20 @@ impl MlpShape {
 #[derive(Debug)]
 pub struct Activations<R: Real> {
     /// `[linears - 1, rows, hidden]`: behind each ReLU.
-    hidden: Owned<R>,
+    hidden: Buffer<R>,
     /// `[rows, outputs]`: normalised, before scale and offset; without normalisation the output.
-    normalised: Owned<R>,
+    normalised: Buffer<R>,
     /// `[rows]`: 1/sqrt(var + epsilon).
-    inverse: Owned<R>,
+    inverse: Buffer<R>,
     rows: usize,
 }
 
 impl<R: Real> Activations<R> {
-    pub fn new(memory: &Memory<R>, shape: &MlpShape, rows: usize) -> Self {
+    pub fn new(memory: &Buffers<R>, shape: &MlpShape, rows: usize) -> Self {
         Self {
-            hidden: memory.take(rows * shape.hidden_per_row()),
-            normalised: memory.take(rows * shape.outputs),
-            inverse: memory.take(if shape.norm { rows } else { 0 }),
+            hidden: memory.buffer(rows * shape.hidden_per_row()),
+            normalised: memory.buffer(rows * shape.outputs),
+            inverse: memory.buffer(if shape.norm { rows } else { 0 }),
             rows,
         }
     }
@@ -218,18 +218,18 @@ pub unsafe fn forward_block<L: Lanes>(
 /// Room for the cotangents of a block.
 pub struct Cotangents<R: Real> {
     /// `[rows, outputs]`.
-    pub z: Owned<R>,
+    pub z: Buffer<R>,
     /// `[rows, hidden]`: of the sums of the first layer.
-    pub first: Owned<R>,
+    pub first: Buffer<R>,
     /// `[rows, hidden]` between the layers; empty where there are no more than two.
-    pub between: Owned<R>,
+    pub between: Buffer<R>,
 }
 
 impl<R: Real> Cotangents<R> {
     /// `first`: whether the first layer's are kept here too.
-    pub fn new(memory: &Memory<R>, shape: &MlpShape, rows: usize, first: bool) -> Self {
-        let hidden = |wanted: bool| memory.take(if wanted { rows * shape.hidden } else { 0 });
-        Self { z: memory.take(rows * shape.outputs), first: hidden(first), between: hidden(shape.linears > 2) }
+    pub fn new(memory: &Buffers<R>, shape: &MlpShape, rows: usize, first: bool) -> Self {
+        let hidden = |wanted: bool| memory.buffer(if wanted { rows * shape.hidden } else { 0 });
+        Self { z: memory.buffer(rows * shape.outputs), first: hidden(first), between: hidden(shape.linears > 2) }
     }
 }
 
@@ -335,12 +335,12 @@ pub fn sum_of_parts<R: Real>(sum: &mut [R], parts: &[R]) {
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
 pub struct Mlp<R: Real> {
     pub shape: MlpShape,
-    memory: Memory<R>,
+    memory: Buffers<R>,
     activations: Mutex<Option<Activations<R>>>,
 }
 
 impl<R: Real> Mlp<R> {
-    pub fn new(shape: MlpShape, memory: &Memory<R>) -> Self {
+    pub fn new(shape: MlpShape, memory: &Buffers<R>) -> Self {
         Self { shape, memory: memory.clone(), activations: Mutex::new(None) }
     }
 }
@@ -392,7 +392,7 @@ pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<u
 
 struct Backward<'a, R: Real> {
     shape: &'a MlpShape,
-    memory: &'a Memory<R>,
+    memory: &'a Buffers<R>,
     x: &'a [R],
     p: &'a [R],
     layers: SharedActivations<'a, R>,
@@ -472,7 +472,7 @@ impl<R: Real> Operator<2> for Mlp<R> {
         let rows = activations.rows;
         let parts = parts(rows);
         let mut x_bar = vec![R::default(); if wants_x { x.len() } else { 0 }];
-        let mut parts_bar = self.memory.take(parts * shape.parameters());
+        let mut parts_bar = self.memory.buffer(parts * shape.parameters());
         let pass = Backward {
             shape,
             memory: &self.memory,

@@ -1,4 +1,4 @@
-//! Training: samples, noise, loss, the loop, checkpoints, studies.
+//! Training: how it begins, samples, noise, loss, the loop, checkpoints, studies.
 pub mod begin;
 pub mod checkpoint;
 pub mod loss;

@@ -1,0 +1,165 @@
+//! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
+
+use super::files::{self, VERSION};
+use crate::design::diagnostics::Diagnostics;
+use crate::design::Problem;
+use crate::report::memory::peak_memory_bytes;
+use crate::report::plots::compare;
+use crate::scene::figures::FlowFigures;
+use crate::scene::load::Loaded;
+use crate::scene::particle_fields::ParticleFields;
+use crate::scene::Scene;
+use crate::sph::Sweeps;
+use serde_json::{json, Map, Value};
+use std::path::Path;
+
+/// Points of the exact profile's curve.
+const PROFILE: usize = 100;
+
+/// A run at its end.
+pub struct Finished<'a, R> {
+    pub loaded: &'a Loaded,
+    pub folder: &'a Path,
+    pub scene: &'a Scene<R>,
+    /// Rows of `history.csv`.
+    pub history: &'a [Vec<f64>],
+    pub end: &'a ParticleFields,
+    pub seconds: f64,
+    /// What is said of ParaView frames.
+    pub pictures: String,
+}
+
+/// Of a scene with a design.
+pub fn report_design<R: Sweeps>(
+    finished: &Finished<R>,
+    design: &Problem<R>,
+    d: &Diagnostics,
+    start: &ParticleFields,
+) -> anyhow::Result<()> {
+    let Finished { loaded, folder, history, .. } = finished;
+    plot_outflow(folder, history)?;
+    files::plot_temperature(folder, &loaded.config, &[("start", start), ("end", finished.end)])?;
+    let mut map = files::summary(loaded, d, finished.scene.steps, finished.seconds);
+    let wall = design.first_wall();
+    map.insert("nodes".into(), wall.nodes.into());
+    map.insert("offsets".into(), wall.offsets.into());
+    files::write_summary(folder, map)?;
+    println!("Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet", d.q);
+    println!(
+        "wall heat flux      {:.6}   stored {:+.6}, imbalance {:+.2} %",
+        d.wall_heat_flux,
+        d.stored_heat_rate,
+        100.0 * d.energy_imbalance
+    );
+    println!("flow rate           {:.6}   fastest particle {:.4}", d.flow_rate, d.u_max);
+    println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
+    println!("mean density        {:.6}", d.mean_density);
+    println!(
+        "files in {}: summary.json, temperature.png, history.csv, state.h5{}",
+        folder.display(),
+        finished.pictures
+    );
+    println!("next: hydrograd optimize    shapes the wall so that Q grows");
+    Ok(())
+}
+
+/// Of a verification flow.
+pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> anyhow::Result<()> {
+    let Finished { loaded, folder, scene, .. } = finished;
+    plot_energy(folder, finished.history)?;
+    let profile = scene.exact.profile_height();
+    if let Some(height) = profile {
+        plot_profile(folder, scene, finished.end, height)?;
+    }
+    let profile = profile.is_some();
+    files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
+    println!("time                {:.6}", found.time);
+    println!(
+        "kinetic energy      {:.6}{}",
+        found.kinetic_energy,
+        against(found.kinetic_energy, found.exact_kinetic_energy)
+    );
+    println!("fastest particle    {:.6}", found.largest_velocity);
+    match found.velocity_error {
+        Some(error) => println!(
+            "velocity error      {error:.6}   root mean square over the particles, over {}",
+            if profile { "the steady centre line" } else { "the exact amplitude" }
+        ),
+        None => println!("velocity error      unknown: this flow has no closed form"),
+    }
+    println!(
+        "files in {}: summary.json, history.csv, kinetic_energy.png{}, state.h5{}",
+        folder.display(),
+        if profile { ", profile.png" } else { "" },
+        finished.pictures
+    );
+    println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
+    Ok(())
+}
+
+fn against(value: f64, exact: Option<f64>) -> String {
+    exact.map_or(String::new(), |exact| format!("   exact {exact:.6} ({:+.2} %)", 100.0 * (value / exact - 1.0)))
+}
+
+/// `history.png` and `.svg`.
+fn plot_outflow(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
+    let curve = |column: usize, factor: f64| history.iter().map(|row| (row[0], factor * row[column])).collect();
+    let curves = [("Q".to_string(), curve(1, 1.0)), ("flow rate / 10".to_string(), curve(2, 0.1))];
+    let (title, y) = ("Outflowing heat and flow rate", "Q (rho u T length), flow rate / 10");
+    compare(&folder.join("history"), title, "time", y, &curves, false, false)?;
+    Ok(())
+}
+
+/// `kinetic_energy.png` and `.svg`.
+fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
+    let curve = |column: usize| history.iter().map(|row| (row[0], row[column])).collect::<Vec<_>>();
+    let mut curves = vec![("simulated".to_string(), curve(1))];
+    if history.iter().all(|row| row.len() > 3) {
+        curves.push(("exact".to_string(), curve(3)));
+    }
+    compare(&folder.join("kinetic_energy"), "Kinetic energy", "time", "kinetic energy", &curves, false, false)?;
+    Ok(())
+}
+
+/// `profile.png` and `.svg`: the velocity along the channel over the height.
+fn plot_profile<R: Sweeps>(
+    folder: &Path,
+    flow: &Scene<R>,
+    fields: &ParticleFields,
+    highest: f64,
+) -> anyhow::Result<()> {
+    let n = flow.model.particles();
+    let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
+    let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], fields.velocity[i])).collect();
+    simulated.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let height = |k: usize| highest * k as f64 / PROFILE as f64;
+    let exact = (0..=PROFILE)
+        .filter_map(|k| Some((height(k), flow.exact.velocity([0.0, height(k), 0.0], fields.time)?[0])))
+        .collect();
+    let title = format!("Velocity profile at t = {:.4}", fields.time);
+    let curves = [("simulated".to_string(), simulated), ("exact".to_string(), exact)];
+    compare(&folder.join("profile"), &title, "y", "velocity along x", &curves, false, false)?;
+    Ok(())
+}
+
+fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize, seconds: f64) -> Map<String, Value> {
+    let Value::Object(map) = json!({
+        "scene": loaded.config.scene,
+        "particles": particles,
+        "steps": steps,
+        "time_step": loaded.config.time_step(),
+        "time": found.time,
+        "kinetic_energy": found.kinetic_energy,
+        "exact_kinetic_energy": found.exact_kinetic_energy,
+        "largest_velocity": found.largest_velocity,
+        "velocity_error": found.velocity_error,
+        "wall_seconds": seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+        "version": VERSION,
+        "seed": loaded.config.run.seed,
+        "precision": loaded.config.run.precision,
+    }) else {
+        unreachable!("a JSON object")
+    };
+    map
+}

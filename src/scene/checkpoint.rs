@@ -1,0 +1,144 @@
+//! The checkpoint of a simulation: one safetensors file, from which it goes on to the bit.
+//!
+//! ```text
+//!   state [F, N]                as the solver has it
+//!   list_positions [D, N]       what the neighbour list was built from
+//! ```
+//!
+//! and in the metadata the kind of file, `step`, the configuration, and the program's version. [`open`] reads checkpoints
+//! of other kinds too.
+
+use crate::config::difference::difference;
+use crate::config::scene::Config;
+use crate::error::BadInput;
+use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
+use crate::io::FileError;
+use crate::numerics::lanes::Real;
+use crate::sph::model::Model;
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What the metadata call it.
+pub const KIND: &str = "hydrograd simulation";
+
+/// Keys that may change between a simulation and its continuation.
+const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
+
+/// Writes a run's present state, with the text of its configuration.
+///
+/// # Errors
+/// System errors.
+pub fn write<R: Sweeps>(path: &Path, solver: &Solver<R>, configuration: &str) -> Result<(), FileError> {
+    let (n, l) = (solver.model.particles(), solver.model.layout);
+    let data = |values: &[R]| Data::F64(values.iter().map(|x| x.f64()).collect());
+    let tensors: Tensors = BTreeMap::from([
+        ("state".to_string(), (vec![l.state_rows(), n], data(&solver.state))),
+        ("list_positions".to_string(), (vec![l.dimension, n], data(&solver.neighbourhood.reference))),
+    ]);
+    let metadata = [
+        ("kind", KIND.to_string()),
+        ("step", solver.step.to_string()),
+        ("config", configuration.to_string()),
+        ("version", env!("CARGO_PKG_VERSION").to_string()),
+    ];
+    write_tensors(path, &tensors, &metadata.map(|(key, text)| (key.to_string(), text)).into())
+}
+
+/// The state that a simulation of this configuration left.
+///
+/// # Errors
+/// No such file, one of another kind or of another scene, and numbers that no run could have written.
+pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<Snapshot<R>, BadInput> {
+    let file = open(path, KIND, config, &FREE)?;
+    let unreadable = |error: FileError| BadInput::new(error.to_string());
+    let (n, l) = (model.particles(), model.layout);
+    let rows = |name: &str, rows: usize| -> Result<Vec<R>, BadInput> {
+        Ok(file.f64(name, &[rows, n]).map_err(unreadable)?.iter().map(|&x| R::of(x)).collect())
+    };
+    let (state, reference) = (rows("state", l.state_rows())?, Arc::new(rows("list_positions", l.dimension)?));
+    let text = file.text("step").map_err(unreadable)?;
+    let step = text.parse().map_err(|_| {
+        BadInput::new(format!("{}: step = `{text}` in its metadata", path.display())).allowed("a whole number")
+    })?;
+    Ok(Snapshot { step, state, reference })
+}
+
+/// A checkpoint of a kind whose configuration is this one, keys and sections in `free` apart.
+///
+/// # Errors
+/// No such file, one of another kind, and one of another scene.
+pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<TensorFile, BadInput> {
+    let file = TensorFile::read(path).map_err(|e| BadInput::new(e.to_string()))?;
+    let found = file.metadata.get("kind").map_or("nothing of ours", String::as_str);
+    if found != kind {
+        return Err(BadInput::new(format!("{} holds {found}, not a {kind}", path.display()))
+            .allowed("the folder of an earlier run of the same subcommand")
+            .advice("the subcommand that wrote it"));
+    }
+    let text = file.text("config").map_err(|e| BadInput::new(e.to_string()))?;
+    let theirs: Config = toml::from_str(text).map_err(|e| {
+        BadInput::new(format!("{}: its configuration does not load: {}", path.display(), e.message()))
+            .allowed("a checkpoint written by this version")
+    })?;
+    match difference(&theirs, config, free) {
+        Some(what) => Err(BadInput::new(format!("{} is a checkpoint of another scene: it has {what}", path.display()))
+            .allowed("the same physics, geometry, time step, design and precision")
+            .advice("a new run in another folder")),
+        None => Ok(file),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::adjoint::run::run;
+    use crate::design::diagnostics::simulate;
+    use crate::scene::Scene;
+    use crate::sph::dynamics::Sph;
+
+    /// Resumed where the averages begin, so that they are the same too.
+    fn resumes<R: Sweeps>(precision: &str) {
+        let sets =
+            ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
+        let loaded = Config::load(None, None, &sets).unwrap();
+        let mut config = loaded.config;
+        config.objective.window = 10.0 * config.time_step();
+        let text = toml::to_string(&config).unwrap();
+        let scene = Scene::<R>::from_config(&config).unwrap();
+        let design = scene.design.as_ref().unwrap();
+        assert_eq!(design.window, 10);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        let mut keep = |_: &Sph<R>, solver: &mut Solver<R>| {
+            if solver.step == 30 {
+                write(&path, solver, &text)?;
+            }
+            Ok(())
+        };
+        let whole = simulate(design, config.run.kernels, &scene.start, &mut [&mut keep]).unwrap();
+        let from = read(&path, &config, &scene.model).unwrap();
+        assert_eq!(from.step, 30);
+        let rest = simulate(design, config.run.kernels, &from, &mut []).unwrap();
+        let bits = |state: &[R]| state.iter().map(|x| x.f64().to_bits()).collect::<Vec<u64>>();
+        assert!(bits(&whole.solver.state) == bits(&rest.solver.state));
+        assert_eq!(whole.diagnostics, rest.diagnostics);
+        // It is not that of another scene, and not of another kind.
+        let other = Config { scene: config.scene, ..Config::default() };
+        let error = read(&path, &other, &scene.model).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("checkpoint of another scene: it has"), "{error}");
+        let error = open(&path, "hydrograd optimisation", &config, &[]).unwrap_err().to_string();
+        assert!(error.contains("holds hydrograd simulation, not a hydrograd optimisation"), "{error}");
+        // A run that ends where it begins has its start.
+        let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+        assert!(bits(&run(&dynamics, &from, 30, &mut []).unwrap().state) == bits(&from.state));
+    }
+
+    #[test]
+    fn a_simulation_goes_on_to_the_bit() {
+        resumes::<f64>("f64");
+        resumes::<f32>("f32");
+    }
+}

@@ -1,0 +1,136 @@
+//! Observers of a simulation that keep what it leaves behind: its history, ParaView frames, checkpoints.
+
+use super::particle_fields::ParticleFields;
+use super::{checkpoint, Scene};
+use crate::adjoint::run::Observer;
+use crate::io::csv::{read_columns, write_rows};
+use crate::io::vtk::VtkSeries;
+use crate::io::FileError;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
+use std::path::{Path, PathBuf};
+
+/// Some steps of a run: about `count` that are evenly spaced, and the last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EvenSteps {
+    every: usize,
+    last: usize,
+}
+
+impl EvenSteps {
+    /// Of a run of `steps` steps; none if `count` is 0.
+    pub fn new(steps: usize, count: usize) -> Self {
+        Self { every: if count == 0 { 0 } else { steps.div_ceil(count) }, last: steps }
+    }
+
+    /// Whether a step is one of them.
+    pub fn contains(&self, step: usize) -> bool {
+        self.every > 0 && (step.is_multiple_of(self.every) || step == self.last)
+    }
+}
+
+/// Writes ParaView frames.
+pub struct Frames {
+    series: VtkSeries,
+    steps: EvenSteps,
+}
+
+impl Frames {
+    /// Into a folder; none if no frames are asked for.
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn new(folder: &Path, steps: usize, count: usize) -> Result<Option<Self>, FileError> {
+        let new = || Ok(Self { series: VtkSeries::new(folder, "particles")?, steps: EvenSteps::new(steps, count) });
+        (count > 0).then(new).transpose()
+    }
+}
+
+impl<R: Sweeps> Observer<Sph<R>> for Frames {
+    fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        if self.steps.contains(solver.step) {
+            ParticleFields::of(solver).with_frame(|frame| self.series.write(frame))?;
+        }
+        Ok(())
+    }
+}
+
+/// Keeps rows of a scene's figures, and `history.csv` up to date with them.
+pub struct History<'a, R> {
+    scene: &'a Scene<R>,
+    path: PathBuf,
+    steps: EvenSteps,
+    tell: &'a mut dyn FnMut(usize, &[f64]),
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl<'a, R: Sweeps> History<'a, R> {
+    /// About `count` rows, in a folder; `tell` is called with the step and the row.
+    pub fn new(scene: &'a Scene<R>, folder: &Path, count: usize, tell: &'a mut dyn FnMut(usize, &[f64])) -> Self {
+        let steps = EvenSteps::new(scene.steps, count);
+        Self { scene, path: folder.join("history.csv"), steps, tell, rows: Vec::new() }
+    }
+
+    /// Begins with the rows of a run that was interrupted, in its folder, as far as they are before `step`; none if it left
+    /// no readable ones.
+    pub fn continued(mut self, from: &Path, step: usize) -> Self {
+        let time = step as f64 * self.scene.model.dt;
+        let columns = read_columns(&from.join("history.csv"), self.scene.history_columns()).unwrap_or_default();
+        let count = columns.first().map_or(0, Vec::len);
+        let rows = (0..count).map(|k| columns.iter().map(|column| column[k]).collect::<Vec<f64>>());
+        self.rows = rows.filter(|row| row[0] < time).collect();
+        self
+    }
+}
+
+impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
+    fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        if self.steps.contains(solver.step) {
+            let row = self.scene.history_row(dynamics, solver)?;
+            (self.tell)(solver.step, &row);
+            self.rows.push(row);
+            write_rows(&self.path, self.scene.history_columns(), &self.rows)?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes [`checkpoint`]s.
+pub struct Checkpoints<'a> {
+    pub path: PathBuf,
+    /// The text of the configuration.
+    pub configuration: &'a str,
+    pub steps: EvenSteps,
+    /// Where the run began: it has that checkpoint already.
+    pub began: usize,
+    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them but the last.
+    pub window: usize,
+}
+
+impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
+    fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        let (step, last) = (solver.step, self.steps.last);
+        let is_averaged = step + self.window > last && step < last;
+        if step > self.began && self.steps.contains(step) && !is_averaged {
+            checkpoint::write(&self.path, solver, self.configuration)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_even_and_end_with_the_last() {
+        let of = |steps: usize, count: usize| {
+            let even = EvenSteps::new(steps, count);
+            (0..=steps).filter(|&step| even.contains(step)).collect::<Vec<usize>>()
+        };
+        assert_eq!(of(10, 4), [0, 3, 6, 9, 10]);
+        assert_eq!(of(3, 100), [0, 1, 2, 3]);
+        assert_eq!(of(5, 0), [0; 0]);
+    }
+}
