@@ -60,13 +60,16 @@ pub struct LBfgsB {
     point: Vec<f64>,
     value: f64,
     gradient: Vec<f64>,
-    /// (s, y), oldest first.
-    pairs: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Oldest first.
+    pairs: Vec<Pair>,
     search: Search,
     /// The point to evaluate next.
     trial: Vec<f64>,
     done: bool,
 }
+
+/// A step s and the gradient's change y.
+type Pair = (Vec<f64>, Vec<f64>);
 
 /// A line search: at point + step * direction.
 #[derive(Debug, Clone, PartialEq)]
@@ -268,7 +271,7 @@ impl Optimiser for LBfgsB {
 
     fn save(&self, record: &mut Record) {
         let (n, pairs, search) = (self.point.len(), self.pairs.len(), &self.search);
-        let rows = |of: fn(&(Vec<f64>, Vec<f64>)) -> &Vec<f64>| self.pairs.iter().flat_map(of).copied().collect();
+        let rows = |of: fn(&Pair) -> &Vec<f64>| self.pairs.iter().flat_map(of).copied().collect();
         record.put("l-bfgs-b.point", &[n], self.point.clone());
         record.put("l-bfgs-b.gradient", &[n], self.gradient.clone());
         record.put("l-bfgs-b.s", &[pairs, n], rows(|(s, _)| s));
