@@ -172,7 +172,7 @@ fn commands_parse() {
         }
         for line in page.quoted().iter().filter(|text| text.starts_with("hydrograd ") && !text.contains("...")) {
             seen += 1;
-            wrong.extend(problem(&line, false).map(|problem| format!("{}: `{line}`: {problem}", page.name())));
+            wrong.extend(problem(line, false).map(|problem| format!("{}: `{line}`: {problem}", page.name())));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -60,13 +60,16 @@ pub struct LBfgsB {
     point: Vec<f64>,
     value: f64,
     gradient: Vec<f64>,
-    /// (s, y), oldest first.
-    pairs: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Oldest first.
+    pairs: Vec<Pair>,
     search: Search,
     /// The point to evaluate next.
     trial: Vec<f64>,
     done: bool,
 }
+
+/// A step s and the gradient's change y.
+type Pair = (Vec<f64>, Vec<f64>);
 
 /// A line search: at point + step * direction.
 #[derive(Debug, Clone, PartialEq)]
@@ -268,11 +271,11 @@ impl Optimiser for LBfgsB {
 
     fn save(&self, record: &mut Record) {
         let (n, pairs, search) = (self.point.len(), self.pairs.len(), &self.search);
-        let (s, y): (Vec<&[f64]>, Vec<&[f64]>) = self.pairs.iter().map(|(s, y)| (s.as_slice(), y.as_slice())).unzip();
+        let rows = |of: fn(&Pair) -> &Vec<f64>| self.pairs.iter().flat_map(of).copied().collect();
         record.put("l-bfgs-b.point", &[n], self.point.clone());
         record.put("l-bfgs-b.gradient", &[n], self.gradient.clone());
-        record.put("l-bfgs-b.s", &[pairs, n], s.concat());
-        record.put("l-bfgs-b.y", &[pairs, n], y.concat());
+        record.put("l-bfgs-b.s", &[pairs, n], rows(|(s, _)| s));
+        record.put("l-bfgs-b.y", &[pairs, n], rows(|(_, y)| y));
         record.put("l-bfgs-b.direction", &[n], search.direction.clone());
         let scalars = [self.value, search.slope, search.step, search.low, search.high, search.longest];
         record.put("l-bfgs-b.scalars", &[scalars.len()], scalars.to_vec());
