@@ -1,6 +1,7 @@
 //! Particles sorted into cells of at least one reach, so that neighbours stand in a few runs of contiguous places.
 
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::neighbour_list::{NeighbourError, ROW_MULTIPLE};
 use crate::particles::Domain;
 use std::ops::Range;

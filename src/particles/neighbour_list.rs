@@ -9,7 +9,8 @@
 //! The list is a pure function of the positions it was built from, so replaying a segment from stored
 //! positions gives the same list, the same order of every sum and the same bits.
 
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs};
 use crate::particles::{tag, Domain};
 use std::ops::Range;

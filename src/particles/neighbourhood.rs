@@ -3,7 +3,8 @@
 use super::domain::Images;
 use super::neighbour_list::{NeighbourError, NeighbourList, Workspace};
 use super::{Domain, Search};
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::Arc;

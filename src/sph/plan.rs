@@ -4,7 +4,7 @@
 
 use super::model::Model;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
-use crate::numerics::lanes::InstructionSet;
+use crate::numerics::sweep::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::Neighbourhood;
 use crate::report::table::Table;

@@ -13,7 +13,7 @@ use crate::cli::prepare::build;
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
-use crate::numerics::lanes::InstructionSet;
+use crate::numerics::sweep::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};

@@ -21,7 +21,7 @@ use candle_core::{DType, Var};
 use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
-use crate::numerics::lanes::InstructionSet;
+use crate::numerics::sweep::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;

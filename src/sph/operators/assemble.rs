@@ -4,7 +4,8 @@
 
 use super::composed::{below, fluid_mask};
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::laws::conduction;
 use crate::sph::model::Model;

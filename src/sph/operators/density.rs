@@ -6,7 +6,8 @@
 //! r_bar_i = sum_j (b_i + b_j) F_ij r_ij and m_bar_i = rho_bar_i rho_i / m_i.
 
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;

@@ -5,7 +5,8 @@
 //! eq. 15, with their p_b = -p(0)).
 
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::model::Model;
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};

@@ -1,6 +1,7 @@
 //! What every sweep over pairs shares: rows, differences, masses, packing.
 
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::domain::Images;
 use crate::particles::Domain;
 use crate::particles::NeighbourList;

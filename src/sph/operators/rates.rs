@@ -12,7 +12,8 @@
 //! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
 
 use crate::numerics::candle::{read, Operator};
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::laws::{
     conduction, dot, with_laws, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums,

@@ -16,7 +16,8 @@
 //! that they reach.
 
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;

@@ -4,7 +4,8 @@
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
 use crate::numerics::candle::{update as in_place, Update};
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::surrogate::network::row::each;
 use candle_core::{DType, Result, Tensor, Var};
 use std::ops::Range;

@@ -9,8 +9,9 @@
 //! took a fifth of a training step. Here it is one buffer from the last round to the first.
 
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::mlp;

@@ -5,8 +5,9 @@
 //! stay in a core's cache; what the adjoint needs again (activations behind each ReLU, normalised rows) is kept.
 
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{run_rows, Lanes, Real, RowKernel, Shared};
+use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::row;
 use candle_core::Result;

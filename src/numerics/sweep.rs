@@ -1,0 +1,189 @@
+//! Sweeps over rows: a kernel compiled for every instruction set, run by all threads.
+
+use super::lanes::{Lanes, Real};
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The instruction sets that kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InstructionSet {
+    Portable,
+    Avx2,
+    Avx512,
+}
+
+impl InstructionSet {
+    /// The best one that this machine has. `HYDROGRAD_SIMD=portable|avx2|avx512` lowers it (for tests).
+    pub fn detect() -> Self {
+        static CHOICE: std::sync::OnceLock<InstructionSet> = std::sync::OnceLock::new();
+        *CHOICE.get_or_init(|| {
+            let limit = std::env::var("HYDROGRAD_SIMD").unwrap_or_default();
+            #[cfg(target_arch = "x86_64")]
+            {
+                let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+                let avx512 = is_x86_feature_detected!("avx512f")
+                    && is_x86_feature_detected!("avx512vl")
+                    && is_x86_feature_detected!("avx512dq");
+                if avx2 && avx512 && limit != "avx2" && limit != "portable" {
+                    return Self::Avx512;
+                }
+                if avx2 && limit != "portable" {
+                    return Self::Avx2;
+                }
+            }
+            let _ = limit;
+            Self::Portable
+        })
+    }
+}
+
+/// A kernel over rows: computes the rows of a range independently of each other, so that the result does
+/// not depend on how ranges are dealt to threads.
+pub trait RowKernel<R: Real>: Sync {
+    /// Whether it sums over rows of about 30 neighbours, as those of two dimensions are: of the second vector of 16 lanes
+    /// much would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
+    const SHORT: bool = false;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
+fn rows_avx512<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
+    if K::SHORT {
+        kernel.rows::<R::Avx512Short>(rows);
+    } else {
+        kernel.rows::<R::Avx512>(rows);
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
+    kernel.rows::<R::Avx2>(rows);
+}
+
+/// Most threads that share a sweep; more would have nothing to do in the sizes that this program is for.
+const MOST_THREADS: usize = 64;
+/// Pieces that a thread's share is cut into, so that others can help it out.
+const PIECES: usize = 8;
+
+/// Where a thread's share of the rows has got to. Alone on its cache lines.
+#[repr(align(128))]
+struct Cursor(AtomicUsize);
+
+/// Runs a kernel over `count` rows on candle's own spinning thread pool, with the best instruction set.
+///
+/// Every thread begins with the same share of the rows in every sweep, so what it wrote in the last one is still in its
+/// core's cache; who is done takes pieces of the others' shares. (The pool's own `execute_chunked` gives rows to whoever
+/// comes first: in a step of 950 particles the second thread then gains nothing.)
+pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
+    let set = InstructionSet::detect();
+    let run = |rows: Range<usize>| match set {
+        // SAFETY: `detect` found these features on this CPU.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
+        _ => kernel.rows::<R::Portable>(rows),
+    };
+    let pool = candle_core::utils::barrier_pool();
+    let threads = (pool.n_workers() + 1).min(MOST_THREADS);
+    if threads == 1 {
+        return run(0..count);
+    }
+    let piece = count.div_ceil(threads * PIECES).max(1);
+    let share = piece * PIECES;
+    let cursors: [Cursor; MOST_THREADS] = std::array::from_fn(|_| Cursor(AtomicUsize::new(0)));
+    pool.execute(|thread| {
+        for k in 0..threads {
+            let owner = (thread + k) % threads;
+            let end = count.min((owner + 1) * share);
+            loop {
+                let from = owner * share + cursors[owner].0.fetch_add(piece, Ordering::Relaxed);
+                if from >= end {
+                    break;
+                }
+                run(from..end.min(from + piece));
+            }
+        }
+    });
+}
+
+/// A slice that several threads write, each to places of its own.
+pub struct Shared<'a, T> {
+    pointer: *mut T,
+    length: usize,
+    lifetime: std::marker::PhantomData<&'a mut [T]>,
+}
+
+// SAFETY: access goes through `set`/`add`, whose contract is that no two threads touch the same place.
+unsafe impl<T: Send> Sync for Shared<'_, T> {}
+
+impl<'a, T: Copy> Shared<'a, T> {
+    pub fn new(slice: &'a mut [T]) -> Self {
+        Self { pointer: slice.as_mut_ptr(), length: slice.len(), lifetime: std::marker::PhantomData }
+    }
+    /// For reading places that nobody writes during the sweep.
+    #[inline(always)]
+    pub fn as_ptr(&self) -> *const T {
+        self.pointer
+    }
+    /// Writes one place.
+    ///
+    /// # Safety
+    /// No other thread may access `place` during the sweep.
+    #[inline(always)]
+    pub unsafe fn set(&self, place: usize, value: T) {
+        assert!(place < self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { *self.pointer.add(place) = value }
+    }
+    /// Reads one place that this thread may have written.
+    ///
+    /// # Safety
+    /// No other thread may write `place` during the sweep.
+    #[inline(always)]
+    pub unsafe fn get(&self, place: usize) -> T {
+        assert!(place < self.length);
+        // SAFETY: in bounds, and not written by others by the contract.
+        unsafe { *self.pointer.add(place) }
+    }
+    /// Adds to one place.
+    ///
+    /// # Safety
+    /// No other thread may access `place` during the sweep.
+    #[inline(always)]
+    pub unsafe fn add(&self, place: usize, value: T)
+    where
+        T: std::ops::AddAssign,
+    {
+        assert!(place < self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { *self.pointer.add(place) += value }
+    }
+    /// Stores COUNT numbers from `place` on.
+    ///
+    /// # Safety
+    /// No other thread may access these places during the sweep.
+    #[inline(always)]
+    pub unsafe fn store<L: Lanes<Real = T>>(&self, place: usize, value: L)
+    where
+        T: Real,
+    {
+        assert!(place + L::COUNT <= self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { value.store(self.pointer.add(place)) }
+    }
+    /// A stretch of places as a slice.
+    ///
+    /// # Safety
+    /// No other thread may access the stretch during the sweep.
+    #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
+    pub unsafe fn slice(&self, range: Range<usize>) -> &mut [T] {
+        assert!(range.start <= range.end && range.end <= self.length);
+        // SAFETY: in bounds, and exclusively ours by the contract.
+        unsafe { std::slice::from_raw_parts_mut(self.pointer.add(range.start), range.len()) }
+    }
+}
