@@ -22,8 +22,8 @@ pub trait SmoothingKernel: Copy {
     /// What F and G of [`Self::shape`] are to be multiplied with: a factor that all their terms share.
     const SLOPE: f64;
 
-    /// sigma h^D: W integrates to 1.
-    fn normalisation(dimension: usize) -> f64;
+    /// sigma: W integrates to 1.
+    fn sigma(dimension: usize, smoothing_length: f64) -> f64;
 
     /// w, and over [`Self::SLOPE`] w'/q and (w'/q)'/q; `inverse` is 1/q. At q = 0, which only self pairs and padding have,
     /// all must be finite.
@@ -63,9 +63,7 @@ macro_rules! with_shape {
 impl Kernel {
     /// A shape in `dimension` dimensions (1, 2 or 3) with smoothing length h.
     pub fn new(shape: KernelName, dimension: usize, smoothing_length: f64) -> Self {
-        let h = smoothing_length;
-        let normalisation = with_shape!(shape, K => K::normalisation(dimension));
-        Self { shape, smoothing_length, sigma: normalisation / h.powi(dimension as i32) }
+        Self { shape, smoothing_length, sigma: with_shape!(shape, K => K::sigma(dimension, smoothing_length)) }
     }
 
     /// The support radius.

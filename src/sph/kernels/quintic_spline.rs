@@ -19,11 +19,11 @@ impl SmoothingKernel for QuinticSpline {
     const AT_ZERO: f64 = 66.0;
     const SLOPE: f64 = -5.0;
 
-    fn normalisation(dimension: usize) -> f64 {
+    fn sigma(dimension: usize, h: f64) -> f64 {
         match dimension {
-            1 => 1.0 / 120.0,
-            2 => 7.0 / (478.0 * PI),
-            _ => 3.0 / (359.0 * PI),
+            1 => 1.0 / (120.0 * h),
+            2 => 7.0 / (478.0 * PI * h * h),
+            _ => 3.0 / (359.0 * PI * h * h * h),
         }
     }
 

@@ -20,11 +20,11 @@ impl SmoothingKernel for WendlandC2 {
     const AT_ZERO: f64 = 1.0;
     const SLOPE: f64 = -5.0;
 
-    fn normalisation(dimension: usize) -> f64 {
+    fn sigma(dimension: usize, h: f64) -> f64 {
         match dimension {
-            1 => 3.0 / 4.0,
-            2 => 7.0 / (4.0 * PI),
-            _ => 21.0 / (16.0 * PI),
+            1 => 3.0 / (4.0 * h),
+            2 => 7.0 / (4.0 * PI * h * h),
+            _ => 21.0 / (16.0 * PI * h * h * h),
         }
     }
 
