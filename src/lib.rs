@@ -158,8 +158,8 @@
 //! let scene = Scene::<f64>::from_config(&config)?;
 //! let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
 //! let found = gradient(&dynamics, &scene.start, &Schedule::segments(20, 5), &KineticEnergy(20), &mut |_| ())?;
-//! // Two unit vortices in a unit box have 1/4; their derivative is by the whole first state, `[F, N]`.
-//! assert!((found.value - 0.25).abs() < 0.01);
+//! // The vortices begin with 1/4 and decay; the derivative is by the whole first state, `[F, N]`.
+//! assert!(found.value > 0.2 && found.value < 0.25);
 //! assert_eq!(found.state.dims(), [scene.model.layout.state_rows(), scene.model.particles()]);
 //! # Ok(())
 //! # }
