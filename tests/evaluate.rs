@@ -152,8 +152,8 @@ fn bad_input() {
     let refused = |more: &[&str], parts: &[&str]| refuses(path, &[&rollout[..], more].concat(), parts);
     refused(&["--trajectory", "7"], &["--trajectory 7", "no trajectory `7`", "00000 to 00001"]);
     refused(&["--trajectory", "00001"], &["00001 has 20 frames", "start + 6 + steps <= 20", "--steps 14"]);
-    refused(&["--start", "40"], &["00000 has 60 frames", "from frame 40", "try: --steps 14, or an earlier --start"]);
-    refused(&["--start", "57"], &["try: an earlier --start"]);
+    refused(&["--start", "40"], &["00000 has 60 frames", "from frame 40", "try: --steps 14, or an earlier start"]);
+    refused(&["--start", "57"], &["try: an earlier start"]);
     // A file in place of the folder of results.
     let output = hydrograd(path, &["evaluate", "--model", "linear", "--data", "plain", "--out", "text.safetensors"]);
     assert_eq!(output.status.code(), Some(2));

@@ -91,6 +91,31 @@ fn imports_go_only_downwards() {
     assert!(wrong.is_empty(), "{} imports go upwards:\n{}", wrong.len(), wrong.join("\n"));
 }
 
+/// The library knows no command line: its messages name keys, and the command line makes options of them.
+#[test]
+fn the_library_quotes_no_option() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut all = Vec::new();
+    files(&root, &mut all);
+    let quotes = |line: &str| {
+        let code = line.split("//").next().unwrap_or_default();
+        let quoted: Vec<&str> = code.split('"').skip(1).step_by(2).collect();
+        quoted
+            .iter()
+            .any(|text| text.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase())))
+    };
+    let mut wrong = Vec::new();
+    for path in all.iter().filter(|path| !path.starts_with(root.join("cli"))) {
+        for (number, line) in std::fs::read_to_string(path).unwrap().lines().enumerate() {
+            if quotes(line) {
+                wrong.push(format!("{}:{}: {}", path.display(), number + 1, line.trim()));
+            }
+        }
+    }
+    assert!(quotes("bad(\"--memory 20MB\")") && !quotes("// \"--memory\"") && !quotes("x -- y"));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
 /// The reader of imports itself: it must see what is there.
 #[test]
 fn imports_are_found() {

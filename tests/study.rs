@@ -1,8 +1,8 @@
 //! `hydrograd study`: the grid, what is trained and what is kept, the table; with a stand-in for training.
 
 use assert_cmd::Command;
+use hydrograd::cli::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use hydrograd::error::BadInput;
-use hydrograd::surrogate::training::study::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use std::path::{Path, PathBuf};
 
 fn grid(texts: &[&str]) -> Vec<GridKey> {

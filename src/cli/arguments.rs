@@ -25,6 +25,10 @@ const OPTIONS: [(&str, &str); 10] = [
     ("--epochs", "optimise.epochs"),
 ];
 
+/// Options that are no key of a configuration but stand in the library's advice as if they were.
+const OWN_OPTIONS: [(&str, &str); 4] =
+    [("--trajectories", "trajectories"), ("--frames", "frames"), ("--skip", "skip"), ("--steps", "steps")];
+
 /// Options of every run.
 #[derive(Debug, Clone, Args)]
 pub struct CommonArguments {
@@ -198,7 +202,7 @@ impl GradientArguments {
 
 /// The option that stands for a key: one of its own, or `--set`.
 fn option_of(key: &str) -> Option<&'static str> {
-    OPTIONS.iter().find(|(_, own)| *own == key).map(|(option, _)| *option)
+    OPTIONS.iter().chain(&OWN_OPTIONS).find(|(_, own)| *own == key).map(|(option, _)| *option)
 }
 
 /// The setting of a key that has an option of its own.
@@ -276,6 +280,7 @@ mod tests {
             ("resolution.dx=0.025 or resolution.dx=0.02", "--set resolution.dx=0.025 or --set resolution.dx=0.02"),
             ("optimise.memory=20MB, or a smaller resolution.dx", "--memory 20MB, or a smaller resolution.dx"),
             ("clipping (clip=1)", "clipping (--set clip=1)"),
+            ("a data set with trajectories=4/2/2", "a data set with --trajectories 4/2/2"),
             ("seed=1 model.latent=8", "--set seed=1 --set model.latent=8"),
             ("--set time.cfl=1 or --memory 3MB", "--set time.cfl=1 or --memory 3MB"),
             ("the built-in scene's time.cfl = 2", "the built-in scene's time.cfl = 2"),

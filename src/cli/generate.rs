@@ -103,7 +103,10 @@ impl GenerateArguments {
         let usual = Recipe::of(loaded.config.scene);
         let design = &loaded.config.design;
         let own = design.offsets.is_some() || design.shape != ShapeName::Flat;
-        let given = self.walls_file.as_deref().map_or(Ok(Vec::new()), read_walls)?;
+        let given = match self.walls_file.as_deref() {
+            Some(path) => read_walls(path).map_err(|bad| bad.place(format!("--walls-file {}", path.display())))?,
+            None => Vec::new(),
+        };
         Ok(Recipe {
             trajectories: self.trajectories.unwrap_or(usual.trajectories),
             frames: self.frames.unwrap_or(usual.frames),
@@ -144,7 +147,7 @@ pub struct Shard {
 
 pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let recipe = arguments.recipe(&loaded)?;
-    recipe.check(&loaded)?;
+    recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
     let shard = arguments.shard()?;
     // What is wrong with one trajectory's configuration is wrong before anything is written.
     for (line, job) in recipe.jobs().into_iter().take(recipe.given.len().max(1)).enumerate() {
@@ -205,6 +208,16 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     finish(&store, &loaded.config, &recipe)
+}
+
+/// The option, as it was given, of a number of the recipe.
+fn option_of(recipe: &Recipe, key: &str) -> String {
+    match key {
+        "frames" => format!("--frames {}", recipe.frames),
+        "every" => format!("--every {}", recipe.every),
+        "relax" => format!("--relax {}", recipe.relax),
+        _ => format!("--{key}"),
+    }
 }
 
 /// `hydrograd merge DIR`.

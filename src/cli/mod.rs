@@ -8,6 +8,7 @@ mod evaluate;
 mod explain;
 mod files;
 mod generate;
+pub mod grid;
 mod guard;
 mod model_data;
 mod optimize;

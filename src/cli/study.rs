@@ -1,6 +1,7 @@
 //! `hydrograd study`: a grid over training settings, one table and plots.
 
 use super::arguments::{at_least_one, check_writable};
+use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
@@ -8,7 +9,6 @@ use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::surrogate::training::study::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use crate::surrogate::training::train::METRICS;
 use clap::Args;
 use std::path::{Path, PathBuf};

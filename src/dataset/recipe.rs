@@ -91,35 +91,35 @@ impl Recipe {
     /// An error if the numbers cannot be used with the scene.
     pub fn check(&self, loaded: &Loaded) -> Result<(), BadInput> {
         let config = &loaded.config;
-        let bad = |place: &str, problem: String| BadInput::new(problem).place(place);
+        let bad = |key: &str, problem: String| BadInput::new(problem).key(key);
         if self.trajectories[0] == 0 {
-            return Err(bad("--trajectories", "there is no training trajectory".into())
+            return Err(bad("trajectories", "there is no training trajectory".into())
                 .allowed("TRAIN/VALID/TEST, at least one for training")
-                .advice("--trajectories 4/2/2"));
+                .advice("trajectories=4/2/2"));
         }
         let most = 99_999;
         if let Some(many) = self.trajectories.iter().find(|count| **count > most) {
             return Err(
-                bad("--trajectories", format!("{many} trajectories")).allowed(format!("at most {most} per split"))
+                bad("trajectories", format!("{many} trajectories")).allowed(format!("at most {most} per split"))
             );
         }
         if self.frames < 3 {
-            return Err(bad("--frames", format!("--frames {} is too few", self.frames))
+            return Err(bad("frames", format!("frames = {} is too few", self.frames))
                 .allowed("at least 3: an acceleration takes three frames"));
         }
         if self.every == 0 {
-            return Err(bad("--every", "--every 0: frames would not differ".into()).allowed("at least 1"));
+            return Err(bad("every", "every = 0: frames would not differ".into()).allowed("at least 1"));
         }
         if config.scene.has_design() && self.relax > 0 {
-            return Err(bad("--relax", format!("--relax {}: the heated channel has no relaxation", self.relax))
+            return Err(bad("relax", format!("relax = {}: the heated channel has no relaxation", self.relax))
                 .allowed("0")
-                .advice("a longer --skip"));
+                .advice(format!("skip={}", self.skip + self.relax)));
         }
         if !config.scene.has_design() && self.walls != Walls::default() {
             let scene = config.scene.name();
-            let option = if self.walls == Walls::File { "--walls-file" } else { "--walls" };
+            let option = if self.walls == Walls::File { "walls-file" } else { "walls" };
             return Err(bad(option, format!("scene {scene} has no walls to shape"))
-                .allowed("--walls and --walls-file with scene heated-channel only"));
+                .allowed("walls with scene heated-channel only"));
         }
         let usual = config.scene.defaults().time;
         // A preset's length is that of its own runs.
@@ -127,13 +127,14 @@ impl Recipe {
         if (config.time.steps != usual.steps && wish("time.steps"))
             || (config.time.end != usual.end && wish("time.end"))
         {
-            return Err(bad("time.end or time.steps", "the length of a trajectory is given in frames".into())
-                .allowed("--frames, --every, --skip")
-                .advice("leave time.end and time.steps out"));
+            return Err(BadInput::new("the length of a trajectory is given in frames")
+                .place("time.end or time.steps")
+                .allowed("frames, every and skip")
+                .advice(format!("leave time.end and time.steps out; frames={} or another number", self.frames)));
         }
         let steps = self.pace(config).total as f64;
         if steps > 1e9 {
-            return Err(bad("--frames", format!("a trajectory of {steps:.1e} steps")).allowed("at most 1e9 steps"));
+            return Err(bad("frames", format!("a trajectory of {steps:.1e} steps")).allowed("at most 1e9 steps"));
         }
         Ok(())
     }

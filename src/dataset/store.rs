@@ -76,7 +76,7 @@ impl Store {
         serde_json::from_str(&text).map(Some).map_err(|error| {
             BadInput::new(format!("{} does not load: {error}", path.display()))
                 .allowed("as `hydrograd generate` of this version wrote it")
-                .advice("another --out")
+                .advice("another folder")
         })
     }
 
@@ -126,7 +126,7 @@ impl Store {
             if let Some(first) = missing.first() {
                 return Err(Error::run(
                     format!("{} of {} trajectories are missing, {first} first", missing.len(), recipe.jobs().len()),
-                    format!("hydrograd generate ... --out {} makes them", self.folder.display()),
+                    format!("`hydrograd generate` into {} makes them", self.folder.display()),
                 )
                 .into());
             }

@@ -78,7 +78,7 @@ pub struct Section<'a> {
 pub fn read_walls(path: &Path) -> Result<Vec<Vec<f64>>, BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
-            .place(format!("--walls-file {}", path.display()))
+            .place(path.display().to_string())
             .allowed("a line per wall: its offsets at the nodes, separated by commas, for example 0.0, 0.005, 0.01")
     };
     let text = std::fs::read_to_string(path).map_err(|error| bad(format!("cannot read it: {error}")))?;

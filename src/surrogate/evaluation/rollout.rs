@@ -152,8 +152,8 @@ pub fn check_length(trajectory: &Trajectory, start: usize, steps: usize) -> Resu
     .allowed(format!("start + {HISTORY} + steps <= {}", trajectory.frames))
     .advice(match (trajectory.frames.saturating_sub(start + HISTORY), start) {
         (0, 0) => "a data set with longer trajectories".to_string(),
-        (0, _) => "an earlier --start".to_string(),
-        (most, 0) => format!("--steps {most}"),
-        (most, _) => format!("--steps {most}, or an earlier --start"),
+        (0, _) => "an earlier start".to_string(),
+        (most, 0) => format!("steps={most}"),
+        (most, _) => format!("steps={most}, or an earlier start"),
     }))
 }

@@ -48,7 +48,7 @@ impl TrainingData {
             if trajectories.is_empty() {
                 return Err(BadInput::new(format!("{split} holds no trajectory"))
                     .allowed("at least one for training and one for validation")
-                    .advice("hydrograd generate --trajectories 4/2/2"));
+                    .advice("a data set with trajectories=4/2/2"));
             }
         }
         match self.valid.iter().max_by_key(|t| t.frames) {
