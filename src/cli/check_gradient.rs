@@ -85,7 +85,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         (0..arguments.directions).map(|_| first.iter().map(|_| 2.0 * uniform(&mut random) - 1.0).collect()).collect();
     let bar = Progress::new((directions.len() * STEPS.len() * 2 + 1) as u64, "check-gradient");
     let f = |x: &[f64]| {
-        bar.advance(1);
+        bar.done(1);
         problem.evaluate(x).map(|value| value * figure.factor)
     };
     let value = f(first).map_err(|e| Error::run(e.to_string(), "time.cfl=0.5"))?;

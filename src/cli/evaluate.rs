@@ -70,7 +70,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let mut scores = Vec::new();
     for model in &models {
         bar.message(model.name());
-        scores.push(evaluate_with(&**model, &metadata, &trajectories, &options, &mut || bar.advance(1))?);
+        scores.push(evaluate_with(&**model, &metadata, &trajectories, &options, &mut || bar.done(1))?);
     }
     bar.finish();
 

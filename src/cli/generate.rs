@@ -311,7 +311,7 @@ fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow
 
 fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress) -> anyhow::Result<()> {
     let ready = recipe.ready(loaded, job)?;
-    let progress = || bar.advance(1);
+    let progress = || bar.done(1);
     let trajectory = match ready.config.run.precision {
         Precision::F32 => record::<f32>(&ready, &progress)?,
         Precision::F64 => record::<f64>(&ready, &progress)?,

@@ -72,7 +72,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
         prepare_output_folder(&study.out)?;
         // After every point: a study that is killed leaves a table.
         write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
-        bar.advance(1);
+        bar.done(1);
     }
     bar.finish();
     let pictures = plot(&study.out, &grid, &outcomes)?;

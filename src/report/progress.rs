@@ -38,7 +38,7 @@ impl Progress {
     }
 
     /// Adds `steps` units.
-    pub fn advance(&self, steps: u64) {
+    pub fn done(&self, steps: u64) {
         self.bar.inc(steps);
     }
 
@@ -96,7 +96,7 @@ mod tests {
         let progress = Progress::hidden(10);
         assert!(progress.is_hidden());
         progress.set_position(3);
-        progress.advance(2);
+        progress.done(2);
         assert_eq!(progress.position(), 5);
         assert_eq!(progress.suspend(|| 7), 7);
     }

@@ -18,7 +18,7 @@ const SAME: f64 = 0.05;
 
 /// One run, ours or of another code.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Point {
+pub struct ComparedRun {
     #[serde(default = "ours")]
     pub code: String,
     pub scene: String,
@@ -42,7 +42,7 @@ fn ours() -> String {
     "hydrograd".into()
 }
 
-impl Point {
+impl ComparedRun {
     /// What `--filter` looks into.
     pub fn label(&self) -> String {
         let count = |value: Option<usize>| value.map_or("?".into(), |count| count.to_string());
@@ -57,7 +57,7 @@ impl Point {
 }
 
 /// Reads other codes' points; every mistake names the file, and the point and field where there is one.
-pub fn read(path: &Path) -> Result<Vec<Point>, BadInput> {
+pub fn read(path: &Path) -> Result<Vec<ComparedRun>, BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
             .place(format!("--peers {}", path.display()))
@@ -70,7 +70,8 @@ pub fn read(path: &Path) -> Result<Vec<Point>, BadInput> {
         if value.get("code").is_none() {
             return Err(bad(format!("point {number}: missing field `code`")));
         }
-        let point: Point = serde_json::from_value(value).map_err(|error| bad(format!("point {number}: {error}")))?;
+        let point: ComparedRun =
+            serde_json::from_value(value).map_err(|error| bad(format!("point {number}: {error}")))?;
         for (name, value) in [("dx", point.dx), ("cfl", point.cfl), ("seconds", point.seconds)] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(bad(format!("point {number}: {name} = {value} is not above 0")));
@@ -88,13 +89,13 @@ pub fn read(path: &Path) -> Result<Vec<Point>, BadInput> {
 }
 
 /// Writes the points as a JSON array that `--peers` reads.
-pub fn write(path: &Path, points: &[Point]) -> anyhow::Result<()> {
+pub fn write(path: &Path, points: &[ComparedRun]) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(points)?;
     Ok(write_bytes_atomically(path, format!("{text}\n").as_bytes())?)
 }
 
 /// The points as a table for the terminal.
-pub fn text(points: &[Point]) -> String {
+pub fn text(points: &[ComparedRun]) -> String {
     let mut table =
         Table::new(["scene", "code", "type", "dx", "CFL", "N", "steps", "thr", "seconds", "error", "stable"]);
     for point in points {
@@ -117,7 +118,7 @@ pub fn text(points: &[Point]) -> String {
 }
 
 /// Draws error over run time, a picture per scene; runs that were not stable have no place in it.
-pub fn draw(folder: &Path, points: &[Point]) -> Result<Vec<PathBuf>, FileError> {
+pub fn draw(folder: &Path, points: &[ComparedRun]) -> Result<Vec<PathBuf>, FileError> {
     let mut scenes: Vec<&str> = vec![];
     for point in points.iter().filter(|point| point.place().is_some_and(|(_, error)| error > 0.0)) {
         if !scenes.contains(&point.scene.as_str()) {
@@ -126,7 +127,7 @@ pub fn draw(folder: &Path, points: &[Point]) -> Result<Vec<PathBuf>, FileError> 
     }
     let mut files = vec![];
     for scene in scenes {
-        let here: Vec<&Point> = points.iter().filter(|point| point.scene == scene).collect();
+        let here: Vec<&ComparedRun> = points.iter().filter(|point| point.scene == scene).collect();
         let stem = folder.join(format!("accuracy-{scene}"));
         let title = format!("Run time against error: {scene}");
         files.extend(compare(&stem, &title, "seconds", "error", &series(&here), true, true)?);
@@ -136,7 +137,7 @@ pub fn draw(folder: &Path, points: &[Point]) -> Result<Vec<PathBuf>, FileError> 
 
 /// Runs of one code and type whose time steps belong together, over the spacing: those of one CFL number, or, where
 /// the time step follows diffusion, of one dt/dx^2.
-fn series(points: &[&Point]) -> Vec<(String, Vec<(f64, f64)>)> {
+fn series(points: &[&ComparedRun]) -> Vec<(String, Vec<(f64, f64)>)> {
     let mut variants: Vec<(&str, Precision)> = vec![];
     for point in points {
         if !variants.contains(&(&point.code, point.precision)) {
@@ -145,7 +146,7 @@ fn series(points: &[&Point]) -> Vec<(String, Vec<(f64, f64)>)> {
     }
     let mut series = vec![];
     for (code, precision) in variants {
-        let own: Vec<&Point> =
+        let own: Vec<&ComparedRun> =
             points.iter().copied().filter(|point| point.code == code && point.precision == precision).collect();
         let by_sound = grouped(&own, |point| point.cfl);
         let by_diffusion = grouped(&own, |point| point.cfl / point.dx);
@@ -166,10 +167,10 @@ fn series(points: &[&Point]) -> Vec<(String, Vec<(f64, f64)>)> {
 }
 
 /// Points with the same value, each group from fine to coarse.
-fn grouped<'a>(points: &[&'a Point], value: impl Fn(&Point) -> f64) -> Vec<Vec<&'a Point>> {
+fn grouped<'a>(points: &[&'a ComparedRun], value: impl Fn(&ComparedRun) -> f64) -> Vec<Vec<&'a ComparedRun>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| value(a).total_cmp(&value(b)));
-    let mut groups: Vec<Vec<&Point>> = vec![];
+    let mut groups: Vec<Vec<&ComparedRun>> = vec![];
     for point in sorted {
         match groups.last_mut() {
             Some(group) if value(point) / value(group[0]) - 1.0 < SAME => group.push(point),
@@ -184,8 +185,8 @@ fn grouped<'a>(points: &[&'a Point], value: impl Fn(&Point) -> f64) -> Vec<Vec<&
 mod tests {
     use super::*;
 
-    fn point(dx: f64, cfl: f64, seconds: f64) -> Point {
-        Point {
+    fn point(dx: f64, cfl: f64, seconds: f64) -> ComparedRun {
+        ComparedRun {
             code: ours(),
             scene: "s".into(),
             dx,

@@ -22,7 +22,7 @@ mod tables;
 
 pub use arguments::BenchArguments;
 
-use accuracy::Point;
+use accuracy::ComparedRun;
 use case::Group;
 use cases::Cases;
 use compare::Earlier;
@@ -112,7 +112,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
 }
 
 /// Measures run time against error, with as many threads as the last of `--threads`.
-fn run_accuracy(arguments: &BenchArguments, peers: &[Point]) -> anyhow::Result<()> {
+fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Result<()> {
     let threads = arguments.threads().last().copied().unwrap_or(1);
     let mut points = runner::accuracy(arguments.quick, threads)?;
     points.retain(|point| point.label().contains(&arguments.filter));

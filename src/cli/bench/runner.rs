@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 
 use serde::de::DeserializeOwned;
 
-use super::accuracy::Point;
+use super::accuracy::ComparedRun;
 use super::case::{Case, Measured, Outcome, Request};
 use super::rows::Row;
 use crate::error::Error;
@@ -30,7 +30,7 @@ pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Re
                     Outcome::LeftOut(reason) => left_out[place] = Some(reason),
                 }
             }
-            bar.advance(1);
+            bar.done(1);
         }
     }
     let mut results = Results::default();
@@ -50,8 +50,8 @@ fn measure(case: &Case) -> anyhow::Result<Outcome> {
 }
 
 /// All points of run time against error, from a process of its own.
-pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<Point>> {
-    let mut points: Vec<Point> = ask("accuracy", &Request::Accuracy { quick, threads }, threads)?;
+pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<ComparedRun>> {
+    let mut points: Vec<ComparedRun> = ask("accuracy", &Request::Accuracy { quick, threads }, threads)?;
     points.iter_mut().for_each(|point| point.threads = Some(threads));
     Ok(points)
 }

@@ -171,7 +171,7 @@ impl Training<'_> {
             steps += 1;
             self.state.step += 1;
             self.state.seconds = before + clock.elapsed().as_secs_f64();
-            bar.advance(1);
+            bar.done(1);
             let last = self.state.step == settings.steps;
             if self.state.step.is_multiple_of(settings.log_every) || last {
                 let mean = losses.iter().sum::<f64>() / losses.len() as f64;
