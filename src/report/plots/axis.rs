@@ -185,7 +185,7 @@ fn superscript(number: i32) -> String {
 
 /// The rectangle of the data, in pixels, with its two axes.
 #[derive(Clone, Debug)]
-pub struct Frame {
+pub struct PlotArea {
     pub left: f64,
     pub top: f64,
     pub width: f64,
@@ -194,7 +194,7 @@ pub struct Frame {
     pub y: Axis,
 }
 
-impl Frame {
+impl PlotArea {
     /// Pixels of a data point.
     pub fn map(&self, (x, y): Point) -> Point {
         (self.left + self.width * self.x.part(x), self.top + self.height * (1.0 - self.y.part(y)))
@@ -307,7 +307,7 @@ mod tests {
 
     #[test]
     fn data_map_to_the_frame() {
-        let frame = Frame {
+        let frame = PlotArea {
             left: 10.0,
             top: 20.0,
             width: 100.0,

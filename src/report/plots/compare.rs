@@ -1,6 +1,6 @@
 //! Any number of series in one frame: starts against each other, work against precision, gradient checks.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::drawing::{Anchor, Drawing, Point};
 use super::legend::{self, Entry, Sample};
 use super::{colors, drawing::text_width};
@@ -54,7 +54,8 @@ pub fn compare(
     let legend_left = left + width + 28.0;
     let total = (legend_left + legend::width(&entries) + 24.0).max(left + text_width(title, 20.0) + 24.0);
     let mut drawing = Drawing::new(total.max(1000.0), top + height + 75.0);
-    let frame = Frame { left, top, width, height, x: axis(points().map(|point| point.0).collect(), log_x), y: y_axis };
+    let frame =
+        PlotArea { left, top, width, height, x: axis(points().map(|point| point.0).collect(), log_x), y: y_axis };
     drawing.text(title, (left, 32.0), 20.0, Anchor::Left, INK);
     frame.draw(&mut drawing, x_label, y_label, INK);
     for (index, (_, points)) in series.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! The course of an optimisation: objective, loss and gradient norm per epoch.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::{Drawing, Point};
 use super::legend::{self, Entry, Sample};
@@ -45,9 +45,9 @@ pub fn history(
     let loss_axis = Axis::around(values(&loss));
     let gradient_axis = Axis::around_log(values(&gradient));
     let (left, width) = (q_axis.margin().max(loss_axis.margin()), 840.0);
-    let upper = Frame { left, top: 62.0, width, height: 300.0, x: epoch_axis(), y: q_axis };
-    let lower = Frame { left, top: 424.0, width, height: 230.0, x: epoch_axis(), y: loss_axis };
-    let on_gradient = Frame { y: gradient_axis.clone(), ..lower.clone() };
+    let upper = PlotArea { left, top: 62.0, width, height: 300.0, x: epoch_axis(), y: q_axis };
+    let lower = PlotArea { left, top: 424.0, width, height: 230.0, x: epoch_axis(), y: loss_axis };
+    let on_gradient = PlotArea { y: gradient_axis.clone(), ..lower.clone() };
     let mut drawing = Drawing::new(left + width + gradient_axis.margin(), 735.0);
 
     upper.draw(&mut drawing, "", label, INK);
@@ -75,7 +75,7 @@ pub fn history(
 }
 
 /// A line with markers while these are few.
-pub(super) fn curve(drawing: &mut Drawing, frame: &Frame, points: &[Point], series: usize) {
+pub(super) fn curve(drawing: &mut Drawing, frame: &PlotArea, points: &[Point], series: usize) {
     let marked = points.len() <= 60;
     for line in frame.map_lines(points) {
         drawing.line(line.clone(), colors::series(series), 2.0);

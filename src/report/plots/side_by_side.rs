@@ -1,6 +1,6 @@
 //! Predicted, true, difference: three panels of particles in a row, row under row.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::drawing::{Anchor, Drawing};
 use super::temperature::{check, color_bar, draw_particles, ticks_for, TemperaturePanel};
 use crate::io::FileError;
@@ -42,7 +42,7 @@ pub fn side_by_side(
     let mut drawing = Drawing::new(last_bar_left + bar, top + total_height + 70.0);
     for (index, row) in rows.iter().enumerate() {
         for (column, (panel, left)) in row.iter().zip([margin, true_left, difference_left]).enumerate() {
-            let frame = Frame {
+            let frame = PlotArea {
                 left,
                 top: top + index as f64 * (height + gap_y),
                 width,

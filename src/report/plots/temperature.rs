@@ -1,6 +1,6 @@
 //! Particles coloured by temperature, true to scale.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 use super::legend::{self, Entry, Sample};
@@ -75,7 +75,7 @@ pub fn colored_particles(
     let mut drawing = Drawing::new(total, bottom + 110.0);
 
     for (index, panel) in panels.iter().enumerate() {
-        let frame = Frame {
+        let frame = PlotArea {
             left,
             top: first_top + index as f64 * (height + gap),
             width,
@@ -107,7 +107,7 @@ pub(super) fn ticks_for(height: f64) -> usize {
 
 pub(super) fn draw_particles(
     drawing: &mut Drawing,
-    frame: &Frame,
+    frame: &PlotArea,
     panel: &TemperaturePanel,
     (t_min, t_max): (f64, f64),
     pixels: f64,
@@ -163,7 +163,7 @@ pub(super) fn color_bar(
         let part = 1.0 - (index as f64 + 0.5) / STRIPES as f64;
         drawing.rectangle((left, top + stripe * index as f64), WIDTH, stripe, colors::heat(part), 1.0);
     }
-    let frame = Frame { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
+    let frame = PlotArea { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
     frame.outline(drawing);
     frame.draw_right(drawing, &frame.y, label, INK);
 }

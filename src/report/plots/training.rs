@@ -1,6 +1,6 @@
 //! The course of a training: loss, and validation errors beside those of a baseline.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::Drawing;
 use super::history::{curve, legend_row};
@@ -36,8 +36,8 @@ pub fn training_curves(
     let errors = lines.iter().flat_map(|line| line.points.iter().map(|p| p.1).chain(line.baseline));
     let error_axis = Axis::around_log(errors.filter(|e| e.is_finite() && *e > 0.0));
     let (left, width) = (loss_axis.margin().max(error_axis.margin()), 840.0);
-    let upper = Frame { left, top: 40.0, width, height: 250.0, x: x.clone(), y: loss_axis };
-    let lower = Frame { left, top: 370.0, width, height: 320.0, x, y: error_axis };
+    let upper = PlotArea { left, top: 40.0, width, height: 250.0, x: x.clone(), y: loss_axis };
+    let lower = PlotArea { left, top: 370.0, width, height: 320.0, x, y: error_axis };
     let mut drawing = Drawing::new(left + width + 40.0, 770.0);
     upper.draw(&mut drawing, "", "training loss", INK);
     curve(&mut drawing, &upper, loss, 0);

@@ -1,6 +1,6 @@
 //! Wall profiles over the course of an optimisation.
 
-use super::axis::{Axis, Frame, INK};
+use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 use super::legend::{self, Entry, Sample};
@@ -52,7 +52,7 @@ pub fn wall_shapes(
     let total = legend_left + legend::width(&entries).max(40.0 + bar_label) + 24.0;
     let mut drawing = Drawing::new(total.max(1000.0), top + height + 75.0);
 
-    let frame = Frame { left, top, width, height, x: Axis::around(nodes.iter().copied()), y: y_axis };
+    let frame = PlotArea { left, top, width, height, x: Axis::around(nodes.iter().copied()), y: y_axis };
     frame.draw(&mut drawing, "x (scene units)", "wall offset (scene units)", INK);
     for value in bounds.into_iter().flatten() {
         let y = frame.map((0.0, value)).1;
