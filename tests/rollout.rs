@@ -257,7 +257,7 @@ fn trajectories_that_are_too_short_are_bad_input() {
     let check = |error: anyhow::Error| {
         assert!(error.is::<BadInput>());
         let text = error.to_string();
-        for part in ["00003 has 20 frames", "6 true and 20 predicted", "try: --steps 14"] {
+        for part in ["00003 has 20 frames", "6 true and 20 predicted", "try: steps=14"] {
             assert!(text.contains(part), "no `{part}` in {text}");
         }
     };
