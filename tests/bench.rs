@@ -1,10 +1,13 @@
 //! `hydrograd bench` through the program: rows, filter, comparison, pictures, bad input. Nothing is timed here.
 
+mod support;
+
 use std::path::Path;
 use std::process::Output;
 
 use assert_cmd::Command;
 use serde_json::{json, Value};
+use support::program::{printed, refused};
 use tempfile::TempDir;
 
 /// One short variant of everything.
@@ -18,22 +21,14 @@ fn bench(folder: &Path, arguments: &[&str]) -> Output {
 /// Runs the bench into `out`, expects success, and returns what it printed and its rows.
 fn rows(folder: &Path, out: &str, arguments: &[&str]) -> (String, Vec<Value>) {
     let arguments = [&SMALL[..], &[out], arguments].concat();
-    let output = bench(folder, &arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert!(output.status.success() && error.is_empty(), "{arguments:?}: {error}");
+    let summary = printed(&arguments, bench(folder, &arguments));
     let text = std::fs::read_to_string(folder.join(out).join("bench.json")).unwrap();
     let rows: Value = serde_json::from_str(&text).unwrap();
-    (String::from_utf8(output.stdout).unwrap(), rows.as_array().unwrap().clone())
+    (summary, rows.as_array().unwrap().clone())
 }
 
 fn refuses(folder: &Path, arguments: &[&str], expected: &[&str]) {
-    let output = bench(folder, arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
-    assert_eq!(error.matches("error:").count(), 1, "{error}");
-    for part in expected {
-        assert!(error.contains(part), "{arguments:?}: no `{part}` in {error}");
-    }
+    refused(arguments, &bench(folder, arguments), expected);
     assert!(!folder.join("unwritten").exists(), "something was written");
 }
 

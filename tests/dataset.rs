@@ -1,11 +1,14 @@
 //! Data sets: layout, statistics, the same bytes whatever the shards, going on after a stop, bad input.
 
+mod support;
+
 use assert_cmd::Command;
 use hydrograd::config::scene::Config;
 use hydrograd::dataset::store::{read_provenance, Store};
 use hydrograd::dataset::{kind, read_split, Metadata, Split, Trajectory};
 use hydrograd::design::shape::Shape;
 use std::path::Path;
+use support::program::{printed, refused};
 
 /// Small: 200 particles, 3 frames of 4 coarse steps.
 const SMALL: [&str; 12] = [
@@ -29,19 +32,11 @@ fn hydrograd(folder: &Path, arguments: &[&str], slurm: &[(&str, &str)]) -> std::
 }
 
 fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = hydrograd(folder, arguments, &[]);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert!(output.status.success() && error.is_empty(), "{arguments:?}: {error}");
-    String::from_utf8(output.stdout).unwrap()
+    printed(arguments, hydrograd(folder, arguments, &[]))
 }
 
 fn refuses(folder: &Path, arguments: &[&str], slurm: &[(&str, &str)], expected: &[&str]) {
-    let output = hydrograd(folder, arguments, slurm);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
-    for part in expected {
-        assert!(error.contains(part), "{arguments:?}: no `{part}` in {error}");
-    }
+    refused(arguments, &hydrograd(folder, arguments, slurm), expected);
     assert!(!folder.join("unwritten").exists(), "something was written");
 }
 

@@ -1,8 +1,10 @@
 //! `optimize` and `check-gradient` with every optimiser, parametrisation and objective, from the command line.
 
-use assert_cmd::Command;
+mod support;
+
 use serde_json::Value;
 use std::path::Path;
+use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A short, small run.
@@ -23,18 +25,6 @@ const HEAT: &str = "objective.kind=heat-outflow";
 const TEMPERATURE: &str = "objective.kind=outlet-temperature";
 const ADAM: &str = "optimise.method=adam";
 const L_BFGS_B: &str = "optimise.method=l-bfgs-b";
-
-fn hydrograd(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = Command::cargo_bin("hydrograd").unwrap();
-    command.current_dir(folder).env("CANDLE_NUM_THREADS", "1").args(arguments).output().unwrap()
-}
-
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = hydrograd(folder, arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert!(output.status.success(), "{arguments:?}: {error}");
-    String::from_utf8(output.stdout).unwrap()
-}
 
 fn summary(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
@@ -95,10 +85,8 @@ fn every_choice_runs_and_resumes_bit_for_bit() {
 
         // Another optimiser can not go on with this one's checkpoint.
         let other = if choices[0] == ADAM { L_BFGS_B } else { ADAM };
-        let output = hydrograd(at, &["optimize", "--resume", "parts", "--epochs", "4", "--set", other]);
-        let error = String::from_utf8_lossy(&output.stderr).to_string();
-        assert_eq!(output.status.code(), Some(2), "{error}");
-        assert!(error.contains("another scene") && error.contains("optimise.method"), "{error}");
+        let arguments = ["optimize", "--resume", "parts", "--epochs", "4", "--set", other];
+        refused(&arguments, &hydrograd(at, &arguments), &["another scene", "optimise.method"]);
     }
 }
 

@@ -2,11 +2,11 @@
 
 mod support;
 
-use assert_cmd::Command;
 use hydrograd::dataset::Split;
 use serde_json::Value;
 use std::path::Path;
 use support::data_set::{heat, heated_metadata, metadata, trajectory, write};
+use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A folder with the data sets `plain` (uniform motion) and `heated`.
@@ -23,27 +23,10 @@ fn data_sets() -> TempDir {
     folder
 }
 
-fn hydrograd(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    let mut command = Command::cargo_bin("hydrograd").unwrap();
-    command.current_dir(folder).env("CANDLE_NUM_THREADS", "1").args(arguments).output().unwrap()
-}
-
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = hydrograd(folder, arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert!(output.status.success() && error.is_empty(), "{arguments:?}: {error}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
 /// Expects exit code 2, one error with these parts, and no `out`.
 fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
     let output = hydrograd(folder, &[arguments, &["--out", "out"]].concat());
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
-    assert_eq!(error.matches("error:").count(), 1, "{error}");
-    for part in parts {
-        assert!(error.contains(part), "no `{part}` in {error}");
-    }
+    refused(arguments, &output, parts);
     assert!(output.stdout.is_empty() && !folder.join("out").exists(), "something was written");
 }
 

@@ -1,8 +1,10 @@
 //! Whole runs of the command line: files, figures that fit together, resuming, broken checkpoints.
 
-use assert_cmd::Command;
+mod support;
+
 use serde_json::Value;
 use std::path::Path;
+use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A short, small run: 0.3 time units.
@@ -17,30 +19,9 @@ const SHORT: [&str; 8] = [
     "optimise.learning_rate=1e-3",
 ];
 
-fn hydrograd(folder: &Path, arguments: &[&str]) -> std::process::Output {
-    // One thread unless a test says otherwise: the tests run side by side, and spinning workers of several processes on
-    // the same cores make each other slow.
-    let mut command = Command::cargo_bin("hydrograd").unwrap();
-    command.current_dir(folder).env("CANDLE_NUM_THREADS", "1").args(arguments).output().unwrap()
-}
-
-fn succeeds(folder: &Path, arguments: &[&str]) -> String {
-    let output = hydrograd(folder, arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert!(output.status.success(), "{arguments:?}: {error}");
-    assert!(error.is_empty(), "a run that succeeds says nothing on stderr when it is not a terminal: {error}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
 /// Expects exit code 2, one error with these parts, and no new folder `unwritten`.
 fn refuses(folder: &Path, arguments: &[&str], expected: &[&str]) {
-    let output = hydrograd(folder, arguments);
-    let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
-    assert_eq!(error.matches("error:").count(), 1, "{error}");
-    for part in expected {
-        assert!(error.contains(part), "no `{part}` in {error}");
-    }
+    refused(arguments, &hydrograd(folder, arguments), expected);
     assert!(!folder.join("unwritten").exists(), "something was written");
 }
 

@@ -3,4 +3,5 @@
 pub mod data_set;
 pub mod final_sum;
 pub mod jax_sph;
+pub mod program;
 pub mod random_scene;
