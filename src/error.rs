@@ -18,12 +18,20 @@ pub enum Error {
     /// Detected while running.
     #[error("{problem}\n  try: {advice}")]
     Run { problem: String, advice: String },
+    /// A run whose numbers left all bounds: its input is not one to use, but another may be.
+    #[error("{problem}\n  try: {advice}")]
+    Diverged { problem: String, advice: String },
 }
 
 impl Error {
     /// A run that failed, with advice on what to try.
     pub fn run(problem: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::Run { problem: problem.into(), advice: advice.into() }
+    }
+
+    /// A run that diverged, with advice on what to try.
+    pub fn diverged(problem: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self::Diverged { problem: problem.into(), advice: advice.into() }
     }
 }
 

@@ -81,7 +81,7 @@
 //! # fn main() -> anyhow::Result<()> {
 //! // A periodic box of water with a shear wave, by Wendland's kernel.
 //! let (side, dx) = (16, 1.0 / 16.0);
-//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false };
+//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false, consistent: false };
 //! let model = Arc::new(Model {
 //!     domain: Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] },
 //!     layout,
@@ -98,6 +98,8 @@
 //!     },
 //!     viscosity: 0.05,
 //!     artificial_viscosity: None,
+//!     consistent: None,
+//!     fixed: None,
 //!     transport: 0.0,
 //!     body_force: BodyForce::None,
 //!     heat: None,

@@ -8,6 +8,8 @@ use assert_cmd::Command;
 use support::program::refused;
 use tempfile::TempDir;
 
+const STANDARD: &str = "fluid.formulation=standard";
+
 /// A folder with files, and the command line run in it.
 struct Case {
     folder: TempDir,
@@ -74,12 +76,13 @@ fn memory_needs_a_unit_and_must_suffice() {
     // What was memory_mb is found again.
     case.refuses(&["optimize", "--set", "optimise.memory_mb=3"], &["unknown field `memory_mb`", "`memory`"]);
     // Too small for any schedule: the least that works, which then does work.
-    for arguments in [&["optimize"][..], &["optimize", "--explain"]] {
+    let moving = ["optimize", "--set", "optimise.search=scene"];
+    for arguments in [&moving[..], &[&moving[..], &["--explain"]].concat()] {
         let message =
             case.refuses(&[arguments, &["--memory", "1KB"]].concat(), &["1KB", "too small", "at least", "MB"]);
         let least = message.split("at least ").nth(1).unwrap().split(' ').next().unwrap();
         let output =
-            Command::cargo_bin("hydrograd").unwrap().args(["optimize", "--explain", "--memory", least]).output();
+            Command::cargo_bin("hydrograd").unwrap().args(moving).args(["--explain", "--memory", least]).output();
         let text = String::from_utf8(output.unwrap().stdout).unwrap();
         assert!(text.contains("binomial"), "{least}: {text}");
     }
@@ -145,13 +148,13 @@ fn not_toml() {
 
 #[test]
 fn out_of_range() {
-    let parts = ["mine.toml, line 3", "time.cfl = 4.5", "0 < time.cfl <= 4", "time.cfl = 2"];
+    let parts = ["mine.toml, line 3", "time.cfl = 4.5", "0 < time.cfl <= 4", "time.cfl = 1.5"];
     refuses_file("[time]\n\ncfl = 4.5\n", &parts);
     let cases = [
         ("resolution.dx=0", "resolution.dx > 0"),
         ("resolution.dx=-0.02", "resolution.dx > 0"),
         ("resolution.dx=nan", "resolution.dx > 0"),
-        ("channel.wall_rows=2", "3 <= channel.wall_rows"),
+        ("channel.wall_rows=1", "2 <= channel.wall_rows"),
         ("channel.inlet_length=-0.1", "channel.inlet_length >= 0"),
         ("fluid.viscosity=inf", "fluid.viscosity > 0, finite"),
         ("wall.hot_temperature=nan", "wall.hot_temperature: any finite number"),
@@ -213,16 +216,19 @@ fn channel_too_short_or_low() {
         "channel.hot_from=0.02",
         "channel.hot_to=0.08",
         "objective.target_x=0.1",
+        STANDARD,
     ];
     refuses_sets(&sets, &["channel.length = 0.12", "at least", "0.128"]);
-    refuses_sets(&["channel.height=0.1"], &["channel.height = 0.1", "six spacings", "0.12"]);
+    refuses_sets(&[STANDARD, "channel.height=0.1"], &["channel.height = 0.1", "six spacings", "0.12"]);
 }
 
 /// What follows from the kernel's support follows from its name and smoothing length.
 #[test]
 fn support_of_the_kernel() {
     let wide = "resolution.smoothing_length=1.5";
-    refuses_sets(&[wide, "channel.wall_rows=4"], &["channel.wall_rows = 4", "5 <= channel.wall_rows"]);
+    refuses_sets(&[wide, "channel.wall_rows=3"], &["channel.wall_rows = 3", "4 <= channel.wall_rows"]);
+    let standard = [STANDARD, wide, "channel.wall_rows=4"];
+    refuses_sets(&standard, &["channel.wall_rows = 4", "5 <= channel.wall_rows"]);
     refuses_sets(&[wide, "channel.height=0.16"], &["channel.height = 0.16", "9 spacings", "0.18"]);
     refuses_sets(&["resolution.kernel=wendland"], &["wendland", "quintic-spline, wendland-c2", "try: `wendland-c2`"]);
     let case = Case::new(&[]);
@@ -251,8 +257,9 @@ fn window_longer_than_the_run() {
     };
     let window = "objective.window=0.45";
     run(&["time.end=0.3", window], &["objective.window = 0.45", "0 (last step) ... 0.3"]);
-    run(&["time.steps=100", window], &["objective.window = 0.45", "0.363636"]);
-    run(&["objective.samples=300"], &["objective.samples = 300", "1 ... 138"]);
+    run(&["time.steps=100", window], &["objective.window = 0.45", "0.272727"]);
+    run(&[STANDARD, "time.steps=100", window], &["objective.window = 0.45", "0.363636"]);
+    run(&["objective.samples=300"], &["objective.samples = 300", "1 ... 184"]);
 }
 
 #[test]
@@ -263,8 +270,8 @@ fn no_time_step() {
 
 #[test]
 fn bound_too_large() {
-    refuses_sets(&["design.bound=0.09", "channel.wall_rows=4"], &["design.bound = 0.09", "0 ... 0.08"]);
-    refuses_sets(&["design.bound=0.09"], &["design.bound = 0.09", "0 ... 0.08", "six spacings"]);
+    refuses_sets(&[STANDARD, "design.bound=0.09", "channel.wall_rows=4"], &["design.bound = 0.09", "0 ... 0.08"]);
+    refuses_sets(&[STANDARD, "design.bound=0.09"], &["design.bound = 0.09", "0 ... 0.08", "six spacings"]);
     let parts = ["design.bound = 0.11", "0 ... 0.1", "half the channel's height"];
     refuses_sets(&["design.bound=0.11", "channel.wall_rows=20", "resolution.dx=0.01"], &parts);
 }

@@ -41,7 +41,8 @@ fn refuses(folder: &Path, arguments: &[&str], slurm: &[(&str, &str)], expected: 
 }
 
 fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
-    [&SMALL, more].concat()
+    // Three rows of dummy particles and nothing on the surface: what the expectations below are of.
+    [&SMALL[..], &["--set", "fluid.formulation=standard"], more].concat()
 }
 
 fn bytes(folder: &Path) -> Vec<Vec<u8>> {

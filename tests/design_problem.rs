@@ -3,7 +3,9 @@
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::{run, Dynamics};
 use hydrograd::config::scene::Config;
+use hydrograd::design::problem::Evaluation;
 use hydrograd::design::{checkpoint, optimisers, Optimisation, Problem};
+use hydrograd::error::Error;
 use hydrograd::io::tensor_file::TensorFile;
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::scene::Scene;
@@ -106,7 +108,7 @@ fn a_checkpoint_goes_on_to_the_bit() {
 /// A checkpoint as it was written before there was more than one optimiser.
 #[test]
 fn earlier_checkpoints_are_read() {
-    let (config, problem) = problem(&["design.nodes=[0.4, 0.5]", "design.offsets=[0.0, 0.0]"]);
+    let (config, problem) = problem(&[METHODS[0], "design.nodes=[0.4, 0.5]", "design.offsets=[0.0, 0.0]"]);
     let mut record = optimisers::Record::default();
     record.put("offsets", &[2], vec![0.001, 0.002]);
     record.put("offsets_best", &[2], vec![0.0, 0.0]);
@@ -127,6 +129,8 @@ fn earlier_checkpoints_are_read() {
     assert_eq!((found.history.len(), found.history[0].figure, found.best), (1, 0.04, 0));
     let mut again = optimisers::Record::default();
     found.optimiser.save(&mut again);
+    assert!(again.tensors.contains_key("adam.last_good"));
+    again.tensors.remove("adam.last_good");
     assert!(again.tensors.iter().all(|(name, tensor)| record.tensors[name] == *tensor));
     // What no run could have written.
     for (name, values, expected) in [
@@ -134,6 +138,7 @@ fn earlier_checkpoints_are_read() {
         ("offsets", vec![0.03, 0.0], "design.offsets[0] = 0.03 is out of bounds"),
         ("adam.first_moment", vec![f64::INFINITY, 0.0], "adam.first_moment[0] = inf"),
         ("adam.second_moment", vec![0.0], "adam.second_moment"),
+        ("adam.last_good", vec![f64::NAN, 0.0], "adam.last_good[0] = NaN"),
     ] {
         let mut broken = file.clone();
         let mut record = optimisers::Record::default();
@@ -142,4 +147,64 @@ fn earlier_checkpoints_are_read() {
         let error = checkpoint::restore(&broken, &*problem.parametrisation, new).unwrap_err().to_string();
         assert!(error.contains(expected) && error.contains("checkpoint.safetensors"), "{error}");
     }
+}
+
+/// Up to a cliff, beyond which runs diverge; the minimum lies behind it.
+fn cliff(x: &[f64]) -> Result<Evaluation, Error> {
+    if x[0] > 0.01 {
+        return Err(Error::diverged("step 7: the run has diverged", "time.cfl=0.5"));
+    }
+    let loss: f64 = x.iter().map(|x| (x - 0.015) * (x - 0.015)).sum();
+    Ok(Evaluation { figure: -loss, loss, gradient: x.iter().map(|x| 2.0 * (x - 0.015)).collect() })
+}
+
+#[test]
+fn a_design_that_diverges_is_a_rejected_step() {
+    for method in METHODS {
+        let (config, problem) =
+            problem(&[method, "design.nodes=[0.4, 0.6]", "design.offsets=[0.0, 0.0]", "optimise.learning_rate=0.004"]);
+        let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+        let limits = problem.parametrisation.limits();
+        let mut whole = Optimisation::new(new(&problem.first));
+        whole.run(30, limits, |_, x| cliff(x), |_| Ok(())).unwrap();
+        assert!(whole.rejected() > 0, "{method}: the test does not test");
+        assert!(!whole.history[whole.best].is_rejected());
+        let best = &whole.history[whole.best].variables;
+        // As near to the cliff as steps that know nothing of it come, and on to the minimum along it.
+        assert!(best[0] > 0.006 && best[0] <= 0.01 && (best[1] - 0.015).abs() < 6e-3, "{method}: {best:?}");
+        for epoch in whole.history.iter().filter(|epoch| epoch.is_rejected()) {
+            assert!(epoch.figure.is_nan() && epoch.gradient_norm.is_nan() && epoch.loss == f64::INFINITY);
+        }
+        // Kept and read between any two epochs, rejected ones too.
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        let mut parts = Optimisation::new(new(&problem.first));
+        while !parts.is_finished(30) {
+            parts.epoch(limits, cliff).unwrap();
+            checkpoint::write(&path, &parts, &[]).unwrap();
+            parts = checkpoint::restore(&TensorFile::read(&path).unwrap(), &*problem.parametrisation, new).unwrap();
+        }
+        assert_eq!(parts.column(|e| e.loss), whole.column(|e| e.loss), "{method}");
+        assert_eq!(parts.rejected(), whole.rejected());
+        // Of the first design there is nothing to step back to.
+        let mut broken = Optimisation::new(new(&[0.012, 0.0]));
+        let error = broken.run(3, limits, |_, x| cliff(x), |_| Ok(())).unwrap_err().to_string();
+        assert!(error.contains("has diverged") && broken.history.is_empty(), "{error}");
+        // Other errors are errors wherever they happen.
+        let mut failed = Optimisation::new(new(&problem.first));
+        let full = |epoch: usize, x: &[f64]| if epoch < 2 { cliff(x) } else { Err(Error::run("full disk", "space")) };
+        assert!(failed.run(9, limits, full, |_| Ok(())).is_err() && failed.history.len() == 2);
+    }
+}
+
+#[test]
+fn a_finished_optimiser_ends_the_run() {
+    let (config, problem) = problem(&["design.nodes=[0.4, 0.6]", "design.offsets=[0.0, 0.0]", METHODS[1]]);
+    let mut optimisation = Optimisation::new(optimisers::of_config(&config.optimise, &problem.first));
+    let square = |_: usize, x: &[f64]| {
+        let loss: f64 = x.iter().map(|x| (x - 0.005) * (x - 0.005)).sum();
+        Ok(Evaluation { figure: -loss, loss, gradient: x.iter().map(|x| 2.0 * (x - 0.005)).collect() })
+    };
+    optimisation.run(1000, problem.parametrisation.limits(), square, |_| Ok(())).unwrap();
+    assert!(optimisation.optimiser.is_done() && optimisation.history.len() < 60, "{}", optimisation.history.len());
 }

@@ -490,6 +490,8 @@ fn run_again(test: &str, settings: &[(&str, &str)]) -> Vec<u8> {
 
 /// Names the file for the child's result.
 const RESULT: &str = "HYDROGRAD_TEST_RESULT";
+/// Which formulation is run.
+const FORMULATION: &str = "HYDROGRAD_TEST_FORMULATION";
 /// Tries every n-th scene only.
 const STRIDE: &str = "HYDROGRAD_TEST_STRIDE";
 
@@ -497,7 +499,9 @@ const STRIDE: &str = "HYDROGRAD_TEST_STRIDE";
 #[ignore = "run by the tests below, as a program of its own"]
 fn state_and_gradient_of_a_run() {
     let Some(path) = std::env::var_os(RESULT) else { return };
-    let sets = ["time.steps=50", "time.cfl=1.0", "design.shape=\"sine\"", "objective.window=0"];
+    let formulation = std::env::var(FORMULATION).unwrap_or("standard".into());
+    let formulation = format!("fluid.formulation={formulation}");
+    let sets = ["time.steps=50", "time.cfl=1.0", "design.shape=\"sine\"", "objective.window=0", &formulation];
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap().config;
     let shape = Shape::from_config(&config).unwrap();
@@ -510,17 +514,22 @@ fn state_and_gradient_of_a_run() {
     let found = gradient(&dynamics, &start, &Schedule::segments(50, 13), &warmth, &mut |_| ()).unwrap();
     let mut numbers = solver.state.clone();
     numbers.extend(self::numbers(&found.state));
-    numbers.extend(channel.by_variables(&self::numbers(&found.state)));
+    numbers.extend(channel.by_variables(&shape.offsets, &self::numbers(&found.state)));
     std::fs::write(path, numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
 }
 
 #[test]
 fn number_of_threads_does_not_change_a_bit() {
-    let run = |threads: &str| run_again("state_and_gradient_of_a_run", &[("CANDLE_NUM_THREADS", threads)]);
-    let one = run("1");
-    assert!(one.len() > 8 * 800 * 10, "only {} bytes", one.len());
-    for threads in ["2", "3"] {
-        assert!(one == run(threads), "{threads} threads give other bits than one");
+    for formulation in ["standard", "consistent"] {
+        let run = |threads: &str| {
+            let settings = [("CANDLE_NUM_THREADS", threads), (FORMULATION, formulation)];
+            run_again("state_and_gradient_of_a_run", &settings)
+        };
+        let one = run("1");
+        assert!(one.len() > 8 * 800 * 10, "only {} bytes", one.len());
+        for threads in ["2", "3"] {
+            assert!(one == run(threads), "{formulation}: {threads} threads give other bits than one");
+        }
     }
 }
 

@@ -4,7 +4,8 @@ use hydrograd::config::builtin::{PRESETS, SCENES};
 use hydrograd::config::layers::Setting;
 use hydrograd::config::memory_size::MemorySize;
 use hydrograd::config::scene::{
-    BodyForceRegion, Config, KernelName, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName, Start,
+    BodyForceRegion, Config, Formulation, KernelName, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName,
+    Start,
 };
 use hydrograd::config::schema::{described, description, known_keys};
 use hydrograd::design::shape::{default_nodes, Shape};
@@ -50,6 +51,9 @@ fn report_preset() {
     assert_eq!((config.objective.window, config.optimise.segment), (0.0, 0));
     assert_eq!((config.optimise.learning_rate, config.optimise.smoothing), (2e-2, 5e-2));
     assert_eq!(config.optimise.epochs, 10);
+    // JAX-SPH's equations, kernel and optimiser.
+    assert_eq!((config.fluid.formulation, config.optimise.method), (Formulation::Standard, OptimiserName::Adam));
+    assert_eq!((config.support(), config.channel.wall_rows), (3.0, 3));
     for preset in PRESETS {
         Config::load(None, Some(preset.name), &[]).unwrap_or_else(|error| panic!("{}: {error}", preset.name));
     }
@@ -336,25 +340,57 @@ fn defaults_give_way_to_what_is_given() {
     };
     let short = load(&["time.end=0.04"]);
     assert_eq!(short.config.objective.window, 0.01);
-    assert_eq!(short.config.objective.samples, 3, "dt = 0.04 / 12");
+    assert_eq!(short.config.objective.samples, 4, "dt = 0.04 / 15");
     assert_eq!(toml::from_str::<Config>(&short.text).unwrap(), short.config);
-    assert_eq!(load(&["resolution.dx=0.005"]).config.channel.wall_rows, 4);
-    assert_eq!(load(&["design.bound=0.04"]).config.channel.wall_rows, 3);
-    // The dummy particles fill the kernel's support.
+    // The wall has no steps that dummy particles would have to fill.
+    assert_eq!(load(&["resolution.dx=0.005"]).config.channel.wall_rows, 2);
+    assert_eq!(load(&["design.bound=0.04"]).config.channel.wall_rows, 2);
+    // The dummy particles fill the kernel's support, of a particle half a spacing away.
     let wide = load(&["resolution.smoothing_length=1.5"]);
-    assert_eq!((wide.config.support(), wide.config.channel.wall_rows), (4.5, 5));
+    assert_eq!((wide.config.support(), wide.config.channel.wall_rows), (4.5, 4));
     assert_eq!(wide.place("channel.wall_rows"), Some("the kernel's support"));
     assert_eq!(load(&["resolution.smoothing_length=1.5", "channel.wall_rows=7"]).config.channel.wall_rows, 7);
-    assert_eq!(load(&["resolution.kernel=wendland-c2"]).config.channel.wall_rows, 3);
-    assert_eq!(load(&["resolution.kernel=wendland-c2", "channel.wall_rows=2"]).config.channel.wall_rows, 2);
+    assert_eq!(load(&["resolution.kernel=wendland-c2"]).config.channel.wall_rows, 2);
+}
+
+#[test]
+fn the_standard_formulation_has_defaults_of_its_own() {
+    let standard = |sets: &[&str]| load(&[&["fluid.formulation=standard"], sets].concat());
+    let loaded = standard(&[]);
+    let mut expected = Config::default();
+    expected.fluid.formulation = Formulation::Standard;
+    expected.resolution.smoothing_length = 1.0;
+    expected.channel.wall_rows = 3;
+    expected.time.cfl = 2.0;
+    expected.optimise.smoothing = 5.0;
+    assert_eq!(loaded.config, expected);
+    assert_eq!(read(&loaded.text), expected);
+    assert_eq!(loaded.place("time.cfl"), Some("fluid.formulation = standard"));
+    // What is given stays.
+    let given = standard(&["time.cfl=1", "resolution.smoothing_length=1.1", "optimise.smoothing=0.1"]).config;
+    assert_eq!((given.time.cfl, given.resolution.smoothing_length, given.optimise.smoothing), (1.0, 1.1, 0.1));
+    assert_eq!(given.channel.wall_rows, 4);
+
+    let short = standard(&["time.end=0.04"]);
+    assert_eq!(short.config.objective.window, 0.01);
+    assert_eq!(short.config.objective.samples, 3, "dt = 0.04 / 12");
+    assert_eq!(standard(&["resolution.dx=0.005"]).config.channel.wall_rows, 4);
+    assert_eq!(standard(&["design.bound=0.04"]).config.channel.wall_rows, 3);
+    // The dummy particles fill the kernel's support.
+    let wide = standard(&["resolution.smoothing_length=1.5"]);
+    assert_eq!((wide.config.support(), wide.config.channel.wall_rows), (4.5, 5));
+    assert_eq!(wide.place("channel.wall_rows"), Some("the kernel's support"));
+    assert_eq!(standard(&["resolution.smoothing_length=1.5", "channel.wall_rows=7"]).config.channel.wall_rows, 7);
+    assert_eq!(standard(&["resolution.kernel=wendland-c2"]).config.channel.wall_rows, 2);
 }
 
 #[test]
 fn kernels_laws_and_designs_have_names() {
     let sets = [
+        "fluid.formulation=standard",
         "resolution.kernel=wendland-c2",
         "fluid.artificial_viscosity=0.1",
-        "optimise.method=l-bfgs-b",
+        "optimise.method=adam",
         "objective.kind=outlet-temperature",
         "design.parametrisation=b-spline",
         "design.control_points=6",
@@ -363,7 +399,10 @@ fn kernels_laws_and_designs_have_names() {
     let mut expected = Config::default();
     expected.resolution.kernel = KernelName::WendlandC2;
     expected.fluid.artificial_viscosity = 0.1;
-    expected.optimise.method = OptimiserName::LBfgsB;
+    expected.optimise.method = OptimiserName::Adam;
+    // The standard formulation's own.
+    expected.fluid.formulation = Formulation::Standard;
+    (expected.resolution.smoothing_length, expected.time.cfl, expected.optimise.smoothing) = (1.0, 2.0, 5.0);
     expected.objective.kind = ObjectiveKind::OutletTemperature;
     expected.design.parametrisation = ParametrisationName::BSpline;
     expected.design.control_points = 6;

@@ -19,6 +19,15 @@ pub enum RunError {
 }
 
 impl RunError {
+    /// Whether the run's numbers are to blame: of another start, or with smaller steps, it may succeed.
+    pub fn is_divergence(&self) -> bool {
+        match self {
+            Self::NotFinite { .. } => true,
+            Self::Neighbours { source, .. } => !matches!(source, NeighbourError::BoxTooSmall { .. }),
+            Self::Tensor { .. } => false,
+        }
+    }
+
     /// A failed tensor operation in a step.
     pub fn tensor(step: usize) -> impl Fn(candle_core::Error) -> Self {
         move |source| Self::Tensor { step, source }
@@ -74,7 +83,7 @@ pub trait Dynamics: Sync {
     /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.
     fn advance_taped(&self, tape: &mut Self::Tape, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError>;
     /// A state of the tape as fields, on the graph.
-    fn fields(&self, tape: &Self::Tape, state: &Tensor) -> Result<Fields, RunError>;
+    fn fields(&self, tape: &mut Self::Tape, state: &Tensor) -> Result<Fields, RunError>;
 
     /// Keeps the present state, `rounded` to single precision or exactly.
     fn keep(&self, run: &Self::Run, rounded: bool) -> Result<Self::Kept, RunError>;

@@ -280,7 +280,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
             self.held.add(bytes);
             taped.push(bytes);
             if let Some(weight) = self.objective.weight(step + 1) {
-                let fields = self.dynamics.fields(&tape, &state)?;
+                let fields = self.dynamics.fields(&mut tape, &state)?;
                 let value = self.objective.value(&fields).and_then(|value| value.affine(weight, 0.0));
                 terms.push(value.map_err(failed)?);
             }

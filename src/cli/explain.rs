@@ -29,7 +29,8 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     }
     let scene = Scene::<R>::from_config(config)?;
     let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config))).map_err(failed)?;
-    let Some(design) = scene.design.filter(|_| gradient) else { return Ok(plan) };
+    // The gradient of a steady state keeps one state, and tapes nothing.
+    let Some(design) = scene.design.filter(|design| gradient && !design.is_steady) else { return Ok(plan) };
     let schedule = design.schedule(&config.optimise, config.run.precision)?;
     let costs = design.costs()?;
     Ok(plan.with_gradient(&design.model, &schedule, costs, Some(config.optimise.memory.bytes())))

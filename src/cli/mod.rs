@@ -19,6 +19,7 @@ mod simulate;
 mod simulate_report;
 mod study;
 mod train;
+mod verify;
 
 pub use guard::{guarded, install_panic_hook};
 
@@ -38,6 +39,7 @@ pub enum Command {
     Simulate(simulate::SimulateArguments),
     #[command(visible_alias = "optimise")]
     Optimize(optimize::OptimizeArguments),
+    Verify(verify::VerifyArguments),
     CheckGradient(check_gradient::CheckGradientArguments),
     Train(train::TrainArguments),
     Evaluate(evaluate::EvaluateArguments),
@@ -59,6 +61,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
     match cli.command {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
+        Command::Verify(arguments) => verify::run(arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
         Command::Train(arguments) => train::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments),

@@ -4,7 +4,9 @@ use super::arguments::{name_of, option, CommonArguments, ExplainArgument, Gradie
 use super::explain::explain;
 use super::files;
 use super::prepare::{build, change, diverged, use_threads};
+use super::verify;
 use crate::adjoint::run::Observer;
+use crate::adjoint::RunError;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, Diagnostics, Finished};
@@ -21,10 +23,12 @@ use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::verification::Verification;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
@@ -37,6 +41,8 @@ Examples:
       from four start shapes, compared in one plot
   hydrograd optimize --preset report --start random --seed 7
       the original report's settings, from a random wall
+  hydrograd optimize --no-verify
+      without the checks of the gain that follow (`hydrograd verify` makes them later)
   hydrograd optimize --memory 20MB --explain
       the schedule that fits into 20 MB, with its storage and the steps run again
   hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
@@ -56,6 +62,9 @@ pub struct OptimizeArguments {
     /// Optimiser steps (optimise.epochs).
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
+    /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
+    #[arg(long)]
+    pub no_verify: bool,
 }
 
 /// Start shapes of `optimize`.
@@ -102,29 +111,45 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     use_threads(loaded.config.run.threads);
     if arguments.explain.explain {
-        return explain(&loaded, true);
+        return explain(&loaded.for_search()?, true);
     }
     if arguments.start == Some(StartName::All) {
         return every_start(&loaded, &folder, &arguments);
     }
     let resume = arguments.resume.resume.as_deref();
-    one(&loaded, &folder, resume, "").map(|outcome| {
-        println!("{}", outcome.text);
-        println!(
-            "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
-            folder.join("config.toml").display(),
-            std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
-            loaded.config.resolution.dx / 2.0
-        );
-    })
+    let outcome = one(&loaded, &folder, resume, "")?;
+    println!("{}", outcome.text);
+    println!(
+        "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
+        folder.join("config.toml").display(),
+        std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
+        loaded.config.resolution.dx / 2.0
+    );
+    if arguments.no_verify {
+        return Ok(());
+    }
+    let [reference, best] = [&outcome.first, &outcome.best].map(Clone::clone);
+    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
+    verified(&folder, outcome.summary, &verification)
 }
 
-/// What `--start all` compares.
+/// Checks a gain, says what is left of it, and adds it to `summary.json`.
+fn verified(folder: &Path, mut summary: Map<String, Value>, verification: &Verification) -> anyhow::Result<()> {
+    let found = verify::verify(verification, "verify")?;
+    summary.extend(verify::data(&found));
+    files::write_summary(folder, summary)?;
+    println!("\nverification: both walls again, with one thing changed\n{}", verify::text_of(&found));
+    Ok(())
+}
+
+/// What `--start all` compares, and what is verified.
 struct Outcome {
     text: String,
     summary: Map<String, Value>,
     /// The objective per epoch, as it is reported.
     values: Vec<f64>,
+    first: Shape,
+    best: Shape,
 }
 
 fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
@@ -147,6 +172,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let mut curves = Vec::new();
     let mut all = Map::new();
     let mut runs = Vec::new();
+    let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
     // Every start is built before the first runs: a bad one must not be found out after an hour.
     for start in StartName::EACH {
         let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
@@ -159,6 +185,9 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
+        if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
+            best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
+        }
         table.row([
             name.clone(),
             format!("{:.6}", values[0]),
@@ -179,10 +208,15 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         false,
         false,
     )?;
-    files::write_summary(folder, all)?;
+    files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
     println!("files in {}: starts.png, summary.json, and a folder per start", folder.display());
-    Ok(())
+    let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) else { return Ok(()) };
+    println!("the best of all began {name}");
+    all.insert("verified_start".into(), json!(name));
+    let reference = verify::flat(&best);
+    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
+    verified(folder, all, &verification)
 }
 
 fn capitalised(text: &str) -> String {
@@ -192,7 +226,13 @@ fn capitalised(text: &str) -> String {
 
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
-    let (problem, _) = build::<R>(config)?;
+    let search = loaded.for_search()?;
+    let (problem, _) = build::<R>(&search.config)?;
+    // What pictures and reports show, if that is not what the optimiser sees.
+    let own = match search.config == *config {
+        true => None,
+        false => Some(build::<R>(config)?.0),
+    };
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     let mut optimisation = begin(config, &problem, resume)?;
     prepare_output_folder(folder)?;
@@ -200,15 +240,29 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &
     let done = optimisation.history.len();
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
     let bar = Progress::new((config.optimise.epochs - done) as u64 * UNITS, &label);
+    let reason = RefCell::new(String::new());
     let evaluate = |epoch: usize, variables: &[f64]| {
         let base = (epoch - done) as u64 * UNITS;
-        problem.gradient(variables, &schedule, &mut |share| bar.set_position(base + (share * UNITS as f64) as u64))
+        let mut progress = |share: f64| bar.set_position(base + (share * UNITS as f64) as u64);
+        let found = problem.gradient(variables, &schedule, &mut progress);
+        if let Err(Error::Diverged { problem, .. }) = &found {
+            reason.replace(problem.clone());
+        }
+        found
     };
     optimisation.run(config.optimise.epochs, problem.parametrisation.limits(), evaluate, |optimisation| {
         checkpoint::write(&folder.join(CHECKPOINT), optimisation, &notes(loaded))?;
         write_history(folder, problem.figure, optimisation)?;
         if let Some(last) = optimisation.history.last() {
             let (epoch, symbol) = (optimisation.history.len() - 1, problem.figure.symbol);
+            if last.is_rejected() {
+                let seconds = last.seconds;
+                bar.line(&format!(
+                    "epoch {epoch:3}  rejected, the next step is shorter: {}  {seconds:.1} s",
+                    reason.borrow()
+                ));
+                return Ok(());
+            }
             bar.message(format!("{symbol} {:.6} |gradient| {:.2e}", last.figure, last.gradient_norm));
             bar.line(&format!(
                 "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}  {:.1} s",
@@ -218,7 +272,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &
         Ok(())
     })?;
     bar.finish();
-    report(loaded, folder, &problem, &optimisation)
+    report(loaded, folder, (&problem, own.as_ref()), &optimisation)
 }
 
 /// A new optimisation, or one that goes on.
@@ -254,34 +308,54 @@ fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
     ]
 }
 
-/// Runs the first and the best design once more, with figures, and writes everything that is made of them.
+/// Runs the first and the best design once more, with figures, and writes everything that is made of them. They run as the
+/// scene does: as the `own` problem, if that is not the one that was optimised.
 fn report<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    problem: &Problem<R>,
+    (problem, own): (&Problem<R>, Option<&Problem<R>>),
     optimisation: &Optimisation,
 ) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
     let history = &optimisation.history;
-    let [before, after] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
-    let before = simulate(problem, config.run.kernels, &problem.start(before), &mut []).map_err(diverged)?;
-    let after = simulate_with_frames(config, folder, problem, after)?;
+    write_walls(folder, config, &*problem.parametrisation, optimisation)?;
+    plot_history(folder, problem, optimisation)?;
+    let [first, best] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
+    let both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
+        let before = simulate(problem, config.run.kernels, &problem.start(first), &mut [])?;
+        Ok([before, simulate_with_frames(config, folder, problem, best)?])
+    };
+    let (shown, note) = match own.map(both) {
+        None => (both(problem), String::new()),
+        Some(Err(error)) if error.is::<RunError>() => {
+            let motion = config.fluid.motion.name();
+            (both(problem), format!("\nWARNING: with {motion} particles a run failed ({error}); this is of the others"))
+        }
+        Some(shown) => (shown, String::new()),
+    };
+    let [before, after] = shown.map_err(diverged)?;
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // Of all sessions: a resumed run has taken what its parts took.
     let seconds = history.iter().map(|e| e.seconds).sum();
     let (summary_before, summary_after) =
         (files::summary(loaded, b, problem.steps, before.seconds), files::summary(loaded, a, problem.steps, seconds));
-    let summary = summary(problem, optimisation, summary_before, summary_after);
-    let text = text(folder, problem.figure, optimisation, seconds, (b, a));
+    let mut summary = summary(problem, optimisation, summary_before, summary_after);
+    summary.insert("search".into(), json!(config.optimise.search));
+    // The loop's Q is not that of what is shown.
+    let motion = (own.is_some() && note.is_empty()).then(|| config.fluid.motion.name());
+    if motion.is_some() {
+        summary.insert("q_scene_before".into(), json!(b.q));
+        summary.insert("q_scene".into(), json!(a.q));
+    }
+    let text = text(folder, problem.figure, optimisation, seconds, (b, a), motion) + &note;
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (ParticleFields::of(&mut solver_before), ParticleFields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
     files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
-    write_walls(folder, config, &*problem.parametrisation, optimisation)?;
-    plot_history(folder, problem, optimisation)?;
     files::write_summary(folder, summary.clone())?;
     let values = optimisation.column(|e| e.figure);
-    Ok(Outcome { text, summary, values })
+    let [first, best] = [first, best].map(|variables| problem.parametrisation.sampled(variables));
+    Ok(Outcome { text, summary, values, first, best })
 }
 
 /// Runs a design and writes ParaView frames of it.
@@ -294,7 +368,7 @@ fn simulate_with_frames<R: Sweeps>(
     let mut frames = Frames::new(&folder.join("particles"), problem.steps, config.output.frames)?;
     let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
     observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-    simulate(problem, config.run.kernels, &problem.start(variables), &mut observers).map_err(diverged)
+    simulate(problem, config.run.kernels, &problem.start(variables), &mut observers)
 }
 
 /// `shape.csv` with the best, the first and the last wall, and the plot of all of them.
@@ -349,6 +423,7 @@ fn summary<R>(
     let mut put = |key: &str, value: Value| after.insert(key.into(), value);
     put(&format!("{name}_first"), json!(history[0].figure));
     put("best_epoch", json!(best));
+    put("rejected_epochs", json!(optimisation.rejected()));
     put(&format!("{name}_per_epoch"), json!(optimisation.column(|e| e.figure)));
     put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
@@ -361,13 +436,14 @@ fn summary<R>(
     after
 }
 
-/// What is printed at the end.
+/// What is printed at the end; with the `motion` of the particles that are shown, if the optimiser saw others.
 fn text(
     folder: &Path,
     figure: Figure,
     optimisation: &Optimisation,
     seconds: f64,
     (b, a): (&Diagnostics, &Diagnostics),
+    motion: Option<&str>,
 ) -> String {
     let (first, best) = (optimisation.history[0].figure, optimisation.history[optimisation.best].figure);
     let mut table = Table::new(["", "before", "after"]);
@@ -375,6 +451,9 @@ fn text(
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);
     };
     row(&format!("{}, {} (window average)", figure.symbol, figure.quantity), first, best);
+    if let Some(motion) = motion {
+        row(&format!("the same flow with {motion} particles: Q"), b.q, a.q);
+    }
     row("wall heat flux", b.wall_heat_flux, a.wall_heat_flux);
     row("heat stored per time", b.stored_heat_rate, a.stored_heat_rate);
     row("energy imbalance / wall heat flux", b.energy_imbalance, a.energy_imbalance);
@@ -390,6 +469,11 @@ fn text(
         optimisation.best,
         optimisation.history.len() - 1
     ));
+    match optimisation.rejected() {
+        0 => {}
+        1 => text.push_str("1 design was rejected: its run diverged\n"),
+        count => text.push_str(&format!("{count} designs were rejected: their runs diverged\n")),
+    }
     if optimisation.optimiser.is_done() {
         text.push_str(&format!("{} stopped: no wall near by is better\n", optimisation.optimiser.name()));
     }

@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, Family, Formulation};
 
 /// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,10 +39,15 @@ impl Config {
         self.resolution.kernel.support() * self.resolution.smoothing_length
     }
 
-    /// The fewest rows of dummy particles that fill the kernel's support.
+    /// The fewest rows of dummy particles that fill the kernel's support; in the consistent formulation those that a particle
+    /// in its place, half a spacing from the wall, can see.
     pub fn least_wall_rows(&self) -> usize {
+        let seen = match self.fluid.formulation {
+            Formulation::Consistent if self.scene == Family::HeatedChannel => self.support() - 0.5,
+            _ => self.support(),
+        };
         // Products such as 3 * 1.1 are rounded.
-        (self.support() - 1e-9).ceil() as usize
+        (seen - 1e-9).ceil() as usize
     }
 
     /// The kinematic viscosity that the artificial one amounts to, alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
@@ -135,6 +140,13 @@ mod tests {
     #[test]
     fn support_follows_kernel_and_smoothing_length() {
         let mut config = Config::default();
+        assert!((config.support() - 2.4).abs() < 1e-15 && (config.smoothing_length() - 0.016).abs() < 1e-17);
+        // Half a spacing of the support is fluid.
+        assert_eq!(config.least_wall_rows(), 2);
+        config.resolution.smoothing_length = 1.1;
+        assert_eq!(config.least_wall_rows(), 3);
+        config.fluid.formulation = Formulation::Standard;
+        config.resolution.smoothing_length = 1.0;
         assert_eq!((config.support(), config.smoothing_length(), config.least_wall_rows()), (3.0, 0.02, 3));
         config.resolution.smoothing_length = 1.1;
         assert!((config.support() - 3.3).abs() < 1e-15 && (config.smoothing_length() - 0.022).abs() < 1e-17);

@@ -1,66 +1,59 @@
-//! The configuration as a data set records it.
+//! The configuration as data sets and checkpoints record it.
 
-use toml_edit::DocumentMut;
+use crate::config::scene::{Config, Formulation, OptimiserName};
 
-use crate::config::scene::Config;
-use crate::config::schema::values;
-
-/// Keys that came after the first data sets. With their defaults they are not recorded: the same data set keeps its bytes.
-const LATER: [&str; 7] = [
-    "resolution.kernel",
-    "resolution.smoothing_length",
-    "fluid.artificial_viscosity",
-    "objective.kind",
-    "design.parametrisation",
-    "design.control_points",
-    "optimise.method",
-];
+/// The keys that files of before there was a choice of equations leave out, and what they meant there.
+pub const BEFORE: [&str; 3] = ["fluid.formulation=standard", "resolution.smoothing_length=1.0", "optimise.method=adam"];
 
 impl Config {
-    /// The configuration as TOML that reads back to it.
+    /// The configuration as TOML that reads back to it: every key.
     ///
     /// # Errors
     /// None that can come up: a configuration is representable in TOML.
     pub fn recorded(&self) -> Result<String, toml::ser::Error> {
-        let text = toml::to_string(self)?;
-        let Ok(mut document) = text.parse::<DocumentMut>() else { return Ok(text) };
-        let usual = values(&Self::default());
-        for (path, value) in values(self) {
-            let is_usual = usual.iter().any(|(key, other)| *key == path && other.to_string() == value.to_string());
-            if let (true, true, Some((section, key))) = (is_usual, LATER.contains(&path.as_str()), path.split_once('.'))
-            {
-                if let Some(table) = document[section].as_table_mut() {
-                    table.remove(key);
-                }
+        toml::to_string(self)
+    }
+
+    /// A configuration that was recorded, perhaps by an earlier version.
+    ///
+    /// # Errors
+    /// Text that is no configuration.
+    pub fn from_record(text: &str) -> Result<Self, toml::de::Error> {
+        let mut config: Self = toml::from_str(text)?;
+        let table: toml::Table = text.parse()?;
+        let has = |section: &str, key: &str| table.get(section).is_some_and(|section| section.get(key).is_some());
+        if !has("fluid", "formulation") {
+            config.fluid.formulation = Formulation::Standard;
+            if !has("resolution", "smoothing_length") {
+                config.resolution.smoothing_length = 1.0;
+            }
+            if !has("optimise", "method") {
+                config.optimise.method = OptimiserName::Adam;
             }
         }
-        Ok(document.to_string())
+        Ok(config)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::scene::KernelName;
 
     #[test]
-    fn later_keys_are_recorded_only_if_they_say_something() {
+    fn a_record_reads_back() {
         let mut config = Config::default();
-        let text = config.recorded().unwrap();
-        assert_eq!(toml::from_str::<Config>(&text).unwrap(), config);
-        // What is left is what stood there, line by line.
-        let full = toml::to_string(&config).unwrap();
-        let left: Vec<&str> = text.lines().collect();
-        let gone: Vec<&str> = full.lines().filter(|line| !left.contains(line)).collect();
-        let mut expected: Vec<&str> = LATER.iter().filter_map(|path| Some(path.split_once('.')?.1)).collect();
-        let mut keys: Vec<&str> = gone.iter().filter_map(|line| Some(line.split_once(" = ")?.0)).collect();
-        expected.sort_unstable();
-        keys.sort_unstable();
-        assert_eq!(keys, expected);
-        assert_eq!(left.len() + gone.len(), full.lines().count());
-        config.resolution.kernel = KernelName::WendlandC2;
-        let text = config.recorded().unwrap();
-        assert!(text.contains("kernel = \"wendland-c2\"") && !text.contains("smoothing_length"), "{text}");
-        assert_eq!(toml::from_str::<Config>(&text).unwrap(), config);
+        assert_eq!(Config::from_record(&config.recorded().unwrap()).unwrap(), config);
+        config.fluid.formulation = Formulation::Standard;
+        assert_eq!(Config::from_record(&config.recorded().unwrap()).unwrap(), config);
+    }
+
+    #[test]
+    fn records_of_before_are_of_the_standard_formulation() {
+        let text = Config::default().recorded().unwrap();
+        let gone = ["formulation", "smoothing_length", "method"];
+        let old: Vec<&str> = text.lines().filter(|line| !gone.iter().any(|key| line.starts_with(key))).collect();
+        let found = Config::from_record(&old.join("\n")).unwrap();
+        assert_eq!(found.fluid.formulation, Formulation::Standard);
+        assert_eq!((found.resolution.smoothing_length, found.optimise.method), (1.0, OptimiserName::Adam));
     }
 }

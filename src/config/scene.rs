@@ -137,6 +137,68 @@ pub struct Fluid {
     pub transport_velocity: f64,
     /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
     pub artificial_viscosity: f64,
+    /// Which equations are solved.
+    pub formulation: Formulation,
+    /// Consistent formulation: whether particles move with the flow.
+    pub motion: Motion,
+    /// Consistent formulation: how particles are kept evenly spread.
+    pub shift: ShiftName,
+    /// Consistent formulation: strength of the shift.
+    pub shift_strength: f64,
+    /// Consistent formulation: strength of the pressure's diffusion.
+    pub pressure_diffusion: f64,
+}
+
+/// The equations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Formulation {
+    #[default]
+    /// Second-order operators and an evolved pressure: see [`crate::sph::consistent`].
+    Consistent,
+    /// Density summation and pair forces with a background pressure, as JAX-SPH.
+    Standard,
+}
+
+/// What becomes of the particles as the fluid flows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Motion {
+    /// They go with it.
+    #[default]
+    Moving,
+    /// They stay on a lattice that is mapped between the walls: see [`crate::sph::fixed`].
+    Fixed,
+}
+
+impl Motion {
+    /// What configurations call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Moving => "moving",
+            Self::Fixed => "fixed",
+        }
+    }
+
+    /// The one that this is not.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Moving => Self::Fixed,
+            Self::Fixed => Self::Moving,
+        }
+    }
+}
+
+/// How the consistent formulation keeps particles evenly spread: see [`crate::sph::consistent::shift`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShiftName {
+    /// Along rows that stay rows: channels.
+    #[default]
+    Chain,
+    /// Away from crowds, anywhere.
+    Isotropic,
+    None,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -300,6 +362,8 @@ pub enum ShapeName {
 #[serde(default, deny_unknown_fields)]
 pub struct Optimise {
     pub method: OptimiserName,
+    /// The particles' motion while the optimiser searches.
+    pub search: Search,
     pub epochs: usize,
     /// Adam's step, or the most that L-BFGS-B's first step moves an offset, in offset units: 2e-2 is one spacing at dx = 0.02.
     pub learning_rate: f64,
@@ -326,6 +390,17 @@ pub enum OptimiserName {
     LBfgsB,
 }
 
+/// The motion that designs are evaluated with while the optimiser searches; what it finds is shown with the scene's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum Search {
+    /// Fixed particles, by the gradient of their steady state. The standard formulation has none, and takes its own.
+    #[default]
+    Fixed,
+    /// The scene's `fluid.motion`.
+    Scene,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum GradientMode {
@@ -333,6 +408,8 @@ pub enum GradientMode {
     Segments,
     Taped,
     Truncated,
+    /// Of the steady state, for fixed particles: one state, no run.
+    Steady,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -372,7 +449,7 @@ pub struct Output {
 
 impl Default for Resolution {
     fn default() -> Self {
-        Self { dx: 0.02, kernel: KernelName::QuinticSpline, smoothing_length: 1.0 }
+        Self { dx: 0.02, kernel: KernelName::QuinticSpline, smoothing_length: 0.8 }
     }
 }
 
@@ -381,7 +458,7 @@ impl Default for Channel {
         Self {
             length: 1.0,
             height: 0.2,
-            wall_rows: 3,
+            wall_rows: 2,
             hot_from: 0.25,
             hot_to: 0.75,
             inlet_length: 0.06,
@@ -411,6 +488,11 @@ impl Default for Fluid {
             background_pressure_factor: 0.05,
             transport_velocity: 0.0,
             artificial_viscosity: 0.0,
+            formulation: Formulation::Consistent,
+            motion: Motion::Moving,
+            shift: ShiftName::Chain,
+            shift_strength: 2.0,
+            pressure_diffusion: 0.1,
         }
     }
 }
@@ -424,9 +506,9 @@ impl Default for Wall {
 impl Default for Time {
     fn default() -> Self {
         Self {
-            end: 2.0,
+            end: 2.5,
             steps: None,
-            cfl: 2.0,
+            cfl: 1.5,
             diffusion_number: 0.25,
             start: Start::Developed,
             jitter: 0.05,
@@ -467,10 +549,11 @@ impl Default for Design {
 impl Default for Optimise {
     fn default() -> Self {
         Self {
-            method: OptimiserName::Adam,
-            epochs: 40,
-            learning_rate: 3e-4,
-            smoothing: 5.0,
+            method: OptimiserName::LBfgsB,
+            search: Search::Fixed,
+            epochs: 25,
+            learning_rate: 3e-3,
+            smoothing: 0.05,
             gradient: GradientMode::Segments,
             memory: MemorySize(300_000_000),
             store: Precision::F64,

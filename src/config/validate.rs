@@ -2,7 +2,7 @@
 
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
-use crate::config::scene::{Config, Family, GradientMode, Precision};
+use crate::config::scene::{BodyForceRegion, Config, Family, Formulation, GradientMode, Motion, Precision, ShiftName};
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
 
@@ -53,12 +53,14 @@ impl Schema for Config {
     fn check_together(&self) -> Result<(), BadInput> {
         if self.scene != Family::HeatedChannel {
             self.check_box()?;
+            self.check_flow()?;
             return self.check_steps();
         }
         self.check_spacing()?;
         self.check_channel()?;
         self.check_time()?;
         self.check_bound()?;
+        self.check_formulation()?;
         self.check_store()
     }
 }
@@ -92,6 +94,8 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
         ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
         ("fluid.artificial_viscosity", fluid.artificial_viscosity, Within(0.0, 10.0)),
+        ("fluid.shift_strength", fluid.shift_strength, Within(0.0, 10.0)),
+        ("fluid.pressure_diffusion", fluid.pressure_diffusion, Within(0.0, 1.0)),
         ("wall.hot_temperature", wall.hot_temperature, Finite),
         ("time.end", time.end, Positive),
         ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
@@ -120,6 +124,67 @@ impl Config {
     /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
     fn fluid_rows(&self) -> f64 {
         2.0 * self.support()
+    }
+
+    /// What only the heated channel has.
+    fn check_flow(&self) -> Result<(), BadInput> {
+        let fluid = &self.fluid;
+        if fluid.motion == Motion::Fixed {
+            return Err(BadInput::new("fluid.motion = fixed without a heated channel")
+                .key("fluid.motion")
+                .allowed("moving, or scene heated-channel"));
+        }
+        if fluid.formulation == Formulation::Consistent && fluid.shift == ShiftName::Chain {
+            return Err(BadInput::new("fluid.shift = chain without rows of particles that stay rows")
+                .key("fluid.shift")
+                .allowed("isotropic or none, or scene heated-channel")
+                .advice("fluid.shift=isotropic"));
+        }
+        Ok(())
+    }
+
+    /// What one formulation has and the other has no equivalent of.
+    fn check_formulation(&self) -> Result<(), BadInput> {
+        let fixed = self.fluid.motion == Motion::Fixed;
+        if fixed && self.fluid.formulation == Formulation::Standard {
+            return Err(BadInput::new("fluid.motion = fixed in the standard formulation")
+                .key("fluid.motion")
+                .allowed("moving; fixed with fluid.formulation = consistent")
+                .advice("fluid.formulation=consistent, or fluid.motion=moving"));
+        }
+        if fixed && self.fluid.body_force_region != BodyForceRegion::Fluid {
+            return Err(BadInput::new("fluid.body_force_region = original-channel with particles that do not move")
+                .key("fluid.body_force_region")
+                .allowed("fluid, or fluid.motion = moving"));
+        }
+        if self.optimise.gradient == GradientMode::Steady && !fixed {
+            return Err(BadInput::new("optimise.gradient = steady with particles that move")
+                .key("optimise.gradient")
+                .allowed("segments, taped or truncated, or fluid.motion = fixed")
+                .advice("optimise.gradient=segments"));
+        }
+        if self.fluid.formulation == Formulation::Standard {
+            return Ok(());
+        }
+        let (fluid, wall) = (&self.fluid, &self.wall);
+        let usual = Self::default();
+        let others = [
+            (
+                "fluid.background_pressure_factor",
+                fluid.background_pressure_factor != usual.fluid.background_pressure_factor,
+            ),
+            ("fluid.transport_velocity", fluid.transport_velocity != 0.0),
+            ("fluid.artificial_viscosity", fluid.artificial_viscosity != 0.0),
+            ("wall.hot_isotherm", wall.hot_isotherm != usual.wall.hot_isotherm),
+            ("wall.mass", wall.mass != usual.wall.mass),
+        ];
+        match others.into_iter().find(|(_, given)| *given) {
+            Some((key, _)) => Err(BadInput::new(format!("{key} is a setting of the standard formulation"))
+                .key(key)
+                .allowed("its default, in the consistent formulation")
+                .advice("fluid.formulation=standard, or leave it out")),
+            None => Ok(()),
+        }
     }
 
     /// Rounded states belong to schedules that keep every state.
@@ -319,7 +384,8 @@ impl Config {
         // steps to y = 0, and the face of that step consists of the rows of the higher column: rows that end
         // above the foot of the step leave a hole. (Within the section the slope limit sees to it.)
         let limit = channel.wall_rows as f64 * dx;
-        if bound > limit * whole {
+        // (In the consistent formulation the wall has no steps.)
+        if bound > limit * whole && self.fluid.formulation == Formulation::Standard {
             let rows = (bound / dx - 1e-9).ceil();
             let why = format!("the {} wall rows must cover it", channel.wall_rows);
             return fail(limit, &why, format!("channel.wall_rows={rows}"));

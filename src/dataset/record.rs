@@ -51,7 +51,10 @@ impl Enclosure {
 fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let scene = Scene::<R>::from_config(config)?;
     let (model, mut origin) = (&scene.model, scene.corner);
-    let written = |&i: &usize| config.scene != Family::LidDrivenCavity || is_inner(config, &scene, i);
+    // Points on a wall's surface are no particles: the dummy particles behind it show where it is.
+    let is_particle = |i: usize| !matches!(model.tags[i], tag::SURFACE | tag::HOT_SURFACE);
+    let written =
+        |&i: &usize| is_particle(i) && (config.scene != Family::LidDrivenCavity || is_inner(config, &scene, i));
     let kept: Vec<usize> = (0..model.particles()).filter(written).collect();
     let mut size = model.domain.size;
     if scene.design.is_some() {

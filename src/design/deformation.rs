@@ -9,15 +9,28 @@
 
 use crate::numerics::lanes::Real;
 
-/// The map heights of columns `[C]` -> state `[F, N]`.
+/// The map from heights `[C]` to the initial state `[F, N]`.
 #[derive(Debug, Clone)]
 pub struct Deformation {
-    /// Columns C.
+    /// Heights C: of particle columns, or of points on the wall's surface.
     pub columns: usize,
     /// State of the undeformed channel, `[F, N]`.
     pub base: Vec<f64>,
     /// Particles N.
     pub particles: usize,
+    pub map: Map,
+}
+
+/// How heights move particles.
+#[derive(Debug, Clone)]
+pub enum Map {
+    Columns(Columns),
+    Surface(Surface),
+}
+
+/// The standard formulation's: column by column.
+#[derive(Debug, Clone)]
+pub struct Columns {
     /// Column of each particle.
     pub column: Vec<u32>,
     /// dy/ds of each particle.
@@ -27,30 +40,24 @@ pub struct Deformation {
 }
 
 impl Deformation {
-    /// The initial state with these heights of the columns.
+    /// The initial state with these heights.
     pub fn state<R: Real>(&self, heights: &[f64]) -> Vec<R> {
-        let n = self.particles;
         let mut state = self.base.clone();
-        for i in 0..n {
-            let s = heights[self.column[i] as usize];
-            state[n + i] += self.by_height[i] * s;
-            if let Some((row, by_mass)) = &self.by_mass {
-                state[row * n + i] += by_mass[i] * s;
-            }
+        match &self.map {
+            Map::Columns(columns) => columns.deform(self.particles, heights, &mut state),
+            Map::Surface(surface) => surface.deform(self.particles, heights, &mut state),
         }
         state.into_iter().map(R::of).collect()
     }
 
-    /// The derivative by the heights, `[C]`, from the cotangent of the state, summed in f64 in particle order.
-    pub fn pull_back<R: Real>(&self, state_bar: &[R]) -> Vec<f64> {
-        let n = self.particles;
+    /// The derivative by the heights, `[C]`, from the cotangent of the state they make, summed in f64 in particle order.
+    pub fn pull_back<R: Real>(&self, heights: &[f64], state_bar: &[R]) -> Vec<f64> {
         let mut heights_bar = vec![0.0; self.columns];
-        for i in 0..n {
-            let mut bar = self.by_height[i] * state_bar[n + i].f64();
-            if let Some((row, by_mass)) = &self.by_mass {
-                bar += by_mass[i] * state_bar[row * n + i].f64();
+        match &self.map {
+            Map::Columns(columns) => columns.pull_back(self.particles, state_bar, &mut heights_bar),
+            Map::Surface(surface) => {
+                surface.pull_back(self.particles, &self.base, heights, state_bar, &mut heights_bar)
             }
-            heights_bar[self.column[i] as usize] += bar;
         }
         heights_bar
     }
@@ -60,7 +67,201 @@ impl Deformation {
     pub fn keep_static<R: Real>(&self, state_bar: &mut [R], is_fluid: impl Fn(usize) -> bool) {
         let n = self.particles;
         for i in (0..n).filter(|&i| is_fluid(i)) {
-            state_bar[n + i] = R::default();
+            match self.map {
+                Map::Columns(_) => state_bar[n + i] = R::default(),
+                Map::Surface(_) => state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default()),
+            }
+        }
+    }
+}
+
+impl Columns {
+    fn deform(&self, n: usize, heights: &[f64], state: &mut [f64]) {
+        for i in 0..n {
+            let s = heights[self.column[i] as usize];
+            state[n + i] += self.by_height[i] * s;
+            if let Some((row, by_mass)) = &self.by_mass {
+                state[row * n + i] += by_mass[i] * s;
+            }
+        }
+    }
+
+    fn pull_back<R: Real>(&self, n: usize, state_bar: &[R], heights_bar: &mut [f64]) {
+        for i in 0..n {
+            let mut bar = self.by_height[i] * state_bar[n + i].f64();
+            if let Some((row, by_mass)) = &self.by_mass {
+                bar += by_mass[i] * state_bar[row * n + i].f64();
+            }
+            heights_bar[self.column[i] as usize] += bar;
+        }
+    }
+}
+
+/// The consistent formulation's: the wall is the polyline through vertices, heights are theirs. Fluid is remapped
+/// to s(x) + y (1 - s(x)/H), dummy particles keep their depth below their vertex, and their mirror images are
+/// those in the nearest point of the polyline.
+#[derive(Debug, Clone)]
+pub struct Surface {
+    /// x of the points, increasing, within one period.
+    pub x: Vec<f64>,
+    pub length: f64,
+    /// H.
+    pub height: f64,
+    /// Number of each vertex' particle.
+    pub points: Vec<usize>,
+    /// Other points on the wall: hot ones, and those at which no heat flows, which have the wall's normal.
+    pub hot: Vec<usize>,
+    pub cold: Vec<usize>,
+    /// The length over which a normal's slope is taken.
+    pub slope_over: f64,
+    pub fluid: Vec<usize>,
+    /// Dummy particles behind this wall, and their vertex.
+    pub dummies: Vec<(usize, usize)>,
+    /// Where mirror images and normals stand in the state: the first of two rows.
+    pub vector: usize,
+}
+
+/// Where a place lies on the polyline: the points on both sides, and the share of the right one.
+#[derive(Debug, Clone, Copy)]
+struct On {
+    left: usize,
+    right: usize,
+    share: f64,
+    /// Distance of both.
+    width: f64,
+}
+
+impl Surface {
+    fn on(&self, x: f64) -> On {
+        let count = self.x.len();
+        let x = x.rem_euclid(self.length);
+        let right = self.x.partition_point(|&at| at <= x) % count;
+        let left = (right + count - 1) % count;
+        let width = (self.x[right] - self.x[left]).rem_euclid(self.length);
+        On { left, right, share: (x - self.x[left]).rem_euclid(self.length) / width, width }
+    }
+
+    /// The nearest image of a difference along x.
+    fn near(&self, difference: f64) -> f64 {
+        difference - self.length * (difference / self.length).round()
+    }
+
+    /// Height of the wall.
+    fn level(&self, x: f64, heights: &[f64]) -> f64 {
+        let on = self.on(x);
+        heights[on.left] + on.share * (heights[on.right] - heights[on.left])
+    }
+
+    /// The adjoint of [`Self::level`].
+    fn level_bar(&self, x: f64, bar: f64, heights_bar: &mut [f64]) {
+        let on = self.on(x);
+        heights_bar[on.left] += (1.0 - on.share) * bar;
+        heights_bar[on.right] += on.share * bar;
+    }
+
+    /// Slope of the wall, and where it is taken from.
+    fn slope(&self, x: f64, heights: &[f64]) -> f64 {
+        let half = 0.5 * self.slope_over;
+        (self.level(x + half, heights) - self.level(x - half, heights)) / self.slope_over
+    }
+
+    /// The nearest point of the polyline to a dummy particle: the segment, the share of its right end, and whether the
+    /// nearest point lies between the ends.
+    fn nearest(&self, x: f64, y: f64, heights: &[f64]) -> (On, bool) {
+        let count = self.x.len();
+        let mut best = (On { left: 0, right: 0, share: 0.0, width: 0.0 }, false);
+        let mut least = f64::INFINITY;
+        for left in 0..count {
+            let right = (left + 1) % count;
+            let width = (self.x[right] - self.x[left]).rem_euclid(self.length);
+            let (a, b) = (self.near(x - self.x[left]), y - heights[left]);
+            // Segments far away are not looked at.
+            if a.abs() > 0.25 * self.length {
+                continue;
+            }
+            let rise = heights[right] - heights[left];
+            let free = (a * width + b * rise) / (width * width + rise * rise);
+            let share = free.clamp(0.0, 1.0);
+            let distance = (a - share * width).powi(2) + (b - share * rise).powi(2);
+            if distance < least {
+                least = distance;
+                best = (On { left, right, share, width }, share == free);
+            }
+        }
+        best
+    }
+
+    fn deform(&self, n: usize, heights: &[f64], state: &mut [f64]) {
+        for (&i, s) in self.points.iter().zip(heights) {
+            state[n + i] += s;
+        }
+        for &i in self.hot.iter().chain(&self.cold) {
+            state[n + i] += self.level(state[i], heights);
+        }
+        for &i in &self.cold {
+            let slope = self.slope(state[i], heights);
+            let size = (1.0 + slope * slope).sqrt();
+            state[self.vector * n + i] = -slope / size;
+            state[(self.vector + 1) * n + i] = 1.0 / size;
+        }
+        for &i in &self.fluid {
+            let s = self.level(state[i], heights);
+            state[n + i] += s * (1.0 - state[n + i] / self.height);
+        }
+        for &(i, point) in &self.dummies {
+            state[n + i] += heights[point];
+            let (x, y) = (state[i], state[n + i]);
+            let (on, _) = self.nearest(x, y, heights);
+            let foot = [
+                x - self.near(x - self.x[on.left]) + on.share * on.width,
+                heights[on.left] + on.share * (heights[on.right] - heights[on.left]),
+            ];
+            state[self.vector * n + i] = 2.0 * foot[0] - x;
+            state[(self.vector + 1) * n + i] = 2.0 * foot[1] - y;
+        }
+    }
+
+    fn pull_back<R: Real>(&self, n: usize, base: &[f64], heights: &[f64], state_bar: &[R], heights_bar: &mut [f64]) {
+        let bar = |row: usize, i: usize| state_bar[row * n + i].f64();
+        for (&i, heights_bar) in self.points.iter().zip(heights_bar.iter_mut()) {
+            *heights_bar += bar(1, i);
+        }
+        for &i in self.hot.iter().chain(&self.cold) {
+            self.level_bar(base[i], bar(1, i), heights_bar);
+        }
+        for &i in &self.cold {
+            let slope = self.slope(base[i], heights);
+            let cubed = (1.0 + slope * slope).powf(-1.5);
+            let slope_bar = -cubed * bar(self.vector, i) - slope * cubed * bar(self.vector + 1, i);
+            let half = 0.5 * self.slope_over;
+            self.level_bar(base[i] + half, slope_bar / self.slope_over, heights_bar);
+            self.level_bar(base[i] - half, -slope_bar / self.slope_over, heights_bar);
+        }
+        for &i in &self.fluid {
+            let s_bar = bar(1, i) * (1.0 - base[n + i] / self.height);
+            self.level_bar(base[i], s_bar, heights_bar);
+        }
+        for &(i, point) in &self.dummies {
+            let (x, y) = (base[i], base[n + i] + heights[point]);
+            let mirror_bar = [bar(self.vector, i), bar(self.vector + 1, i)];
+            let foot_bar = mirror_bar.map(|bar| 2.0 * bar);
+            let mut y_bar = bar(1, i) - mirror_bar[1];
+            let (on, between) = self.nearest(x, y, heights);
+            let rise = heights[on.right] - heights[on.left];
+            // foot = left + share (right - left)
+            let mut left_bar = foot_bar[1];
+            let mut rise_bar = on.share * foot_bar[1];
+            if between {
+                let square = on.width * on.width + rise * rise;
+                let share_bar = (foot_bar[0] * on.width + foot_bar[1] * rise) / square;
+                let b = y - heights[on.left];
+                y_bar += share_bar * rise;
+                left_bar -= share_bar * rise;
+                rise_bar += share_bar * (b - 2.0 * on.share * rise);
+            }
+            heights_bar[on.left] += left_bar - rise_bar;
+            heights_bar[on.right] += rise_bar;
+            heights_bar[point] += y_bar;
         }
     }
 }

@@ -5,7 +5,6 @@ use crate::adjoint::run::{run, Observer};
 use crate::adjoint::Dynamics;
 use crate::config::scene::Kernels;
 use crate::sph::dynamics::Sph;
-use crate::sph::laws::conduction;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 
@@ -109,9 +108,8 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         sums.q += scale * flows.heat;
         sums.flow += scale * flows.volume;
         sums.mass_flow += scale * flows.mass;
-        let step = solver.step_now();
         let target_x = outlet.place();
-        sums.wall += conduction::wall_flux(&step, solver.moved(), &solver.primitives, target_x);
+        sums.wall += solver.wall_heat_flux(target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
@@ -120,8 +118,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             fastest = fastest.max(solver.state[l.velocity() * n + i].f64());
             let x = solver.state[i].f64();
             if x > inlet && x < target_x {
-                let mass = if l.mass { solver.state[l.state_mass() * n + i].f64() } else { model.mass };
-                heat += mass * solver.state[l.temperature() * n + i].f64();
+                heat += solver.mass(i) * solver.state[l.temperature() * n + i].f64();
             }
         }
         sums.density += density / fluids;

@@ -18,12 +18,20 @@ pub struct Optimisation {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Epoch {
     pub variables: Vec<f64>,
-    /// The objective as it is reported.
+    /// The objective as it is reported; NaN if the design was rejected.
     pub figure: f64,
+    /// Infinite if the design was rejected.
     pub loss: f64,
-    /// Norm of the loss's gradient by the variables.
+    /// Norm of the loss's gradient by the variables; NaN if the design was rejected.
     pub gradient_norm: f64,
     pub seconds: f64,
+}
+
+impl Epoch {
+    /// Whether the design's run diverged, so that the optimiser had to step back.
+    pub fn is_rejected(&self) -> bool {
+        !self.loss.is_finite()
+    }
 }
 
 impl Optimisation {
@@ -36,7 +44,8 @@ impl Optimisation {
         self.history.len() >= epochs || self.optimiser.is_done()
     }
 
-    /// One epoch: evaluates the present design, records it, and moves on to the next.
+    /// One epoch: evaluates the present design, records it, and moves on to the next. A design after the first whose run
+    /// diverges is rejected: it is recorded as one, and the optimiser steps back.
     ///
     /// # Errors
     /// Those of `evaluate`; nothing has changed then.
@@ -47,8 +56,14 @@ impl Optimisation {
     ) -> Result<(), Error> {
         let clock = std::time::Instant::now();
         let variables = self.optimiser.ask().to_vec();
-        let found = evaluate(&variables)?;
-        let gradient_norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let found = match evaluate(&variables) {
+            Err(Error::Diverged { .. }) if !self.history.is_empty() => Evaluation::rejected(variables.len()),
+            found => found?,
+        };
+        let gradient_norm = match found.loss.is_finite() {
+            true => found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
+            false => f64::NAN,
+        };
         self.history.push(Epoch {
             variables,
             figure: found.figure,
@@ -80,6 +95,11 @@ impl Optimisation {
             seen(self)?;
         }
         Ok(())
+    }
+
+    /// Designs whose runs diverged.
+    pub fn rejected(&self) -> usize {
+        self.history.iter().filter(|epoch| epoch.is_rejected()).count()
     }
 
     /// A number of each epoch.

@@ -11,9 +11,11 @@ use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::sph::dynamics::Sph;
+use crate::sph::fixed::steady::SteadyOptions;
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
+use candle_core::{Device, Tensor, Var};
 use std::sync::Arc;
 
 /// A wall to shape, a flow over it, and what is made large.
@@ -36,7 +38,16 @@ pub struct Problem<R> {
     pub outlet: Outlet,
     /// Steps of the objective's window, at the run's end.
     pub window: usize,
+    /// Whether gradients are those of the steady state.
+    pub is_steady: bool,
 }
+
+/// How the steady state is found: by Anderson's acceleration of blocks of so many steps, so many blocks deep, until nothing
+/// changes by more than this per time.
+const BLOCK: usize = 20;
+const DEPTH: usize = 20;
+const STEADY: f64 = 1e-6;
+const MOST_STEPS: usize = 100_000;
 
 impl<R> std::fmt::Debug for Problem<R> {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -58,6 +69,13 @@ pub struct Evaluation {
     pub loss: f64,
     /// Of the loss by the variables.
     pub gradient: Vec<f64>,
+}
+
+impl Evaluation {
+    /// That of a design without a value: an infinite loss that leads nowhere.
+    pub fn rejected(variables: usize) -> Self {
+        Self { figure: f64::NAN, loss: f64::INFINITY, gradient: vec![0.0; variables] }
+    }
 }
 
 impl<R: Real> Problem<R> {
@@ -84,6 +102,14 @@ impl<R: Sweeps> Problem<R> {
     /// # Errors
     /// A [`RunError`] if the run can not go on.
     pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
+        self.evaluate_watched(variables, &mut |_| ())
+    }
+
+    /// [`Self::evaluate`]; `progress` sees the share of the run that is done.
+    ///
+    /// # Errors
+    /// As for [`Self::evaluate`].
+    pub fn evaluate_watched(&self, variables: &[f64], progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
         let mut sum = 0.0;
         let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
@@ -91,6 +117,7 @@ impl<R: Sweeps> Problem<R> {
                 let fields = dynamics.look(solver)?;
                 sum += weight * value(&*self.objective, &fields).map_err(RunError::tensor(solver.step))?;
             }
+            progress(solver.step as f64 / self.steps as f64);
             Ok(())
         };
         run(&dynamics, &self.start(variables), self.steps, &mut [&mut measure])?;
@@ -100,7 +127,7 @@ impl<R: Sweeps> Problem<R> {
     /// The objective of a design and its derivative by the variables, `[K]`.
     ///
     /// # Errors
-    /// A run that can not go on, and variables without a gradient.
+    /// [`Error::Diverged`] for a run that can not go on, and for a gradient that is not finite; others.
     pub fn differentiate(
         &self,
         variables: &[f64],
@@ -108,15 +135,76 @@ impl<R: Sweeps> Problem<R> {
         progress: Progress<'_>,
     ) -> Result<(f64, Vec<f64>), Error> {
         let start = self.start(variables);
-        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
-            .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5 (a smaller time step), or a smaller design.bound"))?;
-        let by_variables = self.pull_back(&found, schedule)?;
+        if self.is_steady {
+            return self.differentiate_steady(variables, start.state, progress);
+        }
+        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress).map_err(|e| {
+            let (problem, advice) = (e.to_string(), "time.cfl=0.5 (a smaller time step), or a smaller design.bound");
+            match e.is_divergence() {
+                true => Error::diverged(problem, advice),
+                false => Error::run(problem, advice),
+            }
+        })?;
+        let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         Ok((found.value, by_variables))
     }
 
+    /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
+    /// length of the run.
+    fn differentiate_steady(
+        &self,
+        variables: &[f64],
+        mut state: Vec<R>,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<f64>), Error> {
+        let Some(fixed) = &self.model.fixed else {
+            return Err(Error::run("there is no steady state of particles that move", "fluid.motion=fixed"));
+        };
+        let unsteady =
+            |what: String| Error::diverged(what, "optimise.gradient=segments, or a smaller time.cfl or design.bound");
+        let (steps, residual) = fixed.settle(&mut state, BLOCK, DEPTH, STEADY, MOST_STEPS);
+        // Not a number fails here too.
+        if residual.is_nan() || residual > 100.0 * STEADY {
+            return Err(unsteady(format!(
+                "the flow is not steady after {steps} steps: it changes by {residual:.1e} per time"
+            )));
+        }
+        progress(0.5);
+        let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
+        let go = || -> candle_core::Result<(f64, Vec<R>)> {
+            let tensor =
+                Tensor::from_slice(&state, (self.model.layout.state_rows(), self.model.particles()), &Device::Cpu)?;
+            let variable = Var::from_tensor(&tensor)?;
+            let dynamics = self.dynamics();
+            let fields = dynamics.fields_of_fixed(fixed, variable.as_tensor())?;
+            let value = self.objective.value(&fields)?;
+            let mut gradients = value.backward()?;
+            let bar = match gradients.remove(variable.as_tensor()) {
+                Some(bar) => bar.flatten_all()?.to_vec1::<R>()?,
+                None => vec![R::default(); state.len()],
+            };
+            Ok((value.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?, bar))
+        };
+        let (value, mut bar) = go().map_err(failed)?;
+        let found = fixed.steady_gradient(&state, &bar, &SteadyOptions::default());
+        if found.residual.is_nan() || found.residual > 1e-2 {
+            return Err(unsteady(format!("the adjoint of the steady state does not converge: {:.1e}", found.residual)));
+        }
+        // What is left is how positions, the walls' among them, come of the variables.
+        let (n, inner) = (self.model.particles(), fixed.fluid_particles());
+        bar[2 * n..].fill(R::default());
+        for (k, wall) in found.walls.iter().enumerate() {
+            bar[n + inner + k] = R::of(*wall);
+        }
+        let by_variables = self.by_variables(variables, &bar);
+        check_gradient(&by_variables)?;
+        progress(1.0);
+        Ok((value, by_variables))
+    }
+
     /// The derivative by the variables from that by the state at the schedule's first step.
-    fn pull_back(&self, found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
+    fn pull_back(&self, variables: &[f64], found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
         let mut state_bar: Vec<R> = found
             .state
             .flatten_all()
@@ -126,12 +214,13 @@ impl<R: Sweeps> Problem<R> {
             let model = &self.model;
             self.deformation.keep_static(&mut state_bar, |i| model.is_fluid(i));
         }
-        Ok(self.by_variables(&state_bar))
+        Ok(self.by_variables(variables, &state_bar))
     }
 
-    /// The derivative by the variables, `[K]`, from the cotangent of the initial state, `[F, N]`.
-    pub fn by_variables(&self, state_bar: &[R]) -> Vec<f64> {
-        self.parametrisation.pull_back(&self.deformation.pull_back(state_bar))
+    /// The derivative by the variables, `[K]`, from the cotangent of the initial state that they make, `[F, N]`.
+    pub fn by_variables(&self, variables: &[f64], state_bar: &[R]) -> Vec<f64> {
+        let heights = self.parametrisation.column_heights(variables);
+        self.parametrisation.pull_back(&self.deformation.pull_back(&heights, state_bar))
     }
 
     /// The loss of a design and its derivative.
@@ -166,6 +255,10 @@ impl<R: Sweeps> Problem<R> {
     /// # Errors
     /// A schedule that would not fit, and a budget that is too small for any.
     pub fn schedule(&self, wanted: &Optimise, precision: Precision) -> Result<Schedule, Error> {
+        if self.is_steady {
+            // One state is kept, and nothing taped.
+            return Ok(Schedule::taped(self.steps));
+        }
         let (costs, steps) = (self.costs()?, self.steps);
         let budget = wanted.memory;
         let first = match wanted.gradient {
@@ -224,7 +317,7 @@ fn rounded_up(bytes: usize) -> String {
 /// Every design variable must have received a finite gradient.
 fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
     if let Some(k) = gradient.iter().position(|g| !g.is_finite()) {
-        return Err(Error::run(
+        return Err(Error::diverged(
             format!("the gradient by design variable {k} is {}", gradient[k]),
             "time.cfl=0.5, a shorter time.end, or optimise.gradient=truncated optimise.horizon=100",
         ));

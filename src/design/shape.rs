@@ -109,6 +109,35 @@ impl Shape {
         }
     }
 
+    /// The height of a wall without steps: as [`Self::height`], but rising from 0 as far in front of the hot section as the
+    /// first node is behind its beginning (at least half the distance of two nodes), and likewise at its end. The area is the
+    /// same.
+    pub fn surface(&self, x: f64) -> f64 {
+        let last = self.nodes.len() - 1;
+        let half = |a: usize, b: usize| 0.5 * (self.nodes[b] - self.nodes[a]);
+        let (first_gap, last_gap) = (self.nodes[0] - self.hot_from, self.hot_to - self.nodes[last]);
+        let (before, behind) = match last {
+            0 => (first_gap, last_gap),
+            _ => (first_gap.max(half(0, 1)), last_gap.max(half(last - 1, last))),
+        };
+        let (from, to) = (self.hot_from - before, self.hot_to + behind);
+        if x <= from || x >= to {
+            0.0
+        } else if x < self.nodes[0] {
+            self.offsets[0] * (x - from) / (self.nodes[0] - from)
+        } else if x > self.nodes[last] {
+            self.offsets[last] * (to - x) / (to - self.nodes[last])
+        } else {
+            let right = self.nodes.partition_point(|node| *node <= x).min(last);
+            let left = right.saturating_sub(1);
+            if left == right {
+                return self.offsets[left];
+            }
+            let share = (x - self.nodes[left]) / (self.nodes[right] - self.nodes[left]);
+            self.offsets[left] * (1.0 - share) + self.offsets[right] * share
+        }
+    }
+
     /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the
     /// average of y(x) over the column: pairs (node, weight), exact, see [`HotSection::weights`].
     pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {
@@ -203,6 +232,26 @@ impl HotSection {
             .collect()
     }
 
+    /// The wall's vertices: two per spacing, at 0, dx/2, dx, ...
+    pub fn vertices(&self) -> Vec<f64> {
+        (0..2 * self.columns()).map(|k| k as f64 * 0.5 * self.length / self.columns() as f64).collect()
+    }
+
+    /// Points about dx apart at which the wall's temperature is known, and such at which no heat flows: evenly from dx/8
+    /// behind the beginning of the hot section to dx/8 before its end, and from 7/8 dx behind its end on; in 0 ... length.
+    pub fn heat_points(&self) -> (Vec<f64>, Vec<f64>) {
+        const INSIDE: f64 = 0.125;
+        const OUTSIDE: f64 = 0.875;
+        let evenly = |from: f64, length: f64| -> Vec<f64> {
+            let count = (length / self.dx).round().max(1.0) as usize;
+            (0..=count).map(|k| (from + length * k as f64 / count as f64).rem_euclid(self.length)).collect()
+        };
+        let (from, width) = (self.from + INSIDE * self.dx, self.to - self.from - 2.0 * INSIDE * self.dx);
+        let rest = self.length - (self.to - self.from) - 2.0 * OUTSIDE * self.dx;
+        let cold = if rest > 0.0 { evenly(self.to + OUTSIDE * self.dx, rest) } else { vec![] };
+        (evenly(from, width.max(0.0)), cold)
+    }
+
     /// The part of a column in the section.
     pub fn part(&self, column: usize) -> Option<(f64, f64)> {
         let dx = self.dx;
@@ -245,6 +294,22 @@ pub struct Columns {
 /// Reads the columns `x` and `offset` of a CSV file with a header line; other columns, empty lines and lines
 /// that begin with `#` are skipped.
 pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
+    read(path, "offset")
+}
+
+/// [`read_columns`] with another column in place of `offset`, such as a run's `first`; none if the file has no such column.
+///
+/// # Errors
+/// As for [`read_columns`].
+pub fn read_column(path: &Path, name: &str) -> Result<Option<Columns>, BadInput> {
+    let is_header = |line: &&str| !line.trim().is_empty() && !line.starts_with('#');
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let has_it = text.lines().find(is_header).is_some_and(|line| line.split(',').any(|cell| cell.trim() == name));
+    has_it.then(|| read(path, name)).transpose()
+}
+
+/// Reads the columns `x` and `name`.
+fn read(path: &Path, name: &str) -> Result<Columns, BadInput> {
     let form = "a CSV file with the header x,offset and one line of two finite numbers per node";
     let file = path.display();
     let bad = |line: Option<usize>, problem: String| {
@@ -267,7 +332,7 @@ pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
             .position(|cell| cell == name)
             .ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
     };
-    let (x, offset) = (column("x")?, column("offset")?);
+    let (x, offset) = (column("x")?, column(name)?);
     let mut columns = Columns { nodes: vec![], offsets: vec![] };
     for (number, line) in lines {
         let row = cells(line);
@@ -275,7 +340,7 @@ pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
             let problem = format!("`{line}` has {} cells, the header {}", row.len(), header.len());
             return Err(bad(Some(number), problem));
         }
-        for (index, name, numbers) in [(x, "x", &mut columns.nodes), (offset, "offset", &mut columns.offsets)] {
+        for (index, name, numbers) in [(x, "x", &mut columns.nodes), (offset, name, &mut columns.offsets)] {
             match row[index].parse::<f64>() {
                 Ok(value) if value.is_finite() => numbers.push(value),
                 _ => return Err(bad(Some(number), format!("{name} is `{}`, not a finite number", row[index]))),

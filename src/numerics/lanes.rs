@@ -21,6 +21,8 @@ pub trait Real:
     + std::iter::Sum
 {
     type Portable: Lanes<Real = Self>;
+    /// One lane, for [`super::sweep::RowKernel::LARGE`].
+    type Single: Lanes<Real = Self>;
     #[cfg(target_arch = "x86_64")]
     type Avx2: Lanes<Real = Self>;
     #[cfg(target_arch = "x86_64")]
@@ -295,6 +297,8 @@ macro_rules! portable {
     };
 }
 
+portable!(SingleF64, f64, 1);
+portable!(SingleF32, f32, 1);
 portable!(PortableF64, f64, 4);
 portable!(PortableF32, f32, 8);
 
@@ -713,9 +717,10 @@ mod x86 {
 pub use x86::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
 
 macro_rules! real {
-    ($real:ty, $portable:ty, $avx2:ty, $avx512:ty, $short:ty) => {
+    ($real:ty, $single:ty, $portable:ty, $avx2:ty, $avx512:ty, $short:ty) => {
         impl Real for $real {
             type Portable = $portable;
+            type Single = $single;
             #[cfg(target_arch = "x86_64")]
             type Avx2 = $avx2;
             #[cfg(target_arch = "x86_64")]
@@ -741,5 +746,5 @@ macro_rules! real {
         }
     };
 }
-real!(f64, PortableF64, Avx2F64, Avx512F64, Avx512F64);
-real!(f32, PortableF32, Avx2F32, Avx512F32, Avx2F32);
+real!(f64, SingleF64, PortableF64, Avx2F64, Avx512F64, Avx512F64);
+real!(f32, SingleF32, PortableF32, Avx2F32, Avx512F32, Avx2F32);

@@ -43,6 +43,9 @@ pub trait RowKernel<R: Real>: Sync {
     /// Whether it sums over rows of about 30 neighbours, as those of two dimensions are: of the second vector of 16 lanes
     /// much would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
     const SHORT: bool = false;
+    /// Whether it is so long that without vector instructions it is better compiled for one number at a time: the compiler
+    /// would take minutes to turn arrays into vectors again.
+    const LARGE: bool = false;
     /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>);
 }
@@ -63,6 +66,28 @@ fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     kernel.rows::<R::Avx2>(rows);
 }
 
+/// Not for large kernels: those are not even compiled for it.
+fn rows_portable<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
+    if K::LARGE {
+        kernel.rows::<R::Single>(rows);
+    } else {
+        kernel.rows::<R::Portable>(rows);
+    }
+}
+
+/// Runs a kernel over some rows on this thread alone, with the best instruction set: for sweeps so short that waking others
+/// costs more than they save.
+pub fn run_rows_alone<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
+    match InstructionSet::detect() {
+        // SAFETY: `detect` found these features on this CPU.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
+        _ => rows_portable::<R, K>(kernel, rows),
+    }
+}
+
 /// Most threads that share a sweep; more would have nothing to do in the sizes that this program is for.
 const MOST_THREADS: usize = 64;
 /// Pieces that a thread's share is cut into, so that others can help it out.
@@ -78,15 +103,7 @@ struct Cursor(AtomicUsize);
 /// core's cache; who is done takes pieces of the others' shares. (The pool's own `execute_chunked` gives rows to whoever
 /// comes first: in a step of 950 particles the second thread then gains nothing.)
 pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
-    let set = InstructionSet::detect();
-    let run = |rows: Range<usize>| match set {
-        // SAFETY: `detect` found these features on this CPU.
-        #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
-        #[cfg(target_arch = "x86_64")]
-        InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
-        _ => kernel.rows::<R::Portable>(rows),
-    };
+    let run = |rows: Range<usize>| run_rows_alone(kernel, rows);
     let pool = candle_core::utils::barrier_pool();
     let threads = (pool.n_workers() + 1).min(MOST_THREADS);
     if threads == 1 {

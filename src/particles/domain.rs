@@ -28,6 +28,13 @@ impl Domain {
         }
     }
 
+    /// [`Self::nearest`] in the precision of a run.
+    #[inline(always)]
+    pub fn nearest_image<R: Real>(&self, d: usize, difference: R) -> R {
+        let inverse = R::of(self.inverse_period()[d]);
+        difference - R::of(self.size[d]) * (difference * inverse + R::of(0.5)).floor()
+    }
+
     /// The image of a coordinate that lies in the box, where it is periodic in direction `d`.
     pub fn wrapped(&self, d: usize, coordinate: f64) -> f64 {
         if !self.periodic[d] {

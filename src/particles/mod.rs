@@ -18,4 +18,8 @@ pub mod tag {
     pub const MOVING_WALL: u8 = 2;
     /// A wall particle whose temperature is given.
     pub const HOT_WALL: u8 = 3;
+    /// A point on a wall's surface.
+    pub const SURFACE: u8 = 4;
+    /// One whose temperature is given.
+    pub const HOT_SURFACE: u8 = 5;
 }

@@ -34,8 +34,14 @@ pub struct Neighbourhood<R> {
     pub list: Arc<NeighbourList>,
     /// `[D, N]`.
     pub reference: Arc<Vec<R>>,
+    /// Another one for every list that was ever built: who has made something of a list knows whether it is still of this
+    /// one.
+    pub identity: u64,
     workspace: Workspace<R>,
 }
+
+/// Lists that were built.
+static BUILT: AtomicU64 = AtomicU64::new(1);
 
 impl<R: Search> Neighbourhood<R> {
     /// Builds the list from positions `[D.., N]` (the leading rows of a state will do).
@@ -51,12 +57,13 @@ impl<R: Search> Neighbourhood<R> {
     /// A list that [`Self::rebuild_at`] has still to build.
     pub fn empty() -> Self {
         let list = Arc::new(NeighbourList::default());
-        Self { list, reference: Arc::new(Vec::new()), workspace: Workspace::default() }
+        Self { list, reference: Arc::new(Vec::new()), identity: 0, workspace: Workspace::default() }
     }
 
     /// The same list and reference, for somebody who only reads them.
     pub fn shared(&self) -> Self {
-        Self { list: self.list.clone(), reference: self.reference.clone(), workspace: Workspace::default() }
+        let (list, reference) = (self.list.clone(), self.reference.clone());
+        Self { list, reference, identity: self.identity, workspace: Workspace::default() }
     }
 
     /// Builds the list of another run's or an earlier reference, in the old list's memory unless somebody else still
@@ -88,6 +95,7 @@ impl<R: Search> Neighbourhood<R> {
             let list = NeighbourList { capacity: self.list.capacity, ..NeighbourList::default() };
             self.list = Arc::new(list);
         }
+        self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
         R::rebuild(list, &self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
     }

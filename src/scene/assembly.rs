@@ -1,5 +1,6 @@
 //! The one place where models and start states are put together, from what a scene family says.
 
+use super::surface::{Settings, Surface};
 use super::{Exact, Scene};
 use crate::config::scene::{Config, KernelName};
 use crate::numerics::lanes::Real;
@@ -37,6 +38,8 @@ pub struct Numerics {
     pub transport_velocity: f64,
     /// alpha of [`ArtificialViscosity`]; 0 switches it off.
     pub artificial_viscosity: f64,
+    /// Of the consistent formulation; none: the standard one.
+    pub consistent: Option<Settings>,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
     pub jitter: f64,
     /// Extra reach of the neighbour list, in spacings.
@@ -58,6 +61,7 @@ impl Default for Numerics {
             background_pressure_factor: 0.0,
             transport_velocity: 1.0,
             artificial_viscosity: 0.0,
+            consistent: None,
             jitter: 0.0,
             skin: 0.2,
             seed: 0,
@@ -80,6 +84,7 @@ impl Numerics {
             background_pressure_factor: config.fluid.background_pressure_factor,
             transport_velocity: config.fluid.transport_velocity,
             artificial_viscosity: config.fluid.artificial_viscosity,
+            consistent: Settings::from_config(config),
             jitter: config.time.jitter,
             skin: config.time.skin,
             seed: config.run.seed,
@@ -228,6 +233,7 @@ impl<R: Real> Parts<R> {
             transport: numerics.transport_velocity > 0.0,
             heat: self.heat.is_some(),
             mass: self.own_mass,
+            consistent: false,
         };
         let lid = self.lid != 0.0;
         let tag_of = |i: usize| match lattice.is_wall(i) {
@@ -261,13 +267,20 @@ impl<R: Real> Parts<R> {
             transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,
             heat: self.heat.take(),
+            consistent: None,
+            fixed: None,
             scratch: Scratch::default(),
         }
     }
 
     /// The scene without a design.
     pub fn build(mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
-        let Assembled { model, base } = self.assemble(velocity);
+        let mut assembled = self.assemble(velocity);
+        if let Some(settings) = self.numerics.consistent {
+            let surface = Surface::of_lattice(&self.lattice, self.lid);
+            assembled = assembled.with_surface(&surface, &self.numerics, self.lattice.spacing, self.velocity, settings);
+        }
+        let Assembled { model, base } = assembled;
         let start = Snapshot::first(&model, rounded(&model, &base));
         self.scene(Arc::new(model), start)
     }
@@ -314,14 +327,17 @@ mod tests {
         Scene::from_config(&loaded.config).unwrap()
     }
 
+    /// Other formulations have no artificial viscosity.
+    const STANDARD: &str = "fluid.formulation=standard";
+
     #[test]
     fn configured_kernels_and_laws_reach_every_scene() {
         for built_in in SCENES {
-            let usual = scene(built_in.name, &[]);
+            let usual = scene(built_in.name, &[STANDARD]);
             assert_eq!((usual.name, usual.model.artificial_viscosity), (built_in.name, None));
             assert_eq!(usual.model.kernel.smoothing_length, usual.spacing);
             let sets = ["resolution.kernel=\"wendland-c2\"", "resolution.smoothing_length=1.5"];
-            let other = scene(built_in.name, &[sets[0], sets[1], "fluid.artificial_viscosity=0.1"]);
+            let other = scene(built_in.name, &[STANDARD, sets[0], sets[1], "fluid.artificial_viscosity=0.1"]);
             let kernel = Kernel::new(KernelName::WendlandC2, other.model.layout.dimension, 1.5 * other.spacing);
             assert_eq!(other.model.kernel, kernel);
             let artificial = other.model.artificial_viscosity.unwrap();
@@ -336,7 +352,9 @@ mod tests {
         let wide = ["resolution.smoothing_length=1.3"];
         let particles = |name: &str| scene(name, &wide).model.particles();
         assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58));
-        assert_eq!(particles("heated-channel"), 50 * (10 + 8));
+        assert_eq!(scene("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
+        // A particle half a spacing from the wall sees four rows too; and there are 250 points on the walls' surfaces.
+        assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);
         assert_eq!(scene("poiseuille", &wide).corner, [0.0, -0.1, 0.0]);
     }
 }

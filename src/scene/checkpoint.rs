@@ -79,7 +79,7 @@ pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<T
             .advice("the subcommand that wrote it"));
     }
     let text = file.text("config").map_err(|e| BadInput::new(e.to_string()))?;
-    let theirs: Config = toml::from_str(text).map_err(|e| {
+    let theirs = Config::from_record(text).map_err(|e| {
         BadInput::new(format!("{}: its configuration does not load: {}", path.display(), e.message()))
             .allowed("a checkpoint written by this version")
     })?;

@@ -4,16 +4,24 @@
 //! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
 use super::{Exact, Scene};
-use crate::config::scene::{BodyForceRegion, Config, HotIsotherm, Interpolation as Mode, MassConvention, Start};
+use crate::config::scene::{
+    BodyForceRegion, Config, Formulation, GradientMode, HotIsotherm, Interpolation as Mode, KernelName, MassConvention,
+    Motion, Start,
+};
+use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
-use crate::design::shape::Shape;
+use crate::design::parametrisations::first_column;
+use crate::design::shape::{HotSection, Shape};
 use crate::design::{parametrisations, Deformation, Problem};
 use crate::error::Error;
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
+use crate::sph::fixed::{Channel, Fixed};
+use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::model::{Heat, Model};
+use crate::sph::model::{Heat, Layout, Model};
 use crate::sph::operators::interpolation::Interpolation;
 use std::sync::Arc;
 
@@ -36,7 +44,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         viscosity: config.fluid.viscosity,
         body_force: body_force(config),
         lid: 0.0,
-        own_mass: config.wall.mass == MassConvention::ColumnArea,
+        own_mass: config.wall.mass == MassConvention::ColumnArea && config.fluid.formulation == Formulation::Standard,
         heat: Some(heat(config, &hot)),
         exact: Exact::Unknown,
     };
@@ -49,7 +57,15 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
     if l.mass {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
-    let deformation = Arc::new(deformation(config, &parts.lattice, &model, base));
+    let (model, deformation) = match config.fluid.formulation {
+        Formulation::Standard => {
+            let deformation = deformation(config, &parts.lattice, &model, base);
+            (model, deformation)
+        }
+        Formulation::Consistent if config.fluid.motion == Motion::Fixed => fixed(config, &parts, model)?,
+        Formulation::Consistent => consistent(config, &parts, Assembled { model, base }),
+    };
+    let deformation = Arc::new(deformation);
     let (parametrisation, first) = parametrisations::of_config(config, &shape)?;
     let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
     let samples = Samples::window(steps, window, config.objective.samples);
@@ -65,6 +81,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         first,
         outlet,
         window,
+        is_steady: config.optimise.gradient == GradientMode::Steady,
     };
     let (model, start) = (design.model.clone(), design.start(&design.first));
     Ok(Scene { design: Some(design), ..parts.scene(model, start) })
@@ -126,14 +143,131 @@ fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, ba
         false => lattice.is_below(i, 1) as usize as f64,
     };
     let by_mass = |i: usize| if model.is_fluid(i) { -model.mass / height } else { 0.0 };
-    Deformation {
-        columns: config.columns(),
-        particles: n,
+    let map = Map::Columns(Columns {
         column: (0..n).map(|i| lattice.rows(i)[0] as u32).collect(),
         by_height: (0..n).map(by_height).collect(),
         by_mass: l.mass.then(|| (l.state_mass(), (0..n).map(by_mass).collect())),
-        base,
+    });
+    Deformation { columns: config.columns(), particles: n, map, base }
+}
+
+/// The channel in the consistent formulation, and how the heights of the lower surface's points move its particles.
+fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembled<R>) -> (Model<R>, Deformation) {
+    let (channel, lattice) = (&config.channel, &parts.lattice);
+    let (dx, length, height, columns) = (config.resolution.dx, channel.length, channel.height, config.columns());
+    let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    let vertices = section.vertices();
+    let (hot, cold) = section.heat_points();
+    let n = assembled.model.particles();
+    let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
+    let at = |x: f64, y: f64, up: f64, knows: Knows| Point { position: [x, y, 0.0], normal: [0.0, up, 0.0], knows };
+    let still = Knows::Velocity([0.0; 3]);
+    let mut points: Vec<Point> = vertices.iter().map(|&x| at(x, 0.0, 1.0, still)).collect();
+    points.extend(hot.iter().map(|&x| at(x, 0.0, 1.0, Knows::Temperature(excess))));
+    points.extend(cold.iter().map(|&x| at(x, 0.0, 1.0, Knows::NoHeatFlux)));
+    let (lower, upper) = (points.len(), points.len() + columns);
+    let above = |c: usize| (c as f64 + 0.5) * dx;
+    points.extend((0..columns).map(|c| at(above(c), height, -1.0, still)));
+    points.extend((0..columns).map(|c| at(above(c), height, -1.0, Knows::NoHeatFlux)));
+    let (mut dummies, mut below) = (Vec::new(), Vec::new());
+    for i in 0..n {
+        let column = lattice.rows(i)[0];
+        if lattice.is_below(i, 1) {
+            // Behind every second vertex, not behind the columns of fluid.
+            let x = vertices[2 * column];
+            assembled.base[i] = x;
+            dummies.push(Dummy { particle: i, point: 2 * column, mirror: [x, -assembled.base[n + i], 0.0] });
+            below.push((i, 2 * column));
+            let is_hot = x > channel.hot_from && x < channel.hot_to;
+            assembled.model.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
+        } else if lattice.is_above(i, 1) {
+            let mirror = [assembled.base[i], 2.0 * height - assembled.base[n + i], 0.0];
+            dummies.push(Dummy { particle: i, point: lower + column, mirror });
+        }
     }
+    let fluid: Vec<usize> = (0..n).filter(|&i| assembled.model.is_fluid(i)).collect();
+    let rows = Rows {
+        lower: (0..vertices.len()).collect(),
+        upper: (lower..upper).collect(),
+        fluid: fluid.chunks(columns).map(|row| row.iter().map(|&i| i as u32).collect()).collect(),
+    };
+    let surface = surface::Surface { points, dummies, rows: Some(rows) };
+    let settings = Settings::from_config(config).unwrap_or_default();
+    let Assembled { model, base } = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+    let first = n + vertices.len();
+    let map = Map::Surface(deformation::Surface {
+        points: (n..first).collect(),
+        hot: (first..first + hot.len()).collect(),
+        cold: (first + hot.len()..first + hot.len() + cold.len()).collect(),
+        x: vertices,
+        length,
+        height,
+        slope_over: 0.5 * dx,
+        fluid,
+        dummies: below,
+        vector: model.layout.velocity(),
+    });
+    let columns = 2 * columns;
+    let deformation = Deformation { columns, particles: model.particles(), map, base };
+    (model, deformation)
+}
+
+/// Above this spacing, in channel heights, the flux along an adiabatic wall is left out: it smears the edge of the hot one.
+const CONORMAL_UP_TO: f64 = 1.0 / 16.0;
+
+/// The channel with fixed particles, and how the heights of the lower wall's points move them.
+fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<(Model<R>, Deformation), Error> {
+    let (channel, fluid) = (&config.channel, &config.fluid);
+    let (dx, columns) = (config.resolution.dx, config.columns());
+    let dt = model.dt;
+    let lattice = Channel {
+        columns,
+        rows: config.rows(),
+        spacing: dx,
+        first_column_x: first_column(config),
+        // The lattice's stencil has two neighbours in each direction.
+        kernel: Kernel::new(KernelName::QuinticSpline, 2, dx),
+        density: fluid.density,
+        sound_speed: config.sound_speed(),
+        viscosity: fluid.viscosity / fluid.density,
+        diffusivity: config.thermal_diffusivity(),
+        body_force: fluid.body_force,
+        delta: fluid.pressure_diffusion,
+        dt,
+        hot: [channel.hot_from, channel.hot_to],
+        hot_excess: config.wall.hot_temperature - fluid.inlet_temperature,
+        inlet_below: channel.inlet_length,
+        outlet_above: channel.length - channel.outlet_length,
+        conormal: if dx > CONORMAL_UP_TO * channel.height { 0.0 } else { 1.0 },
+    };
+    let x: Vec<f64> = (0..columns).map(|column| lattice.x(column)).collect();
+    let fixed = Fixed::<R>::new(lattice)?;
+    let (n, inner) = (fixed.particles(), fixed.fluid_particles());
+    let flat = vec![0.0; columns];
+    let base = fixed.state(&flat, &flat, &|y| start_velocity(config, [0.0, y, 0.0])[0]);
+    let layout = Layout { dimension: 2, transport: false, heat: true, mass: false, consistent: true };
+    let mut tags = vec![tag::FLUID; inner];
+    tags.extend((0..2 * columns).map(|k| match fixed.channel.hot_share()[k % columns] {
+        share if k < columns && share > 0.5 => tag::HOT_SURFACE,
+        _ => tag::SURFACE,
+    }));
+    let mut equation_of_state = model.equation_of_state;
+    equation_of_state.background_pressure = 0.0;
+    let map = Map::Surface(deformation::Surface {
+        points: (inner..inner + columns).collect(),
+        hot: vec![],
+        cold: vec![],
+        x,
+        length: channel.length,
+        height: parts.lattice.spacing * config.rows() as f64,
+        slope_over: dx,
+        fluid: (0..inner).collect(),
+        dummies: vec![],
+        vector: layout.velocity(),
+    });
+    let base = base.iter().map(|x| x.f64()).collect();
+    let model = Model { layout, tags, equation_of_state, fixed: Some(Arc::new(fixed)), transport: 0.0, ..model };
+    Ok((model, Deformation { columns, particles: n, map, base }))
 }
 
 /// Steps of the objective's window.
@@ -150,5 +284,29 @@ fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
     let targets = (0..config.rows() + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
     let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
     let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
-    Outlet { interpolation, mode: config.objective.interpolation, spacing: dx }
+    let mut outlet = Outlet { interpolation, mode: config.objective.interpolation, spacing: dx };
+    if config.fluid.motion == Motion::Fixed && config.objective.interpolation == Mode::Flux {
+        // Particles that stand still see the kernel at the same few places: its sum over them is not quite its integral.
+        outlet.spacing /= section_sum(config, &outlet);
+    }
+    outlet
+}
+
+/// What the targets make of a flux of 1 through a section of fixed particles: the sum of the kernel over targets and columns,
+/// times dx^2.
+fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
+    let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
+    let x = |column: usize| first_column(config) + column as f64 * dx;
+    // Rows and targets stand dx apart, so every row counts the same.
+    let rows = (kernel.cutoff() / dx).ceil() as i64;
+    let mut sum = 0.0;
+    for column in 0..config.columns() {
+        for row in -rows..=rows {
+            let square = (x(column) - outlet.place()).powi(2) + (row as f64 * dx).powi(2);
+            if square < kernel.cutoff().powi(2) {
+                sum += kernel.pair::<f64>(square).0 * dx * dx;
+            }
+        }
+    }
+    sum
 }

@@ -8,7 +8,8 @@ use toml_edit::{Array, Value};
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
-use crate::config::scene::{Config, Family};
+use crate::config::provenance;
+use crate::config::scene::{Config, Family, Formulation, GradientMode, Motion, Search};
 use crate::config::schema::Schema;
 use crate::design::shape;
 use crate::design::shape::Shape;
@@ -49,6 +50,8 @@ pub struct Loaded {
     pub text: String,
     pub source: Source,
     places: BTreeMap<String, String>,
+    /// What was given, before any default gave way to it.
+    given: Merged,
 }
 
 impl Config {
@@ -89,15 +92,42 @@ impl Loaded {
         self.places.get(key).map(String::as_str)
     }
 
-    /// The same configuration with more settings on top, e.g. each start of `--start all`.
+    /// The same configuration with more settings on top, e.g. each start of `--start all`; defaults that follow from
+    /// others follow from these.
+    ///
+    /// # Errors
+    /// A setting that can not be read, and values that do not fit together.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
-        let mut merged = Merged::new(&self.text, self.places.clone());
+        let mut merged = self.given.clone();
         for setting in settings {
             let layer = Layer::from_setting::<Config>(setting)?;
             self.config.scene.built_in().accepts(&layer)?;
             merged.apply::<Config>(&layer);
         }
         Ok(finish(merged, self.source.clone())?)
+    }
+
+    /// The configuration that an optimiser searches with: see [`Search`].
+    ///
+    /// # Errors
+    /// As for [`Self::with`].
+    pub fn for_search(&self) -> Result<Self, Error> {
+        let fluid = &self.config.fluid;
+        let has_both = fluid.formulation == Formulation::Consistent;
+        match self.config.optimise.search {
+            Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
+                let mut settings = vec![Setting::set("fluid.motion=fixed")];
+                // What a run comes to is known without it, unless its schedule was chosen. (By values: the configuration of
+                // a run gives every key.)
+                let (optimise, usual) = (&self.config.optimise, Config::default().optimise);
+                let chosen = optimise.segment != usual.segment || optimise.store != usual.store;
+                if optimise.gradient == GradientMode::Segments && !chosen {
+                    settings.push(Setting::set("optimise.gradient=steady"));
+                }
+                self.with(&settings)
+            }
+            _ => Ok(self.clone()),
+        }
     }
 }
 
@@ -112,6 +142,11 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     }
     if let Some(layer) = file {
         base.accepts(&layer)?;
+        if is_from_before(&layer) {
+            for text in provenance::BEFORE {
+                merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::set(text))?);
+            }
+        }
         merged.apply::<Config>(&layer);
     }
     for setting in settings {
@@ -120,6 +155,14 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
         merged.apply::<Config>(&layer);
     }
     finish(merged, source)
+}
+
+/// Keys of the shortest complete configuration of the heated channel.
+const COMPLETE: usize = 40;
+
+/// Whether a file has every key that there was before there was a choice of equations: the configuration of an old run.
+fn is_from_before(layer: &Layer) -> bool {
+    layer.keys().count() >= COMPLETE && !layer.keys().any(|(key, _)| key == "fluid.formulation")
 }
 
 /// The built-in scene to begin with, and the user's file as a layer if it is one.
@@ -177,11 +220,19 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
+    let given = merged.clone();
     if config.scene == Family::HeatedChannel {
+        if config.fluid.formulation == Formulation::Standard {
+            standard_defaults(&mut merged, &config);
+            config = merged.read();
+        } else if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
+            merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
+            config = merged.read();
+        }
         fit_defaults(&mut merged, &config);
     }
     let config = merged.checked(check_shape)?;
-    Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone() })
+    Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone(), given })
 }
 
 /// The wall's shape, which configurations know nothing of.
@@ -190,6 +241,22 @@ fn check_shape(config: &Config) -> Result<(), BadInput> {
         true => Shape::from_config(config).map(|_| ()),
         false => Ok(()),
     }
+}
+
+/// The standard formulation's own defaults, for keys that nobody gave.
+fn standard_defaults(merged: &mut Merged, config: &Config) {
+    let usual = Config::default();
+    let place = "fluid.formulation = standard";
+    let mut set = |key: &str, is_usual: bool, value: f64| {
+        // A preset's value, or a run's own, may be the other formulation's default.
+        if is_usual && !merged.places().contains_key(key) {
+            merged.set(key, Value::from(value), place);
+        }
+    };
+    let smoothing = config.resolution.smoothing_length;
+    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, 1.0);
+    set("time.cfl", config.time.cfl == usual.time.cfl, 2.0);
+    set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, 5.0);
 }
 
 /// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more
@@ -218,7 +285,9 @@ fn fit_defaults(merged: &mut Merged, config: &Config) {
     if config.objective.samples as i64 > steps && window <= end && !given(merged, "objective.samples") {
         merged.set("objective.samples", Value::from(steps), "the steps in objective.window");
     }
-    let (deep, wide) = ((config.design.bound / dx - 1e-9).ceil(), config.least_wall_rows() as f64);
+    let standard = config.fluid.formulation == Formulation::Standard;
+    let deep = if standard { (config.design.bound / dx - 1e-9).ceil() } else { 0.0 };
+    let wide = config.least_wall_rows() as f64;
     let rows = deep.max(wide);
     if rows > config.channel.wall_rows as f64 && rows < 1000.0 && !given(merged, "channel.wall_rows") {
         let place = if wide < deep { "design.bound / resolution.dx" } else { "the kernel's support" };

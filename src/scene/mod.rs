@@ -14,7 +14,9 @@ pub mod observers;
 pub mod particle_fields;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
+mod surface;
 pub mod taylor_green;
+pub mod verification;
 
 pub use exact::Exact;
 

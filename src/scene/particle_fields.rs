@@ -33,19 +33,28 @@ impl ParticleFields {
         let rows = |from: usize, count: usize| -> Vec<f64> {
             solver.state[from * n..(from + count) * n].iter().map(|x| x.f64()).collect()
         };
+        let shown = |from: usize, count: usize| -> Vec<f64> {
+            solver.primitives[from * n..(from + count) * n].iter().map(|x| x.f64()).collect()
+        };
         let density: Vec<f64> = solver.primitives[..n].iter().map(|x| x.f64()).collect();
         Self {
             dimension: l.dimension,
             box_size: model.domain.size[..l.dimension].to_vec(),
             position: rows(0, l.dimension),
-            velocity: rows(l.velocity(), l.dimension),
-            temperature: model
-                .heat
-                .as_ref()
-                .map(|heat| rows(l.temperature(), 1).into_iter().map(|t| t + heat.reference).collect()),
+            velocity: match model.consistent {
+                Some(_) => shown(l.primitive_velocity(), l.dimension),
+                None => rows(l.velocity(), l.dimension),
+            },
+            temperature: model.heat.as_ref().map(|heat| {
+                let found = match model.consistent {
+                    Some(_) => shown(l.primitive_temperature(), 1),
+                    None => rows(l.temperature(), 1),
+                };
+                found.into_iter().map(|t| t + heat.reference).collect()
+            }),
             pressure: density.iter().map(|&rho| model.equation_of_state.pressure(rho)).collect(),
             density,
-            mass: if l.mass { rows(l.state_mass(), 1) } else { vec![model.mass; n] },
+            mass: (0..n).map(|i| solver.mass(i)).collect(),
             tag: model.tags.clone(),
             time: solver.step as f64 * model.dt,
             step: solver.step,

@@ -1,5 +1,9 @@
 //! The SPH solver as [`Dynamics`], and the memory that its gradient takes.
 
+use super::consistent::blocks::width;
+use super::consistent::derivatives::{rows, KINDS};
+use super::consistent::stencil::{monomials, packed};
+use super::fixed::Fixed;
 use super::model::Model;
 use super::operators::composed::per_particle;
 use super::operators::pairs::stride;
@@ -80,6 +84,27 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
         run.look();
         let n = self.model.particles();
+        if let Some(masses) = run.masses() {
+            let tensor = |values: &[R]| Tensor::from_slice(values, (values.len() / n, n), &Device::Cpu);
+            let l = self.model.layout;
+            let velocity = &run.primitives[l.primitive_velocity() * n..][..l.dimension * n];
+            let go = || {
+                let temperature = match l.heat {
+                    true => Some(tensor(&run.primitives[l.primitive_temperature() * n..][..n])?),
+                    false => None,
+                };
+                let (position, velocity) = (tensor(&run.state[..l.dimension * n])?, tensor(velocity)?);
+                self.fields_with_masses(
+                    run.step,
+                    position,
+                    velocity,
+                    tensor(masses)?,
+                    temperature,
+                    &run.neighbourhood.list,
+                )
+            };
+            return go().map_err(RunError::tensor(run.step));
+        }
         let tensor = |values: &[R]| Tensor::from_slice(values, (values.len() / n, n), &Device::Cpu);
         let go = || self.fields_of(run.step, &tensor(run.moved())?, &tensor(&run.primitives)?, &run.neighbourhood.list);
         go().map_err(RunError::tensor(run.step))
@@ -96,7 +121,12 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         tape.advance_to(state, after)
     }
 
-    fn fields(&self, tape: &TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
+    fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
+        if self.model.layout.consistent {
+            let (known, masses) = tape.look_consistent(state)?;
+            let fields = self.fields_of_known(tape.step, &known, masses, &tape.neighbourhood.list);
+            return fields.map_err(RunError::tensor(tape.step));
+        }
         let (moved, primitives) = tape.look(state)?;
         let fields = self.fields_of(tape.step, &moved, &primitives, &tape.neighbourhood.list);
         fields.map_err(RunError::tensor(tape.step))
@@ -139,7 +169,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         run: &Solver<R>,
     ) -> Result<(TensorSolver<R>, Tensor), RunError> {
         let neighbourhood = self.neighbourhood(kept, last, run)?;
-        let tape = TensorSolver { model: self.model.clone(), neighbourhood, step: kept.step, kernels: self.kernels };
+        let tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, self.kernels);
         let tensor = if kept.rounded {
             let state: Vec<R> = kept.numbers.read(|state: &[f32]| state.iter().map(|&x| R::of(x as f64)).collect());
             self.state_tensor(kept.step, &state)?
@@ -156,11 +186,71 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     }
     fn taped_bytes(&self, tape: &TensorSolver<R>) -> Bytes {
         let list = &tape.neighbourhood.list;
-        Bytes { own: self.tape_bytes(list.index.len()), shared: list.bytes(), identity: Arc::as_ptr(list) as usize }
+        let shared = list.bytes() + self.table_bytes(list);
+        Bytes { own: self.tape_bytes(list), shared, identity: Arc::as_ptr(list) as usize }
     }
 }
 
 impl<R: Sweeps> Sph<R> {
+    /// 0 for walls' particles that hold something else than a velocity, else 1, `[N]`.
+    fn moving(&self) -> Vec<R> {
+        let holds = |i: usize| self.model.consistent.as_ref().is_some_and(|consistent| consistent.holds_no_velocity(i));
+        (0..self.model.particles()).map(|i| if holds(i) { R::default() } else { R::of(1.0) }).collect()
+    }
+
+    /// Fields of a state of fixed particles, on the graph if it is, at no particular time.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn fields_of_fixed(&self, fixed: &Fixed<R>, state: &Tensor) -> candle_core::Result<Fields> {
+        let list = NeighbourList { count: vec![1; self.model.particles()], ..NeighbourList::default() };
+        self.fields_of_known(0, state, fixed.masses(state)?, &list)
+    }
+
+    /// Fields of the consistent formulation's known state `[F, N]`, or of one of fixed particles.
+    fn fields_of_known(
+        &self,
+        step: usize,
+        known: &Tensor,
+        mass: Tensor,
+        list: &NeighbourList,
+    ) -> candle_core::Result<Fields> {
+        let l = self.model.layout;
+        let (position, mut velocity) = (known.narrow(0, 0, l.dimension)?, known.narrow(0, l.velocity(), l.dimension)?);
+        if self.model.consistent.is_some() {
+            // Some of the walls' particles hold something else.
+            velocity = velocity.broadcast_mul(&per_particle(self.moving(), &velocity)?)?;
+        }
+        let temperature = if l.heat { Some(known.narrow(0, l.temperature(), 1)?) } else { None };
+        self.fields_with_masses(step, position, velocity, mass, temperature, list)
+    }
+
+    /// Fields of the consistent formulation.
+    fn fields_with_masses(
+        &self,
+        step: usize,
+        position: Tensor,
+        velocity: Tensor,
+        mass: Tensor,
+        temperature: Option<Tensor>,
+        list: &NeighbourList,
+    ) -> candle_core::Result<Fields> {
+        let model = &*self.model;
+        let n = model.particles();
+        let density = per_particle(vec![R::of(model.equation_of_state.reference_density); n], &mass)?;
+        Ok(Fields {
+            step,
+            time: step as f64 * model.dt,
+            position,
+            velocity,
+            density,
+            mass,
+            temperature,
+            tags: self.tags.clone(),
+            active: Arc::new((0..n).map(|i| model.is_fluid(i) || list.count[i] > 0).collect()),
+        })
+    }
+
     /// Fields from the moved state `[M, N]` and the primitives `[C, N]` of a state.
     fn fields_of(
         &self,
@@ -231,10 +321,45 @@ impl<R: Sweeps> Sph<R> {
         self.field(4 + records) + places * (1 + differentiate as usize) * std::mem::size_of::<R>()
     }
 
+    /// Neighbours, fluid ones or walls', that the consistent formulation's tables have room for at each fluid particle.
+    fn room(list: &NeighbourList, fluid: bool) -> usize {
+        let of = |&i: &u32| {
+            let (all, near) = (list.count[i as usize], list.fluid_count[i as usize]);
+            if fluid {
+                near
+            } else {
+                all - near
+            }
+        };
+        list.fluid_rows.iter().map(of).max().unwrap_or(0).next_multiple_of(4) as usize
+    }
+
+    /// The consistent formulation's tables of a list.
+    fn table_bytes(&self, list: &NeighbourList) -> usize {
+        let Some(consistent) = &self.model.consistent else { return 0 };
+        let near = list.wall_rows.iter().map(|&i| list.fluid_count[i as usize]).max().unwrap_or(0);
+        let walls = (consistent.surface.len() + list.wall_rows.len()) * near.next_multiple_of(4) as usize;
+        let fluid = list.fluid_rows.len() * (Self::room(list, true) + Self::room(list, false));
+        (walls + fluid) * std::mem::size_of::<u32>()
+    }
+
     /// What a fused step leaves on the tape: the tensors moved state, density, primitives, rates and state, and what its
     /// operators keep.
-    fn tape_bytes(&self, places: usize) -> usize {
+    fn tape_bytes(&self, list: &NeighbourList) -> usize {
         let l = self.model.layout;
+        if let Some(consistent) = &self.model.consistent {
+            // Of all particles the tensors known, new pressure twice and state, and records; of the fluid the derivatives of
+            // all fields and of the pressure, factorised matrices, W and F of pairs; of the surface fits.
+            let (d, fits) = (l.dimension, monomials(l.dimension));
+            let all = 2 * l.state_rows() + 2 + stride(d + l.fields()) + stride(d + 1);
+            let fluid = rows(d, l.fields()) + rows(d, 1) + KINDS * packed(fits) + 2 * Self::room(list, true);
+            let surface = packed(d + 1) + (l.fields() - d + 1) * (d + 1);
+            let width = width::<R>();
+            let numbers = list.fluid_rows.len().next_multiple_of(width) * fluid
+                + consistent.surface.len().next_multiple_of(width) * surface;
+            return self.field(all) + numbers * std::mem::size_of::<R>();
+        }
+        let places = list.index.len();
         let rows = l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows();
         self.field(rows) + self.operators_bytes(places, true)
     }
@@ -271,8 +396,8 @@ impl<R: Sweeps> Sph<R> {
             rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
             shared: reference,
             shared_steps: steps_per_list,
-            tape_step: self.tape_bytes(places),
-            tape_shared: list.bytes(),
+            tape_step: self.tape_bytes(list),
+            tape_shared: list.bytes() + self.table_bytes(list),
             working: run + cotangents + objective,
         }
     }

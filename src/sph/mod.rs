@@ -1,6 +1,8 @@
 //! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
 pub mod chain;
+pub mod consistent;
 pub mod dynamics;
+pub mod fixed;
 pub mod kernels;
 pub mod laws;
 pub mod model;

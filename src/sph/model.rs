@@ -4,11 +4,14 @@ use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::{Buffers, Pool};
 use crate::particles::{Domain, Reach};
+use crate::sph::consistent::{Consistent, Kept};
+use crate::sph::fixed::Fixed;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::laws::ArtificialViscosity;
 use crate::sph::operators::pairs::PairCache;
+use std::sync::Arc;
 
 /// Which fields exist in a scene, and where they stand in the packed tensors `[fields, N]`.
 ///
@@ -20,6 +23,8 @@ pub struct Layout {
     pub transport: bool,
     pub heat: bool,
     pub mass: bool,
+    /// The state of the consistent formulation, and of fixed particles: position D, velocity D, pressure, (temperature).
+    pub consistent: bool,
 }
 
 impl Layout {
@@ -36,7 +41,18 @@ impl Layout {
 
     /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass).
     pub fn state_rows(&self) -> usize {
-        self.state_mass() + self.mass as usize
+        match self.consistent {
+            true => self.d() + self.fields(),
+            false => self.state_mass() + self.mass as usize,
+        }
+    }
+    /// Fields of the consistent formulation: velocity D, pressure, (temperature).
+    pub fn fields(&self) -> usize {
+        self.d() + 1 + self.heat as usize
+    }
+    /// Of the consistent formulation's state.
+    pub fn pressure(&self) -> usize {
+        2 * self.d()
     }
     pub fn velocity(&self) -> usize {
         self.d()
@@ -48,7 +64,10 @@ impl Layout {
         3 * self.d()
     }
     pub fn temperature(&self) -> usize {
-        3 * self.d() + self.w()
+        match self.consistent {
+            true => 2 * self.d() + 1,
+            false => 3 * self.d() + self.w(),
+        }
     }
     pub fn temperature_rate(&self) -> usize {
         self.temperature() + 1
@@ -140,6 +159,10 @@ pub struct Model<R> {
     pub transport: f64,
     pub body_force: BodyForce,
     pub heat: Option<Heat<R>>,
+    /// What the consistent formulation needs; none in the standard one.
+    pub consistent: Option<Consistent<R>>,
+    /// Particles that do not move; then nothing else of the model's laws is asked.
+    pub fixed: Option<Arc<Fixed<R>>>,
     /// Buffers that operators borrow, so that a step does not allocate.
     pub scratch: Scratch<R>,
 }
@@ -166,6 +189,7 @@ pub struct Scratch<R> {
     pub buffers: Buffers<R>,
     /// What the operators of a step keep for each other.
     pub caches: Pool<PairCache<R>>,
+    pub fits: Pool<Kept<R>>,
     /// States that a gradient keeps, and such rounded to single precision.
     pub states: Blocks,
     pub rounded_states: Blocks,
@@ -176,6 +200,7 @@ impl<R> Default for Scratch<R> {
         Self {
             buffers: Pool::default(),
             caches: Pool::default(),
+            fits: Pool::default(),
             states: Blocks::default(),
             rounded_states: Blocks::default(),
         }

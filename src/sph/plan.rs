@@ -2,6 +2,8 @@
 //!
 //! It is read off the same [`Model`], [`super::model::Layout`] and first neighbour list that the operators run on.
 
+use super::consistent::stencil::monomials;
+use super::consistent::Shift;
 use super::model::Model;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
 use crate::numerics::sweep::InstructionSet;
@@ -169,7 +171,11 @@ impl Plan {
                 diffusion_number: model.dt * kinematic.max(thermal) / (h * h),
                 limited_by,
             },
-            operators: operators(model, &list),
+            operators: match (model.layout.consistent, &model.fixed) {
+                (_, Some(_)) => fixed_operators(model),
+                (true, None) => consistent_operators(model, &list),
+                _ => operators(model, &list),
+            },
             fields: fields(model),
             dropped: left_out(model, &particles),
             gradient: None,
@@ -217,6 +223,11 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
     let vector = |name: &str| components(name, l.dimension);
     let optional = |wanted: bool, names: Vec<String>| if wanted { names } else { vec![] };
     let one = |name: &str| vec![name.to_string()];
+    if l.consistent {
+        let rows =
+            [vector("position"), vector("velocity"), one("pressure"), optional(l.heat, one("temperature"))].concat();
+        return vec![Field { name: "state", bytes: rows.len() * model.particles() * std::mem::size_of::<R>(), rows }];
+    }
     let state = [
         vector("position"),
         vector("velocity"),
@@ -257,6 +268,90 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
             Field { name, bytes: rows.len() * model.particles() * std::mem::size_of::<R>(), rows }
         })
         .collect()
+}
+
+/// The operators of [`crate::sph::consistent`].
+fn consistent_operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList) -> Vec<Operator> {
+    let (l, n, number) = (model.layout, model.particles(), std::mem::size_of::<R>());
+    let (d, fits) = (l.dimension, monomials(l.dimension));
+    let row = |rows: usize| rows * n * number;
+    let (fluid, walls) = (list.fluid_rows.len(), list.wall_rows.len());
+    let fluid_pairs: usize = list.fluid_rows.iter().map(|&i| list.count[i as usize] as usize).sum();
+    let Some(consistent) = &model.consistent else { return vec![] };
+    let has_dummies = !consistent.dummies.is_empty();
+    let of_points: usize = consistent.surface.iter().map(|&i| list.count[i as usize] as usize).sum();
+    let derivatives = |fields: usize| (fields * fits + 1 + d) * fluid * number;
+    let record = |fields: usize| stride(fields) * number;
+    let operator = |name, does: Vec<String>, rows, pairs, bytes_read, bytes_written, gathered| Operator {
+        name,
+        does,
+        rows,
+        pairs,
+        bytes_read,
+        bytes_written,
+        bytes_gathered: gathered * pairs,
+    };
+    let text = |texts: &[&str]| texts.iter().map(|text| text.to_string()).collect::<Vec<String>>();
+    let shift = match &consistent.shift {
+        Shift::None => "no shift",
+        Shift::Chain(_) => "shift along rows",
+        Shift::Isotropic(_) => "shift away from crowds",
+    };
+    let moves = text(&["largest move since the list was built; a new list at half the skin"]);
+    let mut all = vec![operator("neighbours", moves, n, 0, 2 * row(d), 0, 0)];
+    if has_dummies {
+        let does = text(&["dummy particles: the fluid's values at their mirror images"]);
+        let points = consistent.surface.len();
+        all.push(operator("wall values", does, points, of_points, row(l.state_rows()), row(1), record(d + 2)));
+    }
+    let mut fitted = text(&["second-order fits of velocity, pressure", "volumes", shift]);
+    if l.heat {
+        fitted[0].push_str(", temperature");
+    }
+    let (known, gathered) = (row(l.state_rows()), record(d + l.fields()));
+    all.push(operator("derivatives", fitted, fluid, fluid_pairs, known, derivatives(l.fields()), gathered));
+    let does = text(&["pressure from the divergence of the velocity", "delta diffusion", "its mean subtracted"]);
+    let read = known + derivatives(l.fields());
+    all.push(operator("continuity", does, fluid, fluid_pairs, read, row(1), record(2 * d + 3)));
+    if has_dummies {
+        let does = text(&["dummy particles: the new pressure"]);
+        let points = consistent.surface.len();
+        all.push(operator("wall pressure", does, points, of_points, row(d + 1), row(1), record(d + 1)));
+    }
+    let does = text(&["fits of the new pressure, with the matrices that there are"]);
+    all.push(operator("pressure gradient", does, fluid, fluid_pairs, row(d + 1), derivatives(1), record(d + 1)));
+    let mut does = text(&["kick", "move", "periodic wrap"]);
+    if l.heat {
+        does.extend(text(&["conduction", "inlet temperature"]));
+    }
+    if model.body_force != BodyForce::None {
+        does.extend(text(&["body force"]));
+    }
+    let read = known + derivatives(l.fields()) + derivatives(1);
+    all.push(operator("advance", does, fluid + walls, 0, read, known, 0));
+    all
+}
+
+/// The sweeps of [`crate::sph::fixed`].
+fn fixed_operators<R: Sweeps>(model: &Model<R>) -> Vec<Operator> {
+    let fluid = model.tags.iter().filter(|&&tag| tag == crate::particles::tag::FLUID).count();
+    let bytes = model.layout.state_rows() * model.particles() * std::mem::size_of::<R>();
+    let operator = |name, does: &str| Operator {
+        name,
+        does: vec![does.to_string()],
+        rows: fluid,
+        // A stencil of five by five without its corners and middle.
+        pairs: 20 * fluid,
+        bytes_read: bytes,
+        bytes_written: bytes,
+        bytes_gathered: 0,
+    };
+    vec![
+        operator("flux", "mass flux of every pair, with diffusion"),
+        operator("kick", "velocity: pressure, viscosity, what the flux carries, body force"),
+        operator("flux again", "of the new velocity"),
+        operator("advance", "density and temperature by the same flux; inlet and outlet"),
+    ]
 }
 
 fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList) -> Vec<Operator> {
@@ -359,9 +454,12 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
         all.push(dropped("temperature, its rate, conduction", "the scene has no heat"));
     }
     if !l.transport {
-        all.push(dropped("transport velocity and its acceleration", "its strength is 0"));
+        let why = if l.consistent { "the formulation has a shift" } else { "its strength is 0" };
+        all.push(dropped("transport velocity and its acceleration", why));
     }
-    if !l.mass {
+    if l.consistent {
+        all.push(dropped("density summation, mass, background pressure", "the pressure is a field of its own"));
+    } else if !l.mass {
         all.push(dropped("a mass of each particle", format!("every particle has the mass {:.4e}", model.mass)));
     }
     all.push(dropped("a viscosity of each particle", format!("constant: {}", model.viscosity)));
@@ -374,6 +472,8 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
     }
     if !model.has_walls() {
         all.push(dropped("the walls' extrapolation", "the scene has no walls"));
+    } else if model.fixed.is_some() {
+        all.push(dropped("a neighbour list", "particles do not move: their weights are constants"));
     } else {
         all.push(dropped("pairs of two wall particles", "nothing sums over them"));
     }

@@ -1,7 +1,11 @@
 //! Advancing a state: without a graph (buffers reused), or as candle tensors (a graph per step).
 
 use super::chain::{Chain, Step};
-use super::model::Model;
+use super::consistent::operators::{self, Buffers};
+use super::consistent::{composed, Blocks, Geometry};
+use super::fixed::{Fixed, FixedStep, Work};
+use super::laws::conduction;
+use super::model::{Layout, Model};
 use super::operators::composed::Pairs;
 use super::operators::pairs::PairCache;
 use super::operators::{assemble, density, drift, rates, wall_condition};
@@ -50,6 +54,53 @@ pub struct Solver<R> {
     rates: Vec<R>,
     /// Whether somebody reads the primitives: the step itself needs the records only.
     shows_primitives: bool,
+    /// Of the consistent formulation, and none of the others then.
+    consistent: Option<Consistent<R>>,
+    /// Of fixed particles, likewise.
+    lattice: Option<Lattice<R>>,
+}
+
+/// Fixed particles' run.
+#[derive(Debug)]
+struct Lattice<R> {
+    fixed: Arc<Fixed<R>>,
+    next: Vec<R>,
+    work: Work<R>,
+    masses: Vec<R>,
+}
+
+/// The consistent formulation's run.
+#[derive(Debug)]
+struct Consistent<R> {
+    tables: Tables,
+    buffers: Buffers<R>,
+    /// rho V of the fluid, as sections count it, `[N]`.
+    masses: Vec<R>,
+}
+
+/// The tables of the present list.
+#[derive(Debug, Default)]
+struct Tables {
+    blocks: Arc<Blocks>,
+    /// The list that they were made of.
+    identity: u64,
+}
+
+impl Tables {
+    /// Makes sure that they are those of a list.
+    fn update<R: Sweeps>(&mut self, model: &Model<R>, neighbourhood: &Neighbourhood<R>) {
+        let Some(consistent) = &model.consistent else { return };
+        if self.identity == neighbourhood.identity {
+            return;
+        }
+        self.identity = neighbourhood.identity;
+        if Arc::get_mut(&mut self.blocks).is_none() {
+            self.blocks = Arc::default();
+        }
+        if let Some(blocks) = Arc::get_mut(&mut self.blocks) {
+            R::tables(blocks, &neighbourhood.list, &consistent.surface);
+        }
+    }
 }
 
 impl<R: Sweeps> Solver<R> {
@@ -66,7 +117,15 @@ impl<R: Sweeps> Solver<R> {
         let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
             .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
         let (n, l) = (model.particles(), model.layout);
-        let rows = |rows: usize| vec![R::default(); rows * n];
+        let standard = model.consistent.is_none() && model.fixed.is_none();
+        let consistent = model.consistent.is_some();
+        let lattice = model.fixed.clone().map(|fixed| Lattice {
+            next: vec![R::default(); snapshot.state.len()],
+            work: fixed.work(),
+            masses: vec![R::default(); n],
+            fixed,
+        });
+        let rows = |rows: usize| vec![R::default(); if standard { rows * n } else { 0 }];
         Ok(Self {
             moved: rows(l.moved_rows()),
             density: rows(1),
@@ -78,6 +137,12 @@ impl<R: Sweeps> Solver<R> {
             step: snapshot.step,
             neighbourhood,
             shows_primitives: false,
+            lattice,
+            consistent: consistent.then(|| Consistent {
+                tables: Tables::default(),
+                buffers: Buffers::default(),
+                masses: vec![R::default(); n],
+            }),
         })
     }
 
@@ -90,10 +155,29 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// Particles that are lost or too fast.
     pub fn advance(&mut self) -> Result<(), RunError> {
-        let dt = self.model.dt;
-        step::advance(self, dt, &())?;
+        if let Some(lattice) = &mut self.lattice {
+            lattice.fixed.forward(&self.state, &mut lattice.next, &mut lattice.work);
+            std::mem::swap(&mut self.state, &mut lattice.next);
+        } else if self.consistent.is_some() {
+            let updated = self.neighbourhood.update(&self.model.reach(), &self.state);
+            updated.map_err(|source| RunError::Neighbours { step: self.step, source })?;
+            self.with_geometry(|run, geometry, state| run.buffers.advance(geometry, state));
+        } else {
+            let dt = self.model.dt;
+            step::advance(self, dt, &())?;
+        }
         self.step += 1;
         Ok(())
+    }
+
+    /// Runs something of the consistent formulation at the present list.
+    fn with_geometry(&mut self, go: impl FnOnce(&mut Consistent<R>, &Geometry<'_, R>, &mut [R])) {
+        let Self { model, neighbourhood, state, consistent, .. } = self;
+        if let (Some(run), Some(consistent)) = (consistent, &model.consistent) {
+            run.tables.update(model, neighbourhood);
+            let blocks = run.tables.blocks.clone();
+            go(run, &Geometry { model, consistent, blocks: &blocks }, state);
+        }
     }
 
     /// The operators' context at the present list.
@@ -103,11 +187,86 @@ impl<R: Sweeps> Solver<R> {
 
     /// Fills [`Self::primitives`] for the present state without advancing it.
     pub fn look(&mut self) {
+        if self.consistent.is_some() {
+            return self.look_consistent();
+        }
+        if self.lattice.is_some() {
+            return self.look_fixed();
+        }
         self.primitives.resize(self.model.layout.primitive_rows() * self.model.particles(), R::default());
         self.shows_primitives = true;
         // On buffers nothing fails but the list, which stays as it is.
         let _ = step::look(self, &());
         self.shows_primitives = false;
+    }
+
+    /// [`Self::look`] in the consistent formulation: the same rows of primitives.
+    fn look_consistent(&mut self) {
+        let (n, l) = (self.model.particles(), self.model.layout);
+        let mut primitives = std::mem::take(&mut self.primitives);
+        primitives.resize(l.primitive_rows() * n, R::default());
+        self.with_geometry(|run, geometry, state| {
+            run.buffers.look(geometry, state);
+            let known = &run.buffers.known;
+            operators::masses(geometry, &run.buffers.derivatives, &mut run.masses);
+            let (density, sound_speed) =
+                (geometry.model.equation_of_state.reference_density, geometry.consistent.sound_speed);
+            let density = |p: R| R::of(density) + p * R::of(1.0 / sound_speed.powi(2));
+            show(l, known, density, &mut primitives);
+            // Their rows of velocity hold something else.
+            for i in (0..n).filter(|&i| geometry.consistent.holds_no_velocity(i)) {
+                for d in 0..l.dimension {
+                    primitives[(l.primitive_velocity() + d) * n + i] = R::default();
+                }
+            }
+        });
+        self.primitives = primitives;
+    }
+
+    /// [`Self::look`] for fixed particles: the same rows of primitives.
+    fn look_fixed(&mut self) {
+        let (n, l) = (self.model.particles(), self.model.layout);
+        self.primitives.resize(l.primitive_rows() * n, R::default());
+        let Some(lattice) = &mut self.lattice else { return };
+        let (state, primitives) = (&self.state, &mut self.primitives);
+        show(l, state, |p| lattice.fixed.density(p), primitives);
+        let weights = lattice.fixed.section_weights();
+        for (i, (volume, weight)) in lattice.fixed.volumes(state).into_iter().zip(weights).enumerate() {
+            lattice.masses[i] = R::of(volume * weight) * primitives[i];
+        }
+    }
+
+    /// Masses of the fluid's particles as of the last [`Self::look`], as sections count them; `None` where masses are the
+    /// state's or the scene's.
+    pub fn masses(&self) -> Option<&[R]> {
+        let lattice = self.lattice.as_ref().map(|run| run.masses.as_slice());
+        self.consistent.as_ref().map(|run| run.masses.as_slice()).or(lattice)
+    }
+
+    /// Heat that walls give to conducting fluid with x < `until`, as of the last [`Self::look`]; in units of density *
+    /// temperature * volume per time (times the heat capacity: power). In the consistent formulation: what conduction brings
+    /// to that fluid (at the walls themselves the flux is infinite where the hot section begins and ends).
+    pub fn wall_heat_flux(&self, until: f64) -> f64 {
+        if let Some(lattice) = &self.lattice {
+            return lattice.fixed.wall_heat_flux(&self.state);
+        }
+        match (&self.consistent, &self.model.consistent) {
+            (Some(run), Some(consistent)) => {
+                let geometry = Geometry { model: &self.model, consistent, blocks: &run.tables.blocks };
+                operators::heating(&geometry, &run.buffers.known, &run.buffers.derivatives, &run.masses, until)
+            }
+            _ => conduction::wall_flux(&self.step_now(), &self.moved, &self.primitives, until),
+        }
+    }
+
+    /// Mass of a particle as of the last [`Self::look`].
+    pub fn mass(&self, i: usize) -> f64 {
+        let (n, l) = (self.model.particles(), self.model.layout);
+        match self.masses() {
+            Some(masses) => masses[i].f64(),
+            None if l.mass => self.state[l.state_mass() * n + i].f64(),
+            None => self.model.mass,
+        }
     }
 
     /// The moved state of the last [`Self::advance`] or [`Self::look`], `[M, N]`.
@@ -132,7 +291,8 @@ impl<R: Sweeps> Solver<R> {
                 let row = place / n;
                 let field = match row {
                     _ if row < l.velocity() => "position",
-                    _ if row < l.acceleration() => "velocity",
+                    _ if row < 2 * l.dimension => "velocity",
+                    _ if l.consistent && row == l.pressure() => "pressure",
                     _ if row < l.temperature() => "acceleration",
                     _ => "temperature",
                 };
@@ -140,6 +300,21 @@ impl<R: Sweeps> Solver<R> {
             }
         }
         Ok(())
+    }
+}
+
+/// Rows of primitives `[C, N]` from a state with a pressure, `[F, N]`.
+fn show<R: Real>(l: Layout, known: &[R], density: impl Fn(R) -> R, primitives: &mut [R]) {
+    let n = known.len() / l.state_rows();
+    let mut copy = |from: usize, to: usize, rows: usize| {
+        primitives[to * n..(to + rows) * n].copy_from_slice(&known[from * n..(from + rows) * n]);
+    };
+    copy(l.velocity(), l.primitive_velocity(), l.dimension);
+    if l.heat {
+        copy(l.temperature(), l.primitive_temperature(), 1);
+    }
+    for (primitive, &p) in primitives[..n].iter_mut().zip(&known[l.pressure() * n..]) {
+        *primitive = density(p);
     }
 }
 
@@ -182,9 +357,15 @@ pub struct TensorSolver<R> {
     pub neighbourhood: Neighbourhood<R>,
     pub step: usize,
     pub kernels: Kernels,
+    tables: Tables,
 }
 
 impl<R: Sweeps> TensorSolver<R> {
+    /// At a step, with a list.
+    pub fn new(model: Arc<Model<R>>, neighbourhood: Neighbourhood<R>, step: usize, kernels: Kernels) -> Self {
+        Self { model, neighbourhood, step, kernels, tables: Tables::default() }
+    }
+
     /// Starts at a snapshot's step and neighbour list.
     ///
     /// # Errors
@@ -192,7 +373,7 @@ impl<R: Sweeps> TensorSolver<R> {
     pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>, kernels: Kernels) -> Result<Self, RunError> {
         let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
             .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
-        Ok(Self { model, neighbourhood, step: snapshot.step, kernels })
+        Ok(Self::new(model, neighbourhood, snapshot.step, kernels))
     }
 
     /// One time step: state `[F, N]` -> state `[F, N]`, on the graph.
@@ -210,6 +391,26 @@ impl<R: Sweeps> TensorSolver<R> {
     /// As for [`Self::advance`].
     pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
         let dt = self.model.dt;
+        if let Some(fixed) = &self.model.fixed {
+            let next = match self.kernels {
+                Kernels::Fused => apply1(FixedStep(fixed.clone()), state),
+                Kernels::Composed => fixed.composed(state),
+            };
+            let next = next.map_err(RunError::tensor(self.step))?;
+            self.step += 1;
+            return Ok(next);
+        }
+        if self.model.consistent.is_some() {
+            self.update_list(state)?;
+            self.tables.update(&self.model, &self.neighbourhood);
+            let next = match self.kernels {
+                Kernels::Fused => operators::advance(&self.chain(), state),
+                Kernels::Composed => composed::advance(&self.model, &self.neighbourhood.list, state),
+            };
+            let next = next.map_err(RunError::tensor(self.step))?;
+            self.step += 1;
+            return Ok(next);
+        }
         let next = match self.kernels {
             Kernels::Fused => {
                 let after = after.map(Tensor::detach);
@@ -219,6 +420,27 @@ impl<R: Sweeps> TensorSolver<R> {
         }?;
         self.step += 1;
         Ok(next)
+    }
+
+    fn chain(&self) -> Arc<operators::Chain<R>> {
+        operators::Chain::new(self.model.clone(), self.tables.blocks.clone())
+    }
+
+    /// The consistent formulation's known state `[F, N]` and masses `[1, N]` of a state as it is, on the graph.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn look_consistent(&mut self, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
+        if let Some(fixed) = &self.model.fixed {
+            let masses = fixed.masses(state).map_err(RunError::tensor(self.step))?;
+            return Ok((state.clone(), masses));
+        }
+        self.tables.update(&self.model, &self.neighbourhood);
+        let found = match self.kernels {
+            Kernels::Fused => operators::look(&self.chain(), state),
+            Kernels::Composed => composed::look(&self.model, &self.neighbourhood.list, state),
+        };
+        found.map_err(RunError::tensor(self.step))
     }
 
     /// Moved state `[M, N]` and primitives `[C, N]` of a state as it is, on the graph.
@@ -232,6 +454,7 @@ impl<R: Sweeps> TensorSolver<R> {
             neighbourhood: self.neighbourhood.shared(),
             step: self.step,
             kernels: self.kernels,
+            tables: Tables::default(),
         };
         match self.kernels {
             Kernels::Fused => step::look(&mut Fused { run: &mut run, carries: false, after: None, chain: None }, state),

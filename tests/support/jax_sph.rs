@@ -157,6 +157,7 @@ impl Case {
                 transport: everything || self.transport != 0.0,
                 heat: self.heat,
                 mass: everything,
+                consistent: false,
             },
             kernel: Kernel::new(KernelName::QuinticSpline, d, h),
             tags: self.tags.clone(),
@@ -174,6 +175,8 @@ impl Case {
             transport: self.transport,
             body_force: self.body_force(),
             heat,
+            consistent: None,
+            fixed: None,
             scratch: Scratch::default(),
         }
     }

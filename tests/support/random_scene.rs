@@ -174,6 +174,8 @@ impl RandomScene {
                 wall_constant: convert(&self.wall_constant),
                 wall_factor: convert(&self.wall_factor),
             }),
+            consistent: None,
+            fixed: None,
             scratch: Scratch::default(),
         })
     }
@@ -208,7 +210,13 @@ pub fn permute<T: Copy>(rows: &[T], n: usize, order: &[usize]) -> Vec<T> {
 
 impl Options {
     pub fn layout(&self) -> Layout {
-        Layout { dimension: self.dimension, transport: self.transport, heat: self.heat, mass: self.mass }
+        Layout {
+            dimension: self.dimension,
+            transport: self.transport,
+            heat: self.heat,
+            mass: self.mass,
+            consistent: false,
+        }
     }
     fn typical_mass(&self) -> f64 {
         1.2 * DX.powi(self.dimension as i32)

@@ -3,17 +3,22 @@
 //! m <- b1 m + (1-b1) g, v <- b2 v + (1-b2) g^2, x <- x - lr m^ / (sqrt(v^) + eps), m^ = m/(1-b1^t), v^ = v/(1-b2^t).
 //! A step moves each variable by about `learning_rate`, whatever the gradient's scale: for wall offsets, 2e-2 is one
 //! spacing per step at dx = 0.02.
+//!
+//! Where the function has no value, the step that led there was too long: the next point is half way back to the last one
+//! that had one, and the momentum that led astray is gone.
 
 use super::{count, numbers, Optimiser, Record};
 use crate::design::limits::Limits;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 
-/// Adam: each evaluation is a step, taken whatever the value is.
+/// Adam: each evaluation is a step, taken whatever the value is, if it is one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
     pub learning_rate: f64,
     x: Vec<f64>,
+    /// The last point where the function had a value.
+    good: Vec<f64>,
     first: Vec<f64>,
     second: Vec<f64>,
     steps: u64,
@@ -26,7 +31,8 @@ const EPSILON: f64 = 1e-12;
 
 impl Adam {
     pub fn new(learning_rate: f64, x: &[f64]) -> Self {
-        Self { learning_rate, x: x.to_vec(), first: vec![0.0; x.len()], second: vec![0.0; x.len()], steps: 0 }
+        let zeros = || vec![0.0; x.len()];
+        Self { learning_rate, x: x.to_vec(), good: x.to_vec(), first: zeros(), second: zeros(), steps: 0 }
     }
 
     /// One step against the gradient.
@@ -53,13 +59,20 @@ impl Optimiser for Adam {
         &self.x
     }
 
-    fn tell(&mut self, limits: &Limits, _: f64, gradient: &[f64]) {
-        self.step(gradient);
+    fn tell(&mut self, limits: &Limits, value: f64, gradient: &[f64]) {
+        if value.is_finite() && gradient.iter().all(|g| g.is_finite()) {
+            self.good.clone_from(&self.x);
+            self.step(gradient);
+        } else {
+            self.x.iter_mut().zip(&self.good).for_each(|(x, good)| *x = 0.5 * (*x + good));
+            self.first.fill(0.0);
+        }
         limits.project(&mut self.x);
     }
 
     fn save(&self, record: &mut Record) {
         let k = self.x.len();
+        record.put("adam.last_good", &[k], self.good.clone());
         record.put("adam.first_moment", &[k], self.first.clone());
         record.put("adam.second_moment", &[k], self.second.clone());
         record.note("adam.steps", self.steps);
@@ -69,6 +82,11 @@ impl Optimiser for Adam {
         let k = self.x.len();
         self.first = numbers(file, "adam.first_moment", &[k])?;
         self.second = numbers(file, "adam.second_moment", &[k])?;
+        // Earlier versions knew no point without a value.
+        self.good = match file.tensors.contains_key("adam.last_good") {
+            true => numbers(file, "adam.last_good", &[k])?,
+            false => self.x.clone(),
+        };
         self.steps = count(file, "adam.steps")? as u64;
         Ok(())
     }
@@ -97,9 +115,25 @@ mod tests {
         let mut adam = Adam::new(0.02, &[0.0; 3]);
         for _ in 0..400 {
             let gradient: Vec<f64> = adam.ask().iter().zip(target).map(|(x, t)| 2.0 * (x - t)).collect();
-            adam.tell(&limits, f64::NAN, &gradient);
+            adam.tell(&limits, 0.0, &gradient);
         }
         let x = adam.ask();
         assert!((x[0] - 0.3).abs() < 1e-2 && x[1] == -1.0 && (x[2] - 0.02).abs() < 1e-2, "{x:?}");
+    }
+
+    #[test]
+    fn steps_back_from_where_there_is_no_value() {
+        let limits = Limits::symmetric(10.0, &[0.0, 100.0], 2.0);
+        let mut adam = Adam::new(0.1, &[1.0, 2.0]);
+        adam.tell(&limits, 3.0, &[1.0, -1.0]);
+        let away = adam.ask().to_vec();
+        adam.tell(&limits, f64::INFINITY, &[0.0, 0.0]);
+        assert!((adam.ask()[0] - 0.5 * (1.0 + away[0])).abs() < 1e-15 && adam.first == [0.0, 0.0]);
+        for _ in 0..60 {
+            adam.tell(&limits, f64::NAN, &[0.0, 0.0]);
+        }
+        assert!((adam.ask()[0] - 1.0).abs() < 1e-12 && (adam.ask()[1] - 2.0).abs() < 1e-12, "{adam:?}");
+        adam.tell(&limits, 3.0, &[1.0, 1.0]);
+        assert!(adam.ask()[0] < 1.0 && adam.ask()[1] < 2.0, "goes on from there");
     }
 }

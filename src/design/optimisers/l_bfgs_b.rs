@@ -55,6 +55,8 @@ const SET_STEPS: usize = 500;
 pub struct LBfgsB {
     /// Most that a variable moves in the first step.
     pub first_step: f64,
+    /// See [`Self::worth`].
+    worth: f64,
     evaluations: usize,
     /// The last point that was accepted, with value and gradient.
     point: Vec<f64>,
@@ -100,6 +102,7 @@ impl LBfgsB {
         };
         Self {
             first_step,
+            worth: 0.0,
             evaluations: 0,
             point: x.to_vec(),
             value: 0.0,
@@ -109,6 +112,11 @@ impl LBfgsB {
             trial: x.to_vec(),
             done: false,
         }
+    }
+
+    /// The same, done when an accepted step lowers the value by less than this share of it.
+    pub fn worth(self, worth: f64) -> Self {
+        Self { worth, ..self }
     }
 
     /// A new line search from the present point.
@@ -258,7 +266,11 @@ impl Optimiser for LBfgsB {
         {
             self.search.lengthen(slope);
         } else {
+            let fall = self.value - value;
             self.accept(value, gradient);
+            if fall < self.worth * value.abs() {
+                return self.finish();
+            }
             return self.begin(limits);
         }
         self.search.tries += 1;

@@ -37,9 +37,12 @@ use std::collections::BTreeMap;
 pub fn of_config(wanted: &Optimise, x: &[f64]) -> Box<dyn Optimiser> {
     match wanted.method {
         OptimiserName::Adam => Box::new(Adam::new(wanted.learning_rate, x)),
-        OptimiserName::LBfgsB => Box::new(LBfgsB::new(wanted.learning_rate, x)),
+        OptimiserName::LBfgsB => Box::new(LBfgsB::new(wanted.learning_rate, x).worth(WORTH)),
     }
 }
+
+/// What a step of L-BFGS-B must gain, as a share of the loss, for another one to be worth its evaluation.
+const WORTH: f64 = 1e-6;
 
 /// Minimises a function of `[K]` variables within limits.
 pub trait Optimiser: std::fmt::Debug + Send {

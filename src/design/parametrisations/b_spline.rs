@@ -61,6 +61,15 @@ impl BSpline {
         Ok(spline)
     }
 
+    /// The same with the wall's heights at these points, if any, in place of averages over columns.
+    pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
+        if let Some(points) = points {
+            let count = self.greville.len();
+            self.averages = ColumnAverages::at_points(count, points, |variables, x| self.height(variables, x));
+        }
+        self
+    }
+
     /// The last span k with knots[k] <= x < knots[k + 1], of those that are not empty.
     fn span(&self, x: f64) -> usize {
         let last = self.greville.len() - 1;

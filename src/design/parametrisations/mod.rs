@@ -15,7 +15,7 @@ pub use nodes::Nodes;
 
 use super::limits::Limits;
 use super::shape::{HotSection, Shape};
-use crate::config::scene::{Config, ParametrisationName};
+use crate::config::scene::{Config, Formulation, Motion, ParametrisationName};
 use crate::error::BadInput;
 use std::sync::Arc;
 
@@ -27,16 +27,36 @@ pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisat
     let (channel, design) = (&config.channel, &config.design);
     let (dx, length) = (config.resolution.dx, channel.length);
     let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    let at_points = match (config.fluid.formulation, config.fluid.motion) {
+        (Formulation::Standard, _) => None,
+        (Formulation::Consistent, Motion::Moving) => Some(section.vertices()),
+        (Formulation::Consistent, Motion::Fixed) => {
+            Some((0..config.columns()).map(|column| first_column(config) + column as f64 * dx).collect())
+        }
+    };
     Ok(match design.parametrisation {
         ParametrisationName::Nodes => {
-            (Arc::new(Nodes::new(start.nodes.clone(), section, design.bound)?), start.offsets.clone())
+            let nodes = Nodes::new(start.nodes.clone(), section, design.bound)?;
+            (Arc::new(nodes.sampled_at(at_points.as_deref())), start.offsets.clone())
         }
         ParametrisationName::BSpline => {
             let spline = BSpline::new(design.control_points, section, design.bound)?;
             let points = spline.fitted(start);
-            (Arc::new(spline), points)
+            (Arc::new(spline.sampled_at(at_points.as_deref())), points)
         }
     })
+}
+
+/// x of the first column of fixed particles: such that the cells of columns begin where the hot section does, if dx fits.
+pub fn first_column(config: &Config) -> f64 {
+    let dx = config.resolution.dx;
+    let x = (config.channel.hot_from / dx + 0.5).rem_euclid(1.0) * dx;
+    // Just below a spacing is rounding.
+    if x > dx * (1.0 - 1e-9) {
+        0.0
+    } else {
+        x
+    }
 }
 
 /// How design variables shape a wall.
@@ -98,6 +118,22 @@ pub struct ColumnAverages {
 
 impl ColumnAverages {
     pub fn new(variables: usize, weights: Vec<Vec<(usize, f64)>>) -> Self {
+        Self { variables, weights }
+    }
+
+    /// Values at points instead of averages over columns, of what is linear in its variables.
+    pub fn at_points(variables: usize, points: &[f64], height: impl Fn(&[f64], f64) -> f64) -> Self {
+        let mut weights = vec![vec![]; points.len()];
+        for k in 0..variables {
+            let mut unit = vec![0.0; variables];
+            unit[k] = 1.0;
+            for (weights, &x) in weights.iter_mut().zip(points) {
+                let weight = height(&unit, x);
+                if weight != 0.0 {
+                    weights.push((k, weight));
+                }
+            }
+        }
         Self { variables, weights }
     }
 

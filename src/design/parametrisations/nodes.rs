@@ -29,6 +29,16 @@ impl Nodes {
         let limits = Limits::symmetric(bound, &flat.nodes, MAX_SLOPE);
         Ok(Self { flat, averages, limits })
     }
+
+    /// The same with the wall's heights at these points, if any, in place of averages over columns.
+    pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
+        if let Some(points) = points {
+            self.averages = ColumnAverages::at_points(self.flat.nodes.len(), points, |offsets, x| {
+                Shape { offsets: offsets.to_vec(), ..self.flat.clone() }.surface(x)
+            });
+        }
+        self
+    }
 }
 
 impl Parametrisation for Nodes {

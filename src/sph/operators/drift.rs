@@ -7,6 +7,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::particles::Domain;
 use crate::sph::model::Model;
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
@@ -15,6 +16,22 @@ use std::sync::Arc;
 
 /// state `[F, N]` -> moved `[M, N]`.
 pub struct Drift<R>(pub Arc<Model<R>>, pub f64);
+
+/// A coordinate in direction `d` after a step: back into the box, where it is periodic.
+#[inline(always)]
+pub fn wrapped<R: Real>(domain: &Domain, d: usize, x: R) -> R {
+    if !domain.periodic[d] {
+        return x;
+    }
+    let size = R::of(domain.size[d]);
+    let up = if x < R::default() { x + size } else { x };
+    // Not `else`: a tiny negative x plus the size rounds to the size itself.
+    if up >= size {
+        up - size
+    } else {
+        up
+    }
+}
 
 struct Forward<'a, R> {
     model: &'a Model<R>,
@@ -50,11 +67,8 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
                 }
             }
             if model.domain.periodic[d] {
-                let size = R::of(model.domain.size[d]);
                 for x in position.iter_mut() {
-                    let up = if *x < R::default() { *x + size } else { *x };
-                    // Not `else`: a tiny negative x plus the size rounds to the size itself.
-                    *x = if up >= size { up - size } else { up };
+                    *x = wrapped(&model.domain, d, *x);
                 }
             }
         }

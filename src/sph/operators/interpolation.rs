@@ -76,14 +76,12 @@ impl<R: Real> Sums<R> {
     fn near(&self, target: &[f64; 3], position: &[R]) -> Vec<Near<R>> {
         let (n, domain) = (self.taken.len(), &self.of.domain);
         let cutoff = R::of(self.of.kernel.cutoff());
-        let inverse = domain.inverse_period();
         let mut near = Vec::new();
         for j in (0..n).filter(|&j| self.taken[j]) {
             let mut difference = [R::default(); 3];
             let mut r2 = R::default();
             for d in 0..domain.dimension {
-                let mut dr = R::of(target[d]) - position[d * n + j];
-                dr -= R::of(domain.size[d]) * (dr * R::of(inverse[d]) + R::of(0.5)).floor();
+                let dr = domain.nearest_image(d, R::of(target[d]) - position[d * n + j]);
                 difference[d] = dr;
                 r2 += dr * dr;
             }

@@ -1,0 +1,208 @@
+//! `hydrograd verify`: whether the gain of a design is one of its wall; and what `optimize` says of it.
+
+use super::arguments::{check_writable, name_of, option, set_option, with_options};
+use super::files::VERSION;
+use super::prepare::{require_design, use_threads};
+use crate::config::scene::{Config, Precision};
+use crate::design::shape::{read_column, read_columns, Columns, Shape};
+use crate::error::{BadInput, Error};
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::scene::load::Loaded;
+use crate::scene::verification::{Finding, Verification, Verified};
+use clap::Args;
+use serde_json::{json, Map, Value};
+use std::path::{Path, PathBuf};
+
+/// Evaluate a wall again at half the spacing, with other particles, over twice the time and from another seed.
+///
+/// What is left of its gain under all of these is a gain of the wall; the rest is one of the solver's error, which an
+/// optimiser finds as readily.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd verify runs/optimize-heated-channel
+      the best wall of a run against its first, with the run's own configuration
+  hydrograd verify runs/starts/sine --set time.end=4
+      of one of several starts, over a longer time
+  hydrograd verify wall.csv --scene my.toml --out runs/wall
+      a wall of your own (columns x and offset) against the flat one")]
+pub struct VerifyArguments {
+    /// Folder of a run of `optimize`, or a CSV file with columns x and offset (and, if it has one, first: the reference).
+    #[arg(value_name = "PATH")]
+    pub path: PathBuf,
+    /// Scene of a CSV file: built-in, or a TOML file [default: heated-channel].
+    #[arg(long, value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Override a key of the scene, e.g. `--set time.end=1.5`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Folder for verification.json [default: that of the wall].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Floating-point type (run.precision).
+    #[arg(long, value_enum)]
+    pub precision: Option<Precision>,
+    /// Worker threads, 0 for every core (run.threads).
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+}
+
+/// What `verify` is given: where the wall is, and which scene it belongs to.
+struct Given {
+    wall: PathBuf,
+    scene: Option<String>,
+    /// Where results go unless told otherwise.
+    folder: PathBuf,
+}
+
+impl VerifyArguments {
+    /// The files behind PATH.
+    fn given(&self) -> Result<Given, BadInput> {
+        let path = &self.path;
+        let name = path.display();
+        let allowed = "the folder of a run of `hydrograd optimize`, or a CSV file with columns x and offset";
+        if !path.exists() {
+            return Err(BadInput::new(format!("no such file or folder: {name}")).allowed(allowed));
+        }
+        if path.is_file() {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            let folder = folder.unwrap_or(Path::new(".")).to_path_buf();
+            return Ok(Given { wall: path.clone(), scene: self.scene.clone(), folder });
+        }
+        let (config, wall) = (path.join("config.toml"), path.join("shape.csv"));
+        for file in [&config, &wall] {
+            if !file.is_file() {
+                let bad = BadInput::new(format!("{name} is not the folder of a run: no file {}", file.display()));
+                let bad = bad.allowed(allowed);
+                return Err(match path.join("flat/shape.csv").is_file() {
+                    true => bad.advice(format!("one of its starts, such as {}", path.join("flat").display())),
+                    false => bad,
+                });
+            }
+        }
+        if let Some(scene) = &self.scene {
+            return Err(BadInput::new(format!("a scene for a run that has its own, {}", config.display()))
+                .place(format!("--scene {scene}"))
+                .allowed("--scene with a CSV file")
+                .advice(format!("hydrograd verify {} --scene {scene}", wall.display())));
+        }
+        Ok(Given { wall, scene: Some(config.to_string_lossy().into()), folder: path.clone() })
+    }
+
+    fn load(&self, given: &Given) -> Result<Loaded, Error> {
+        let scene = given.scene.as_deref();
+        require_design(&Config::load_settings(scene, None, &[])?.config)?;
+        let mut settings: Vec<_> = self.sets.iter().map(|text| set_option(text)).collect();
+        settings.extend(self.precision.map(|value| option("run.precision", name_of(value))));
+        settings.extend(self.threads.map(|value| option("run.threads", value)));
+        Config::load_settings(scene, None, &settings)
+    }
+}
+
+pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
+    let given = arguments.given()?;
+    let loaded = arguments.load(&given)?;
+    let folder = arguments.out.clone().unwrap_or_else(|| given.folder.clone());
+    check_writable(&folder)?;
+    let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
+    let located = |bad: BadInput| bad.located(|_| Some(given.wall.display().to_string()));
+    let wall = |columns: Columns| -> Result<Shape, BadInput> {
+        let wall = Shape::new(columns.nodes, columns.offsets, from, to).map_err(located)?;
+        wall.check_bound(loaded.config.design.bound).map_err(located)?;
+        Ok(wall)
+    };
+    let best = wall(read_columns(&given.wall)?)?;
+    let (reference, reference_name) = match read_column(&given.wall, "first")? {
+        Some(first) => (wall(first)?, FIRST),
+        None => (flat(&best), FLAT),
+    };
+    use_threads(loaded.config.run.threads);
+    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name };
+    let verified = verify(&verification, "verify")?;
+    prepare_output_folder(&folder)?;
+    let mut map = data(&verified);
+    map.insert("version".into(), json!(VERSION));
+    let file = folder.join("verification.json");
+    let text = serde_json::to_string_pretty(&Value::Object(map))? + "\n";
+    write_bytes_atomically(&file, text.as_bytes())?;
+    println!("{}", text_of(&verified));
+    println!("file: {}", file.display());
+    Ok(())
+}
+
+/// What the reference of a run is called.
+pub const FIRST: &str = "the first design";
+pub const FLAT: &str = "the flat wall";
+
+/// The flat wall, at the nodes of another.
+pub fn flat(wall: &Shape) -> Shape {
+    Shape { offsets: vec![0.0; wall.offsets.len()], ..wall.clone() }
+}
+
+/// Runs the checks, behind a progress bar.
+pub fn verify(verification: &Verification, label: &str) -> Result<Verified, Error> {
+    const UNITS: f64 = 1000.0;
+    let bar = Progress::new(UNITS as u64, label);
+    let verified = verification.run(&mut |share| bar.set_position((share * UNITS) as u64));
+    bar.finish();
+    verified
+}
+
+/// For `summary.json` and `verification.json`.
+pub fn data(verified: &Verified) -> Map<String, Value> {
+    let name = verified.figure.symbol.to_lowercase();
+    let of = |finding: &Finding| {
+        let figures = finding.figures.as_ref().ok();
+        let mut map = Map::new();
+        map.insert("check".into(), json!(finding.check));
+        map.insert(format!("{name}_reference"), json!(figures.map(|(reference, _)| reference)));
+        map.insert(format!("{name}_best"), json!(figures.map(|(_, best)| best)));
+        map.insert("gain".into(), json!(finding.gain()));
+        map.insert("error".into(), json!(finding.figures.as_ref().err()));
+        Value::Object(map)
+    };
+    let mut map = Map::new();
+    map.insert("verification".into(), verified.checks.iter().map(of).collect());
+    map.insert("verification_reference".into(), json!(verified.reference_name));
+    map.insert("verification_seconds".into(), json!(verified.seconds));
+    map.insert("gain_survives".into(), json!(verified.survives()));
+    map
+}
+
+/// What is printed: the table, the gain that survives, and warnings.
+pub fn text_of(verified: &Verified) -> String {
+    let symbol = verified.figure.symbol;
+    let mut table = Table::new(["check", &format!("{symbol} reference"), &format!("{symbol} best"), "gain"]);
+    for finding in &verified.checks {
+        let [reference, best, gain] = match finding.figures {
+            Ok((reference, best)) => [format!("{reference:.6}"), format!("{best:.6}"), percent(best / reference - 1.0)],
+            Err(_) => ["-", "-", "-"].map(String::from),
+        };
+        table.row([finding.check.clone(), reference, best, gain]);
+    }
+    let mut text = format!("{}\n", table.to_text());
+    let reference = verified.reference_name;
+    text.push_str(&match verified.survives() {
+        Some(gain) => format!("gain that survives: {}, the least of them", percent(gain)),
+        None => "gain that survives: not known".to_string(),
+    });
+    text.push_str(&format!(" (reference: {reference}; {:.1} s)", verified.seconds));
+    for finding in verified.failed() {
+        let why = finding.figures.as_ref().err().map_or("", String::as_str);
+        text.push_str(&format!("\nWARNING: the check `{}` failed: {}", finding.check, with_options(why)));
+    }
+    match verified.survives() {
+        Some(gain) if gain <= 0.0 => text.push_str(&format!(
+            "\nWARNING: no gain survives: this wall is not better than {reference}, whatever the optimiser found"
+        )),
+        Some(_) => {}
+        None => text.push_str("\nWARNING: no check could be run: nothing is known of this wall"),
+    }
+    text
+}
+
+fn percent(share: f64) -> String {
+    format!("{:+.2} %", 100.0 * share)
+}

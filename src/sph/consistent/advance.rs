@@ -1,0 +1,257 @@
+//! The end of a step: velocity, temperature and place of the fluid from their rates.
+//!
+//! ```text
+//!   u += dt (-grad p / rho + nu lap u + g + w.grad u)
+//!   T += dt (alpha lap T + w.grad T)            not upstream of the inlet's end, nor downstream of the outlet's beginning
+//!   r += dt (u + w)                             with the new u
+//! ```
+//!
+//! with the gradient of the new pressure (symplectic in velocity and pressure). Fluid that is in the inlet then has the inlet's
+//! temperature. What walls have stays; the pressure and temperature of dummy particles are nobody's state: 0.
+
+use super::blocks::Place;
+use super::derivatives::rows;
+use super::stencil::{laplacian, monomials};
+use super::Geometry;
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::sph::laws::conduction;
+use std::ops::Range;
+
+struct Forward<'a, R> {
+    geometry: Geometry<'a, R>,
+    known: &'a [R],
+    derivatives: &'a [R],
+    gradient: &'a [R],
+    state: Shared<'a, R>,
+}
+
+/// Rates of a fluid particle.
+#[inline(always)]
+fn rates<R: Real, const D: usize>(
+    geometry: &Geometry<'_, R>,
+    derivatives: &[R],
+    gradient: &[R],
+    place: usize,
+) -> ([R; D], R, [R; D]) {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let fields = model.layout.fields();
+    let q = const { monomials(D) };
+    let at = Place::of::<R>(place, rows(D, fields));
+    let of_pressure = Place::of::<R>(place, rows(D, 1));
+    let scale = R::of(1.0 / consistent.spacing);
+    let viscosity = R::of(consistent.viscosity) * scale * scale;
+    let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
+    let mut shift = [R::default(); D];
+    for k in 0..D {
+        shift[k] = derivatives[at.row(fields * q + 1 + k)];
+    }
+    let carried = |field: usize| {
+        let mut sum = R::default();
+        for k in 0..D {
+            sum += shift[k] * derivatives[at.row(field * q + k)];
+        }
+        sum * scale
+    };
+    let mut acceleration = [R::default(); D];
+    for k in 0..D {
+        let spread = laplacian::<R, D>(|m| derivatives[at.row(k * q + m)]);
+        acceleration[k] = carried(k) + viscosity * spread - inverse_density * gradient[of_pressure.row(k)];
+    }
+    let warming = match model.heat.is_some() {
+        true => {
+            let spread = laplacian::<R, D>(|m| derivatives[at.row((D + 1) * q + m)]);
+            carried(D + 1) + R::of(consistent.diffusivity) * scale * scale * spread
+        }
+        false => R::default(),
+    };
+    (acceleration, warming, shift)
+}
+
+impl<R: Real> Forward<'_, R> {
+    #[inline(always)]
+    fn places<const D: usize>(&self, places: Range<usize>) {
+        let geometry = &self.geometry;
+        let (n, l) = (geometry.model.particles(), geometry.model.layout);
+        let dt = R::of(geometry.model.dt);
+        for place in places {
+            let i = geometry.blocks.fluid.members[place] as usize;
+            let known = |row: usize| self.known[row * n + i];
+            let (acceleration, warming, shift) = rates::<R, D>(geometry, self.derivatives, self.gradient, place);
+            // SAFETY (all): each place writes its own particle.
+            let set = |row: usize, value: R| unsafe { self.state.set(row * n + i, value) };
+            let mut x = R::default();
+            for k in 0..D {
+                let given = if k == 0 { R::of(geometry.model.body_force.at(known(1).f64())) } else { R::default() };
+                let velocity = known(l.velocity() + k) + dt * (acceleration[k] + given);
+                let moved = known(k) + dt * (velocity + shift[k]);
+                let moved = super::super::operators::drift::wrapped(&geometry.model.domain, k, moved);
+                set(l.velocity() + k, velocity);
+                set(k, moved);
+                if k == 0 {
+                    x = moved;
+                }
+            }
+            set(l.pressure(), self.gradient[Place::of::<R>(place, const { rows(D, 1) }).row(const { monomials(D) })]);
+            if l.heat {
+                let open = conduction::conducts(geometry.model, known(0));
+                let after = if open { known(l.temperature()) + dt * warming } else { known(l.temperature()) };
+                let reset = conduction::is_inlet(geometry.model, x);
+                set(l.temperature(), if reset { R::default() } else { after });
+            }
+        }
+    }
+}
+
+impl<R: Real> RowKernel<R> for Forward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        match self.geometry.model.layout.dimension {
+            2 => self.places::<2>(rows),
+            _ => self.places::<3>(rows),
+        }
+    }
+}
+
+/// known `[F, N]`, derivatives, derivatives of the new pressure with itself behind them -> state `[F, N]`.
+pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], gradient: &[R], state: &mut [R]) {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (n, l) = (model.particles(), model.layout);
+    if geometry.blocks.fluid.places < n {
+        state.copy_from_slice(known);
+        for &(dummy, _) in &consistent.dummies {
+            (l.pressure()..l.state_rows()).for_each(|row| state[row * n + dummy as usize] = R::default());
+        }
+    }
+    let state = Shared::new(state);
+    run_rows(&Forward { geometry: *geometry, known, derivatives, gradient, state }, geometry.blocks.fluid.places);
+}
+
+struct Backward<'a, R> {
+    geometry: Geometry<'a, R>,
+    known: &'a [R],
+    derivatives: &'a [R],
+    /// The state at the step's end.
+    state: &'a [R],
+    state_bar: &'a [R],
+    known_bar: Shared<'a, R>,
+    derivatives_bar: Shared<'a, R>,
+    gradient_bar: Shared<'a, R>,
+}
+
+impl<R: Real> Backward<'_, R> {
+    #[inline(always)]
+    fn places<const D: usize>(&self, places: Range<usize>) {
+        let geometry = &self.geometry;
+        let (model, consistent) = (geometry.model, geometry.consistent);
+        let (n, l) = (model.particles(), model.layout);
+        let fields = l.fields();
+        let q = const { monomials(D) };
+        let dt = R::of(model.dt);
+        let scale = R::of(1.0 / consistent.spacing);
+        let viscosity = R::of(consistent.viscosity) * scale * scale;
+        let diffusivity = R::of(consistent.diffusivity) * scale * scale;
+        let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
+        for place in places {
+            let i = geometry.blocks.fluid.members[place] as usize;
+            let at = Place::of::<R>(place, rows(D, fields));
+            let of_pressure = Place::of::<R>(place, rows(D, 1));
+            let bar = |row: usize| self.state_bar[row * n + i];
+            let shift = |k: usize| self.derivatives[at.row(fields * q + 1 + k)];
+            // SAFETY (all): each place writes its own particle and its own rows.
+            let add = |row: usize, value: R| unsafe { self.known_bar.add(row * n + i, value) };
+            let derivative = |row: usize, value: R| unsafe { self.derivatives_bar.set(at.row(row), value) };
+            let mut shift_bar = [R::default(); D];
+            for m in 0..fields * q + 1 {
+                derivative(m, R::default());
+            }
+            for m in 0..const { rows(D, 1) } {
+                unsafe { self.gradient_bar.set(of_pressure.row(m), R::default()) };
+            }
+            // What a field's rate is carried with and spread by.
+            let carry = |field: usize, rate_bar: R, shift_bar: &mut [R; D]| {
+                let scaled = rate_bar * scale;
+                for k in 0..D {
+                    shift_bar[k] += scaled * self.derivatives[at.row(field * q + k)];
+                    derivative(field * q + k, scaled * shift(k));
+                }
+            };
+            for k in 0..D {
+                let place_bar = bar(k);
+                add(k, place_bar);
+                shift_bar[k] += dt * place_bar;
+                let velocity_bar = bar(l.velocity() + k) + dt * place_bar;
+                add(l.velocity() + k, velocity_bar);
+                let rate_bar = dt * velocity_bar;
+                carry(k, rate_bar, &mut shift_bar);
+                for a in 0..D {
+                    derivative(k * q + super::stencil::quadratic(D, a, a), viscosity * rate_bar);
+                }
+                unsafe { self.gradient_bar.set(of_pressure.row(k), -(inverse_density * rate_bar)) };
+            }
+            unsafe { self.gradient_bar.set(of_pressure.row(q), bar(l.pressure())) };
+            if l.heat {
+                // Which side of the inlet's end it is on does not change with an infinitesimal step.
+                let reset = conduction::is_inlet(model, self.state[i]);
+                let after_bar = if reset { R::default() } else { bar(l.temperature()) };
+                add(l.temperature(), after_bar);
+                if conduction::conducts(model, self.known[i]) {
+                    let rate_bar = dt * after_bar;
+                    carry(D + 1, rate_bar, &mut shift_bar);
+                    for a in 0..D {
+                        derivative((D + 1) * q + super::stencil::quadratic(D, a, a), diffusivity * rate_bar);
+                    }
+                }
+            }
+            for k in 0..D {
+                derivative(fields * q + 1 + k, shift_bar[k]);
+            }
+        }
+    }
+}
+
+impl<R: Real> RowKernel<R> for Backward<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        match self.geometry.model.layout.dimension {
+            2 => self.places::<2>(rows),
+            _ => self.places::<3>(rows),
+        }
+    }
+}
+
+/// The adjoint: adds to `known_bar`, and sets the other cotangents at the fluid's places.
+#[allow(clippy::too_many_arguments)]
+pub fn backward<R: Real>(
+    geometry: &Geometry<'_, R>,
+    known: &[R],
+    derivatives: &[R],
+    state: &[R],
+    state_bar: &[R],
+    known_bar: &mut [R],
+    derivatives_bar: &mut [R],
+    gradient_bar: &mut [R],
+) {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (n, l) = (model.particles(), model.layout);
+    if geometry.blocks.fluid.places < n {
+        for i in (0..n).filter(|&i| !model.is_fluid(i)) {
+            (0..l.state_rows()).for_each(|row| known_bar[row * n + i] += state_bar[row * n + i]);
+        }
+        for &(dummy, _) in &consistent.dummies {
+            let i = dummy as usize;
+            (l.pressure()..l.state_rows()).for_each(|row| known_bar[row * n + i] -= state_bar[row * n + i]);
+        }
+    }
+    let backward = Backward {
+        geometry: *geometry,
+        known,
+        derivatives,
+        state,
+        state_bar,
+        known_bar: Shared::new(known_bar),
+        derivatives_bar: Shared::new(derivatives_bar),
+        gradient_bar: Shared::new(gradient_bar),
+    };
+    run_rows(&backward, geometry.blocks.fluid.places);
+}

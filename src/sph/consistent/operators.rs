@@ -1,0 +1,407 @@
+//! The operators of a step on candle's graph, and the same on reused buffers.
+
+use super::blocks::{width, Blocks, Place};
+use super::derivatives::rows;
+use super::stencil::monomials;
+use super::{Geometry, Kept};
+use crate::numerics::candle::{apply1, apply2, apply3, Operator};
+use crate::numerics::lanes::Real;
+use crate::sph::laws::conduction;
+use crate::sph::model::Model;
+use crate::sph::sweeps::Sweeps;
+use candle_core::{Result, Shape, Tensor};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+/// What the operators of one step share: constants, tables, and what they keep for each other.
+#[derive(Debug)]
+pub struct Chain<R: Real> {
+    pub model: Arc<Model<R>>,
+    pub blocks: Arc<Blocks>,
+    kept: Mutex<Kept<R>>,
+}
+
+impl<R: Real> Chain<R> {
+    pub fn new(model: Arc<Model<R>>, blocks: Arc<Blocks>) -> Arc<Self> {
+        let kept = Mutex::new(model.scratch.fits.take().unwrap_or_default());
+        Arc::new(Self { model, blocks, kept })
+    }
+
+    fn geometry(&self) -> Result<Geometry<'_, R>> {
+        match &self.model.consistent {
+            Some(consistent) => Ok(Geometry { model: &self.model, consistent, blocks: &self.blocks }),
+            None => candle_core::bail!("an operator of the consistent formulation in a scene without it"),
+        }
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Kept<R>> {
+        self.kept.lock().unwrap_or_else(|e| e.into_inner())
+    }
+
+    fn state_rows(&self) -> usize {
+        self.model.layout.state_rows()
+    }
+
+    /// Shape of derivatives of so many fields.
+    fn shape(&self, fields: usize) -> [usize; 3] {
+        [self.blocks.fluid.blocks(), rows(self.model.layout.dimension, fields), width::<R>()]
+    }
+}
+
+impl<R: Real> Drop for Chain<R> {
+    fn drop(&mut self) {
+        let kept = std::mem::take(self.kept.get_mut().unwrap_or_else(|e| e.into_inner()));
+        self.model.scratch.fits.give_back(kept);
+    }
+}
+
+fn zeros<R: Real>(shape: impl IntoIterator<Item = usize>) -> Vec<R> {
+    vec![R::default(); shape.into_iter().product()]
+}
+
+/// state `[F, N]` -> known `[F, N]`: the same with the dummy particles' values filled in.
+pub struct WallValues<R: Sweeps>(pub Arc<Chain<R>>);
+/// known -> derivatives of all fields.
+pub struct Derivatives<R: Sweeps>(pub Arc<Chain<R>>);
+/// known, derivatives -> the fluid's new pressure `[1, N]`.
+pub struct Continuity<R: Sweeps>(pub Arc<Chain<R>>);
+/// known, new pressure -> the same with the dummy particles' values.
+pub struct WallPressure<R: Sweeps>(pub Arc<Chain<R>>);
+/// known, new pressure -> its derivatives, and itself behind them.
+pub struct PressureGradient<R: Sweeps>(pub Arc<Chain<R>>);
+/// known, derivatives, pressure gradient -> state.
+pub struct Advance<R: Sweeps>(pub Arc<Chain<R>>);
+/// derivatives -> mass of the fluid's particles as sections count it, rho V times the quadrature's weight, `[1, N]`.
+pub struct Masses<R: Sweeps>(pub Arc<Chain<R>>);
+
+impl<R: Sweeps> Operator<1> for WallValues<R> {
+    type Real = R;
+    const NAME: &'static str = "wall values";
+
+    fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
+        let mut known = state.to_vec();
+        R::known(&self.0.geometry()?, &mut self.0.kept(), &mut known);
+        Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
+    }
+
+    fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        let mut state_bar = bar.to_vec();
+        R::known_bar(&self.0.geometry()?, &self.0.kept(), known, &mut state_bar);
+        Ok([Some(state_bar)])
+    }
+}
+
+impl<R: Sweeps> Operator<1> for Derivatives<R> {
+    type Real = R;
+    const NAME: &'static str = "derivatives";
+
+    fn forward(&self, [known]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
+        let mut derivatives = Vec::new();
+        R::derivatives(&self.0.geometry()?, &mut self.0.kept(), known, &mut derivatives);
+        Ok((derivatives, Shape::from(self.0.shape(self.0.model.layout.fields()).to_vec())))
+    }
+
+    fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        let (mut bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
+        R::derivatives_bar(&self.0.geometry()?, &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
+        Ok([Some(known_bar)])
+    }
+}
+
+impl<R: Sweeps> Operator<2> for Continuity<R> {
+    type Real = R;
+    const NAME: &'static str = "continuity";
+
+    fn forward(&self, [known, derivatives]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
+        let n = self.0.model.particles();
+        let mut pressure = zeros([n]);
+        R::continuity(&self.0.geometry()?, known, derivatives, &self.0.kept(), &mut pressure);
+        Ok((pressure, (1, n).into()))
+    }
+
+    fn adjoint(
+        &self,
+        [known, derivatives]: [&[R]; 2],
+        _: &[R],
+        bar: &[R],
+        _: [bool; 2],
+    ) -> Result<[Option<Vec<R>>; 2]> {
+        let (mut known_bar, mut derivatives_bar) = (zeros([known.len()]), zeros([derivatives.len()]));
+        let geometry = self.0.geometry()?;
+        R::continuity_bar(&geometry, known, derivatives, &self.0.kept(), bar, &mut known_bar, &mut derivatives_bar);
+        Ok([Some(known_bar), Some(derivatives_bar)])
+    }
+}
+
+impl<R: Sweeps> Operator<2> for WallPressure<R> {
+    type Real = R;
+    const NAME: &'static str = "wall pressure";
+
+    fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
+        let mut filled = pressure.to_vec();
+        R::wall_pressure(&self.0.geometry()?, &mut self.0.kept(), known, &mut filled);
+        Ok((filled, shapes[1].clone()))
+    }
+
+    fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+        let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
+        let geometry = self.0.geometry()?;
+        R::wall_pressure_bar(&geometry, &self.0.kept(), known, filled, &mut pressure_bar, &mut known_bar);
+        Ok([Some(known_bar), Some(pressure_bar)])
+    }
+}
+
+impl<R: Sweeps> Operator<2> for PressureGradient<R> {
+    type Real = R;
+    const NAME: &'static str = "pressure gradient";
+
+    fn forward(&self, [known, pressure]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
+        let mut gradient = Vec::new();
+        R::pressure_gradient(&self.0.geometry()?, &mut self.0.kept(), known, pressure, &mut gradient);
+        Ok((gradient, Shape::from(self.0.shape(1).to_vec())))
+    }
+
+    fn adjoint(
+        &self,
+        [known, pressure]: [&[R]; 2],
+        gradient: &[R],
+        bar: &[R],
+        _: [bool; 2],
+    ) -> Result<[Option<Vec<R>>; 2]> {
+        let (mut known_bar, mut pressure_bar) = (zeros([known.len()]), zeros([pressure.len()]));
+        let geometry = self.0.geometry()?;
+        let mut bar = bar.to_vec();
+        R::pressure_gradient_bar(&geometry, &self.0.kept(), gradient, &mut bar, &mut known_bar, &mut pressure_bar);
+        Ok([Some(known_bar), Some(pressure_bar)])
+    }
+}
+
+impl<R: Sweeps> Operator<3> for Advance<R> {
+    type Real = R;
+    const NAME: &'static str = "advance";
+
+    fn forward(&self, [known, derivatives, gradient]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
+        let mut state = zeros([known.len()]);
+        R::advance(&self.0.geometry()?, known, derivatives, gradient, &mut state);
+        Ok((state, (self.0.state_rows(), self.0.model.particles()).into()))
+    }
+
+    fn adjoint(
+        &self,
+        [known, derivatives, gradient]: [&[R]; 3],
+        state: &[R],
+        bar: &[R],
+        _: [bool; 3],
+    ) -> Result<[Option<Vec<R>>; 3]> {
+        let mut bars = [zeros([known.len()]), zeros([derivatives.len()]), zeros([gradient.len()])];
+        let [known_bar, derivatives_bar, gradient_bar] = &mut bars;
+        let geometry = self.0.geometry()?;
+        R::advance_bar(&geometry, known, derivatives, state, bar, known_bar, derivatives_bar, gradient_bar);
+        Ok(bars.map(Some))
+    }
+}
+
+impl<R: Sweeps> Operator<1> for Masses<R> {
+    type Real = R;
+    const NAME: &'static str = "masses";
+
+    fn forward(&self, [derivatives]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
+        let geometry = self.0.geometry()?;
+        let n = self.0.model.particles();
+        let mut masses = zeros([n]);
+        self::masses(&geometry, derivatives, &mut masses);
+        Ok((masses, (1, n).into()))
+    }
+
+    fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        let geometry = self.0.geometry()?;
+        let mut derivatives_bar = zeros([derivatives.len()]);
+        each_mass(&geometry, |i, at, factor| derivatives_bar[at] = bar[i] * factor);
+        Ok([Some(derivatives_bar)])
+    }
+}
+
+/// For each fluid particle: its number, where its volume stands among the derivatives, and what that is multiplied with.
+fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, usize, R)) {
+    let (l, density) = (geometry.model.layout, geometry.model.equation_of_state.reference_density);
+    let row = l.fields() * monomials(l.dimension);
+    let fluid = &geometry.blocks.fluid;
+    for place in 0..fluid.places {
+        let i = fluid.members[place] as usize;
+        let at = Place::of::<R>(place, rows(l.dimension, l.fields())).row(row);
+        each(i, at, R::of(density) * geometry.consistent.quadrature[i]);
+    }
+}
+
+/// Masses of the fluid's particles as sections count them, `[N]`; 0 for walls.
+pub fn masses<R: Real>(geometry: &Geometry<'_, R>, derivatives: &[R], masses: &mut [R]) {
+    each_mass(geometry, |i, at, factor| masses[i] = derivatives[at] * factor);
+}
+
+/// What conduction brings to conducting fluid with x < `until`: sum over it of mass times (alpha lap T + w.grad T), the rate of
+/// the particles that stand there. `masses` as [`masses`] gives them.
+pub fn heating<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], masses: &[R], until: f64) -> f64 {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let l = model.layout;
+    let (d, fields) = (l.dimension, l.fields());
+    let q = monomials(d);
+    let fluid = &geometry.blocks.fluid;
+    let mut sum = 0.0;
+    for place in 0..fluid.places {
+        let i = fluid.members[place] as usize;
+        if !conduction::conducts(model, known[i]) || known[i].f64() >= until {
+            continue;
+        }
+        let at = Place::of::<R>(place, rows(d, fields));
+        let derivative = |k: usize| derivatives[at.row(k)].f64();
+        let mut rate = 0.0;
+        for a in 0..d {
+            let spread = derivative((d + 1) * q + super::stencil::quadratic(d, a, a));
+            rate += consistent.diffusivity / consistent.spacing.powi(2) * spread;
+            rate += derivative(fields * q + 1 + a) * derivative((d + 1) * q + a) / consistent.spacing;
+        }
+        sum += masses[i].f64() * rate;
+    }
+    sum
+}
+
+/// known `[F, N]` and mass `[1, N]` of a state as it is, on the graph.
+///
+/// # Errors
+/// Tensor errors.
+pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<(Tensor, Tensor)> {
+    let known = apply1(WallValues(chain.clone()), state)?;
+    let derivatives = apply1(Derivatives(chain.clone()), &known)?;
+    Ok((known, apply1(Masses(chain.clone()), &derivatives)?))
+}
+
+/// One step, on the graph.
+///
+/// # Errors
+/// Tensor errors.
+pub fn advance<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Tensor> {
+    let known = apply1(WallValues(chain.clone()), state)?;
+    let derivatives = apply1(Derivatives(chain.clone()), &known)?;
+    let pressure = apply2(Continuity(chain.clone()), &known, &derivatives)?;
+    let filled = apply2(WallPressure(chain.clone()), &known, &pressure)?;
+    let gradient = apply2(PressureGradient(chain.clone()), &known, &filled)?;
+    apply3(Advance(chain.clone()), &known, &derivatives, &gradient)
+}
+
+/// The buffers of a run without a graph.
+#[derive(Debug, Default)]
+pub struct Buffers<R> {
+    pub known: Vec<R>,
+    pub derivatives: Vec<R>,
+    gradient: Vec<R>,
+    pressure: Vec<R>,
+    kept: Kept<R>,
+}
+
+impl<R: Sweeps> Buffers<R> {
+    /// Fills in `known` and the derivatives of a state.
+    pub fn look(&mut self, geometry: &Geometry<'_, R>, state: &[R]) {
+        self.known.clear();
+        self.known.extend_from_slice(state);
+        R::known(geometry, &mut self.kept, &mut self.known);
+        R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
+    }
+
+    /// One step of a state, in place.
+    pub fn advance(&mut self, geometry: &Geometry<'_, R>, state: &mut [R]) {
+        self.look(geometry, state);
+        self.pressure.resize(geometry.model.particles(), R::default());
+        R::continuity(geometry, &self.known, &self.derivatives, &self.kept, &mut self.pressure);
+        R::wall_pressure(geometry, &mut self.kept, &self.known, &mut self.pressure);
+        R::pressure_gradient(geometry, &mut self.kept, &self.known, &self.pressure, &mut self.gradient);
+        R::advance(geometry, &self.known, &self.derivatives, &self.gradient, state);
+    }
+}
+
+/// [`super::wall_values`] of all fields, in place.
+pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
+    let (n, l) = (geometry.model.particles(), geometry.model.layout);
+    // Positions and mirror images are read while values are written.
+    let (places, fields) = known.split_at_mut(l.pressure() * n);
+    super::wall_values::fill(geometry, places, fields, kept, true);
+}
+
+/// Its adjoint, in place: cotangent of `known` -> of the state.
+pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
+    let (n, l) = (geometry.model.particles(), geometry.model.layout);
+    let (places_bar, fields_bar) = bar.split_at_mut(l.pressure() * n);
+    let (places, fields) = known.split_at(l.pressure() * n);
+    super::wall_values::backward(geometry, places, fields, kept, true, fields_bar, places_bar);
+}
+
+/// [`super::derivatives`] of all fields, and the shift behind them.
+pub fn derivatives<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], derivatives: &mut Vec<R>) {
+    let from = geometry.model.layout.dimension * geometry.model.particles();
+    super::derivatives::forward(geometry, known, &known[from..], kept, derivatives);
+    super::shift::forward(geometry, known, kept, derivatives);
+}
+
+/// Their adjoint: adds to `known_bar`, and spoils `bar`.
+pub fn derivatives_bar<R: Real>(
+    geometry: &Geometry<'_, R>,
+    kept: &mut Kept<R>,
+    known: &[R],
+    derivatives: &[R],
+    bar: &mut [R],
+    known_bar: &mut [R],
+) {
+    super::shift::backward(geometry, known, kept, bar, known_bar);
+    let from = geometry.model.layout.dimension * geometry.model.particles();
+    let (position_bar, fields_bar) = known_bar.split_at_mut(from);
+    super::derivatives::backward(geometry, kept, derivatives, bar, position_bar, fields_bar);
+}
+
+/// [`super::wall_values`] of the new pressure, in place.
+pub fn wall_pressure<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], pressure: &mut [R]) {
+    super::wall_values::fill(geometry, known, pressure, kept, false);
+}
+
+pub fn wall_pressure_bar<R: Real>(
+    geometry: &Geometry<'_, R>,
+    kept: &Kept<R>,
+    known: &[R],
+    filled: &[R],
+    pressure_bar: &mut [R],
+    known_bar: &mut [R],
+) {
+    super::wall_values::backward(geometry, known, filled, kept, false, pressure_bar, known_bar);
+}
+
+/// [`super::derivatives`] of the new pressure, and that itself in the row behind them.
+pub fn pressure_gradient<R: Real>(
+    geometry: &Geometry<'_, R>,
+    kept: &mut Kept<R>,
+    known: &[R],
+    pressure: &[R],
+    gradient: &mut Vec<R>,
+) {
+    super::derivatives::forward(geometry, known, pressure, kept, gradient);
+    let d = geometry.model.layout.dimension;
+    let fluid = &geometry.blocks.fluid;
+    for place in 0..fluid.places {
+        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[fluid.members[place] as usize];
+    }
+}
+
+/// Its adjoint; spoils `bar`.
+pub fn pressure_gradient_bar<R: Real>(
+    geometry: &Geometry<'_, R>,
+    kept: &Kept<R>,
+    gradient: &[R],
+    bar: &mut [R],
+    known_bar: &mut [R],
+    pressure_bar: &mut [R],
+) {
+    let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
+    let fluid = &geometry.blocks.fluid;
+    for place in 0..fluid.places {
+        let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
+        // To the fits' adjoint the row is that of a volume, of which there is none here.
+        pressure_bar[fluid.members[place] as usize] += std::mem::take(&mut bar[at]);
+    }
+    super::derivatives::backward(geometry, kept, gradient, bar, &mut known_bar[..d * n], pressure_bar);
+}

@@ -1,0 +1,353 @@
+//! The shift velocity w: what keeps particles evenly spread besides the flow.
+//!
+//! * `chain`, where particles stand in rows along a channel and stay in them: a particle knows its two neighbours in its row
+//!   and the rows above and below from the start, and is drawn to the middle of each:
+//!   w_x = k U (x_+ + x_- - 2x)/(2 dx), w_y = k U (Y_up(x) + Y_down(x) - 2y)/(2 dx), Y linear along the row beside it, and
+//!   2 y_wall(x) - y beyond a wall. Smooth and linear, and nothing swaps neighbours: so the flow does not turn chaotic.
+//! * `isotropic`, anywhere: w = -k U dx sum_j dx^D grad W_ij (Lind et al. 2012), |w| <= limit U, and away from the wall's
+//!   surface where it is nearer than dx/2.
+//! * `none`.
+
+use super::blocks::{width, Place};
+use super::derivatives::rows;
+use super::stencil::monomials;
+use super::{Geometry, Kept};
+use crate::numerics::lanes::Real;
+use crate::particles::Domain;
+use std::collections::BTreeMap;
+
+/// How particles are kept evenly spread.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Shift {
+    None,
+    Chain(Chain),
+    Isotropic(Isotropic),
+}
+
+impl Shift {
+    pub fn is_isotropic(&self) -> bool {
+        matches!(self, Self::Isotropic(_))
+    }
+}
+
+/// Rows of particles, from the lower wall's surface to the upper one's; both of these first and last.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    /// k.
+    pub strength: f64,
+    /// Particles of each row, in the order of x.
+    pub rows: Vec<Vec<u32>>,
+    /// Row and place in it of each particle, `[N]`; (0, 0) for those that are in none.
+    pub seat: Vec<(u32, u32)>,
+}
+
+impl Chain {
+    /// With these rows of a scene of `particles` particles.
+    pub fn new(strength: f64, rows: Vec<Vec<u32>>, particles: usize) -> Self {
+        let mut seat = vec![(0, 0); particles];
+        for (r, row) in rows.iter().enumerate() {
+            for (c, &i) in row.iter().enumerate() {
+                seat[i as usize] = (r as u32, c as u32);
+            }
+        }
+        Self { strength, rows, seat }
+    }
+
+    /// A particle's row, and the particles in front of it and behind it there.
+    fn beside(&self, i: usize) -> (usize, u32, u32) {
+        let (r, c) = (self.seat[i].0 as usize, self.seat[i].1 as usize);
+        let own = &self.rows[r];
+        (r, own[(c + own.len() - 1) % own.len()], own[(c + 1) % own.len()])
+    }
+}
+
+/// Away from crowds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Isotropic {
+    /// k.
+    pub strength: f64,
+    /// |w| <= limit U.
+    pub limit: f64,
+    /// The inward normals of the points on the surface, by particle.
+    pub normals: BTreeMap<u32, [f64; 3]>,
+}
+
+/// Where a place lies between two particles of a row: the places of both in it, and how far they are to the right of it.
+struct Between<R> {
+    left: usize,
+    right: usize,
+    before: R,
+    behind: R,
+}
+
+/// Everything that a chain's sums need.
+struct Rows<'a, R> {
+    chain: &'a Chain,
+    x: &'a [R],
+    y: &'a [R],
+    domain: &'a Domain,
+}
+
+impl<'a, R: Real> Rows<'a, R> {
+    fn new(geometry: &Geometry<'a, R>, chain: &'a Chain, known: &'a [R]) -> Self {
+        let n = geometry.model.particles();
+        Self { chain, x: &known[..n], y: &known[n..2 * n], domain: &geometry.model.domain }
+    }
+
+    fn toward(&self, from: R, particle: u32) -> R {
+        self.domain.nearest_image(0, self.x[particle as usize] - from)
+    }
+
+    /// The two particles of a row between which x is; `hint` is where to begin.
+    fn between(&self, row: usize, x: R, hint: usize) -> Between<R> {
+        let row = &self.chain.rows[row];
+        let count = row.len();
+        let next = |k: usize| if k + 1 == count { 0 } else { k + 1 };
+        let mut left = hint.min(count - 1);
+        let mut before = self.toward(x, row[left]);
+        for _ in 0..count {
+            if before > R::default() {
+                left = if left == 0 { count - 1 } else { left - 1 };
+                before = self.toward(x, row[left]);
+                continue;
+            }
+            let behind = self.toward(x, row[next(left)]);
+            // A particle far to the left is one to the right, round the other way.
+            if behind <= R::default() && behind > before {
+                left = next(left);
+                before = behind;
+                continue;
+            }
+            break;
+        }
+        let right = next(left);
+        Between { left, right, before, behind: self.toward(x, row[right]) }
+    }
+
+    /// The share of the right one, and 1 / distance of both (0 where they have changed sides).
+    fn share(&self, at: &Between<R>) -> (R, R) {
+        let distance = at.behind - at.before;
+        if distance > R::of(1e-9) && at.before <= R::default() && at.behind >= R::default() {
+            (-at.before / distance, R::of(1.0) / distance)
+        } else {
+            (R::default(), R::default())
+        }
+    }
+}
+
+/// What a chain's search begins from, two for each particle.
+fn hints<'a>(chain: &Chain, hints: &'a mut Vec<u32>) -> &'a mut [u32] {
+    if hints.len() != 2 * chain.seat.len() {
+        *hints = chain.seat.iter().flat_map(|&(_, place)| [place, place]).collect();
+    }
+    hints
+}
+
+/// Replaces the derivatives' last rows (c_i) by w.
+pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept<R>, derivatives: &mut [R]) {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let l = model.layout;
+    let (d, fields) = (l.dimension, l.fields());
+    let fluid = &geometry.blocks.fluid;
+    let first = fields * monomials(d) + 1;
+    let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
+    match &consistent.shift {
+        Shift::None => {}
+        Shift::Isotropic(isotropic) => {
+            // The adjoint needs c where w is limited.
+            kept.spread.resize(d * fluid.members.len(), R::default());
+            let factor = R::of(-isotropic.strength * consistent.velocity * consistent.spacing.powi(d as i32 + 1));
+            let limit = R::of(isotropic.limit * consistent.velocity);
+            for place in 0..fluid.places {
+                let mut square = R::default();
+                for k in 0..d {
+                    let c = derivatives[row(place, k)];
+                    kept.spread[place * d + k] = c;
+                    square += factor * c * factor * c;
+                }
+                let size = square.sqrt();
+                let factor = if size > limit { factor * limit / size } else { factor };
+                for k in 0..d {
+                    derivatives[row(place, k)] *= factor;
+                }
+            }
+            push(geometry, isotropic, known, |place, k, push| derivatives[row(place, k)] += push);
+        }
+        Shift::Chain(chain) => {
+            let at = Rows::new(geometry, chain, known);
+            let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
+            let two = R::of(2.0);
+            let last = chain.rows.len() - 1;
+            let hints = hints(chain, &mut kept.hints);
+            for place in 0..fluid.places {
+                let i = fluid.members[place] as usize;
+                let (r, previous, next) = chain.beside(i);
+                let (x, y) = (at.x[i], at.y[i]);
+                let along = at.toward(x, previous) + at.toward(x, next);
+                let mut across = -two * y;
+                for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
+                    let between = at.between(beside, x, hints[2 * i + side] as usize);
+                    hints[2 * i + side] = between.left as u32;
+                    let (share, _) = at.share(&between);
+                    let height = |place: usize| at.y[chain.rows[beside][place] as usize];
+                    let (low, high) = (height(between.left), height(between.right));
+                    let level = low + share * (high - low);
+                    across += if beside == 0 || beside == last { two * level - y } else { level };
+                }
+                derivatives[row(place, 0)] = factor * along;
+                derivatives[row(place, 1)] = factor * across;
+            }
+        }
+    }
+}
+
+/// The adjoint: turns the cotangents of w in the derivatives' last rows into those of c_i, and adds to those of positions.
+pub fn backward<R: Real>(
+    geometry: &Geometry<'_, R>,
+    known: &[R],
+    kept: &mut Kept<R>,
+    derivatives_bar: &mut [R],
+    known_bar: &mut [R],
+) {
+    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (n, l) = (model.particles(), model.layout);
+    let (d, fields) = (l.dimension, l.fields());
+    let fluid = &geometry.blocks.fluid;
+    let first = fields * monomials(d) + 1;
+    let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
+    match &consistent.shift {
+        Shift::None => {
+            for place in 0..fluid.places {
+                (0..d).for_each(|k| derivatives_bar[row(place, k)] = R::default());
+            }
+        }
+        Shift::Isotropic(isotropic) => {
+            push_back(geometry, isotropic, known, |place, k| derivatives_bar[row(place, k)], known_bar);
+            let factor = R::of(-isotropic.strength * consistent.velocity * consistent.spacing.powi(d as i32 + 1));
+            let limit = R::of(isotropic.limit * consistent.velocity);
+            for place in 0..fluid.places {
+                let c = &kept.spread[place * d..(place + 1) * d];
+                let size = c.iter().map(|&c| factor * c * factor * c).sum::<R>().sqrt();
+                if size > limit {
+                    // w = limit direction(c): only what is across c has a derivative.
+                    let along: R = (0..d).map(|k| derivatives_bar[row(place, k)] * c[k]).sum::<R>();
+                    let square: R = c.iter().map(|&c| c * c).sum();
+                    for k in 0..d {
+                        let across = derivatives_bar[row(place, k)] - along * c[k] / square;
+                        derivatives_bar[row(place, k)] = factor * limit / size * across;
+                    }
+                } else {
+                    (0..d).for_each(|k| derivatives_bar[row(place, k)] *= factor);
+                }
+            }
+        }
+        Shift::Chain(chain) => {
+            let at = Rows::new(geometry, chain, known);
+            let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
+            let two = R::of(2.0);
+            let last = chain.rows.len() - 1;
+            let hints = hints(chain, &mut kept.hints);
+            for place in 0..fluid.places {
+                let i = fluid.members[place] as usize;
+                let (along, across) =
+                    (factor * derivatives_bar[row(place, 0)], factor * derivatives_bar[row(place, 1)]);
+                // What c_i would get: nothing comes of it.
+                (0..d).for_each(|k| derivatives_bar[row(place, k)] = R::default());
+                let (r, previous, next) = chain.beside(i);
+                known_bar[previous as usize] += along;
+                known_bar[next as usize] += along;
+                known_bar[i] -= two * along;
+                known_bar[n + i] -= two * across;
+                for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
+                    let between = at.between(beside, at.x[i], hints[2 * i + side] as usize);
+                    let (share, inverse) = at.share(&between);
+                    let (left, right) =
+                        (chain.rows[beside][between.left] as usize, chain.rows[beside][between.right] as usize);
+                    let wall = beside == 0 || beside == last;
+                    let level_bar = if wall { two * across } else { across };
+                    if wall {
+                        known_bar[n + i] -= across;
+                    }
+                    known_bar[n + left] += (R::of(1.0) - share) * level_bar;
+                    known_bar[n + right] += share * level_bar;
+                    let slope = (at.y[right] - at.y[left]) * inverse * level_bar;
+                    known_bar[i] += slope;
+                    known_bar[left] -= (R::of(1.0) - share) * slope;
+                    known_bar[right] -= share * slope;
+                }
+            }
+        }
+    }
+}
+
+/// For each fluid particle nearer than dx/2 to the surface: its place, the nearest point, how far it is from the surface along
+/// the point's normal.
+fn near<R: Real>(
+    geometry: &Geometry<'_, R>,
+    isotropic: &Isotropic,
+    known: &[R],
+    mut each: impl FnMut(usize, usize, &[f64; 3], R),
+) {
+    let consistent = geometry.consistent;
+    let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
+    let (table, width) = (&geometry.blocks.wall, width::<R>());
+    if isotropic.normals.is_empty() {
+        return;
+    }
+    for place in 0..table.places {
+        let i = table.members[place] as usize;
+        let mut best: Option<(R, u32, &[f64; 3], [R; 3])> = None;
+        let from = place / width * table.capacity * width + place % width;
+        for k in 0..table.count[place] as usize {
+            let j = table.index[from + k * width];
+            let Some(normal) = isotropic.normals.get(&j) else { continue };
+            let mut r = [R::default(); 3];
+            let mut square = R::default();
+            for a in 0..d {
+                let raw = known[a * n + i] - known[a * n + j as usize];
+                r[a] = R::of(geometry.model.domain.nearest(a, raw.f64()));
+                square += r[a] * r[a];
+            }
+            if best.as_ref().is_none_or(|(least, ..)| square < *least) {
+                best = Some((square, j, normal, r));
+            }
+        }
+        if let Some((_, point, normal, r)) = best {
+            let distance: R = (0..d).map(|a| r[a] * R::of(normal[a])).sum();
+            if distance < R::of(0.5 * consistent.spacing) {
+                each(place, point as usize, normal, distance);
+            }
+        }
+    }
+}
+
+/// Away from the surface: n U (1/2 - distance/dx).
+fn push<R: Real>(geometry: &Geometry<'_, R>, isotropic: &Isotropic, known: &[R], mut add: impl FnMut(usize, usize, R)) {
+    let consistent = geometry.consistent;
+    let d = geometry.model.layout.dimension;
+    near(geometry, isotropic, known, |place, _, normal, distance| {
+        let size = R::of(consistent.velocity) * (R::of(0.5) - distance * R::of(1.0 / consistent.spacing));
+        (0..d).for_each(|k| add(place, k, R::of(normal[k]) * size));
+    });
+}
+
+fn push_back<R: Real>(
+    geometry: &Geometry<'_, R>,
+    isotropic: &Isotropic,
+    known: &[R],
+    bar: impl Fn(usize, usize) -> R,
+    known_bar: &mut [R],
+) {
+    let consistent = geometry.consistent;
+    let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
+    near(geometry, isotropic, known, |place, point, normal, _| {
+        let i = geometry.blocks.wall.members[place] as usize;
+        let along: R = (0..d).map(|k| bar(place, k) * R::of(normal[k])).sum();
+        let distance_bar = -along * R::of(consistent.velocity / consistent.spacing);
+        for k in 0..d {
+            let by_place = distance_bar * R::of(normal[k]);
+            known_bar[k * n + i] += by_place;
+            known_bar[k * n + point] -= by_place;
+        }
+    });
+}

@@ -1,0 +1,228 @@
+//! A step from ordinary candle ops, as the equations stand in [`super`]: the oracle of the sweeps and of their adjoint.
+
+use super::grid::REACH;
+use super::stencil::{derivative, WIDTH};
+use super::{row, Fixed};
+use crate::numerics::lanes::Real;
+use candle_core::{Result, Tensor};
+
+/// Values at the i-th column to the right, periodic; `[rows, columns]`.
+fn roll(f: &Tensor, i: isize) -> Result<Tensor> {
+    let n = f.dim(1)?;
+    match i.rem_euclid(n as isize) as usize {
+        0 => Ok(f.clone()),
+        i => Tensor::cat(&[f.narrow(1, i, n - i)?, f.narrow(1, 0, i)?], 1),
+    }
+}
+
+/// `[rows, columns]` with ghosts: `make` gives those next to a wall and one further from the first and second row.
+fn extend(f: &Tensor, make: impl Fn(&Tensor, &Tensor, usize) -> Result<[Tensor; 2]>) -> Result<Tensor> {
+    let n = f.dim(0)?;
+    let r = |j: usize| f.narrow(0, j, 1);
+    let ([b1, b2], [t1, t2]) = (make(&r(0)?, &r(1)?, 0)?, make(&r(n - 1)?, &r(n - 2)?, 1)?);
+    Tensor::cat(&[&b2, &b1, f, &t1, &t2], 0)
+}
+
+fn combine(a: f64, f: &Tensor, b: f64, g: &Tensor) -> Result<Tensor> {
+    f.affine(a, 0.0)? + g.affine(b, 0.0)?
+}
+
+/// Zero on the wall.
+fn parabola(f: &Tensor) -> Result<Tensor> {
+    extend(f, |f, g, _| Ok([combine(-2.0, f, 1.0 / 3.0, g)?, combine(-9.0, f, 2.0, g)?]))
+}
+
+fn line(f: &Tensor) -> Result<Tensor> {
+    extend(f, |f, g, _| Ok([combine(2.0, f, -1.0, g)?, combine(3.0, f, -2.0, g)?]))
+}
+
+fn odd(f: &Tensor) -> Result<Tensor> {
+    extend(f, |f, g, _| Ok([f.neg()?, g.neg()?]))
+}
+
+/// The metric with ghosts, `[rows + 4, columns]`.
+struct Metric {
+    d: Tensor,
+    s: Tensor,
+    k: Tensor,
+    /// D S/(1 + S^2) on both walls, `[1, columns]`.
+    lean: [Tensor; 2],
+}
+
+impl<R: Real> Fixed<R> {
+    /// The rows of fluid of a field with ghosts.
+    fn inner(&self, f: &Tensor) -> Result<Tensor> {
+        f.narrow(0, REACH, self.channel.rows)
+    }
+
+    /// Sum over offsets of what `term` makes of weights, offset and a function from fields with ghosts to neighbours.
+    fn sum(
+        &self,
+        mut term: impl FnMut(usize, usize, &dyn Fn(&Tensor) -> Result<Tensor>) -> Result<Tensor>,
+    ) -> Result<Tensor> {
+        let mut total: Option<Tensor> = None;
+        for j in 0..WIDTH {
+            for i in 0..WIDTH {
+                if (i, j) == (REACH, REACH) {
+                    continue;
+                }
+                let shift = i as isize - REACH as isize;
+                let there = |f: &Tensor| roll(&f.narrow(0, j, self.channel.rows)?, shift);
+                let part = term(i, j, &there)?;
+                total = Some(match total {
+                    None => part,
+                    Some(total) => (total + part)?,
+                });
+            }
+        }
+        total.ok_or_else(|| candle_core::Error::Msg("an empty stencil".into()))
+    }
+
+    fn composed_metric(&self, state: &Tensor) -> Result<Metric> {
+        let (nx, fluid) = (self.channel.columns, self.fluid_particles());
+        let walls = state.narrow(0, row::Y, 1)?.narrow(1, fluid, 2 * nx)?;
+        let (bottom, top) = (walls.narrow(1, 0, nx)?, walls.narrow(1, nx, nx)?);
+        let weights = derivative(&self.stencil);
+        let slope = |f: &Tensor| -> Result<Tensor> {
+            let mut sum = f.zeros_like()?;
+            for (i, weight) in weights.iter().enumerate() {
+                sum = (sum + roll(f, i as isize - REACH as isize)?.affine(*weight, 0.0)?)?;
+            }
+            Ok(sum)
+        };
+        let stretch = (top - &bottom)?.affine(1.0 / self.height(), 0.0)?;
+        let (bottom_slope, rise) = (slope(&bottom)?, slope(&stretch)?);
+        let at = |eta: f64| &bottom_slope + rise.affine(eta, 0.0)?;
+        let rows: Vec<Tensor> = self.grid.all_rows().map(|r| at(self.eta(r))).collect::<Result<_>>()?;
+        let s = Tensor::cat(&rows, 0)?;
+        let d = stretch.broadcast_as(s.shape())?;
+        let lean = |eta: f64| -> Result<Tensor> {
+            let s = at(eta)?;
+            s.mul(&stretch)?.div(&s.sqr()?.affine(1.0, 1.0)?)
+        };
+        let k = s.sqr()?.affine(1.0, 1.0)?.div(&d)?;
+        Ok(Metric { lean: [lean(0.0)?, lean(self.height())?], d, s, k })
+    }
+
+    /// One line of constants, `[1, columns]`.
+    fn constant(&self, line: &[R], like: &Tensor) -> Result<Tensor> {
+        let from = self.grid.column(0);
+        let values = line[from..from + self.channel.columns].to_vec();
+        Tensor::from_vec(values, (1, self.channel.columns), like.device())?.to_dtype(like.dtype())
+    }
+
+    fn temperature_with_ghosts(&self, t: &Tensor, metric: &Metric) -> Result<Tensor> {
+        let hot = self.constant(&self.ghosts.hot, t)?;
+        extend(t, |f, g, wall| {
+            let mut along = f.zeros_like()?;
+            for (k, weights) in self.ghosts.along[wall].iter().enumerate() {
+                along = (along + roll(f, k as isize - 1)?.mul(&self.constant(weights, t)?)?)?;
+            }
+            let sign = if wall == 0 { 1.0 } else { -1.0 };
+            let conormal = along.mul(&metric.lean[wall])?.affine(sign, 0.0)?;
+            let hot = if wall == 0 { hot.clone() } else { hot.zeros_like()? };
+            let cold = hot.affine(-1.0, 1.0)?;
+            let given = self.channel.hot_excess;
+            let near = combine(-2.0, f, 1.0 / 3.0, g)?.affine(1.0, 8.0 / 3.0 * given)?;
+            let far = combine(-9.0, f, 2.0, g)?.affine(1.0, 8.0 * given)?;
+            let near = (near.mul(&hot)? + f.mul(&cold)?)? - &conormal;
+            let far = (far.mul(&hot)? + g.mul(&cold)?)? - conormal.affine(3.0, 0.0)?;
+            Ok([near?, far?])
+        })
+    }
+
+    /// State `[6, N]` -> next `[6, N]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn composed(&self, state: &Tensor) -> Result<Tensor> {
+        let c = &self.channel;
+        let (nx, ny, n, fluid) = (c.columns, c.rows, self.particles(), self.fluid_particles());
+        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, fluid)?.reshape((ny, nx));
+        let [u, v, p, t] = [field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?];
+        let metric = self.composed_metric(state)?;
+        let stiffness = c.density * c.sound_speed * c.sound_speed;
+        let rho = p.affine(1.0 / stiffness, 1.0)?;
+        let with_ghosts = line(&rho)?;
+        let (d, s) = (self.inner(&metric.d)?, self.inner(&metric.s)?);
+        let w = |i: usize, j: usize| &self.stencil[j][i];
+        let gradient = [
+            self.sum(|i, j, there| there(&with_ghosts)?.affine(w(i, j).gx.f64(), 0.0))?,
+            self.sum(|i, j, there| there(&with_ghosts)?.affine(w(i, j).gy.f64(), 0.0))?,
+        ];
+        // Only pairs of fluid particles diffuse.
+        let pad = |f: &Tensor| f.pad_with_zeros(0, REACH, REACH);
+        let inside = pad(&rho.ones_like()?)?;
+        let (padded, gradients) = (pad(&rho)?, [pad(&gradient[0])?, pad(&gradient[1])?]);
+        let omega = |i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>| -> Result<Tensor> {
+            let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(weight.f64(), 0.0);
+            let w = w(i, j);
+            (both(&metric.d, w.lxx)? + both(&metric.k, w.lyy)?)? - both(&metric.s, w.lxy)?
+        };
+        // M of all offsets, of velocities u and v.
+        let fluxes = |u: &Tensor, v: &Tensor| -> Result<Vec<Tensor>> {
+            let mx = parabola(&(&d * &rho)?.mul(u)?)?;
+            let my = odd(&rho.mul(&(v - s.mul(u)?)?)?)?;
+            let mut fluxes = Vec::new();
+            self.sum(|i, j, there| {
+                let w = w(i, j);
+                let both = |f: &Tensor, weight: f64| (self.inner(f)? + there(f)?)?.affine(weight, 0.0);
+                let convected = (both(&mx, w.gx.f64())? + both(&my, w.gy.f64())?)?;
+                let (x, y) = ((i as f64 - REACH as f64) * c.spacing, (j as f64 - REACH as f64) * c.spacing);
+                let rise =
+                    ((there(&padded)? - &rho)? - (both(&gradients[0], 0.5 * x)? + both(&gradients[1], 0.5 * y)?)?)?;
+                let diffused = rise.affine(c.delta * c.spacing * c.sound_speed * w.laplacian.f64(), 0.0)?;
+                let flux = (convected - diffused.mul(&there(&inside)?)?)?;
+                fluxes.push(flux.clone());
+                Ok(flux)
+            })?;
+            Ok(fluxes)
+        };
+        // The number of an offset without the middle.
+        let number = |i: usize, j: usize| {
+            let k = j * WIDTH + i;
+            k - (k > WIDTH * WIDTH / 2) as usize
+        };
+        let mass = (&rho * &d)?;
+        let before = fluxes(&u, &v)?;
+        let kick = |f: &Tensor| -> Result<Tensor> {
+            let ghosts = parabola(f)?;
+            self.sum(|i, j, there| {
+                let factor =
+                    (omega(i, j, there)?.affine(c.viscosity, 0.0)? - before[number(i, j)].affine(0.5, 0.0)?)?;
+                factor.mul(&(there(&ghosts)? - f)?)
+            })
+        };
+        let pressure = line(&p.affine(1.0 / c.density, 0.0)?)?;
+        let push_u = self.sum(|i, j, there| {
+            let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(0.5 * weight.f64(), 0.0);
+            let push = (both(&metric.s, w(i, j).gy)? - both(&metric.d, w(i, j).gx)?)?;
+            (there(&pressure)? - self.inner(&pressure)?)?.mul(&push)
+        })?;
+        let push_v = self.sum(|i, j, there| there(&pressure)?.affine(-w(i, j).gy.f64(), 0.0))?;
+        let u = (&u + (kick(&u)? + push_u)?.div(&mass)?.affine(c.dt, c.dt * c.body_force)?)?;
+        let v = (&v + (kick(&v)? + push_v)?.div(&mass)?.affine(c.dt, 0.0)?)?;
+        let behind = fluxes(&u, &v)?;
+        let out = self.sum(|i, j, _| Ok(behind[number(i, j)].clone()))?;
+        let p = (&p - out.div(&d)?.affine(c.dt * stiffness, 0.0)?)?;
+        let ghosts = self.temperature_with_ghosts(&t, &metric)?;
+        let heat = self.sum(|i, j, there| {
+            let conduction = omega(i, j, there)?.mul(&rho)?.affine(c.diffusivity, 0.0)?;
+            let factor = (conduction - behind[number(i, j)].affine(0.5, 0.0)?)?;
+            factor.mul(&(there(&ghosts)? - &t)?)
+        })?;
+        let t = (&t + heat.div(&mass)?.affine(c.dt, 0.0)?)?;
+        let open = Tensor::from_vec(self.open[..nx].to_vec(), (1, nx), t.device())?.to_dtype(t.dtype())?;
+        let t = t.broadcast_mul(&open)?;
+        let last = t.narrow(1, self.outlet, 1)?;
+        let mut columns = vec![t.narrow(1, 0, self.outlet + 1)?];
+        columns.extend((self.outlet + 1..nx).map(|_| last.clone()));
+        let t = Tensor::cat(&columns, 1)?;
+        let rows = [u, v, p, t].map(|f| f.reshape((1, fluid))?.pad_with_zeros(1, 0, n - fluid));
+        let mut next = vec![state.narrow(0, row::X, 2)?];
+        for row in rows {
+            next.push(row?);
+        }
+        Tensor::cat(&next, 0)
+    }
+}

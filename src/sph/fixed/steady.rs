@@ -1,0 +1,295 @@
+//! Steady states, and the gradient of one: a fixed point needs one state and no checkpoints.
+//!
+//! With X = F(X, walls) and b = dQ/dX, dQ/dwalls = (dF/dwalls)^T lambda, lambda = A^T lambda + b, A = dF/dX (Christianson
+//! 1994). Two things make that solvable, and fast:
+//!
+//! * A step keeps mass, so A^T w = w for the cotangent w of the mass, and lambda would grow by a multiple of w for ever. It
+//!   is kept free of w; w itself moves no wall. What multiple, dQ/dmass, is known at the end, and says what the fluid that a
+//!   wall displaces is worth: a run starts with p = 0, and the mass that it then has.
+//! * lambda = sum (A^T)^k b converges as slowly as the flow settles. Generalised minimal residuals (Saad and Schultz 1986)
+//!   on blocks of steps, lambda = (A^T)^m lambda + b_m, need a fraction of the steps: the block damps sound, the Krylov
+//!   space takes the few slow modes that are left.
+
+use super::work::Work;
+use super::{row, Fixed};
+use crate::numerics::lanes::Real;
+
+/// The gradient of a quantity of a steady state.
+#[derive(Debug, Clone)]
+pub struct SteadyGradient {
+    /// By the heights of the points of the bottom and of the top wall, `[2 columns]`.
+    pub walls: Vec<f64>,
+    /// Adjoint steps that it took.
+    pub steps: usize,
+    /// Of the equation for lambda, over its right-hand side.
+    pub residual: f64,
+}
+
+/// How the equation for lambda is solved.
+#[derive(Debug, Clone, Copy)]
+pub struct SteadyOptions {
+    /// Adjoint steps per Krylov vector.
+    pub block: usize,
+    /// Krylov vectors at most.
+    pub vectors: usize,
+    /// The residual at which it ends.
+    pub tolerance: f64,
+}
+
+impl Default for SteadyOptions {
+    fn default() -> Self {
+        Self { block: 5, vectors: 400, tolerance: 1e-4 }
+    }
+}
+
+impl<R: Real> Fixed<R> {
+    /// How fast a step changes a state: the largest of |du/dt|, |dv/dt| over the fastest |u|, |dp/dt| over density c
+    /// times that and |dT/dt| over the hot wall's excess; 1/time.
+    pub fn residual(&self, state: &[R], next: &[R]) -> f64 {
+        let (n, c) = (self.particles(), &self.channel);
+        let most = |row: usize, f: &dyn Fn(usize) -> f64| {
+            (row * n..(row + 1) * n).fold(0.0, |m: f64, k| {
+                let value = f(k).abs();
+                // Not a number must not pass for rest.
+                if value.is_nan() {
+                    f64::INFINITY
+                } else {
+                    m.max(value)
+                }
+            })
+        };
+        let fastest = most(row::U, &|k| state[k].f64()).max(1e-12);
+        let change = |row: usize| most(row, &|k| next[k].f64() - state[k].f64()) / c.dt;
+        let heat = if c.hot_excess == 0.0 { 0.0 } else { change(row::T) / c.hot_excess.abs() };
+        let flow = change(row::U).max(change(row::V)).max(change(row::P) / (c.density * c.sound_speed));
+        heat.max(flow / fastest)
+    }
+
+    /// The gradient by the walls of a quantity of the steady state `state` `[6, N]`, of which `bar` `[6, N]` is the
+    /// derivative by the state (of boundary points' y: at a fixed flow).
+    ///
+    /// The flow is one that began with p = 0: what a wall displaces is not pressed into the rest.
+    pub fn steady_gradient(&self, state: &[R], bar: &[R], options: &SteadyOptions) -> SteadyGradient {
+        let mut work = self.work();
+        let (n, fluid) = (self.particles(), self.fluid_particles());
+        let mut solve = Solve::new(self, state, &mut work);
+        let mut flow = bar.to_vec();
+        flow[..row::U * n].fill(R::default());
+        // b_m = sum of (A^T)^k b, k < m.
+        let b = solve.project(flow).0;
+        let mut right = b.clone();
+        for _ in 1..options.block {
+            right = solve.step(&right, Some(&b));
+        }
+        let (lambda, residual) = solve.gmres(&right, options);
+        // One more step, with the walls: (dF/dwalls)^T lambda, and the multiple of w that is left.
+        let (steps, scale) = (solve.steps + 1, solve.mass_scale());
+        let mut last = vec![R::default(); state.len()];
+        self.backward(state, &lambda, &mut last, &mut work);
+        let heights = row::Y * n + fluid..(row::Y + 1) * n;
+        let mut walls: Vec<f64> = heights.clone().map(|k| last[k].f64() + bar[k].f64()).collect();
+        let left = |p: usize| last[p].f64() + bar[p].f64() - lambda[p].f64();
+        let by_mass = (row::P * n..row::P * n + fluid).map(left).sum::<f64>() / scale;
+        let (nx, stiffness) = (self.channel.columns, self.stiffness());
+        for i in 0..nx {
+            let excess: f64 = (0..self.channel.rows).map(|j| state[row::P * n + j * nx + i].f64() / stiffness).sum();
+            walls[i] += by_mass * excess / self.height();
+            walls[nx + i] -= by_mass * excess / self.height();
+        }
+        self.done(work);
+        SteadyGradient { walls, steps, residual }
+    }
+
+    /// Runs a state until it is steady: until [`Self::residual`] is at most `tolerance`, or `most` steps are done. Steps done
+    /// and the residual. Anderson's (1965) acceleration of blocks of steps, with a memory of `depth` blocks (0: plain
+    /// steps); mass is kept, as an average of states of one mass has that mass.
+    pub fn settle(&self, state: &mut Vec<R>, block: usize, depth: usize, tolerance: f64, most: usize) -> (usize, f64) {
+        let mut work = self.work();
+        let (mut from, mut next) = (state.clone(), state.clone());
+        let (mut steps, mut residual) = (0, f64::INFINITY);
+        // Differences of blocks' ends, and of the ways that they went.
+        let (mut ends, mut ways) = (Vec::<Vec<R>>::new(), Vec::<Vec<R>>::new());
+        let mut last: Option<(Vec<R>, Vec<R>)> = None;
+        let minus = |a: &[R], b: &[R]| -> Vec<R> { a.iter().zip(b).map(|(a, b)| *a - *b).collect() };
+        let sizes = self.sizes().map(|size| 1.0 / size.max(1e-300));
+        while steps < most {
+            from.copy_from_slice(state);
+            for _ in 0..block.max(1) {
+                self.forward(state, &mut next, &mut work);
+                std::mem::swap(state, &mut next);
+            }
+            steps += block.max(1);
+            residual = self.residual(&next, state);
+            if residual <= tolerance || !residual.is_finite() {
+                break;
+            }
+            if depth == 0 {
+                continue;
+            }
+            let way = minus(state, &from);
+            if let Some((end_before, way_before)) = last.replace((state.clone(), way.clone())) {
+                if ends.len() == depth {
+                    ends.remove(0);
+                    ways.remove(0);
+                }
+                ends.push(minus(state, &end_before));
+                ways.push(minus(&way, &way_before));
+            }
+            // The combination of ways that is nearest to this one, by Gram and Schmidt.
+            let (mut rest, mut bases) = (way, Vec::<(Vec<R>, Vec<R>)>::new());
+            for (way, end) in ways.iter().zip(&ends).rev() {
+                let (mut way, mut end) = (way.clone(), end.clone());
+                let before = self.weighted(&sizes, &way, &way);
+                for (base, base_end) in &bases {
+                    let share = R::of(self.weighted(&sizes, base, &way));
+                    way.iter_mut().zip(base).for_each(|(x, b)| *x -= share * *b);
+                    end.iter_mut().zip(base_end).for_each(|(x, b)| *x -= share * *b);
+                }
+                let square = self.weighted(&sizes, &way, &way);
+                // What is left of a way that the newer ones have said already is rounding.
+                if square.is_nan() || square <= 1e-12 * before {
+                    continue;
+                }
+                let scale = R::of(1.0 / square.sqrt());
+                way.iter_mut().chain(end.iter_mut()).for_each(|x| *x *= scale);
+                let share = R::of(self.weighted(&sizes, &way, &rest));
+                rest.iter_mut().zip(&way).for_each(|(x, b)| *x -= share * *b);
+                state.iter_mut().zip(&end).for_each(|(x, b)| *x -= share * *b);
+                bases.push((way, end));
+            }
+        }
+        self.done(work);
+        (steps, residual)
+    }
+
+    /// Squares of the sizes by which u, v, p and T are compared.
+    fn sizes(&self) -> [f64; row::COUNT] {
+        let c = &self.channel;
+        [0.0, 0.0, 1.0, 1.0, c.density * c.sound_speed, c.hot_excess].map(|size| size * size)
+    }
+
+    /// Scalar product of two states' flow, rows weighted.
+    fn weighted(&self, weights: &[f64; row::COUNT], a: &[R], b: &[R]) -> f64 {
+        let n = self.particles();
+        (row::U..row::COUNT)
+            .map(|r| {
+                let rows = r * n..(r + 1) * n;
+                weights[r] * a[rows.clone()].iter().zip(&b[rows]).map(|(x, y)| x.f64() * y.f64()).sum::<f64>()
+            })
+            .sum()
+    }
+
+    fn stiffness(&self) -> f64 {
+        self.channel.density * self.channel.sound_speed * self.channel.sound_speed
+    }
+}
+
+/// The equation for lambda at a state.
+struct Solve<'a, R: Real> {
+    fixed: &'a Fixed<R>,
+    state: &'a [R],
+    work: &'a mut Work<R>,
+    /// w: the derivative of the mass, sum D (1 + p/(density c^2)), by p.
+    mass: Vec<R>,
+    /// Squares of the sizes of u, v, p and T, which make their cotangents comparable.
+    sizes: [f64; row::COUNT],
+    steps: usize,
+}
+
+impl<'a, R: Real> Solve<'a, R> {
+    fn new(fixed: &'a Fixed<R>, state: &'a [R], work: &'a mut Work<R>) -> Self {
+        let c = &fixed.channel;
+        let square = c.spacing * c.spacing;
+        let mass = fixed.volumes(state).iter().map(|v| R::of(v / square / fixed.stiffness())).collect();
+        Self { fixed, state, work, mass, sizes: fixed.sizes(), steps: 0 }
+    }
+
+    /// What w adds to the sum of lambda over the pressures.
+    fn mass_scale(&self) -> f64 {
+        self.mass.iter().map(|w| w.f64()).sum()
+    }
+
+    /// Free of w, and what multiple of it was there.
+    fn project(&self, mut lambda: Vec<R>) -> (Vec<R>, f64) {
+        let from = row::P * self.fixed.particles();
+        let p = &mut lambda[from..from + self.mass.len()];
+        let multiple = p.iter().map(|x| x.f64()).sum::<f64>() / self.mass_scale();
+        p.iter_mut().zip(&self.mass).for_each(|(x, w)| *x -= R::of(multiple) * *w);
+        (lambda, multiple)
+    }
+
+    /// A^T lambda (+ b), without w.
+    fn step(&mut self, lambda: &[R], b: Option<&[R]>) -> Vec<R> {
+        self.steps += 1;
+        let mut pulled = vec![R::default(); lambda.len()];
+        self.fixed.backward_of_flow(self.state, lambda, &mut pulled, self.work);
+        if let Some(b) = b {
+            pulled.iter_mut().zip(b).for_each(|(x, b)| *x += *b);
+        }
+        self.project(pulled).0
+    }
+
+    fn product(&self, a: &[R], b: &[R]) -> f64 {
+        self.fixed.weighted(&self.sizes, a, b)
+    }
+
+    /// lambda with lambda = (A^T)^m lambda + `right`, and its residual over that of lambda = `right`.
+    fn gmres(&mut self, right: &[R], options: &SteadyOptions) -> (Vec<R>, f64) {
+        let axpy = |y: &mut [R], a: f64, x: &[R]| y.iter_mut().zip(x).for_each(|(y, x)| *y += R::of(a) * *x);
+        let scaled = |x: &[R], a: f64| -> Vec<R> { x.iter().map(|x| R::of(x.f64() * a)).collect() };
+        let size = self.product(right, right).sqrt();
+        if size == 0.0 {
+            return (right.to_vec(), 0.0);
+        }
+        let mut vectors = vec![scaled(right, 1.0 / size)];
+        // The triangle that Givens rotations make of Arnoldi's coefficients, column by column, and what they make of `right`.
+        let (mut columns, mut rotations) = (Vec::<Vec<f64>>::new(), Vec::<[f64; 2]>::new());
+        let mut rest = vec![size];
+        while columns.len() < options.vectors && rest[columns.len()].abs() > options.tolerance * size {
+            let k = columns.len();
+            let mut next = vectors[k].clone();
+            for _ in 0..options.block {
+                next = self.step(&next, None);
+            }
+            // (I - (A^T)^m) v.
+            next.iter_mut().zip(&vectors[k]).for_each(|(x, v)| *x = *v - *x);
+            let mut column = Vec::with_capacity(k + 2);
+            for vector in &vectors {
+                let h = self.product(vector, &next);
+                axpy(&mut next, -h, vector);
+                column.push(h);
+            }
+            let length = self.product(&next, &next).sqrt();
+            column.push(length);
+            for (i, [c, s]) in rotations.iter().enumerate() {
+                let (a, b) = (column[i], column[i + 1]);
+                (column[i], column[i + 1]) = (c * a + s * b, c * b - s * a);
+            }
+            let hypotenuse = column[k].hypot(column[k + 1]);
+            if hypotenuse.is_nan() || hypotenuse == 0.0 {
+                break;
+            }
+            let [c, s] = [column[k] / hypotenuse, column[k + 1] / hypotenuse];
+            column[k] = hypotenuse;
+            rotations.push([c, s]);
+            rest.push(-s * rest[k]);
+            rest[k] *= c;
+            columns.push(column);
+            if length == 0.0 {
+                break;
+            }
+            vectors.push(scaled(&next, 1.0 / length));
+        }
+        let count = columns.len();
+        let mut factors = vec![0.0; count];
+        for i in (0..count).rev() {
+            let known: f64 = (i + 1..count).map(|j| columns[j][i] * factors[j]).sum();
+            factors[i] = (rest[i] - known) / columns[i][i];
+        }
+        let mut lambda = vec![R::default(); right.len()];
+        for (factor, vector) in factors.iter().zip(&vectors) {
+            axpy(&mut lambda, *factor, vector);
+        }
+        (lambda, rest[count].abs() / size)
+    }
+}

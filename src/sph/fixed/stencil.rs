@@ -1,0 +1,98 @@
+//! The kernel on the reference lattice: the same few weights for every particle, made once.
+//!
+//! With F = -W'(r)/r at the offset (i, j) dx of a neighbour, all sums over the offsets |i|, |j| <= 2:
+//!
+//! * first derivatives: g = F (i, j) / (dx sum F i^2), so that sum g_x i dx = 1;
+//! * second derivatives: combinations of F i^2/r^2 and F j^2/r^2 (and F i j/r^2 for the mixed one) that are exact for
+//!   quadratic fields: l_xx, l_yy, l_xy, in 1/length^2;
+//! * diffusion of the density: Morris' weights w = 2 F / (dx^2 sum F i^2).
+
+use super::grid::REACH;
+use crate::numerics::lanes::Real;
+use crate::sph::kernels::Kernel;
+
+/// Offsets along one direction.
+pub const WIDTH: usize = 2 * REACH + 1;
+
+/// The weights of one offset.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Weight<R> {
+    /// First derivatives, 1/length.
+    pub gx: R,
+    pub gy: R,
+    /// Half of the second derivatives' weights, 1/length^2 (they multiply sums over both ends of a pair); l_xy whole, as the
+    /// mixed derivative counts twice.
+    pub lxx: R,
+    pub lyy: R,
+    pub lxy: R,
+    /// Morris' Laplacian, 1/length^2.
+    pub laplacian: R,
+}
+
+/// `[j + 2][i + 2]`; the middle is zero.
+pub type Stencil<R> = [[Weight<R>; WIDTH]; WIDTH];
+
+/// The weights of a kernel at a spacing.
+pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
+    let reach = REACH as isize;
+    let offsets = || (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (i, j))).filter(|&o| o != (0, 0));
+    let (si, sj) = (|o: (isize, isize)| (o.0 * o.0) as f64, |o: (isize, isize)| (o.1 * o.1) as f64);
+    let slope = |o| -kernel.pair((si(o) + sj(o)) * spacing * spacing).1;
+    let over_square = |o| slope(o) / (si(o) + sj(o));
+    let sum = |f: &dyn Fn((isize, isize)) -> f64| offsets().map(f).sum::<f64>();
+    let moment = sum(&|o| slope(o) * si(o));
+    // (a F i^2/r^2 + b F j^2/r^2) summed with i^2 gives 2, with j^2 gives 0.
+    let (same, cross) = (sum(&|o| over_square(o) * si(o) * si(o)), sum(&|o| over_square(o) * si(o) * sj(o)));
+    let determinant = same * same - cross * cross;
+    let (a, b) = (2.0 * same / determinant, -2.0 * cross / determinant);
+    let square = spacing * spacing;
+    let mut stencil = [[Weight::default(); WIDTH]; WIDTH];
+    for o in offsets() {
+        let (i, j) = (o.0 as f64, o.1 as f64);
+        let (f, q) = (slope(o), over_square(o));
+        stencil[(o.1 + reach) as usize][(o.0 + reach) as usize] = Weight {
+            gx: R::of(f * i / moment / spacing),
+            gy: R::of(f * j / moment / spacing),
+            lxx: R::of(0.5 * q * (a * si(o) + b * sj(o)) / square),
+            lyy: R::of(0.5 * q * (a * sj(o) + b * si(o)) / square),
+            lxy: R::of(q * i * j / cross / square),
+            laplacian: R::of(2.0 * f / moment / square),
+        };
+    }
+    stencil
+}
+
+/// The first derivative along x of what does not depend on y: weights of columns -2 .. 2.
+pub fn derivative<R: Real>(stencil: &Stencil<R>) -> [f64; WIDTH] {
+    std::array::from_fn(|i| stencil.iter().map(|row| row[i].gx.f64()).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sph::kernels::KernelName;
+
+    #[test]
+    fn derivatives_of_quadratics_are_exact() {
+        for shape in [KernelName::QuinticSpline, KernelName::WendlandC2] {
+            let dx = 0.02;
+            let s = stencil::<f64>(&Kernel::new(shape, 2, 1.2 * dx), dx);
+            let sum = |field: &dyn Fn(f64, f64) -> f64, weight: &dyn Fn(&Weight<f64>) -> f64| -> f64 {
+                (0..25)
+                    .map(|k| (k % 5, k / 5))
+                    .map(|(i, j)| weight(&s[j][i]) * field((i as f64 - 2.0) * dx, (j as f64 - 2.0) * dx))
+                    .sum()
+            };
+            let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+            let f = |x: f64, y: f64| 1.0 + 2.0 * x - 3.0 * y + 4.0 * x * x + 5.0 * x * y - 6.0 * y * y;
+            close(sum(&f, &|w| w.gx), 2.0);
+            close(sum(&f, &|w| w.gy), -3.0);
+            let still = |x: f64, y: f64| f(x, y) - 1.0;
+            close(sum(&still, &|w| 2.0 * w.lxx), 8.0);
+            close(sum(&still, &|w| 2.0 * w.lyy), -12.0);
+            close(sum(&still, &|w| w.lxy), 5.0);
+            let line = derivative(&s);
+            close((0..5).map(|i| line[i] * (i as f64 - 2.0) * dx).sum(), 1.0);
+        }
+    }
+}

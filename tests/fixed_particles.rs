@@ -1,0 +1,461 @@
+//! Fixed particles: what a step keeps, its adjoint, and the heated channel against finite elements.
+
+use candle_core::{Device, Tensor, Var};
+use hydrograd::config::scene::KernelName;
+use hydrograd::numerics::lanes::Real;
+use hydrograd::sph::fixed::steady::SteadyOptions;
+use hydrograd::sph::fixed::{row, Channel, Fixed};
+use hydrograd::sph::kernels::Kernel;
+
+/// Numbers that look random, in -1 .. 1.
+fn noise(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    move || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+}
+
+/// The heated channel of length 1 and height 0.2.
+fn channel(dx: f64) -> Channel {
+    let columns = (1.0 / dx).round() as usize;
+    Channel {
+        columns,
+        rows: (0.2 / dx).round() as usize,
+        spacing: dx,
+        first_column_x: if dx == 0.02 { 0.0 } else { 0.5 * dx },
+        kernel: Kernel::new(KernelName::QuinticSpline, 2, dx),
+        density: 1.0,
+        sound_speed: 10.0,
+        viscosity: 0.01,
+        diffusivity: 7.313 / 305.27,
+        body_force: 2.3,
+        delta: 0.1,
+        dt: 1.2 * dx / 11.0,
+        hot: [0.25, 0.75],
+        hot_excess: 0.23,
+        inlet_below: 0.06,
+        outlet_above: 0.94,
+        conormal: 1.0,
+    }
+}
+
+/// Other numbers than a channel's, so that nothing is 1 or 0 by chance: edges that cut columns, a density.
+fn odd_channel() -> Channel {
+    Channel {
+        columns: 19,
+        rows: 6,
+        spacing: 0.05,
+        first_column_x: 0.013,
+        kernel: Kernel::new(KernelName::QuinticSpline, 2, 0.05),
+        density: 1.7,
+        dt: 0.002,
+        hot: [0.31, 0.62],
+        inlet_below: 0.1,
+        outlet_above: 0.8,
+        ..channel(0.02)
+    }
+}
+
+/// A state of noise between walls of noise.
+fn noisy<R: Real>(fixed: &Fixed<R>, seed: u64) -> Vec<R> {
+    let mut next = noise(seed);
+    let c = &fixed.channel;
+    let mut wall = || (0..c.columns).map(|_| 0.2 * c.spacing * next()).collect::<Vec<_>>();
+    let (bottom, top) = (wall(), wall());
+    let mut state = fixed.state(&bottom, &top, &|_| 0.0);
+    let n = fixed.particles();
+    for (row, size) in [(row::U, 1.0), (row::V, 0.5), (row::P, 2.0), (row::T, 0.2)] {
+        for i in 0..fixed.fluid_particles() {
+            state[row * n + i] = R::of(size * next());
+        }
+    }
+    state
+}
+
+fn step<R: Real>(fixed: &Fixed<R>, state: &[R]) -> Vec<R> {
+    let mut next = vec![R::of(f64::NAN); state.len()];
+    fixed.forward(state, &mut next, &mut fixed.work());
+    next
+}
+
+fn pull<R: Real>(fixed: &Fixed<R>, state: &[R], bar: &[R]) -> Vec<R> {
+    let mut state_bar = vec![R::of(f64::NAN); state.len()];
+    fixed.backward(state, bar, &mut state_bar, &mut fixed.work());
+    state_bar
+}
+
+/// Largest difference over largest number.
+fn difference<R: Real, S: Real>(a: &[R], b: &[S]) -> f64 {
+    let most = b.iter().fold(0.0, |most: f64, x| most.max(x.f64().abs()));
+    let apart = a.iter().zip(b).fold(0.0, |most: f64, (x, y)| {
+        let apart = (x.f64() - y.f64()).abs();
+        if apart.is_nan() {
+            f64::INFINITY
+        } else {
+            most.max(apart)
+        }
+    });
+    if most > 0.0 {
+        apart / most
+    } else {
+        apart
+    }
+}
+
+/// Rows of a state apart, because their sizes differ.
+fn by_rows<R: Real, S: Real>(a: &[R], b: &[S]) -> f64 {
+    let n = a.len() / row::COUNT;
+    a.chunks(n).zip(b.chunks(n)).fold(0.0, |most, (a, b)| most.max(difference(a, b)))
+}
+
+#[test]
+fn a_step_and_its_adjoint_are_those_of_the_composed_twin() {
+    for (number, channel) in [odd_channel(), channel(0.02)].into_iter().enumerate() {
+        let fixed = Fixed::<f64>::new(channel).unwrap();
+        let state = noisy(&fixed, 1 + number as u64);
+        let shape = (row::COUNT, fixed.particles());
+        let variable = Var::from_tensor(&Tensor::from_vec(state.clone(), shape, &Device::Cpu).unwrap()).unwrap();
+        let next = fixed.composed(&variable).unwrap();
+        let expected: Vec<f64> = next.flatten_all().unwrap().to_vec1().unwrap();
+        let found = by_rows(&step(&fixed, &state), &expected);
+        assert!(found < 1e-12, "step {number}: {found:e}");
+        let mut random = noise(77);
+        let bar: Vec<f64> = expected.iter().map(|_| random()).collect();
+        let value = (next * Tensor::from_vec(bar.clone(), shape, &Device::Cpu).unwrap()).unwrap().sum_all().unwrap();
+        let gradients = value.backward().unwrap();
+        let expected: Vec<f64> = gradients.get(&variable).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        let pulled = pull(&fixed, &state, &bar);
+        let n = fixed.particles();
+        for r in 0..row::COUNT {
+            let found = difference(&pulled[r * n..(r + 1) * n], &expected[r * n..(r + 1) * n]);
+            assert!(found < 1e-10, "adjoint {number}, row {r}: {found:e}");
+        }
+        let mut flow = vec![0.0; bar.len()];
+        fixed.backward_of_flow(&state, &bar, &mut flow, &mut fixed.work());
+        assert_eq!(flow[2 * n..], pulled[2 * n..]);
+        assert_eq!(flow[..2 * n], bar[..2 * n]);
+    }
+}
+
+#[test]
+fn the_adjoint_is_the_slope_of_ten_steps() {
+    let fixed = Fixed::<f64>::new(odd_channel()).unwrap();
+    let state = noisy(&fixed, 5);
+    let mut random = noise(6);
+    let weights: Vec<f64> = state.iter().map(|_| random()).collect();
+    let run = |state: &[f64]| {
+        let mut states = vec![state.to_vec()];
+        for _ in 0..10 {
+            states.push(step(&fixed, states.last().unwrap()));
+        }
+        states
+    };
+    let value = |state: &[f64]| -> f64 { run(state)[10].iter().zip(&weights).map(|(a, b)| a * b).sum() };
+    let mut bar = weights.clone();
+    for state in run(&state)[..10].iter().rev() {
+        bar = pull(&fixed, state, &bar);
+    }
+    let n = fixed.particles();
+    let walls = row::Y * n + fixed.fluid_particles()..(row::Y + 1) * n;
+    for (name, range) in [("walls", walls), ("flow", row::U * n..row::COUNT * n)] {
+        let fluid = |k: usize| k < 2 * n || k % n < fixed.fluid_particles();
+        let direction: Vec<f64> =
+            (0..state.len()).map(|k| if range.contains(&k) && fluid(k) { random() } else { 0.0 }).collect();
+        let at = |h: f64| value(&state.iter().zip(&direction).map(|(x, d)| x + h * d).collect::<Vec<_>>());
+        let h = 1e-5 * if name == "walls" { 0.1 } else { 1.0 };
+        // Fourth order.
+        let slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+        let exact: f64 = bar.iter().zip(&direction).map(|(a, b)| a * b).sum();
+        assert!((slope / exact - 1.0).abs() < 1e-6, "{name}: {slope} {exact}");
+    }
+}
+
+#[test]
+fn a_step_keeps_mass() {
+    for channel in [odd_channel(), channel(0.02)] {
+        let fixed = Fixed::<f64>::new(channel).unwrap();
+        let mut state = noisy(&fixed, 9);
+        let c = fixed.channel.clone();
+        let mass = |state: &[f64]| -> f64 {
+            let p = &state[row::P * fixed.particles()..];
+            let stiffness = c.density * c.sound_speed * c.sound_speed;
+            fixed.volumes(state).iter().zip(p).map(|(v, p)| v * (1.0 + p / stiffness)).sum()
+        };
+        let before = mass(&state);
+        for _ in 0..20 {
+            state = step(&fixed, &state);
+        }
+        assert!((mass(&state) / before - 1.0).abs() < 1e-14, "{:e}", mass(&state) / before - 1.0);
+    }
+}
+
+#[test]
+fn a_uniform_pressure_exerts_no_force() {
+    let fixed = Fixed::<f64>::new(Channel { body_force: 0.0, ..channel(0.02) }).unwrap();
+    let mut state = noisy(&fixed, 3);
+    let n = fixed.particles();
+    state[2 * n..].fill(0.0);
+    state[row::P * n..][..fixed.fluid_particles()].fill(10.0);
+    let next = step(&fixed, &state);
+    let force = next[row::U * n..row::P * n].iter().fold(0.0, |most: f64, u| most.max(u.abs())) / fixed.channel.dt;
+    assert!(force < 1e-10, "an acceleration of {force:e} where p / dx is 500");
+    // Nor does the fluid move at all.
+    assert!(difference(&next[row::P * n..row::T * n], &state[row::P * n..row::T * n]) < 1e-13);
+}
+
+#[test]
+fn single_precision_is_close() {
+    let (double, single) = (Fixed::<f64>::new(channel(0.02)).unwrap(), Fixed::<f32>::new(channel(0.02)).unwrap());
+    let state = single.state(&[0.0; 50], &[0.0; 50], &|y| 115.0 * y * (0.2 - y));
+    let mut state: Vec<f32> = state;
+    let n = single.particles();
+    let mut random = noise(4);
+    for k in row::P * n..row::P * n + single.fluid_particles() {
+        state[k] = 0.1 * random() as f32;
+    }
+    for i in 0..50 {
+        state[row::Y * n + single.fluid_particles() + i] = 0.003 * random() as f32;
+    }
+    let wide: Vec<f64> = state.iter().map(|&x| x as f64).collect();
+    let found = by_rows(&step(&single, &state), &step(&double, &wide));
+    assert!(found < 1e-5, "{found:e}");
+    let bar: Vec<f64> = wide.iter().map(|_| random()).collect();
+    let narrow: Vec<f32> = bar.iter().map(|&x| x as f32).collect();
+    let found = by_rows(&pull(&single, &state, &narrow), &pull(&double, &wide, &bar));
+    assert!(found < 2e-5, "{found:e}");
+}
+
+/// All bits of a step and of its adjoint, mixed.
+fn bits<R: Real>() -> u64 {
+    let fixed = Fixed::<R>::new(odd_channel()).unwrap();
+    let state = noisy(&fixed, 8);
+    let next = step(&fixed, &step(&fixed, &state));
+    let bar = pull(&fixed, &state, &next);
+    next.iter()
+        .chain(&bar)
+        .fold(0, |hash: u64, x| (hash ^ x.f64().to_bits()).wrapping_mul(0x100_0000_01B3).rotate_left(7))
+}
+
+#[test]
+#[ignore = "run by a_step_has_the_same_bits_for_any_number_of_threads"]
+fn print_bits() {
+    println!("bits {:x} {:x}", bits::<f64>(), bits::<f32>());
+}
+
+#[test]
+fn a_step_has_the_same_bits_for_any_number_of_threads() {
+    let run = |threads: &str| {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--ignored", "--exact", "print_bits", "--nocapture"])
+            .env("RAYON_NUM_THREADS", threads)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let line = text.lines().find_map(|line| line.split_once("bits ")).map(|(_, bits)| bits.to_string());
+        line.unwrap_or_else(|| panic!("no bits in {text}"))
+    };
+    let one = run("1");
+    for threads in ["2", "3", "5"] {
+        assert_eq!(run(threads), one, "{threads} threads");
+    }
+    assert_eq!(format!("{:x} {:x}", bits::<f64>(), bits::<f32>()), one);
+}
+
+#[test]
+fn the_gradient_of_a_steady_state_is_its_slope() {
+    // Short and viscous: it settles soon.
+    let c = Channel {
+        columns: 15,
+        spacing: 0.025,
+        kernel: Kernel::new(KernelName::QuinticSpline, 2, 0.025),
+        viscosity: 0.1,
+        diffusivity: 0.1,
+        body_force: 20.0,
+        dt: 0.0012,
+        hot: [0.1, 0.21],
+        inlet_below: 0.05,
+        outlet_above: 0.35,
+        ..odd_channel()
+    };
+    let fixed = Fixed::<f64>::new(c).unwrap();
+    let n = fixed.particles();
+    let mut random = noise(21);
+    let walls: Vec<f64> = (0..30).map(|_| 0.002 * random()).collect();
+    let direction: Vec<f64> = (0..30).map(|_| random()).collect();
+    let mut weights: Vec<f64> = (0..6 * n).map(|_| random()).collect();
+    weights[..2 * n].fill(0.0);
+    let settle = |walls: &[f64]| {
+        let mut state = fixed.state(&walls[..15], &walls[15..], &|_| 0.0);
+        for steps in 0.. {
+            let next = step(&fixed, &state);
+            let rest = fixed.residual(&state, &next);
+            state = next;
+            if rest < 1e-10 {
+                break;
+            }
+            assert!(steps < 20_000, "still changing by {rest:e}");
+        }
+        state
+    };
+    let at = |h: f64| -> f64 {
+        let walls: Vec<f64> = walls.iter().zip(&direction).map(|(w, d)| w + h * d).collect();
+        settle(&walls).iter().zip(&weights).map(|(x, w)| x * w).sum()
+    };
+    let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+    let options = SteadyOptions { tolerance: 1e-10, ..SteadyOptions::default() };
+    let found = fixed.steady_gradient(&settle(&walls), &weights, &options);
+    let exact: f64 = found.walls.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    assert!((slope / exact - 1.0).abs() < 1e-5, "{slope} {exact}, {} steps, {:e}", found.steps, found.residual);
+}
+
+/// The wall of 25 nodes at x = 0.26, 0.28 .. 0.74, linear between them and 0 from 0.24 and 0.76 on, at each column.
+fn wall(fixed: &Fixed<f64>, nodes: &[f64]) -> Vec<f64> {
+    let c = &fixed.channel;
+    (0..c.columns)
+        .map(|i| {
+            let hat = |k: usize| (1.0 - (c.x(i) - 0.26 - 0.02 * k as f64).abs() / 0.02).max(0.0);
+            (0..25).map(|k| hat(k) * nodes[k]).sum()
+        })
+        .collect()
+}
+
+/// Q through x = 0.9 in rho u T units, and its derivative by the state.
+fn heat_outflow(fixed: &Fixed<f64>, state: &[f64]) -> (f64, Vec<f64>) {
+    let (c, n, nx) = (&fixed.channel, fixed.particles(), fixed.channel.columns);
+    let (weights, volumes) = (fixed.section_weights(), fixed.volumes(state));
+    let stiffness = c.density * c.sound_speed * c.sound_speed;
+    let mut bar = vec![0.0; state.len()];
+    let mut q = 0.0;
+    for i in 0..fixed.fluid_particles() {
+        let share = (1.0 - (c.x(i % nx) - 0.9).abs() / c.spacing).max(0.0);
+        if share < 1e-9 {
+            continue;
+        }
+        let weight = share * weights[i] * volumes[i] / c.spacing;
+        let [u, p, t] = [row::U, row::P, row::T].map(|r| state[r * n + i]);
+        let rho = 1.0 + p / stiffness;
+        q += weight * rho * u * t;
+        bar[row::U * n + i] = weight * rho * t;
+        bar[row::P * n + i] = weight / stiffness * u * t;
+        bar[row::T * n + i] = weight * rho * u;
+    }
+    (q, bar)
+}
+
+/// Rows of nodes and Q of finite elements.
+fn reference_shapes() -> Vec<(String, f64, Vec<f64>)> {
+    let path = std::env::var("FIXED_SHAPES").unwrap_or("/work/shared/reference/fem/shapes_H0.2.csv".into());
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let nodes = cells[13..38].iter().map(|x| x.parse().unwrap()).collect();
+        (format!("{} {}", cells[0], cells[1]), cells[3].parse().unwrap(), nodes)
+    };
+    text.lines().skip(1).map(row).collect()
+}
+
+const EXACT_AT_FLAT: [f64; 25] = [
+    8.2, 2.1, 0.1, -0.6, -1.0, -1.2, -1.3, -1.4, -1.5, -1.5, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6, -1.5,
+    -1.3, -1.1, -0.6, 0.2, 2.3, 8.5,
+];
+
+/// Milliseconds of the fastest of many batches: other programs make them slower, nothing makes them faster.
+fn milliseconds(mut f: impl FnMut()) -> f64 {
+    let mut batch = || {
+        let start = std::time::Instant::now();
+        (0..20).for_each(|_| f());
+        start.elapsed().as_secs_f64() / 20.0 * 1e3
+    };
+    (0..100).fold(f64::INFINITY, |best, _| batch().min(best))
+}
+
+/// Of the first two nodes, those between, and the last two: the kernel shifts between the two at an edge of the hot wall.
+fn pairs(nodes: &[f64]) -> Vec<f64> {
+    let between = nodes[2..23].iter().copied();
+    std::iter::once(nodes[0] + nodes[1]).chain(between).chain([nodes[23] + nodes[24]]).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn cosine(a: &[f64], b: &[f64]) -> f64 {
+    dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()
+}
+
+/// FIXED_DX="0.02 0.01": spacings; FIXED_SHAPES: the file of finite elements' shapes.
+#[test]
+#[ignore = "half a minute: prints figures"]
+fn the_heated_channel_against_finite_elements() {
+    let spacings = std::env::var("FIXED_DX").unwrap_or("0.02 0.01".into());
+    for dx in spacings.split_whitespace().map(|x| x.parse::<f64>().unwrap()) {
+        let fixed = Fixed::<f64>::new(channel(dx)).unwrap();
+        let c = &fixed.channel;
+        let flat = vec![0.0; c.columns];
+        let poiseuille = |y: f64| c.body_force / (2.0 * c.viscosity) * y * (0.2 - y);
+        println!("dx {dx}, {} particles, dt {:.2e}", fixed.fluid_particles(), c.dt);
+
+        let state = fixed.state(&flat, &flat, &poiseuille);
+        let (mut next, mut bar, mut work) = (state.clone(), state.clone(), fixed.work());
+        let forward = milliseconds(|| fixed.forward(&state, &mut next, &mut work));
+        let backward = milliseconds(|| fixed.backward(&state, &next, &mut bar, &mut work));
+        let flow = milliseconds(|| fixed.backward_of_flow(&state, &next, &mut bar, &mut work));
+        println!("  a step {forward:.4} ms, its adjoint {backward:.4} ms, of the flow alone {flow:.4} ms");
+
+        let settle = |nodes: &[f64], depth: usize, tolerance: f64| {
+            let mut state = fixed.state(&wall(&fixed, nodes), &flat, &poiseuille);
+            let (steps, _) = fixed.settle(&mut state, 20, depth, tolerance, 40_000);
+            (state, steps)
+        };
+        let shapes = reference_shapes();
+        let up = &shapes[2].2;
+        for tolerance in [1e-2, 1e-4, 1e-6] {
+            let [plain, accelerated] = [0, 20].map(|depth| settle(up, depth, tolerance).1);
+            println!("  steady to {tolerance:e} over the wall up 0.02: {accelerated} steps, plain {plain}");
+        }
+
+        let (mut of_flat, mut errors, mut ratios) = (0.0, Vec::new(), Vec::new());
+        for (_, exact, nodes) in &shapes {
+            let q = heat_outflow(&fixed, &settle(nodes, 20, 1e-6).0).0 / exact;
+            of_flat = if errors.is_empty() { q } else { of_flat };
+            errors.push(100.0 * (q - 1.0).abs());
+            ratios.push((q / of_flat - 1.0).abs());
+        }
+        let worst = |of: &[f64]| of.iter().fold(0.0, |m: f64, x| m.max(*x));
+        println!(
+            "  Q / Q_fem: flat {of_flat:.4}, error mean {:.2} %, worst {:.2} %, worst of Q_shape / Q_flat {:.4}",
+            errors.iter().sum::<f64>() / errors.len() as f64,
+            worst(&errors),
+            worst(&ratios)
+        );
+
+        let (state, _) = settle(&[0.0; 25], 20, 1e-9);
+        let bar = heat_outflow(&fixed, &state).1;
+        let gradient = |tolerance: f64| {
+            let start = std::time::Instant::now();
+            let found = fixed.steady_gradient(&state, &bar, &SteadyOptions { tolerance, ..SteadyOptions::default() });
+            let unit = |k: usize| (0..25).map(|i| (i == k) as u8 as f64).collect::<Vec<_>>();
+            let nodes: Vec<f64> = (0..25).map(|k| dot(&wall(&fixed, &unit(k)), &found.walls)).collect();
+            (nodes, found.steps, 1e3 * start.elapsed().as_secs_f64())
+        };
+        let (exact, ..) = gradient(1e-11);
+        println!(
+            "  gradient (1e-3) {:.1?}, cosine {:.4}, of summed end pairs {:.4}",
+            exact.iter().map(|g| 1e3 * g).collect::<Vec<_>>(),
+            cosine(&exact, &EXACT_AT_FLAT),
+            cosine(&pairs(&exact), &pairs(&EXACT_AT_FLAT))
+        );
+        for tolerance in [1e-3, 1e-4, 1e-5, 1e-6] {
+            let (nodes, steps, time) = gradient(tolerance);
+            let apart: Vec<f64> = nodes.iter().zip(&exact).map(|(a, b)| a - b).collect();
+            let error = (dot(&apart, &apart) / dot(&exact, &exact)).sqrt();
+            println!(
+                "  gradient to a residual of {tolerance:e}: {steps} adjoint steps, error {error:.1e}, {time:.0} ms"
+            );
+        }
+        assert!(worst(&errors) < 1.2);
+    }
+}

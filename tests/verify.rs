@@ -1,0 +1,271 @@
+//! What is left of a gain: what a check changes, `verify`, what `optimize` says of it, and a search with other particles than the scene's.
+
+mod support;
+
+use hydrograd::config::scene::{Config, Motion};
+use hydrograd::design::objectives::Figure;
+use hydrograd::design::shape::Shape;
+use hydrograd::scene::verification::{Check, Finding, Verification, Verified};
+use serde_json::Value;
+use std::path::Path;
+use support::program::{hydrograd, refused, succeeds};
+use tempfile::TempDir;
+
+/// A coarse, short run.
+const TINY: [&str; 12] = [
+    "--set",
+    "resolution.dx=0.04",
+    "--set",
+    "design.bound=0.006",
+    "--set",
+    "time.end=0.3",
+    "--set",
+    "objective.window=0.1",
+    "--set",
+    "output.frames=0",
+    "--set",
+    "optimise.search=scene",
+];
+
+/// The checks of a scene with moving particles.
+const CHECKS: [&str; 5] =
+    ["as optimised", "half the spacing (0.02)", "fixed particles", "twice the time (0.6)", "another seed (1)"];
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+fn with<'a>(first: &[&'a str], then: &[&'a str]) -> Vec<&'a str> {
+    [first, &TINY, then].concat()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+/// The checks of a file, whose numbers fit together.
+fn checks(file: &Value) -> Vec<Value> {
+    let found = file["verification"].as_array().unwrap().clone();
+    let mut least = f64::INFINITY;
+    for check in &found {
+        if check["error"].is_null() {
+            let gain = number(&check["gain"]);
+            assert!((number(&check["q_best"]) / number(&check["q_reference"]) - 1.0 - gain).abs() < 1e-12);
+            least = least.min(gain);
+        } else {
+            assert!(check["gain"].is_null() && check["q_best"].is_null(), "{check}");
+        }
+    }
+    assert_eq!(number(&file["gain_survives"]), least);
+    found
+}
+
+#[test]
+fn optimize_ends_with_the_checks_and_verify_repeats_them() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let text = succeeds(at, &with(&["optimize"], &["--epochs", "2", "--out", "run"]));
+    for part in CHECKS.iter().chain(&["gain that survives: ", "the least of them", "reference: the first design; "]) {
+        assert!(text.contains(part), "no `{part}` in {text}");
+    }
+    let summary = json(&at.join("run/summary.json"));
+    let found = checks(&summary);
+    assert!(found.iter().zip(CHECKS).all(|(check, name)| check["check"] == name), "{found:?}");
+    // As optimised: the numbers of the loop.
+    assert!((number(&found[0]["q_reference"]) / number(&summary["q_first"]) - 1.0).abs() < 1e-12);
+    assert!((number(&found[0]["q_best"]) / number(&summary["q"]) - 1.0).abs() < 1e-12);
+    assert_ne!(found[1]["q_best"], found[0]["q_best"], "another spacing, another figure");
+    assert!(number(&summary["verification_seconds"]) > 0.0);
+
+    let text = succeeds(at, &["verify", "run"]);
+    assert!(text.contains("gain that survives") && text.contains("run/verification.json"), "{text}");
+    let again = json(&at.join("run/verification.json"));
+    assert_eq!(checks(&again), found);
+    assert_eq!(again["version"], env!("CARGO_PKG_VERSION"));
+    let config = std::fs::read_to_string(at.join("run/config.toml")).unwrap();
+    succeeds(at, &["verify", "run", "--set", "time.end=0.2", "--out", "other"]);
+    assert_ne!(checks(&json(&at.join("other/verification.json"))), found);
+    assert_eq!(std::fs::read_to_string(at.join("run/config.toml")).unwrap(), config);
+
+    let text = succeeds(at, &with(&["optimize"], &["--epochs", "1", "--out", "quick", "--no-verify"]));
+    assert!(!text.contains("gain that survives"), "{text}");
+    assert!(json(&at.join("quick/summary.json"))["verification"].is_null());
+}
+
+#[test]
+fn the_best_of_all_starts_is_verified_against_the_flat_wall() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let amplitude = ["--set", "design.amplitude=0.005"];
+    let more = [&["--epochs", "1", "--start", "all", "--out", "starts"], &amplitude[..]].concat();
+    let text = succeeds(at, &with(&["optimize"], &more));
+    assert_eq!(text.matches("gain that survives").count(), 1, "{text}");
+    assert!(text.contains("reference: the flat wall"), "{text}");
+    let summary = json(&at.join("starts/summary.json"));
+    let name = summary["verified_start"].as_str().unwrap();
+    let q = |start: &str| number(&summary[start]["q"]);
+    assert!(["flat", "random", "linear", "sine"].iter().all(|start| q(start) <= q(name)), "{summary}");
+    let found = checks(&summary);
+    assert!((number(&found[0]["q_best"]) / q(name) - 1.0).abs() < 1e-12);
+    let output = hydrograd(at, &["verify", "starts"]);
+    refused(&["verify", "starts"], &output, &["starts is not the folder of a run", "config.toml", "starts/flat"]);
+}
+
+#[test]
+fn a_wall_without_a_gain_is_a_warning() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("wall.csv"), "x,offset\n0.3,0.0\n0.5,0.0\n").unwrap();
+    let text = succeeds(at, &with(&["verify", "wall.csv", "--scene", "heated-channel"], &["--out", "out"]));
+    assert!(text.contains("WARNING: no gain survives: this wall is not better than the flat wall"), "{text}");
+    assert_eq!(number(&json(&at.join("out/verification.json"))["gain_survives"]), 0.0);
+    // A check that can not be run has a row and a reason, and the others count.
+    let sets =
+        ["--set", "fluid.formulation=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
+    let text = succeeds(at, &with(&["verify", "wall.csv"], &sets));
+    assert!(text.contains("WARNING: the check `fixed particles` failed: "), "{text}");
+    assert!(text.contains("moving particles only"), "{text}");
+    let found = checks(&json(&at.join("verification.json")));
+    assert_eq!(found.iter().filter(|check| !check["error"].is_null()).count(), 1, "{found:?}");
+    // Runs that diverge are found out, not the end.
+    let wild = ["--set", "time.cfl=4", "--set", "time.diffusion_number=1"];
+    let text = succeeds(at, &with(&["verify", "wall.csv"], &[&sets[..4], &wild].concat()));
+    assert!(text.contains("gain that survives: not known") && text.contains("nothing is known of this wall"), "{text}");
+    assert!(
+        text.contains("WARNING: the check `as optimised` failed: step ") && text.contains("has diverged"),
+        "{text}"
+    );
+    assert!(json(&at.join("verification.json"))["gain_survives"].is_null());
+}
+
+#[test]
+fn a_search_with_fixed_particles_is_shown_with_the_scenes_own() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let text = succeeds(at, &with(&["optimize"], &["--epochs", "2", "--out", "run", "--set", "optimise.search=fixed"]));
+    for part in ["with moving particles: Q", "moving particles, another seed (1)"] {
+        assert!(text.contains(part), "no `{part}` in {text}");
+    }
+    let summary = json(&at.join("run/summary.json"));
+    assert_eq!(summary["search"], "fixed");
+    assert!(number(&summary["q_scene"]) > 0.0 && number(&summary["q_scene_before"]) > 0.0);
+    assert_eq!(checks(&summary)[2]["check"], "moving particles");
+    succeeds(at, &["optimize", "--resume", "run", "--epochs", "3", "--no-verify"]);
+    let arguments = ["optimize", "--resume", "run", "--epochs", "4", "--set", "optimise.search=scene"];
+    refused(&arguments, &hydrograd(at, &arguments), &["another scene", "optimise.search"]);
+    // Where there is nothing to choose from, the search takes what there is.
+    let standard =
+        ["--set", "fluid.formulation=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
+    let more = [&["--epochs", "1", "--no-verify", "--set", "optimise.search=fixed"], &standard[..]].concat();
+    let text = succeeds(at, &with(&["optimize"], &more));
+    assert!(!text.contains("particles: Q"), "{text}");
+}
+
+#[test]
+fn mistakes_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let file = |name: &str, text: &str| std::fs::write(at.join(name), text).unwrap();
+    std::fs::create_dir(at.join("empty")).unwrap();
+    std::fs::create_dir(at.join("run")).unwrap();
+    file("wall.csv", "x,offset\n0.3,0.001\n0.5,0.002\n");
+    file("run/shape.csv", "x,offset,first\n0.3,0.001,0.0\n0.5,0.002,0.0\n");
+    file("run/config.toml", "");
+    file("high.csv", "x,offset\n0.3,0.3\n0.5,0.3\n");
+    file("beside.csv", "x,offset\n0.1,0.0\n0.5,0.0\n");
+    file("nothing.csv", "x,y\n0.3,0.1\n");
+    file("first.csv", "x,offset,first\n0.3,0.0,much\n");
+    let motion = ["fluid.motion = fixed", "fluid.formulation=standard", "fluid.motion=moving"];
+    let cases: [(&[&str], &[&str]); 13] = [
+        (&["verify", "nowhere"], &["no such file or folder: nowhere", "x and offset"]),
+        (&["verify", "empty"], &["empty is not the folder of a run", "empty/config.toml"]),
+        (&["verify", "run", "--scene", "poiseuille"], &["--scene poiseuille", "run/config.toml", "run/shape.csv"]),
+        (&["verify", "high.csv"], &["high.csv", "design.offsets[0] = 0.3", "design.bound"]),
+        (&["verify", "beside.csv"], &["beside.csv", "design.nodes[0] = 0.1", "0.25 ... 0.75"]),
+        (&["verify", "nothing.csv"], &["nothing.csv", "no column `offset`"]),
+        (&["verify", "first.csv"], &["first.csv, line 2", "first is `much`"]),
+        (&["verify", "wall.csv", "--scene", "poiseuille"], &["poiseuille has no design", "heated-channel"]),
+        (&["verify", "wall.csv", "--scene", "heated-chanel"], &["heated-chanel", "try: `heated-channel`"]),
+        (&["verify", "wall.csv", "--set", "time.ende=1"], &["--set time.ende=1", "`end`"]),
+        (&["verify", "wall.csv", "--out", "wall.csv"], &["--out wall.csv", "is a file"]),
+        (&["simulate", "--set", "fluid.motion=fixed", "--set", "fluid.formulation=standard"], &motion[..1]),
+        (&["optimize", "--set", "optimise.search=both"], &["--set optimise.search=both", "fixed", "scene"]),
+    ];
+    for (arguments, expected) in cases {
+        refused(arguments, &hydrograd(at, arguments), expected);
+    }
+    assert!(!at.join("verification.json").exists());
+}
+
+/// A verification of the flat wall against itself.
+fn verification(sets: &[&str]) -> Verification {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    let loaded = Config::load(None, None, &sets).unwrap();
+    let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
+    let flat = Shape::new(vec![0.5], vec![0.0], from, to).unwrap();
+    Verification { loaded, reference: flat.clone(), best: flat, reference_name: "the flat wall" }
+}
+
+#[test]
+fn a_check_changes_one_thing() {
+    let verification = verification(&["time.end=0.37", "objective.window=0.11", "design.shape=sine", "run.seed=6"]);
+    let before = verification.loaded.config.clone();
+    let of = |check: Check| {
+        let [reference, best] = verification.pair(check).unwrap();
+        assert_eq!(reference.config, best.config, "the same wall twice");
+        reference.config
+    };
+    let mut expected = before.clone();
+    (expected.design.nodes, expected.design.offsets) = (Some(vec![0.5]), Some(vec![0.0]));
+    assert_eq!(of(Check::AsOptimised), expected);
+    let mut fine = expected.clone();
+    fine.resolution.dx = 0.01;
+    assert_eq!(of(Check::HalfSpacing), fine);
+    assert_eq!(of(Check::HalfSpacing).duration(), before.duration());
+    let mut other = expected.clone();
+    other.fluid.motion = Motion::Fixed;
+    // Its own time step.
+    other.time.cfl = 1.2;
+    assert_eq!(of(Check::OtherMotion), other);
+    let long = of(Check::TwiceTime);
+    assert!((long.duration() - 0.74).abs() < 1e-12 && long.objective.window == 0.11, "{long:?}");
+    assert_eq!(long.resolution, before.resolution);
+    let mut seed = expected.clone();
+    seed.run.seed = 7;
+    assert_eq!(of(Check::OtherSeed), seed);
+}
+
+#[test]
+fn fixed_particles_are_checked_against_moving_ones() {
+    let verification = verification(&["fluid.motion=fixed", "time.steps=100"]);
+    let config = |check: Check| verification.pair(check).unwrap()[0].config.clone();
+    assert_eq!(config(Check::OtherMotion).fluid.motion, Motion::Moving);
+    assert_eq!(config(Check::OtherSeed).fluid.motion, Motion::Moving);
+    assert_eq!(config(Check::HalfSpacing).fluid.motion, Motion::Fixed);
+    // A number of steps is a time: half the spacing takes more of them.
+    let time = verification.loaded.config.duration();
+    assert!((config(Check::HalfSpacing).duration() - time).abs() < 1e-12);
+    assert!((config(Check::TwiceTime).duration() - 2.0 * time).abs() < 1e-12);
+    assert!(verification.describe(Check::OtherSeed).starts_with("moving particles, another seed"));
+}
+
+#[test]
+fn deep_walls_of_the_standard_formulation_stay_covered() {
+    let verification = verification(&["fluid.formulation=standard", "design.bound=0.04", "time.end=0.3"]);
+    let fine = verification.pair(Check::HalfSpacing).unwrap()[0].config.clone();
+    assert_eq!((fine.resolution.dx, fine.channel.wall_rows), (0.01, 4));
+    let error = verification.pair(Check::OtherMotion).unwrap_err().to_string();
+    assert!(error.contains("moving particles only"), "{error}");
+}
+
+#[test]
+fn the_least_gain_survives() {
+    let finding = |figures: Result<(f64, f64), String>| Finding { check: "a check".into(), figures };
+    let figure = Figure::of_config(&Config::default());
+    let checks = vec![finding(Ok((1.0, 1.02))), finding(Err("diverged".into())), finding(Ok((2.0, 2.01)))];
+    let mut verified = Verified { figure, reference_name: "the flat wall", checks, seconds: 1.0 };
+    assert!((verified.survives().unwrap() - 0.005).abs() < 1e-12);
+    assert_eq!(verified.failed().count(), 1);
+    verified.checks.retain(|finding| finding.figures.is_err());
+    assert_eq!(verified.survives(), None);
+}
