@@ -102,6 +102,7 @@
 //!     fixed: None,
 //!     transport: 0.0,
 //!     body_force: BodyForce::None,
+//!     drive: None,
 //!     heat: None,
 //!     scratch: Scratch::default(),
 //! });

@@ -34,6 +34,8 @@ fn cases<R: Sweeps>() -> Vec<Case<R>> {
         noisy_channel(&["fluid.shift=isotropic"]),
         noisy_channel(&["fluid.shift=none"]),
         noisy_channel(&["resolution.kernel=wendland-c2", "resolution.smoothing_length=1.3"]),
+        noisy_channel(&["fluid.drive=flow-rate", "fluid.flow_rate=0.17"]),
+        noisy_channel(&["fluid.drive=pumping-power"]),
     ]
 }
 
@@ -299,7 +301,15 @@ fn steps_have_the_derivatives_that_differences_have() {
 
 #[test]
 fn design_gradients_are_derivatives() {
-    for sets in [&[][..], &["fluid.shift=isotropic"], &["fluid.shift=none"], &["design.parametrisation=b-spline"]] {
+    let kinds = [
+        &[][..],
+        &["fluid.shift=isotropic"],
+        &["fluid.shift=none"],
+        &["design.parametrisation=b-spline"],
+        &["fluid.drive=flow-rate"],
+        &["fluid.drive=pumping-power"],
+    ];
+    for sets in kinds {
         let steps = 10;
         let (_, problem) = channel::<f64>(&[&["time.steps=10", "objective.window=0"], sets].concat());
         let warmth = FinalSum { steps, of: Summed::SquaredHeat };

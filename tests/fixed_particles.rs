@@ -6,6 +6,7 @@ use hydrograd::numerics::lanes::Real;
 use hydrograd::sph::fixed::steady::SteadyOptions;
 use hydrograd::sph::fixed::{row, Channel, Fixed};
 use hydrograd::sph::kernels::Kernel;
+use hydrograd::sph::laws::drive::Drive;
 
 /// Numbers that look random, in -1 .. 1.
 fn noise(seed: u64) -> impl FnMut() -> f64 {
@@ -32,6 +33,7 @@ fn channel(dx: f64) -> Channel {
         viscosity: 0.01,
         diffusivity: 7.313 / 305.27,
         body_force: 2.3,
+        drive: None,
         delta: 0.1,
         dt: 1.2 * dx / 11.0,
         hot: [0.25, 0.75],
@@ -57,6 +59,12 @@ fn odd_channel() -> Channel {
         outlet_above: 0.8,
         ..channel(0.02)
     }
+}
+
+/// What drives the flow: the body force, or something that is held.
+fn drives(channel: &Channel) -> [Channel; 3] {
+    let held = |drive| Channel { body_force: 0.0, drive: Some(drive), ..channel.clone() };
+    [channel.clone(), held(Drive::Momentum(0.21)), held(Drive::Power(0.43))]
 }
 
 /// A state of noise between walls of noise.
@@ -113,7 +121,8 @@ fn by_rows<R: Real, S: Real>(a: &[R], b: &[S]) -> f64 {
 
 #[test]
 fn a_step_and_its_adjoint_are_those_of_the_composed_twin() {
-    for (number, channel) in [odd_channel(), channel(0.02)].into_iter().enumerate() {
+    let channels = [drives(&odd_channel()), drives(&channel(0.02))].concat();
+    for (number, channel) in channels.into_iter().enumerate() {
         let fixed = Fixed::<f64>::new(channel).unwrap();
         let state = noisy(&fixed, 1 + number as u64);
         let shape = (row::COUNT, fixed.particles());
@@ -142,7 +151,11 @@ fn a_step_and_its_adjoint_are_those_of_the_composed_twin() {
 
 #[test]
 fn the_adjoint_is_the_slope_of_ten_steps() {
-    let fixed = Fixed::<f64>::new(odd_channel()).unwrap();
+    drives(&odd_channel()).into_iter().for_each(the_adjoint_is_the_slope);
+}
+
+fn the_adjoint_is_the_slope(channel: Channel) {
+    let fixed = Fixed::<f64>::new(channel).unwrap();
     let state = noisy(&fixed, 5);
     let mut random = noise(6);
     let weights: Vec<f64> = state.iter().map(|_| random()).collect();
@@ -169,7 +182,62 @@ fn the_adjoint_is_the_slope_of_ten_steps() {
         // Fourth order.
         let slope = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
         let exact: f64 = bar.iter().zip(&direction).map(|(a, b)| a * b).sum();
-        assert!((slope / exact - 1.0).abs() < 1e-6, "{name}: {slope} {exact}");
+        assert!((slope / exact - 1.0).abs() < 1e-6, "{name}: {slope} {exact}, {:?}", fixed.channel.drive);
+    }
+}
+
+/// A short and viscous channel, which settles soon.
+fn viscous_channel() -> Channel {
+    Channel {
+        columns: 15,
+        spacing: 0.025,
+        kernel: Kernel::new(KernelName::QuinticSpline, 2, 0.025),
+        viscosity: 0.1,
+        diffusivity: 0.1,
+        body_force: 20.0,
+        dt: 0.0012,
+        hot: [0.1, 0.21],
+        inlet_below: 0.05,
+        outlet_above: 0.35,
+        ..odd_channel()
+    }
+}
+
+/// The flow at a given flow rate, or power, is the one under the body force that has it; and each step keeps what is given.
+#[test]
+fn a_drive_finds_the_body_force() {
+    let under_force = Fixed::<f64>::new(viscous_channel()).unwrap();
+    let mut random = noise(22);
+    let walls: Vec<f64> = (0..30).map(|_| 0.002 * random()).collect();
+    let at_rest = |fixed: &Fixed<f64>| fixed.state(&walls[..15], &walls[15..], &|_| 0.0);
+    let momentum = |fixed: &Fixed<f64>, state: &[f64]| -> f64 {
+        let (n, weights, volumes) = (fixed.particles(), fixed.section_weights(), fixed.volumes(state));
+        let mass = |i: usize| weights[i] * volumes[i] * fixed.density(state[row::P * n + i]);
+        (0..fixed.fluid_particles()).map(|i| mass(i) * state[row::U * n + i]).sum()
+    };
+    let mut expected = at_rest(&under_force);
+    under_force.settle(&mut expected, 20, 20, 1e-11, 100_000);
+    let (force, moved) = (under_force.channel.body_force, momentum(&under_force, &expected));
+    for drive in [Drive::Momentum(moved), Drive::Power(force * moved)] {
+        let channel = Channel { body_force: 0.0, drive: Some(drive), ..viscous_channel() };
+        let fixed = Fixed::<f64>::new(channel).unwrap();
+        let mut state = at_rest(&fixed);
+        fixed.settle(&mut state, 20, 20, 1e-11, 100_000);
+        let found = by_rows(&state, &expected);
+        assert!(found < 1e-7, "{drive:?}: {found:e}");
+        let mut next = state.clone();
+        let force_found = fixed.forward(&state, &mut next, &mut fixed.work());
+        assert!((force_found / force - 1.0).abs() < 1e-7, "{drive:?}: {force_found}");
+        // What is held does not wait for the steady state. The density is that before the step.
+        let start = noisy(&fixed, 3);
+        let force = fixed.forward(&start, &mut next, &mut fixed.work());
+        let n = fixed.particles();
+        next[row::P * n..row::T * n].copy_from_slice(&start[row::P * n..row::T * n]);
+        let held = momentum(&fixed, &next);
+        match drive {
+            Drive::Momentum(wanted) => assert!((held / wanted - 1.0).abs() < 1e-12, "{held} {wanted}"),
+            Drive::Power(wanted) => assert!((force * held / wanted - 1.0).abs() < 1e-12, "{force} {held} {wanted}"),
+        }
     }
 }
 
@@ -266,21 +334,11 @@ fn a_step_has_the_same_bits_for_any_number_of_threads() {
 
 #[test]
 fn the_gradient_of_a_steady_state_is_its_slope() {
-    // Short and viscous: it settles soon.
-    let c = Channel {
-        columns: 15,
-        spacing: 0.025,
-        kernel: Kernel::new(KernelName::QuinticSpline, 2, 0.025),
-        viscosity: 0.1,
-        diffusivity: 0.1,
-        body_force: 20.0,
-        dt: 0.0012,
-        hot: [0.1, 0.21],
-        inlet_below: 0.05,
-        outlet_above: 0.35,
-        ..odd_channel()
-    };
-    let fixed = Fixed::<f64>::new(c).unwrap();
+    drives(&viscous_channel()).into_iter().for_each(the_steady_gradient_is_the_slope);
+}
+
+fn the_steady_gradient_is_the_slope(channel: Channel) {
+    let fixed = Fixed::<f64>::new(channel).unwrap();
     let n = fixed.particles();
     let mut random = noise(21);
     let walls: Vec<f64> = (0..30).map(|_| 0.002 * random()).collect();
@@ -400,7 +458,7 @@ fn the_heated_channel_against_finite_elements() {
 
         let state = fixed.state(&flat, &flat, &poiseuille);
         let (mut next, mut bar, mut work) = (state.clone(), state.clone(), fixed.work());
-        let forward = milliseconds(|| fixed.forward(&state, &mut next, &mut work));
+        let forward = milliseconds(|| _ = fixed.forward(&state, &mut next, &mut work));
         let backward = milliseconds(|| fixed.backward(&state, &next, &mut bar, &mut work));
         let flow = milliseconds(|| fixed.backward_of_flow(&state, &next, &mut bar, &mut work));
         println!("  a step {forward:.4} ms, its adjoint {backward:.4} ms, of the flow alone {flow:.4} ms");

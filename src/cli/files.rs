@@ -36,6 +36,8 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
         "energy_imbalance": found.energy_imbalance,
         "mean_density": found.mean_density,
         "u_max": found.u_max,
+        "body_force": found.body_force,
+        "pumping_power": found.pumping_power,
         "q_sum": found.q / loaded.config.resolution.dx,
         "steps": steps,
         "time_step": loaded.config.time_step(),

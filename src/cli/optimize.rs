@@ -458,6 +458,8 @@ fn text(
     row("heat stored per time", b.stored_heat_rate, a.stored_heat_rate);
     row("energy imbalance / wall heat flux", b.energy_imbalance, a.energy_imbalance);
     row("flow rate", b.flow_rate, a.flow_rate);
+    row("body force", b.body_force, a.body_force);
+    row("pumping power", b.pumping_power, a.pumping_power);
     row("mixed outlet temperature", b.mean_outlet_temperature, a.mean_outlet_temperature);
     row("mean density", b.mean_density, a.mean_density);
     row("fastest particle", b.u_max, a.u_max);

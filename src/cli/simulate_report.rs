@@ -52,6 +52,7 @@ pub fn report_design<R: Sweeps>(
         100.0 * d.energy_imbalance
     );
     println!("flow rate           {:.6}   fastest particle {:.4}", d.flow_rate, d.u_max);
+    println!("body force          {:.6}   pumping power {:.6}", d.body_force, d.pumping_power);
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
     println!("mean density        {:.6}", d.mean_density);
     println!(

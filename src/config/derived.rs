@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use crate::config::scene::{Config, Family, Formulation};
+use crate::config::scene::{Config, DriveName, Family, Formulation};
 
 /// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,6 +18,35 @@ impl Config {
     /// alpha = conductivity / (density * heat_capacity).
     pub fn thermal_diffusivity(&self) -> f64 {
         self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
+    }
+
+    /// Kinematic viscosity nu = viscosity / density.
+    pub fn kinematic_viscosity(&self) -> f64 {
+        self.fluid.viscosity / self.fluid.density
+    }
+
+    /// The acceleration g that drives the plane channel: the body force, or what its flow rate or its power needs there.
+    pub fn plane_force(&self) -> f64 {
+        let (fluid, channel) = (&self.fluid, &self.channel);
+        let stiff = 12.0 * self.kinematic_viscosity() / channel.height.powi(3);
+        let given = match fluid.drive {
+            DriveName::BodyForce => None,
+            DriveName::FlowRate => fluid.flow_rate.map(|rate| stiff * rate),
+            DriveName::PumpingPower => {
+                fluid.pumping_power.map(|power| (stiff * power / (fluid.density * channel.length)).sqrt())
+            }
+        };
+        given.unwrap_or(fluid.body_force)
+    }
+
+    /// The plane channel's flow rate, g H^3 / (12 nu) (plane Poiseuille flow), a volume per time and depth.
+    pub fn plane_flow_rate(&self) -> f64 {
+        self.plane_force() * self.channel.height.powi(3) / (12.0 * self.kinematic_viscosity())
+    }
+
+    /// The power that drives it, density g length times the flow rate, per depth.
+    pub fn plane_power(&self) -> f64 {
+        self.fluid.density * self.plane_force() * self.channel.length * self.plane_flow_rate()
     }
 
     /// 2 or 3.

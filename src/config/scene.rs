@@ -125,6 +125,14 @@ pub struct Fluid {
     pub body_force: f64,
     /// Where it acts: everywhere in the fluid, or only above the undeformed wall (as JAX-SPH).
     pub body_force_region: BodyForceRegion,
+    /// What is the same for every wall: the body force, the flow rate, or the power that drives the flow.
+    pub drive: DriveName,
+    /// The flow rate that is held; default: the plane channel's under the body force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flow_rate: Option<f64>,
+    /// The power that is held; default: the plane channel's under the body force.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pumping_power: Option<f64>,
     pub conductivity: f64,
     pub heat_capacity: f64,
     pub inlet_temperature: f64,
@@ -207,6 +215,19 @@ pub enum BodyForceRegion {
     #[default]
     Fluid,
     OriginalChannel,
+}
+
+/// What drives the flow, whatever the wall: see [`crate::sph::laws::drive`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DriveName {
+    /// A given acceleration.
+    #[default]
+    BodyForce,
+    /// The acceleration that a given flow rate needs.
+    FlowRate,
+    /// The acceleration that a given power allows.
+    PumpingPower,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -480,6 +501,9 @@ impl Default for Fluid {
             viscosity: 0.01,
             body_force: 2.3,
             body_force_region: BodyForceRegion::Fluid,
+            drive: DriveName::BodyForce,
+            flow_rate: None,
+            pumping_power: None,
             conductivity: 7.313,
             heat_capacity: 305.27,
             inlet_temperature: 1.0,

@@ -2,7 +2,9 @@
 
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
-use crate::config::scene::{BodyForceRegion, Config, Family, Formulation, GradientMode, Motion, Precision, ShiftName};
+use crate::config::scene::{
+    BodyForceRegion, Config, DriveName, Family, Formulation, GradientMode, Motion, Precision, ShiftName,
+};
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
 
@@ -32,6 +34,7 @@ impl Schema for Config {
     fn complete() -> Self {
         let mut config = Self::default();
         config.time.steps = Some(1);
+        (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);
         config.design.file = Some(String::new());
@@ -61,6 +64,7 @@ impl Schema for Config {
         self.check_time()?;
         self.check_bound()?;
         self.check_formulation()?;
+        self.check_drive()?;
         self.check_store()
     }
 }
@@ -86,6 +90,8 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("fluid.density", fluid.density, Positive),
         ("fluid.viscosity", fluid.viscosity, Positive),
         ("fluid.body_force", fluid.body_force, NotNegative),
+        ("fluid.flow_rate", fluid.flow_rate.unwrap_or(1.0), Positive),
+        ("fluid.pumping_power", fluid.pumping_power.unwrap_or(1.0), Positive),
         ("fluid.conductivity", fluid.conductivity, Positive),
         ("fluid.heat_capacity", fluid.heat_capacity, Positive),
         ("fluid.inlet_temperature", fluid.inlet_temperature, Finite),
@@ -129,6 +135,11 @@ impl Config {
     /// What only the heated channel has.
     fn check_flow(&self) -> Result<(), BadInput> {
         let fluid = &self.fluid;
+        if fluid.drive != DriveName::BodyForce {
+            return Err(BadInput::new("fluid.drive without a heated channel")
+                .key("fluid.drive")
+                .allowed("body-force, or scene heated-channel"));
+        }
         if fluid.motion == Motion::Fixed {
             return Err(BadInput::new("fluid.motion = fixed without a heated channel")
                 .key("fluid.motion")
@@ -139,6 +150,43 @@ impl Config {
                 .key("fluid.shift")
                 .allowed("isotropic or none, or scene heated-channel")
                 .advice("fluid.shift=isotropic"));
+        }
+        Ok(())
+    }
+
+    /// A flow rate or a power that something holds.
+    fn check_drive(&self) -> Result<(), BadInput> {
+        let fluid = &self.fluid;
+        let given = [
+            ("fluid.flow_rate", fluid.flow_rate, DriveName::FlowRate, "flow-rate"),
+            ("fluid.pumping_power", fluid.pumping_power, DriveName::PumpingPower, "pumping-power"),
+        ];
+        for (key, value, drive, name) in given {
+            if value.is_some() && fluid.drive != drive {
+                return Err(BadInput::new(format!("{key} without what holds it"))
+                    .key(key)
+                    .allowed(format!("fluid.drive = {name} with it"))
+                    .advice(format!("fluid.drive={name}")));
+            }
+        }
+        if fluid.drive == DriveName::BodyForce {
+            return Ok(());
+        }
+        if fluid.formulation == Formulation::Standard {
+            return Err(BadInput::new("fluid.drive in the standard formulation")
+                .key("fluid.drive")
+                .allowed("body-force; flow-rate and pumping-power with fluid.formulation = consistent")
+                .advice("fluid.formulation=consistent, or fluid.drive=body-force"));
+        }
+        if fluid.body_force_region != BodyForceRegion::Fluid {
+            return Err(BadInput::new("fluid.body_force_region = original-channel with a force that is found")
+                .key("fluid.body_force_region")
+                .allowed("fluid, or fluid.drive = body-force"));
+        }
+        if self.plane_force() == 0.0 {
+            return Err(BadInput::new("fluid.drive without a flow rate or a power to hold")
+                .key("fluid.drive")
+                .allowed("a body force above 0, or fluid.flow_rate or fluid.pumping_power"));
         }
         Ok(())
     }

@@ -30,6 +30,10 @@ pub struct Diagnostics {
     pub mean_density: f64,
     /// Fastest fluid particle along x.
     pub u_max: f64,
+    /// The acceleration that drives the flow: given, or what holds the flow rate or the power.
+    pub body_force: f64,
+    /// Its work per time and depth: body_force times the fluid's momentum.
+    pub pumping_power: f64,
 }
 
 /// A run's end.
@@ -76,6 +80,8 @@ struct Sums {
     wall: f64,
     density: f64,
     u_max: f64,
+    force: f64,
+    power: f64,
     /// (time, heat upstream of the targets).
     heat: Vec<(f64, f64)>,
 }
@@ -111,11 +117,13 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         let target_x = outlet.place();
         sums.wall += solver.wall_heat_flux(target_x);
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
-        let (mut density, mut fluids, mut fastest, mut heat) = (0.0, 0.0, f64::NEG_INFINITY, 0.0);
+        let (mut density, mut fluids, mut fastest, mut heat, mut momentum) = (0.0, 0.0, f64::NEG_INFINITY, 0.0, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
             density += solver.primitives[i].f64();
             fluids += 1.0;
-            fastest = fastest.max(solver.state[l.velocity() * n + i].f64());
+            let u = solver.state[l.velocity() * n + i].f64();
+            fastest = fastest.max(u);
+            momentum += solver.mass(i) * u;
             let x = solver.state[i].f64();
             if x > inlet && x < target_x {
                 heat += solver.mass(i) * solver.state[l.temperature() * n + i].f64();
@@ -123,6 +131,9 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         }
         sums.density += density / fluids;
         sums.u_max += fastest;
+        let force = solver.driving_force();
+        sums.force += force;
+        sums.power += force * momentum;
         sums.heat.push((solver.step as f64 * model.dt, heat));
         Ok(())
     }
@@ -143,6 +154,8 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             energy_imbalance: (wall - q - stored) / wall,
             mean_density: mean(sums.density),
             u_max: mean(sums.u_max),
+            body_force: mean(sums.force),
+            pumping_power: mean(sums.power),
         }
     }
 }

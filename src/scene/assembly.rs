@@ -8,6 +8,7 @@ use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::laws::ArtificialViscosity;
 use crate::sph::model::{Heat, Layout, Model, Scratch};
@@ -190,6 +191,8 @@ pub(super) struct Parts<R> {
     /// Dynamic.
     pub viscosity: f64,
     pub body_force: BodyForce,
+    /// What drives the flow besides.
+    pub drive: Option<Drive>,
     /// Velocity along x of the wall above; 0: it is like the others.
     pub lid: f64,
     /// Whether each particle has a mass of its own.
@@ -266,6 +269,7 @@ impl<R: Real> Parts<R> {
             // Independent of the time step: the strength that dt at CFL 0.25 gives.
             transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,
+            drive: self.drive,
             heat: self.heat.take(),
             consistent: None,
             fixed: None,

@@ -7,8 +7,8 @@ use super::assembly::{Assembled, Lattice, Numerics, Parts};
 use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
 use super::{Exact, Scene};
 use crate::config::scene::{
-    BodyForceRegion, Config, Formulation, GradientMode, HotIsotherm, Interpolation as Mode, KernelName, MassConvention,
-    Motion, Start,
+    BodyForceRegion, Config, DriveName, Formulation, GradientMode, HotIsotherm, Interpolation as Mode, KernelName,
+    MassConvention, Motion, Start,
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
@@ -21,6 +21,7 @@ use crate::particles::tag;
 use crate::sph::fixed::{Channel, Fixed};
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::drive::Drive;
 use crate::sph::model::{Heat, Layout, Model};
 use crate::sph::operators::interpolation::Interpolation;
 use std::sync::Arc;
@@ -43,6 +44,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         velocity: config.fluid.reference_velocity,
         viscosity: config.fluid.viscosity,
         body_force: body_force(config),
+        drive: drive(config),
         lid: 0.0,
         own_mass: config.wall.mass == MassConvention::ColumnArea && config.fluid.formulation == Formulation::Standard,
         heat: Some(heat(config, &hot)),
@@ -99,7 +101,21 @@ fn lattice(config: &Config) -> Lattice {
     }
 }
 
+/// What holds the flow rate or the power.
+fn drive(config: &Config) -> Option<Drive> {
+    match config.fluid.drive {
+        DriveName::BodyForce => None,
+        DriveName::FlowRate => {
+            Some(Drive::Momentum(config.fluid.density * config.channel.length * config.plane_flow_rate()))
+        }
+        DriveName::PumpingPower => Some(Drive::Power(config.plane_power())),
+    }
+}
+
 fn body_force(config: &Config) -> BodyForce {
+    if config.fluid.drive != DriveName::BodyForce {
+        return BodyForce::None;
+    }
     let force = config.fluid.body_force;
     match config.fluid.body_force_region {
         BodyForceRegion::Fluid => BodyForce::Uniform(force),
@@ -107,13 +123,13 @@ fn body_force(config: &Config) -> BodyForce {
     }
 }
 
-/// At rest, or the steady parabola F/(2 nu) y (H - y).
+/// At rest, or the plane channel's steady parabola, of its flow rate.
 fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
     if config.time.start == Start::Rest {
         return [0.0; 3];
     }
-    let kinematic = config.fluid.viscosity / config.fluid.density;
-    [(0.5 * config.fluid.body_force / kinematic * y * (config.channel.height - y)).max(0.0), 0.0, 0.0]
+    let kinematic = config.kinematic_viscosity();
+    [(0.5 * config.plane_force() / kinematic * y * (config.channel.height - y)).max(0.0), 0.0, 0.0]
 }
 
 /// Conduction, and walls of a share `hot` of the hot temperature: T_wall = constant + factor <T>, adiabatic for the share of
@@ -231,7 +247,8 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
         sound_speed: config.sound_speed(),
         viscosity: fluid.viscosity / fluid.density,
         diffusivity: config.thermal_diffusivity(),
-        body_force: fluid.body_force,
+        body_force: if fluid.drive == DriveName::BodyForce { fluid.body_force } else { 0.0 },
+        drive: model.drive,
         delta: fluid.pressure_diffusion,
         dt,
         hot: [channel.hot_from, channel.hot_to],

@@ -50,6 +50,7 @@ impl LidDrivenCavity {
             velocity: 1.0,
             viscosity: 1.0 / self.reynolds,
             body_force: BodyForce::None,
+            drive: None,
             lid: 1.0,
             own_mass: false,
             heat: None,

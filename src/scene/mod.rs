@@ -74,7 +74,8 @@ impl<R: Real> Scene<R> {
         let (n, d) = (scene.model.particles(), scene.model.layout.dimension);
         scene.start.state[d * n..2 * d * n].fill(R::default());
         let model = Arc::get_mut(&mut scene.model);
-        model.ok_or_else(|| Error::run("a new scene is shared", "report this"))?.body_force = BodyForce::None;
+        let model = model.ok_or_else(|| Error::run("a new scene is shared", "report this"))?;
+        (model.body_force, model.drive) = (BodyForce::None, None);
         Ok(scene)
     }
 

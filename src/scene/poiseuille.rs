@@ -55,6 +55,7 @@ impl Poiseuille {
             velocity: 1.0,
             viscosity: kinematic_viscosity,
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
+            drive: None,
             lid: 0.0,
             own_mass: false,
             heat: None,

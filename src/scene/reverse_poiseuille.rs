@@ -52,6 +52,7 @@ impl ReversePoiseuille {
             velocity: 1.0,
             viscosity: kinematic_viscosity,
             body_force: BodyForce::Reversing { strength: self.force, turn: 1.0 },
+            drive: None,
             lid: 0.0,
             own_mass: false,
             heat: None,

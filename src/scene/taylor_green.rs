@@ -66,6 +66,7 @@ impl TaylorGreen {
             velocity: 1.0,
             viscosity: kinematic_viscosity,
             body_force: BodyForce::None,
+            drive: None,
             lid: 0.0,
             own_mass: false,
             heat: None,

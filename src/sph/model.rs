@@ -8,6 +8,7 @@ use crate::sph::consistent::{Consistent, Kept};
 use crate::sph::fixed::Fixed;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::laws::ArtificialViscosity;
 use crate::sph::operators::pairs::PairCache;
@@ -158,6 +159,8 @@ pub struct Model<R> {
     /// Strength of the transport velocity (0: off).
     pub transport: f64,
     pub body_force: BodyForce,
+    /// What drives the flow besides, in the consistent formulation; fixed particles have their own.
+    pub drive: Option<Drive>,
     pub heat: Option<Heat<R>>,
     /// What the consistent formulation needs; none in the standard one.
     pub consistent: Option<Consistent<R>>,

@@ -4,6 +4,7 @@ use super::chain::{Chain, Step};
 use super::consistent::operators::{self, Buffers};
 use super::consistent::{composed, Blocks, Geometry};
 use super::fixed::{Fixed, FixedStep, Work};
+use super::laws::body_force::BodyForce;
 use super::laws::conduction;
 use super::model::{Layout, Model};
 use super::operators::composed::Pairs;
@@ -58,6 +59,8 @@ pub struct Solver<R> {
     consistent: Option<Consistent<R>>,
     /// Of fixed particles, likewise.
     lattice: Option<Lattice<R>>,
+    /// The acceleration of the last step by what holds the flow rate or the power; none where that is given.
+    drive: Option<f64>,
 }
 
 /// Fixed particles' run.
@@ -138,6 +141,7 @@ impl<R: Sweeps> Solver<R> {
             neighbourhood,
             shows_primitives: false,
             lattice,
+            drive: None,
             consistent: consistent.then(|| Consistent {
                 tables: Tables::default(),
                 buffers: Buffers::default(),
@@ -156,12 +160,15 @@ impl<R: Sweeps> Solver<R> {
     /// Particles that are lost or too fast.
     pub fn advance(&mut self) -> Result<(), RunError> {
         if let Some(lattice) = &mut self.lattice {
-            lattice.fixed.forward(&self.state, &mut lattice.next, &mut lattice.work);
+            let force = lattice.fixed.forward(&self.state, &mut lattice.next, &mut lattice.work);
+            self.drive = lattice.fixed.channel.drive.map(|_| force.f64());
             std::mem::swap(&mut self.state, &mut lattice.next);
         } else if self.consistent.is_some() {
             let updated = self.neighbourhood.update(&self.model.reach(), &self.state);
             updated.map_err(|source| RunError::Neighbours { step: self.step, source })?;
-            self.with_geometry(|run, geometry, state| run.buffers.advance(geometry, state));
+            let mut force = None;
+            self.with_geometry(|run, geometry, state| force = run.buffers.advance(geometry, state));
+            self.drive = force;
         } else {
             let dt = self.model.dt;
             step::advance(self, dt, &())?;
@@ -266,6 +273,19 @@ impl<R: Sweeps> Solver<R> {
             Some(masses) => masses[i].f64(),
             None if l.mass => self.state[l.state_mass() * n + i].f64(),
             None => self.model.mass,
+        }
+    }
+
+    /// The acceleration along x that drove the last step: the scene's body force, or what held the flow rate or the power.
+    pub fn driving_force(&self) -> f64 {
+        match (self.drive, &self.model.fixed) {
+            (Some(force), _) => force,
+            (None, Some(fixed)) => fixed.channel.body_force,
+            (None, None) => match self.model.body_force {
+                BodyForce::Uniform(force) => force,
+                BodyForce::Band { strength, .. } | BodyForce::Reversing { strength, .. } => strength,
+                BodyForce::None => 0.0,
+            },
         }
     }
 

@@ -102,6 +102,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
         artificial_viscosity: None,
         transport: 0.0,
         body_force: BodyForce::None,
+        drive: None,
         heat: heat.then(|| Heat {
             conductivity: diffusivity * density,
             capacity: 1.0,

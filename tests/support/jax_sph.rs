@@ -174,6 +174,7 @@ impl Case {
             artificial_viscosity: None,
             transport: self.transport,
             body_force: self.body_force(),
+            drive: None,
             heat,
             consistent: None,
             fixed: None,

@@ -165,6 +165,7 @@ impl RandomScene {
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
+            drive: None,
             heat: options.heat.then(|| Heat {
                 conductivity: 7.313,
                 capacity: 30.527,

@@ -113,6 +113,13 @@ impl<'a, R: Real> Around<'a, R> {
         sum.affine(1.0, self.model.kernel.at_zero())?.recip()
     }
 
+    /// [`super::operators::masses`], `[1, N]`.
+    fn masses(&self, like: &Tensor) -> Result<Tensor> {
+        let density = self.model.equation_of_state.reference_density;
+        let quadrature = per_particle(self.consistent.quadrature.clone(), like)?;
+        self.volume()?.mul(&quadrature)?.mul(&self.fluid)?.affine(density, 0.0)
+    }
+
     /// The shift, `[D, N]`, 0 for walls.
     fn shift(&self, position: &Tensor) -> Result<Tensor> {
         let w = match &self.consistent.shift {
@@ -318,10 +325,7 @@ fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
 /// Tensor errors.
 pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<(Tensor, Tensor)> {
     let around = Around::new(model, list, state)?;
-    let density = model.equation_of_state.reference_density;
-    let quadrature = per_particle(around.consistent.quadrature.clone(), state)?;
-    let mass = around.volume()?.mul(&quadrature)?.mul(&around.fluid)?.affine(density, 0.0)?;
-    Ok((known(&around, state)?, mass))
+    Ok((known(&around, state)?, around.masses(state)?))
 }
 
 /// [`super::operators::advance`].
@@ -413,5 +417,6 @@ pub fn advance<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state:
         let inlet = below(&moved.narrow(0, 0, 1)?, heat.inlet_below)?.mul(&around.fluid)?;
         rows.push(after.mul(&inlet.affine(-1.0, 1.0)?)?.mul(&kept)?);
     }
-    Tensor::cat(&rows, 0)
+    let after = Tensor::cat(&rows, 0)?;
+    super::drive::composed(model, &around.fluid, &around.masses(state)?, &after)
 }

@@ -17,6 +17,7 @@
 //!   advance        u += dt (-grad p / rho + nu lap u + g + w.grad u)
 //!                  T += dt (alpha lap T + w.grad T)
 //!                  r += dt (u + w)                                                               [advance]
+//!   drive          where the flow rate or the power is given: the kick that holds it                [drive]
 //! ```
 //!
 //! Sources: Liu and Liu (2006) and Tamai and Koshizuka (2014) for the operators, Antuono et al. (2010) for the diffusive term,
@@ -27,6 +28,7 @@ pub mod blocks;
 pub mod composed;
 pub mod continuity;
 pub mod derivatives;
+pub mod drive;
 pub mod operators;
 pub mod shift;
 pub mod stencil;

@@ -2,6 +2,7 @@
 
 use super::blocks::{width, Blocks, Place};
 use super::derivatives::rows;
+use super::drive;
 use super::stencil::monomials;
 use super::{Geometry, Kept};
 use crate::numerics::candle::{apply1, apply2, apply3, Operator};
@@ -72,6 +73,8 @@ pub struct PressureGradient<R: Sweeps>(pub Arc<Chain<R>>);
 pub struct Advance<R: Sweeps>(pub Arc<Chain<R>>);
 /// derivatives -> mass of the fluid's particles as sections count it, rho V times the quadrature's weight, `[1, N]`.
 pub struct Masses<R: Sweeps>(pub Arc<Chain<R>>);
+/// state, masses -> state, kicked.
+pub struct Drive<R: Sweeps>(pub Arc<Chain<R>>);
 
 impl<R: Sweeps> Operator<1> for WallValues<R> {
     type Real = R;
@@ -220,6 +223,23 @@ impl<R: Sweeps> Operator<1> for Masses<R> {
     }
 }
 
+impl<R: Sweeps> Operator<2> for Drive<R> {
+    type Real = R;
+    const NAME: &'static str = "drive";
+
+    fn forward(&self, [state, masses]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
+        let mut after = state.to_vec();
+        drive::forward(&self.0.geometry()?, masses, &mut after);
+        Ok((after, shapes[0].clone()))
+    }
+
+    fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+        let (mut state_bar, mut masses_bar) = (bar.to_vec(), zeros([masses.len()]));
+        drive::backward(&self.0.geometry()?, masses, state, after, &mut state_bar, &mut masses_bar);
+        Ok([Some(state_bar), Some(masses_bar)])
+    }
+}
+
 /// For each fluid particle: its number, where its volume stands among the derivatives, and what that is multiplied with.
 fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, usize, R)) {
     let (l, density) = (geometry.model.layout, geometry.model.equation_of_state.reference_density);
@@ -284,7 +304,11 @@ pub fn advance<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Tenso
     let pressure = apply2(Continuity(chain.clone()), &known, &derivatives)?;
     let filled = apply2(WallPressure(chain.clone()), &known, &pressure)?;
     let gradient = apply2(PressureGradient(chain.clone()), &known, &filled)?;
-    apply3(Advance(chain.clone()), &known, &derivatives, &gradient)
+    let after = apply3(Advance(chain.clone()), &known, &derivatives, &gradient)?;
+    if chain.model.drive.is_none() {
+        return Ok(after);
+    }
+    apply2(Drive(chain.clone()), &after, &apply1(Masses(chain.clone()), &derivatives)?)
 }
 
 /// The buffers of a run without a graph.
@@ -294,6 +318,8 @@ pub struct Buffers<R> {
     pub derivatives: Vec<R>,
     gradient: Vec<R>,
     pressure: Vec<R>,
+    /// Where something drives the flow that needs them.
+    masses: Vec<R>,
     kept: Kept<R>,
 }
 
@@ -306,14 +332,18 @@ impl<R: Sweeps> Buffers<R> {
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
-    /// One step of a state, in place.
-    pub fn advance(&mut self, geometry: &Geometry<'_, R>, state: &mut [R]) {
+    /// One step of a state, in place. The acceleration of what drives the flow, if it is no body force.
+    pub fn advance(&mut self, geometry: &Geometry<'_, R>, state: &mut [R]) -> Option<f64> {
         self.look(geometry, state);
         self.pressure.resize(geometry.model.particles(), R::default());
         R::continuity(geometry, &self.known, &self.derivatives, &self.kept, &mut self.pressure);
         R::wall_pressure(geometry, &mut self.kept, &self.known, &mut self.pressure);
         R::pressure_gradient(geometry, &mut self.kept, &self.known, &self.pressure, &mut self.gradient);
         R::advance(geometry, &self.known, &self.derivatives, &self.gradient, state);
+        geometry.model.drive?;
+        self.masses.resize(geometry.model.particles(), R::default());
+        masses(geometry, &self.derivatives, &mut self.masses);
+        Some(drive::forward(geometry, &self.masses, state))
     }
 }
 

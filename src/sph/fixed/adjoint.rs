@@ -77,16 +77,9 @@ impl<L: Lanes> Metric<L> {
     #[inline(always)]
     fn put(self, c: &Context<'_, L::Real>, set: usize, at: usize) {
         for (k, bar) in [self.d, self.s, self.eta_s].into_iter().enumerate() {
-            put_line(c, line::BARS + 3 * set + k, at, bar);
+            c.put_line(line::BARS + 3 * set + k, at, bar);
         }
     }
-}
-
-/// Stores a vector of a line.
-#[inline(always)]
-fn put_line<L: Lanes>(c: &Context<'_, L::Real>, line: usize, at: usize, value: L) {
-    // SAFETY: a unit writes its own columns, and only it makes their copies.
-    unsafe { c.fields.put_line(line, at, value) }
 }
 
 /// Sums over the pairs of a particle that both pair sweeps make.
@@ -257,10 +250,10 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
                     Wall::Bottom => (line::BOTTOM_ALONG, line::BOTTOM_LEAN_BAR),
                     Wall::Top => (line::TOP_ALONG, line::TOP_LEAN_BAR),
                 };
-                put_line(c, along_line, at, conormal * c.line(wall.lean(), here));
+                c.put_line(along_line, at, conormal * c.line(wall.lean(), here));
                 if METRIC {
                     let sides = [-1, 0, 1].map(|k| c.get::<L>(field::T, c.near(wall, 0), here + k));
-                    put_line(c, lean_line, at, conormal * along(c, wall, here, sides));
+                    c.put_line(lean_line, at, conormal * along(c, wall, here, sides));
                 }
             }
             if METRIC {
@@ -456,6 +449,9 @@ impl<R: Real> Fixed<R> {
             let context = self.kicked(state, work, None, Some(next_bar));
             let units = self.grid.units();
             run(&Pull::<R, METRIC> { context: &context, next_bar }, units);
+            if let Some(drive) = self.channel.drive {
+                self.push_bar(&context, drive);
+            }
             run(&PullBack::<R, METRIC> { context: &context, state_bar: Shared::new(state_bar) }, units);
             run(&Finish { context: &context, state_bar: Shared::new(state_bar) }, units);
         }

@@ -202,6 +202,16 @@ impl<R: Real> Fixed<R> {
         let push_v = self.sum(|i, j, there| there(&pressure)?.affine(-w(i, j).gy.f64(), 0.0))?;
         let u = (&u + (kick(&u)? + push_u)?.div(&mass)?.affine(c.dt, c.dt * c.body_force)?)?;
         let v = (&v + (kick(&v)? + push_v)?.div(&mass)?.affine(c.dt, 0.0)?)?;
+        let u = match c.drive {
+            None => u,
+            Some(drive) => {
+                let weights: Vec<R> = self.section_weights().into_iter().map(R::of).collect();
+                let weights = Tensor::from_vec(weights, (ny, nx), u.device())?.to_dtype(u.dtype())?;
+                let masses = mass.mul(&weights)?.affine(c.density * c.spacing * c.spacing, 0.0)?;
+                let sum = |f: &Tensor| f.sum_keepdim(0)?.sum_keepdim(1);
+                u.broadcast_add(&drive.composed(c.dt, &sum(&masses.mul(&u)?)?, &sum(&masses)?)?)?
+            }
+        };
         let behind = fluxes(&u, &v)?;
         let out = self.sum(|i, j, _| Ok(behind[number(i, j)].clone()))?;
         let p = (&p - out.div(&d)?.affine(c.dt * stiffness, 0.0)?)?;

@@ -144,6 +144,13 @@ impl<'a, R: Real> Fields<'a, R> {
         unsafe { self.put_at(self.lines + line * self.grid.stride + self.grid.column(0), column, value) }
     }
 
+    /// Sum of a line's columns, in their order.
+    pub fn sum_of_line(&self, line: usize) -> f64 {
+        let from = self.lines + line * self.grid.stride + self.grid.column(0);
+        // SAFETY: in bounds; sweeps that write lines have ended.
+        (0..self.grid.columns).map(|column| unsafe { self.numbers.get(from + column) }.f64()).sum()
+    }
+
     #[inline(always)]
     unsafe fn put_at<L: Lanes<Real = R>>(&self, start: usize, column: usize, value: L) {
         let n = self.grid.columns;

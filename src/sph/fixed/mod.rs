@@ -20,7 +20,7 @@
 //! 0.33 % on average). Two rows of ghosts beyond each wall: u, v, m_x and a hot T quadratic through the wall's value, m_y
 //! odd, p linear, an adiabatic T even with the flux along the wall taken out (conormal).
 //!
-//! A step (symplectic): M, kick u and v, M again of the new velocities, rho and T by the same M. Mass is kept to rounding.
+//! A step (symplectic): M, kick u and v (and what a [`Drive`] adds), M again of the new velocities, rho and T by the same M. Mass is kept to rounding.
 //! The steady state does not depend on the step: at H = 0.2 over walls of +-0.02 its Q is within 1.0 % (dx = 0.02) and 0.5 %
 //! (0.01) of finite elements. dt: at most 1.2 dx/(c + u), and what diffusion allows.
 //!
@@ -32,6 +32,7 @@
 
 pub mod adjoint;
 pub mod composed;
+mod drive;
 pub mod ghosts;
 pub mod grid;
 pub mod metric;
@@ -48,6 +49,7 @@ use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
 use crate::sph::kernels::Kernel;
+use crate::sph::laws::drive::Drive;
 use candle_core::Tensor;
 use ghosts::Ghosts;
 use grid::Grid;
@@ -83,6 +85,8 @@ pub struct Channel {
     pub diffusivity: f64,
     /// Acceleration along x.
     pub body_force: f64,
+    /// What drives the flow instead; then the body force is 0.
+    pub drive: Option<Drive>,
     /// Strength of the diffusion of the density; 0.1 is right, 0.02 too little.
     pub delta: f64,
     pub dt: f64,
@@ -235,7 +239,7 @@ impl<R: Real> Fixed<R> {
     /// 2 f_1/dx there.
     pub fn section_weights(&self) -> Vec<f64> {
         let (nx, ny) = (self.channel.columns, self.channel.rows);
-        (0..nx * ny).map(|i| if i / nx == 0 || i / nx == ny - 1 { 11.0 / 12.0 } else { 1.0 }).collect()
+        (0..nx * ny).map(|i| self.row_weight(i / nx)).collect()
     }
 
     /// Area of the fluid particles of a state, D dx^2, `[fluid particles]`.

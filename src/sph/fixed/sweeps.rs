@@ -119,6 +119,13 @@ impl<'a, R: Real> Context<'a, R> {
         unsafe { self.fields.put(field, j, column, value) }
     }
 
+    /// Stores a vector of a line, of a unit's own columns.
+    #[inline(always)]
+    pub fn put_line<L: Lanes<Real = R>>(&self, line: usize, column: usize, value: L) {
+        // SAFETY: a unit writes its own columns, and only it makes their copies.
+        unsafe { self.fields.put_line(line, column, value) }
+    }
+
     /// Stores ghosts, those next to the wall first: below the bottom or above the top wall.
     #[inline(always)]
     pub fn put_ghosts<L: Lanes<Real = R>>(&self, field: usize, wall: Wall, column: usize, ghosts: [L; REACH]) {
@@ -470,9 +477,11 @@ impl<R: Real> RowKernel<R> for Kick<'_, R> {
                         c.to_state(next, row::V, j, at, v);
                     }
                 }
-                if let Some(bar) = self.bar {
+                if self.bar.is_some() || c.fixed.channel.drive.is_some() {
                     c.put(field::KICKED_U, j, at, u);
                     c.put(field::KICKED_V, j, at, v);
+                }
+                if let Some(bar) = self.bar {
                     super::adjoint::prepare(c, bar, j, at, rho, own.d);
                 }
                 let m = mass_flux(own.d, own.s, rho, u, v);
@@ -538,10 +547,10 @@ impl<R: Real> RowKernel<R> for Advance<'_, R> {
 }
 
 impl<R: Real> Fixed<R> {
-    /// One step: state `[6, N]` -> next `[6, N]`.
+    /// One step: state `[6, N]` -> next `[6, N]`; returns the body force that drove it.
     ///
     /// Temperatures at the inlet and behind the outlet are set at the step's end, so a first state should have them.
-    pub fn forward(&self, state: &[R], next: &mut [R], work: &mut Work<R>) {
+    pub fn forward(&self, state: &[R], next: &mut [R], work: &mut Work<R>) -> R {
         let (n, fluid) = (self.particles(), self.fluid_particles());
         let positions = row::U * n;
         next[..positions].copy_from_slice(&state[..positions]);
@@ -552,6 +561,7 @@ impl<R: Real> Fixed<R> {
         self.metric(state, work);
         let context = self.kicked(state, work, Some(&next), None);
         run(&Advance { context: &context, next }, self.grid.units());
+        context.constants.body_force
     }
 
     /// The sweeps up to the kick, which a step and its adjoint share.
@@ -562,11 +572,14 @@ impl<R: Real> Fixed<R> {
         next: Option<&Shared<'_, R>>,
         bar: Option<&[R]>,
     ) -> Context<'a, R> {
-        let context = Context::new(self, work);
+        let mut context = Context::new(self, work);
         let units = self.grid.units();
         run(&Spread { context: &context, state }, units);
         run(&Flux(&context), units);
         run(&Kick { context: &context, next, bar }, units);
+        if let Some(drive) = self.channel.drive {
+            self.push(&mut context, drive, next);
+        }
         context
     }
 }

@@ -57,7 +57,10 @@ pub mod line {
     pub const BARS: usize = 7;
     pub const BOTTOM_LEAN_BAR: usize = 13;
     pub const TOP_LEAN_BAR: usize = 14;
-    pub const COUNT: usize = 15;
+    /// Momentum along x and mass of columns.
+    pub const MOMENTUM: usize = 15;
+    pub const MASS: usize = 16;
+    pub const COUNT: usize = 17;
 }
 
 /// Memory that a step borrows; holds the metric of the walls that it saw last.

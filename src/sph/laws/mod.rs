@@ -8,6 +8,7 @@
 pub mod artificial_viscosity;
 pub mod body_force;
 pub mod conduction;
+pub mod drive;
 pub mod equation_of_state;
 pub mod pressure;
 pub mod transport_velocity;

@@ -1,0 +1,93 @@
+//! The kick of a [`crate::sph::laws::drive`] at a step's end: u += kick, x += dt kick, as if it had been there before the move.
+
+use super::Geometry;
+use crate::numerics::lanes::Real;
+use crate::sph::laws::conduction;
+use crate::sph::laws::drive::Kick;
+use crate::sph::model::Model;
+use crate::sph::operators::composed::below;
+use crate::sph::operators::drift::wrapped;
+use candle_core::{Result, Tensor};
+
+fn fluid<R: Real>(geometry: &Geometry<'_, R>) -> Vec<usize> {
+    // In the order of particles, so that sums do not depend on how they are dealt out.
+    (0..geometry.model.particles()).filter(|&i| geometry.model.is_fluid(i)).collect()
+}
+
+/// The kick of a state's velocities before it.
+fn found<R: Real>(geometry: &Geometry<'_, R>, fluid: &[usize], masses: &[R], u: impl Fn(usize) -> f64) -> Kick {
+    let Some(drive) = geometry.model.drive else { return Kick::default() };
+    let (mut momentum, mut mass) = (0.0, 0.0);
+    for &i in fluid {
+        let m = masses[i].f64();
+        mass += m;
+        momentum += m * u(i);
+    }
+    drive.kick(geometry.model.dt, momentum, mass)
+}
+
+/// Kicks a state `[F, N]`, in place; the acceleration of it. `masses` `[N]` as [`super::operators::masses`] gives them.
+pub fn forward<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], state: &mut [R]) -> f64 {
+    let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
+    let fluid = fluid(geometry);
+    let kick = found(geometry, &fluid, masses, |i| state[l.velocity() * n + i].f64()).kick;
+    for i in fluid {
+        state[l.velocity() * n + i] += R::of(kick);
+        state[i] = wrapped(&model.domain, 0, state[i] + R::of(model.dt * kick));
+        if l.heat && conduction::is_inlet(model, state[i]) {
+            state[l.temperature() * n + i] = R::default();
+        }
+    }
+    kick / model.dt
+}
+
+/// The adjoint: cotangent of the state behind the kick -> of that before it, in place, and of the masses.
+pub fn backward<R: Real>(
+    geometry: &Geometry<'_, R>,
+    masses: &[R],
+    before: &[R],
+    after: &[R],
+    bar: &mut [R],
+    masses_bar: &mut [R],
+) {
+    let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
+    let (fluid, at) = (fluid(geometry), l.velocity() * n);
+    let found = found(geometry, &fluid, masses, |i| before[at + i].f64());
+    let kick_bar: f64 = fluid.iter().map(|&i| bar[at + i].f64() + model.dt * bar[i].f64()).sum();
+    let (by_momentum, by_mass) = (R::of(kick_bar * found.by_momentum), R::of(kick_bar * found.by_mass));
+    for i in fluid {
+        bar[at + i] += masses[i] * by_momentum;
+        masses_bar[i] = before[at + i] * by_momentum + by_mass;
+        if l.heat && conduction::is_inlet(model, after[i]) {
+            bar[l.temperature() * n + i] = R::default();
+        }
+    }
+}
+
+/// [`forward`] from candle's operators; masses `[1, N]`.
+///
+/// # Errors
+/// Tensor errors.
+pub fn composed<R: Real>(model: &Model<R>, fluid: &Tensor, masses: &Tensor, state: &Tensor) -> Result<Tensor> {
+    let Some(drive) = model.drive else { return Ok(state.clone()) };
+    let l = model.layout;
+    let u = state.narrow(0, l.velocity(), 1)?;
+    let sum = |f: &Tensor| f.sum_keepdim(1);
+    let kick = drive.composed(model.dt, &sum(&masses.mul(&u)?)?, &sum(masses)?)?;
+    let kick = fluid.broadcast_mul(&kick)?;
+    let x = state.narrow(0, 0, 1)?;
+    let moved = model.domain.wrapped_of(0, &(&x + kick.affine(model.dt, 0.0)?)?)?;
+    let still = fluid.affine(-1.0, 1.0)?;
+    let moved = (moved.mul(fluid)? + x.mul(&still)?)?;
+    let mut rows = vec![moved.clone(), state.narrow(0, 1, l.velocity() - 1)?, (u + kick)?];
+    let behind = l.velocity() + 1;
+    match &model.heat {
+        None => rows.push(state.narrow(0, behind, l.state_rows() - behind)?),
+        Some(heat) => {
+            rows.push(state.narrow(0, behind, l.temperature() - behind)?);
+            let inlet = below(&moved, heat.inlet_below)?.mul(fluid)?;
+            rows.push(state.narrow(0, l.temperature(), 1)?.mul(&inlet.affine(-1.0, 1.0)?)?);
+        }
+    }
+    Tensor::cat(&rows, 0)
+}

@@ -1,0 +1,96 @@
+//! What drives a flow instead of a given body force: a uniform acceleration that holds the flow rate, or the power.
+//!
+//! A step kicks the fluid with every other force first, to velocities u*. With its momentum along x, S = sum m u*, and its
+//! mass M = sum m, the acceleration of a step is kick / dt,
+//!
+//! ```text
+//!   flow rate    kick = (density L rate - S) / M                 so that  sum m (u* + kick) / (density L) = rate;
+//!   power        M kick^2 + S kick = dt power, the upper root    so that  kick/dt sum m (u* + kick) = power.
+//! ```
+//!
+//! L is the length of the domain, the rate a volume per time and depth, the power a work per time and depth. Both hold at the
+//! end of every step, to rounding, so a steady flow has exactly the rate or the power that it is given; and both are a function
+//! of the state, so that its derivative is exact: S and M carry it. A constant flow rate is imposed in this way on turbulent
+//! channels too (Quadrio, Frohnapfel and Hasegawa 2016, section 2); that the power is held implicitly makes it start from rest.
+
+use candle_core::{Result, Tensor};
+
+/// What is held.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Drive {
+    /// density * length * flow rate: the momentum along x.
+    Momentum(f64),
+    /// Work of the acceleration per time and depth.
+    Power(f64),
+}
+
+/// The velocity that every fluid particle gains, and its derivatives.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Kick {
+    pub kick: f64,
+    /// d kick / dS.
+    pub by_momentum: f64,
+    /// d kick / dM.
+    pub by_mass: f64,
+}
+
+impl Drive {
+    /// The kick of a step dt from the fluid's momentum along x and mass.
+    pub fn kick(self, dt: f64, momentum: f64, mass: f64) -> Kick {
+        match self {
+            Self::Momentum(wanted) => {
+                let kick = (wanted - momentum) / mass;
+                Kick { kick, by_momentum: -1.0 / mass, by_mass: -kick / mass }
+            }
+            Self::Power(power) => {
+                let root = (momentum * momentum + 4.0 * mass * dt * power).sqrt();
+                // The form without a difference of two large numbers, for a flow along x.
+                let kick =
+                    if momentum > 0.0 { 2.0 * dt * power / (momentum + root) } else { 0.5 * (root - momentum) / mass };
+                Kick { kick, by_momentum: -kick / root, by_mass: -kick * kick / root }
+            }
+        }
+    }
+
+    /// [`Self::kick`] of tensors `[1, 1]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn composed(self, dt: f64, momentum: &Tensor, mass: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Momentum(wanted) => momentum.affine(-1.0, wanted)?.div(mass),
+            Self::Power(power) => {
+                let root = (momentum.sqr()? + mass.affine(4.0 * dt * power, 0.0)?)?.sqrt()?;
+                (root - momentum)?.div(&mass.affine(2.0, 0.0)?)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holds_what_it_says_and_knows_its_derivatives() {
+        let dt = 0.01;
+        for drive in [Drive::Momentum(0.7), Drive::Power(0.4)] {
+            for (momentum, mass) in [(0.5, 0.2), (-0.3, 0.2), (0.0, 1.3), (4.0, 0.1)] {
+                let found = drive.kick(dt, momentum, mass);
+                let after = momentum + mass * found.kick;
+                let (held, wanted) = match drive {
+                    Drive::Momentum(wanted) => (after, wanted),
+                    Drive::Power(wanted) => (found.kick / dt * after, wanted),
+                };
+                assert!((held / wanted - 1.0).abs() < 1e-12, "{drive:?} {held}");
+                let h = 1e-6;
+                let by_momentum =
+                    (drive.kick(dt, momentum + h, mass).kick - drive.kick(dt, momentum - h, mass).kick) / (2.0 * h);
+                let by_mass =
+                    (drive.kick(dt, momentum, mass + h).kick - drive.kick(dt, momentum, mass - h).kick) / (2.0 * h);
+                assert!((by_momentum / found.by_momentum - 1.0).abs() < 1e-6, "{drive:?}: {by_momentum} {found:?}");
+                assert!((by_mass / found.by_mass - 1.0).abs() < 1e-6, "{drive:?}: {by_mass} {found:?}");
+            }
+        }
+    }
+}
