@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy gradient growth cfl starts gain drift shapes f32. Of speed: bench-kernels bench-gradient
+Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes f32. Of speed: bench-kernels bench-gradient
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
 Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
@@ -180,6 +180,18 @@ def gain():
                       f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
 
 
+def constraints():
+    rows = []
+    for drive in ("body-force", "flow-rate", "pumping-power"):
+        for walls in ("bottom", "both"):
+            s = load(run(f"constraints-{drive}-{walls}", "optimize", *sets(fluid__drive=drive, design__walls=walls)))
+            before = s["before"]
+            rows.append([drive, walls, f"{s['q_first']:.6f}", percent(s["q"], s["q_first"]), f"{100 * s['gain_survives']:+.2f} %",
+                         percent(s["flow_rate"], before["flow_rate"]), percent(s["pumping_power"], before["pumping_power"]),
+                         f"{sum(s['seconds_per_epoch']):.1f}"])
+    return table(["held", "walls", "Q flat", "Q best", "survives its checks", "flow rate", "pumping power", "seconds"], rows)
+
+
 def shapes():
     with open(SHAPES) as file:
         reference = list(csv.DictReader(file))
@@ -218,7 +230,7 @@ def f32():
     return table(["steps", "norm of the gradient", "f32 differs by"], rows)
 
 
-FIGURES = {**{f.__name__: f for f in (accuracy, gradient, growth, cfl, starts, gain, drift, shapes, f32)}, **SPEED}
+FIGURES = {**{f.__name__: f for f in (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, f32)}, **SPEED}
 
 
 def main():

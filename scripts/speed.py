@@ -62,7 +62,7 @@ def words(scene):
 
 
 def bench_gradient():
-    rows = bench("bench-gradient", "step", "gradient", "--preset", "report", "--repeats", "2")
+    rows = bench("bench-gradient", "step", "gradient", "--preset", "report-jax-sph", "--repeats", "2")
     one, two, single = dict(precision="f64", threads=1), dict(precision="f64", threads=2), dict(precision="f32", threads=2)
     words = {"every state": "gradient, every state kept",
              "best segments": "gradient, segments of the least memory without running a step twice",

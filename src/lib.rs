@@ -104,6 +104,7 @@
 //!     body_force: BodyForce::None,
 //!     drive: None,
 //!     heat: None,
+//!     wall_heat_until: None,
 //!     scratch: Scratch::default(),
 //! });
 //! let n = model.particles();

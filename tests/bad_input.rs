@@ -353,7 +353,7 @@ fn malformed_set() {
 #[test]
 fn unknown_preset() {
     let case = Case::new(&[]);
-    let parts = ["--preset reprot", "allowed: report", "try: `report`"];
+    let parts = ["--preset reprot", "allowed: report, report-jax-sph", "try: `report`"];
     case.refuses(&["optimize", "--preset", "reprot", "--out", "out"], &parts);
 }
 

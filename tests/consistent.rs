@@ -5,7 +5,7 @@ mod support;
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::run;
 use hydrograd::adjoint::schedule::Schedule;
-use hydrograd::adjoint::Dynamics;
+use hydrograd::adjoint::{Dynamics, Objective};
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::diagnostics::simulate;
 use hydrograd::numerics::random::{stream, uniform, Normal};
@@ -299,6 +299,14 @@ fn steps_have_the_derivatives_that_differences_have() {
     }
 }
 
+/// A top wall that is nowhere flat: there the dummy particles' nearest points on it have kinks.
+const TWO_WALLS: [&str; 4] = [
+    "design.walls=both",
+    "design.nodes=[0.3, 0.42, 0.51, 0.7]",
+    "design.offsets=[0.004, -0.003, 0.005, 0.001]",
+    "design.top_offsets=[-0.002, 0.005, 0.001, -0.004]",
+];
+
 #[test]
 fn design_gradients_are_derivatives() {
     let kinds = [
@@ -308,15 +316,21 @@ fn design_gradients_are_derivatives() {
         &["design.parametrisation=b-spline"],
         &["fluid.drive=flow-rate"],
         &["fluid.drive=pumping-power"],
+        &TWO_WALLS,
+        &[&TWO_WALLS[..], &["objective.kind=wall-heat"]].concat(),
     ];
     for sets in kinds {
         let steps = 10;
         let (_, problem) = channel::<f64>(&[&["time.steps=10", "objective.window=0"], sets].concat());
-        let warmth = FinalSum { steps, of: Summed::SquaredHeat };
+        let squares = FinalSum { steps, of: Summed::SquaredHeat };
+        let warmth: &dyn Objective = match sets.contains(&"objective.kind=wall-heat") {
+            true => &*problem.objective,
+            false => &squares,
+        };
         let of = |kernels| {
             let dynamics = Sph::new(problem.model.clone(), kernels);
             let start = problem.start(&problem.first);
-            let found = gradient(&dynamics, &start, &Schedule::segments(steps, 4), &warmth, &mut |_| ()).unwrap();
+            let found = gradient(&dynamics, &start, &Schedule::segments(steps, 4), warmth, &mut |_| ()).unwrap();
             problem.by_variables(&problem.first, &numbers::<f64>(&found.state))
         };
         let (fused, composed) = (of(Kernels::Fused), of(Kernels::Composed));
@@ -324,7 +338,7 @@ fn design_gradients_are_derivatives() {
         let value = |x: &[f64]| {
             let dynamics = problem.dynamics();
             let mut end = run(&dynamics, &problem.start(x), steps, &mut []).unwrap();
-            hydrograd::adjoint::gradient::value(&warmth, &dynamics.look(&mut end).unwrap()).unwrap()
+            hydrograd::adjoint::gradient::value(warmth, &dynamics.look(&mut end).unwrap()).unwrap()
         };
         let mut normal = Normal::new(stream(6, "along"));
         for _ in 0..3 {

@@ -116,6 +116,73 @@ fn the_adjoint_of_the_deformation_is_its_derivative() {
     }
 }
 
+/// Scenes with a top wall that is shaped too.
+const BOTH: [&[&str]; 3] = [
+    &[CONSISTENT, "design.walls=both", "time.jitter=0"],
+    &[CONSISTENT, "design.walls=both", "fluid.motion=fixed", "channel.hot_from=0.257", "channel.hot_to=0.741"],
+    &[CONSISTENT, "design.walls=both", "fluid.motion=fixed", "design.parametrisation=b-spline"],
+];
+
+#[test]
+fn the_adjoint_of_two_walls_is_their_derivative() {
+    for (seed, sets) in BOTH.iter().enumerate() {
+        let (_, _, problem) = scene::<f64>(sets);
+        let mut rng = stream(seed as u64, "offsets");
+        let variables: Vec<f64> = problem.first.iter().map(|_| 0.01 * (2.0 * uniform(&mut rng) - 1.0)).collect();
+        let mut normal = Normal::new(stream(seed as u64, "bars"));
+        let bar: Vec<f64> = problem.deformation.base.iter().map(|_| normal.next()).collect();
+        let adjoint = problem.by_variables(&variables, &bar);
+        assert_eq!(adjoint.len(), problem.parametrisation.variables());
+        let at = |x: &[f64]| -> f64 { problem.start(x).state.iter().zip(&bar).map(|(x, b)| x * b).sum() };
+        for k in 0..variables.len() {
+            let moved = |by: f64| {
+                let mut x = variables.clone();
+                x[k] += by;
+                at(&x)
+            };
+            let expected = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            let error = (adjoint[k] - expected).abs() / expected.abs().max(1.0);
+            assert!(error < 1e-6, "{sets:?}: variable {k}: {} is not {expected}", adjoint[k]);
+        }
+    }
+}
+
+/// A top wall of some heights is the bottom wall of the same heights, upside down.
+#[test]
+fn the_top_wall_is_the_bottom_wall_s_image() {
+    for sets in BOTH {
+        let (config, _, problem) = scene::<f64>(sets);
+        let (n, half, height) = (problem.model.particles(), problem.first.len() / 2, config.channel.height);
+        let mut rng = stream(5, "offsets");
+        let wall: Vec<f64> = (0..half).map(|_| 0.01 * (2.0 * uniform(&mut rng) - 1.0)).collect();
+        let flat = vec![0.0; half];
+        // (x, y) of every fluid particle and of every point where the velocity is zero.
+        let places = |variables: &[f64], mirrored: bool| {
+            let state = problem.start(variables).state;
+            let y = |i: usize| if mirrored { height - state[n + i] } else { state[n + i] };
+            let has_twin = |i: usize| match &problem.model.consistent {
+                Some(consistent) => problem.model.is_fluid(i) || consistent.weights[4 * i] > 0.0,
+                None => true,
+            };
+            let mut all: Vec<[i64; 2]> = (0..n)
+                .filter(|&i| has_twin(i))
+                .map(|i| [(state[i] * 1e9).round() as i64, (y(i) * 1e9).round() as i64])
+                .collect();
+            all.sort_unstable();
+            all
+        };
+        let below = places(&[wall.as_slice(), &flat].concat(), false);
+        let above = places(&[flat.as_slice(), &wall].concat(), true);
+        let above: std::collections::BTreeSet<_> = above.into_iter().collect();
+        let lost = below.iter().filter(|place| {
+            let [x, y] = **place;
+            !(-1..=1).any(|dx| (-1..=1).any(|dy| above.contains(&[x + dx, y + dy])))
+        });
+        assert_eq!(lost.count(), 0, "{sets:?}");
+        assert!(below.len() > 400);
+    }
+}
+
 #[test]
 fn a_truncated_gradient_drops_what_the_fluid_was() {
     let (_, _, channel) = scene::<f64>(&[STANDARD]);

@@ -1,6 +1,6 @@
 //! Parametrisations: each is its linear map, its adjoint, and what it promises about area, bounds and slopes.
 
-use hydrograd::design::parametrisations::{BSpline, Nodes};
+use hydrograd::design::parametrisations::{BSpline, Nodes, TwoWalls};
 use hydrograd::design::shape::{default_nodes, HotSection, Shape, MAX_SLOPE};
 use hydrograd::design::Parametrisation;
 use hydrograd::numerics::random::{stream, uniform};
@@ -218,5 +218,32 @@ fn a_spline_s_own_file_gives_its_control_points_back() {
             }
             assert!(spline.fitted(&Shape { offsets: vec![0.0; 2], ..wall }).iter().all(|c| *c == 0.0));
         }
+    }
+}
+
+#[test]
+fn two_walls_are_one_and_another() {
+    for section in sections() {
+        let one = || BSpline::new(6, section, 0.02).unwrap();
+        let both = TwoWalls::new(one());
+        let variables = numbers(3, 12, 0.02);
+        let (bottom, top) = variables.split_at(6);
+        let one = one();
+        let heights = [one.column_heights(bottom), one.column_heights(top)].concat();
+        assert_eq!(both.column_heights(&variables), heights);
+        let bar = numbers(4, heights.len(), 1.0);
+        assert!((dot(&heights, &bar) - dot(&variables, &both.pull_back(&bar))).abs() < 1e-12);
+        let sampled = both.sampled(&variables);
+        assert_eq!(sampled.offsets, one.sampled(bottom).offsets);
+        assert_eq!(sampled.top_wall().offsets, one.sampled(top).offsets);
+        let penalty = |x: &[f64]| one.penalty(0.3, x).0;
+        assert_eq!(both.penalty(0.3, &variables).0, penalty(bottom) + penalty(top));
+        // Where one wall ends and the other begins nothing limits the step.
+        let mut steps = vec![0.02; 6];
+        steps.extend([-0.02; 6]);
+        assert!(both.limits().contains(&steps));
+        steps[8] = 0.03;
+        let error = both.check(&steps).unwrap_err().to_string();
+        assert!(error.contains("top wall") && error.contains("[2] = 0.03"), "{error}");
     }
 }

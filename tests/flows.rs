@@ -18,7 +18,7 @@ fn run<R: Sweeps>(flow: &Scene<R>, end: f64) -> Vec<FlowFigures> {
         solver.advance().unwrap();
         all.push(flow.figures(&solver.state, solver.step as f64 * flow.model.dt));
     }
-    solver.check_finite().unwrap();
+    solver.check().unwrap();
     all
 }
 
@@ -205,7 +205,7 @@ fn the_cavity_is_that_of_ghia() {
     while (solver.step as f64) < 10.0 / flow.model.dt {
         solver.advance().unwrap();
     }
-    solver.check_finite().unwrap();
+    solver.check().unwrap();
     let dx = flow.spacing;
     let near = |x: f64, y: f64, component: usize| {
         let (mut weight, mut sum) = (0.0, 0.0);

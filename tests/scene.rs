@@ -44,9 +44,18 @@ fn every_key_is_described_in_the_built_in_scene() {
 
 #[test]
 fn report_preset() {
-    let config = Config::load(None, Some("report"), &[]).unwrap().config;
+    let consistent = Config::load(None, Some("report"), &[]).unwrap().config;
+    assert_eq!(consistent.fluid.formulation, Formulation::Consistent);
+    let config = Config::load(None, Some("report-jax-sph"), &[]).unwrap().config;
     assert_eq!(config.channel.height, 0.26);
     assert_eq!(config.columns() * (config.rows() + 2 * config.channel.wall_rows), 950);
+    // What does not belong to the equations is the same.
+    assert_eq!((consistent.time.steps, consistent.time.cfl), (config.time.steps, config.time.cfl));
+    assert_eq!((&consistent.time.start, consistent.channel.height), (&config.time.start, config.channel.height));
+    assert_eq!(
+        (consistent.optimise.learning_rate, consistent.optimise.epochs, consistent.optimise.smoothing),
+        (config.optimise.learning_rate, config.optimise.epochs, config.optimise.smoothing)
+    );
     assert_eq!((config.time.steps, config.time.cfl, config.time.start), (Some(2000), 0.25, Start::Rest));
     assert_eq!((config.objective.window, config.optimise.segment), (0.0, 0));
     assert_eq!((config.optimise.learning_rate, config.optimise.smoothing), (2e-2, 5e-2));

@@ -92,6 +92,45 @@ fn optimize_ends_with_the_checks_and_verify_repeats_them() {
     assert!(json(&at.join("quick/summary.json"))["verification"].is_null());
 }
 
+/// Both walls, at a flow rate, by the heat of the walls: the file of a run's walls gives the run back.
+#[test]
+fn two_walls_are_kept_by_their_file() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let kind = [
+        "--set",
+        "design.walls=both",
+        "--set",
+        "design.bound=0.003",
+        "--set",
+        "fluid.drive=flow-rate",
+        "--set",
+        "objective.kind=wall-heat",
+        "--set",
+        "optimise.search=fixed",
+    ];
+    let text = succeeds(at, &with(&["optimize"], &[&kind[..], &["--epochs", "3", "--out", "run"]].concat()));
+    assert!(text.contains("W, heat from the walls") && text.contains("gain that survives"), "{text}");
+    let header = std::fs::read_to_string(at.join("run/shape.csv")).unwrap();
+    assert!(header.starts_with("x,offset,first,last,top,top_first,top_last\n"), "{header}");
+    let summary = json(&at.join("run/summary.json"));
+    assert!(at.join("run/shapes-top.png").exists());
+    let flow_rate = number(&summary["flow_rate"]) / number(&summary["before"]["flow_rate"]);
+    assert!((flow_rate - 1.0).abs() < 0.02, "{flow_rate}");
+    assert!(number(&summary["body_force"]) != number(&summary["before"]["body_force"]));
+    succeeds(at, &["verify", "run"]);
+    let found = json(&at.join("run/verification.json"));
+    let first = &found["verification"][0];
+    assert!((number(&first["w_best"]) / number(&summary["w"]) - 1.0).abs() < 0.02, "{first} {}", summary["w"]);
+    // The same file as a design of its own.
+    let wall = at.join("run/shape.csv");
+    let file = format!("design.file={}", wall.display());
+    let sets = ["--set", &file, "--set", "fluid.motion=fixed", "--out", "again"];
+    succeeds(at, &with(&["simulate"], &sets));
+    let config = std::fs::read_to_string(at.join("again/config.toml")).unwrap();
+    assert!(config.contains("walls = \"both\"") && config.contains("top_offsets = ["), "{config}");
+}
+
 #[test]
 fn the_best_of_all_starts_is_verified_against_the_flat_wall() {
     let folder = TempDir::new().unwrap();

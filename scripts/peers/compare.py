@@ -26,7 +26,7 @@ def case(scene, kind, precision, steps, turns, warm_up=0, dimension=2, per_side=
         ours = ["scaling", "--sizes", f"{per_side}^{dimension}", "--filter", f"/{kind}", *ours]
     else:
         group = "step" if kind == "forward" else "gradient"
-        ours = [group, "--preset", "report", "--set", f"time.steps={steps}", "--filter", f"{group}/", *ours]
+        ours = [group, "--preset", "report-jax-sph", "--set", f"time.steps={steps}", "--filter", f"{group}/", *ours]
     name = f"{scene} {f'{per_side}^{dimension} ' if per_side else ''}{precision} {kind}"
     return {"name": name, "ours": ours, "theirs": theirs, "turns": turns}
 

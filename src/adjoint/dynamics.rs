@@ -14,15 +14,17 @@ pub enum RunError {
     Neighbours { step: usize, source: NeighbourError },
     #[error("step {step}: {source}")]
     Tensor { step: usize, source: candle_core::Error },
-    #[error("step {step}: {field} of particle {particle} is {value}: the run has diverged; try a smaller time.cfl")]
+    #[error("step {step}: {field} of particle {particle} is {value}: the run has diverged")]
     NotFinite { step: usize, field: &'static str, particle: usize, value: f64 },
+    #[error("step {step}: {field} of particle {particle} is {value:.3e}, beyond {limit:.3e}: the run has diverged")]
+    Impossible { step: usize, field: &'static str, particle: usize, value: f64, limit: f64 },
 }
 
 impl RunError {
     /// Whether the run's numbers are to blame: of another start, or with smaller steps, it may succeed.
     pub fn is_divergence(&self) -> bool {
         match self {
-            Self::NotFinite { .. } => true,
+            Self::NotFinite { .. } | Self::Impossible { .. } => true,
             Self::Neighbours { source, .. } => !matches!(source, NeighbourError::BoxTooSmall { .. }),
             Self::Tensor { .. } => false,
         }
@@ -51,6 +53,8 @@ pub struct Fields {
     pub mass: Tensor,
     /// Above the reference (in a channel: the inlet's), `[1, N]`; none without heat.
     pub temperature: Option<Tensor>,
+    /// What the walls heat the fluid with, in units of density * temperature * volume per time, `[]`; where an objective asks.
+    pub wall_heat: Option<Tensor>,
     /// See [`crate::particles::tag`], `[N]`.
     pub tags: Arc<Vec<u8>>,
     /// Whether a particle takes part in the flow: fluid, and walls with fluid in reach, `[N]`.
@@ -73,7 +77,7 @@ pub trait Dynamics: Sync {
     fn advance(&self, run: &mut Self::Run) -> Result<(), RunError>;
     /// Steps that a run has made, those before its start included.
     fn step(&self, run: &Self::Run) -> usize;
-    /// An error if a number of the state is not finite.
+    /// An error if a number of the state is not finite, or larger than it can be.
     fn check(&self, run: &Self::Run) -> Result<(), RunError>;
     /// The present state as fields.
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;

@@ -8,6 +8,7 @@
 //! to one tape.
 
 use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
+use super::run::CHECK_EVERY;
 use super::schedule::{Action, Schedule};
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor, Var};
 use std::collections::{BTreeMap, HashMap};
@@ -208,7 +209,11 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         }
         if step == self.seen {
             self.seen += 1;
-            if let Some(weight) = self.objective.weight(self.seen) {
+            let weight = self.objective.weight(self.seen);
+            if weight.is_some() || self.seen.is_multiple_of(CHECK_EVERY) {
+                self.dynamics.check(&self.plain)?;
+            }
+            if let Some(weight) = weight {
                 let fields = self.dynamics.look(&mut self.plain)?;
                 self.value += weight * value(self.objective, &fields).map_err(RunError::tensor(step))?;
             }

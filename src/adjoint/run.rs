@@ -2,8 +2,8 @@
 
 use super::dynamics::Dynamics;
 
-/// Steps between two checks that all numbers are finite.
-const CHECK_EVERY: usize = 64;
+/// Steps between two checks that all numbers are finite, and possible.
+pub(super) const CHECK_EVERY: usize = 64;
 
 /// Somebody who looks at a run on its way.
 pub trait Observer<D: Dynamics> {

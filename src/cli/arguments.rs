@@ -38,7 +38,7 @@ pub struct CommonArguments {
     /// Override a key of the scene, e.g. `--set time.end=1.5`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
-    /// Lay a preset over the scene: report.
+    /// Lay a preset over the scene: report, report-jax-sph.
     #[arg(long, value_name = "NAME")]
     pub preset: Option<String>,
     /// Folder for the results [default: runs/COMMAND-SCENE].

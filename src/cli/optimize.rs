@@ -11,13 +11,13 @@ use crate::config::layers::Setting;
 use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::{simulate, Diagnostics, Finished};
 use crate::design::objectives::Figure;
-use crate::design::shape::Shape;
+use crate::design::shape::{Shape, TOP};
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
-use crate::report::progress::Progress;
+use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
 use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
@@ -30,6 +30,7 @@ use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
 #[derive(Debug, Clone, Args)]
@@ -56,7 +57,8 @@ pub struct OptimizeArguments {
     pub explain: ExplainArgument,
     #[command(flatten)]
     pub gradient: GradientArguments,
-    /// Start shape (design.shape); `all` runs flat, random, linear and sine and compares them.
+    /// Start shape (design.shape); `all` runs flat, random, linear and sine, as many at once as there are threads, and compares
+    /// them.
     #[arg(long, value_enum)]
     pub start: Option<StartName>,
     /// Optimiser steps (optimise.epochs).
@@ -117,7 +119,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         return every_start(&loaded, &folder, &arguments);
     }
     let resume = arguments.resume.resume.as_deref();
-    let outcome = one(&loaded, &folder, resume, "")?;
+    let outcome = one(&loaded, &folder, resume, "", &Tasks::default())?;
     println!("{}", outcome.text);
     println!(
         "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
@@ -152,11 +154,45 @@ struct Outcome {
     best: Shape,
 }
 
-fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
+fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str, tasks: &Tasks) -> anyhow::Result<Outcome> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, resume, label),
-        Precision::F64 => go::<f64>(loaded, folder, resume, label),
+        Precision::F32 => go::<f32>(loaded, folder, resume, label, tasks),
+        Precision::F64 => go::<f64>(loaded, folder, resume, label, tasks),
     }
+}
+
+/// What one start after the other would give, on as many threads as a run may have. Each run's numbers are those that it
+/// has alone.
+fn at_once(runs: &[(String, Loaded)], folder: &Path) -> anyhow::Result<Vec<Outcome>> {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = runs.first().map_or(0, |(_, loaded)| loaded.config.run.threads);
+    let workers = if threads == 0 { cores } else { threads.min(cores) }.min(runs.len());
+    let (next, tasks) = (AtomicUsize::new(0), Tasks::default());
+    let work = || {
+        let mut done = Vec::new();
+        while let Some((number, (name, loaded))) = {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            runs.get(number).map(|run| (number, run))
+        } {
+            let outcome = one(loaded, &folder.join(name), None, name, &tasks);
+            if outcome.is_err() {
+                // The others end what they have begun.
+                next.store(runs.len(), Ordering::Relaxed);
+            }
+            done.push((number, outcome));
+        }
+        done
+    };
+    let mut found: Vec<_> = std::thread::scope(|scope| {
+        let others: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
+        let join = |other: std::thread::ScopedJoinHandle<'_, _>| match other.join() {
+            Ok(done) => done,
+            Err(panic) => std::panic::resume_unwind(panic),
+        };
+        others.into_iter().flat_map(join).collect()
+    });
+    found.sort_by_key(|(number, _)| *number);
+    found.into_iter().map(|(_, outcome)| outcome).collect()
 }
 
 fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) -> anyhow::Result<()> {
@@ -169,7 +205,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let figure = Figure::of_config(&loaded.config);
     let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
-    let mut curves = Vec::new();
+    let (mut curves, mut walls, mut nodes, mut bound) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
     let mut all = Map::new();
     let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
@@ -180,11 +216,13 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         Shape::from_config(&loaded.config)?;
         runs.push((format!("{start:?}").to_lowercase(), loaded));
     }
-    for (name, loaded) in runs {
-        let outcome = one(&loaded, &folder.join(&name), None, &name)?;
+    let outcomes = at_once(&runs, folder)?;
+    for ((name, loaded), outcome) in runs.into_iter().zip(outcomes) {
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
+        (nodes, bound) = (outcome.best.nodes.clone(), loaded.config.design.bound);
+        walls.push((format!("from {name}"), outcome.best.offsets.clone()));
         if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
             best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
         }
@@ -208,9 +246,11 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         false,
         false,
     )?;
+    let chosen = curves.iter().position(|(name, _)| best_of_all.as_ref().is_some_and(|(_, best, ..)| best == name));
+    wall_shapes(&folder.join("walls"), &nodes, &walls, chosen, bound)?;
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
-    println!("files in {}: starts.png, summary.json, and a folder per start", folder.display());
+    println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
     let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) else { return Ok(()) };
     println!("the best of all began {name}");
     all.insert("verified_start".into(), json!(name));
@@ -224,7 +264,13 @@ fn capitalised(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str) -> anyhow::Result<Outcome> {
+fn go<R: Sweeps>(
+    loaded: &Loaded,
+    folder: &Path,
+    resume: Option<&Path>,
+    label: &str,
+    tasks: &Tasks,
+) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
     let search = loaded.for_search()?;
     let (problem, _) = build::<R>(&search.config)?;
@@ -239,7 +285,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
-    let bar = Progress::new((config.optimise.epochs - done) as u64 * UNITS, &label);
+    let bar = Progress::among(tasks, (config.optimise.epochs - done) as u64 * UNITS, &label);
     let reason = RefCell::new(String::new());
     let evaluate = |epoch: usize, variables: &[f64]| {
         let base = (epoch - done) as u64 * UNITS;
@@ -333,7 +379,7 @@ fn report<R: Sweeps>(
         }
         Some(shown) => (shown, String::new()),
     };
-    let [before, after] = shown.map_err(diverged)?;
+    let [before, after] = shown.map_err(diverged(problem.model.remedy()))?;
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // Of all sessions: a resumed run has taken what its parts took.
     let seconds = history.iter().map(|e| e.seconds).sum();
@@ -381,12 +427,22 @@ fn write_walls(
     let walls: Vec<Shape> = optimisation.history.iter().map(|e| parametrisation.sampled(&e.variables)).collect();
     let last = walls.len() - 1;
     let column = |k: usize| walls[k].offsets.as_slice();
-    let columns = [("offset", column(optimisation.best)), ("first", column(0)), ("last", column(last))];
+    let mut columns = vec![("offset", column(optimisation.best)), ("first", column(0)), ("last", column(last))];
+    let tops: Vec<Vec<f64>> = walls.iter().filter_map(|wall| wall.top.clone()).collect();
+    if tops.len() == walls.len() {
+        let names = [(TOP, optimisation.best), ("top_first", 0), ("top_last", last)];
+        columns.extend(names.map(|(name, k)| (name, tops[k].as_slice())));
+    }
     files::write_shape(folder, &walls[0].nodes, &columns)?;
-    let shapes: Vec<(String, Vec<f64>)> =
-        walls.iter().enumerate().map(|(k, wall)| (format!("epoch {k}"), wall.offsets.clone())).collect();
-    let best = Some(optimisation.best);
-    wall_shapes(&folder.join("shapes"), &walls[0].nodes, &shapes, best, config.design.bound)?;
+    let picture = |name: &str, offsets: &mut dyn Iterator<Item = &Vec<f64>>| {
+        let shapes: Vec<(String, Vec<f64>)> =
+            offsets.enumerate().map(|(k, offsets)| (format!("epoch {k}"), offsets.clone())).collect();
+        wall_shapes(&folder.join(name), &walls[0].nodes, &shapes, Some(optimisation.best), config.design.bound)
+    };
+    picture("shapes", &mut walls.iter().map(|wall| &wall.offsets))?;
+    if !tops.is_empty() {
+        picture("shapes-top", &mut tops.iter())?;
+    }
     Ok(())
 }
 

@@ -44,15 +44,12 @@ pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     Ok((design, shape))
 }
 
-/// A run that failed, with advice.
-pub fn diverged(error: anyhow::Error) -> anyhow::Error {
-    if error.downcast_ref::<RunError>().is_none() {
-        return error;
+/// A run that failed, with [`crate::sph::model::Model::remedy`].
+pub fn diverged(remedy: &'static str) -> impl Fn(anyhow::Error) -> anyhow::Error {
+    move |error| match error.is::<RunError>() {
+        true => Error::run(error.to_string(), remedy).into(),
+        false => error,
     }
-    let advice =
-        "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler \
-                  one (a smaller design.amplitude)";
-    Error::run(error.to_string(), advice).into()
 }
 
 /// `a -> b (+1.2 %)`.

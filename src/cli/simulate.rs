@@ -88,7 +88,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
     check_unfinished(began, scene.steps)?;
-    let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| diverged(error.into()))?);
+    let failed = diverged(scene.model.remedy());
+    let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     if let Some(wall) = scene.design.as_ref().map(Problem::first_wall) {
@@ -121,7 +122,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     observers.push(&mut history);
     observers.push(&mut checkpoints);
     let clock = Instant::now();
-    let mut solver = run_to_the_end(&dynamics, &first, scene.steps, &mut observers).map_err(diverged)?;
+    let mut solver = run_to_the_end(&dynamics, &first, scene.steps, &mut observers).map_err(failed)?;
     let seconds = clock.elapsed().as_secs_f64();
     let history = history.rows;
     bar.finish();

@@ -4,7 +4,7 @@ use super::arguments::{check_writable, name_of, option, set_option, with_options
 use super::files::VERSION;
 use super::prepare::{require_design, use_threads};
 use crate::config::scene::{Config, Precision};
-use crate::design::shape::{read_column, read_columns, Columns, Shape};
+use crate::design::shape::{self, read_column, read_columns, Columns, Shape};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::report::progress::Progress;
@@ -110,12 +110,17 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let located = |bad: BadInput| bad.located(|_| Some(given.wall.display().to_string()));
     let wall = |columns: Columns| -> Result<Shape, BadInput> {
         let wall = Shape::new(columns.nodes, columns.offsets, from, to).map_err(located)?;
-        wall.check_bound(loaded.config.design.bound).map_err(located)?;
         Ok(wall)
     };
-    let best = wall(read_columns(&given.wall)?)?;
+    let both = |columns: Columns, top: &str| -> Result<Shape, BadInput> {
+        let top = read_column(&given.wall, top)?.map(|top| top.offsets);
+        let shape = wall(columns)?.with_top(top).map_err(located)?;
+        shape.check_bound(loaded.config.design.bound).map_err(located)?;
+        Ok(shape)
+    };
+    let best = both(read_columns(&given.wall)?, shape::TOP)?;
     let (reference, reference_name) = match read_column(&given.wall, "first")? {
-        Some(first) => (wall(first)?, FIRST),
+        Some(first) => (both(first, "top_first")?, FIRST),
         None => (flat(&best), FLAT),
     };
     use_threads(loaded.config.run.threads);
@@ -138,7 +143,7 @@ pub const FLAT: &str = "the flat wall";
 
 /// The flat wall, at the nodes of another.
 pub fn flat(wall: &Shape) -> Shape {
-    Shape { offsets: vec![0.0; wall.offsets.len()], ..wall.clone() }
+    wall.flat()
 }
 
 /// Runs the checks, behind a progress bar.

@@ -94,11 +94,18 @@ pub const SCENES: &[BuiltIn] = &[
 ];
 
 /// Sets of keys laid over a scene with `--preset`.
-pub const PRESETS: &[BuiltIn] = &[BuiltIn {
-    name: "report",
-    description: "the original report's settings: height 0.26 (950 particles), 2000 small steps from rest, 10 epochs",
-    text: include_str!("../../data/scenes/presets/report.toml"),
-}];
+pub const PRESETS: &[BuiltIn] = &[
+    BuiltIn {
+        name: "report",
+        description: "the original report's experiment: height 0.26, 2000 small steps from rest, 10 epochs of a whole spacing",
+        text: include_str!("../../data/scenes/presets/report.toml"),
+    },
+    BuiltIn {
+        name: "report-jax-sph",
+        description: "the same with the report's own equations, JAX-SPH's (950 particles)",
+        text: include_str!("../../data/scenes/presets/report-jax-sph.toml"),
+    },
+];
 
 /// The built-in scene of that name.
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {

@@ -309,6 +309,8 @@ pub enum ObjectiveKind {
     HeatOutflow,
     /// The mixed temperature of the fluid there: its flux of u T over its flux of u.
     OutletTemperature,
+    /// What the walls heat the fluid with upstream of it.
+    WallHeat,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -331,6 +333,8 @@ pub enum Interpolation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Design {
+    /// Which walls are shaped.
+    pub walls: DesignWalls,
     /// What the optimiser moves.
     pub parametrisation: ParametrisationName,
     /// Control points of the B-spline.
@@ -347,11 +351,25 @@ pub struct Design {
     /// Height of the wall above y = 0 at each node; positive narrows the channel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offsets: Option<Vec<f64>>,
-    /// CSV file with columns x, offset (a run's shape.csv).
+    /// Of the top wall, downwards, at the same nodes; default: flat.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub top_offsets: Option<Vec<f64>>,
+    /// CSV file with columns x, offset, and top for both walls (a run's shape.csv).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// |offset| <= bound.
     pub bound: f64,
+}
+
+/// The walls that the optimiser moves, between channel.hot_from and channel.hot_to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DesignWalls {
+    /// The one with the hot section.
+    #[default]
+    Bottom,
+    /// That and the cold one above it, each on its own.
+    Both,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -557,6 +575,7 @@ impl Default for Objective {
 impl Default for Design {
     fn default() -> Self {
         Self {
+            walls: DesignWalls::Bottom,
             parametrisation: ParametrisationName::Nodes,
             control_points: 8,
             shape: ShapeName::Flat,
@@ -564,6 +583,7 @@ impl Default for Design {
             periods: 1.0,
             nodes: None,
             offsets: None,
+            top_offsets: None,
             file: None,
             bound: 0.02,
         }

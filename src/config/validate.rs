@@ -3,7 +3,8 @@
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
-    BodyForceRegion, Config, DriveName, Family, Formulation, GradientMode, Motion, Precision, ShiftName,
+    BodyForceRegion, Config, DesignWalls, DriveName, Family, Formulation, GradientMode, Motion, ObjectiveKind,
+    Precision, ShiftName,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
@@ -37,6 +38,7 @@ impl Schema for Config {
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);
+        config.design.top_offsets = Some(vec![]);
         config.design.file = Some(String::new());
         config
     }
@@ -65,6 +67,8 @@ impl Schema for Config {
         self.check_bound()?;
         self.check_formulation()?;
         self.check_drive()?;
+        self.check_walls()?;
+        self.check_objective()?;
         self.check_store()
     }
 }
@@ -189,6 +193,40 @@ impl Config {
                 .allowed("a body force above 0, or fluid.flow_rate or fluid.pumping_power"));
         }
         Ok(())
+    }
+
+    /// An objective that only one formulation can differentiate.
+    fn check_objective(&self) -> Result<(), BadInput> {
+        match (self.objective.kind, self.fluid.formulation) {
+            (ObjectiveKind::WallHeat, Formulation::Standard) => {
+                Err(BadInput::new("objective.kind = wall-heat in the standard formulation")
+                    .key("objective.kind")
+                    .allowed("heat-outflow or outlet-temperature; wall-heat with fluid.formulation = consistent")
+                    .advice("fluid.formulation=consistent, or objective.kind=heat-outflow"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A top wall that is shaped too.
+    fn check_walls(&self) -> Result<(), BadInput> {
+        let design = &self.design;
+        if design.walls == DesignWalls::Bottom {
+            return match design.top_offsets {
+                None => Ok(()),
+                Some(_) => Err(BadInput::new("design.top_offsets with a top wall that is not shaped")
+                    .key("design.top_offsets")
+                    .allowed("design.walls = both with them")
+                    .advice("design.walls=both")),
+            };
+        }
+        match self.fluid.formulation {
+            Formulation::Consistent => Ok(()),
+            Formulation::Standard => Err(BadInput::new("design.walls = both in the standard formulation")
+                .key("design.walls")
+                .allowed("bottom; both with fluid.formulation = consistent")
+                .advice("fluid.formulation=consistent, or design.walls=bottom")),
+        }
     }
 
     /// What one formulation has and the other has no equivalent of.
@@ -415,7 +453,8 @@ impl Config {
         // The number of rows is constant, so the fluid between a raised wall and the top is squeezed; what
         // counts for the walls' sums is its height.
         let fewest = self.fluid_rows();
-        let limit = channel.height - fewest * dx;
+        let walls = if self.design.walls == DesignWalls::Both { 2.0 } else { 1.0 };
+        let limit = (channel.height - fewest * dx) / walls;
         if limit < -1e-9 * dx {
             let lowest = fewest * dx;
             return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
@@ -440,7 +479,7 @@ impl Config {
         }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
         // than two rows lie within the usual support of 3 dx.
-        let limit = 0.5 * channel.height;
+        let limit = 0.5 * channel.height / walls;
         if bound > limit * whole {
             return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
         }

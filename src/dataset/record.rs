@@ -18,9 +18,6 @@ use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 
-/// What to do about a run that diverges.
-const ADVICE: &str = "time.cfl=0.5 (a smaller time step), or gentler walls (a smaller design.bound)";
-
 /// The box that holds every particle of a data set, walls included.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Enclosure {
@@ -89,12 +86,13 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
     let config = &ready.config;
     let mut stage = stage::<R>(config)?;
     if let Some((rest, steps)) = &ready.relaxation {
-        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, error))?;
+        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, stage.scene.model.remedy(), error))?;
         restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
     let dynamics = Sph::new(stage.scene.model.clone(), config.run.kernels);
     let mut recorder = Recorder::new(ready, &stage, progress);
-    run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder]).map_err(|error| failed(ready, error))?;
+    run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder])
+        .map_err(|error| failed(ready, stage.scene.model.remedy(), error))?;
     Ok(recorder.trajectory)
 }
 
@@ -180,7 +178,7 @@ fn write_positions<R: Sweeps>(
                         solver.step,
                         ["x", "y", "z"][d]
                     ),
-                    ADVICE,
+                    stage.scene.model.remedy(),
                 ));
             }
             // Rounded to f32, a place just below a period's end is the end itself.
@@ -243,9 +241,9 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
 }
 
 /// A run that could not go on, with advice; other errors as they are.
-fn failed(ready: &Ready, error: anyhow::Error) -> anyhow::Error {
+fn failed(ready: &Ready, remedy: &str, error: anyhow::Error) -> anyhow::Error {
     if error.downcast_ref::<RunError>().is_none() {
         return error;
     }
-    Error::run(format!("{}: {error}", ready.job), ADVICE).into()
+    Error::run(format!("{}: {error}", ready.job), remedy).into()
 }

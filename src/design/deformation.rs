@@ -25,7 +25,8 @@ pub struct Deformation {
 #[derive(Debug, Clone)]
 pub enum Map {
     Columns(Columns),
-    Surface(Surface),
+    /// The bottom wall, and the top wall if it is shaped too: their heights one behind the other.
+    Surfaces(Vec<Surface>),
 }
 
 /// The standard formulation's: column by column.
@@ -45,7 +46,11 @@ impl Deformation {
         let mut state = self.base.clone();
         match &self.map {
             Map::Columns(columns) => columns.deform(self.particles, heights, &mut state),
-            Map::Surface(surface) => surface.deform(self.particles, heights, &mut state),
+            Map::Surfaces(walls) => {
+                for (surface, heights) in parts(walls, heights) {
+                    surface.deform(self.particles, &self.base, heights, &mut state);
+                }
+            }
         }
         state.into_iter().map(R::of).collect()
     }
@@ -55,8 +60,13 @@ impl Deformation {
         let mut heights_bar = vec![0.0; self.columns];
         match &self.map {
             Map::Columns(columns) => columns.pull_back(self.particles, state_bar, &mut heights_bar),
-            Map::Surface(surface) => {
-                surface.pull_back(self.particles, &self.base, heights, state_bar, &mut heights_bar)
+            Map::Surfaces(walls) => {
+                let mut rest = heights_bar.as_mut_slice();
+                for (surface, heights) in parts(walls, heights) {
+                    let (own, behind) = rest.split_at_mut(surface.x.len());
+                    surface.pull_back(self.particles, &self.base, heights, state_bar, own);
+                    rest = behind;
+                }
             }
         }
         heights_bar
@@ -69,10 +79,20 @@ impl Deformation {
         for i in (0..n).filter(|&i| is_fluid(i)) {
             match self.map {
                 Map::Columns(_) => state_bar[n + i] = R::default(),
-                Map::Surface(_) => state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default()),
+                Map::Surfaces(_) => state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default()),
             }
         }
     }
+}
+
+/// Walls with their parts of the heights.
+fn parts<'a>(walls: &'a [Surface], heights: &'a [f64]) -> impl Iterator<Item = (&'a Surface, &'a [f64])> {
+    let mut rest = heights;
+    walls.iter().map(move |surface| {
+        let (own, behind) = rest.split_at(surface.x.len());
+        rest = behind;
+        (surface, own)
+    })
 }
 
 impl Columns {
@@ -97,9 +117,9 @@ impl Columns {
     }
 }
 
-/// The consistent formulation's: the wall is the polyline through vertices, heights are theirs. Fluid is remapped
-/// to s(x) + y (1 - s(x)/H), dummy particles keep their depth below their vertex, and their mirror images are
-/// those in the nearest point of the polyline.
+/// The consistent formulation's: the wall is the polyline through vertices, heights are theirs, into the channel. Fluid is
+/// moved by s(x) times its distance from the other wall over H, dummy particles keep their depth below their vertex, and their
+/// mirror images are those in the nearest point of the polyline.
 #[derive(Debug, Clone)]
 pub struct Surface {
     /// x of the points, increasing, within one period.
@@ -107,6 +127,8 @@ pub struct Surface {
     pub length: f64,
     /// H.
     pub height: f64,
+    /// The wall at y = H; heights point down there.
+    pub is_top: bool,
     /// Number of each vertex' particle.
     pub points: Vec<usize>,
     /// Other points on the wall: hot ones, and those at which no heat flows, which have the wall's normal.
@@ -191,38 +213,59 @@ impl Surface {
         best
     }
 
-    fn deform(&self, n: usize, heights: &[f64], state: &mut [f64]) {
+    /// The flat wall's y, and which way its heights point.
+    fn frame(&self) -> (f64, f64) {
+        match self.is_top {
+            true => (self.height, -1.0),
+            false => (0.0, 1.0),
+        }
+    }
+
+    /// dy/ds of fluid at y.
+    fn share(&self, y: f64) -> f64 {
+        match self.is_top {
+            true => -y / self.height,
+            false => 1.0 - y / self.height,
+        }
+    }
+
+    fn deform(&self, n: usize, base: &[f64], heights: &[f64], state: &mut [f64]) {
+        let (flat, up) = self.frame();
         for (&i, s) in self.points.iter().zip(heights) {
-            state[n + i] += s;
+            state[n + i] += up * s;
         }
         for &i in self.hot.iter().chain(&self.cold) {
-            state[n + i] += self.level(state[i], heights);
+            state[n + i] += up * self.level(state[i], heights);
         }
         for &i in &self.cold {
             let slope = self.slope(state[i], heights);
             let size = (1.0 + slope * slope).sqrt();
             state[self.vector * n + i] = -slope / size;
-            state[(self.vector + 1) * n + i] = 1.0 / size;
+            state[(self.vector + 1) * n + i] = up / size;
         }
         for &i in &self.fluid {
-            let s = self.level(state[i], heights);
-            state[n + i] += s * (1.0 - state[n + i] / self.height);
+            state[n + i] += self.level(state[i], heights) * self.share(base[n + i]);
         }
         for &(i, point) in &self.dummies {
-            state[n + i] += heights[point];
-            let (x, y) = (state[i], state[n + i]);
+            // Above the flat wall, towards the fluid.
+            let (x, y) = (state[i], up * (base[n + i] - flat) + heights[point]);
+            state[n + i] = flat + up * y;
             let (on, _) = self.nearest(x, y, heights);
             let foot = [
                 x - self.near(x - self.x[on.left]) + on.share * on.width,
                 heights[on.left] + on.share * (heights[on.right] - heights[on.left]),
             ];
             state[self.vector * n + i] = 2.0 * foot[0] - x;
-            state[(self.vector + 1) * n + i] = 2.0 * foot[1] - y;
+            state[(self.vector + 1) * n + i] = flat + up * (2.0 * foot[1] - y);
         }
     }
 
     fn pull_back<R: Real>(&self, n: usize, base: &[f64], heights: &[f64], state_bar: &[R], heights_bar: &mut [f64]) {
-        let bar = |row: usize, i: usize| state_bar[row * n + i].f64();
+        let (flat, up) = self.frame();
+        let bar = |row: usize, i: usize| match row == 1 || row == self.vector + 1 {
+            true => up * state_bar[row * n + i].f64(),
+            false => state_bar[row * n + i].f64(),
+        };
         for (&i, heights_bar) in self.points.iter().zip(heights_bar.iter_mut()) {
             *heights_bar += bar(1, i);
         }
@@ -238,11 +281,11 @@ impl Surface {
             self.level_bar(base[i] - half, -slope_bar / self.slope_over, heights_bar);
         }
         for &i in &self.fluid {
-            let s_bar = bar(1, i) * (1.0 - base[n + i] / self.height);
+            let s_bar = up * bar(1, i) * self.share(base[n + i]);
             self.level_bar(base[i], s_bar, heights_bar);
         }
         for &(i, point) in &self.dummies {
-            let (x, y) = (base[i], base[n + i] + heights[point]);
+            let (x, y) = (base[i], up * (base[n + i] - flat) + heights[point]);
             let mirror_bar = [bar(self.vector, i), bar(self.vector + 1, i)];
             let foot_bar = mirror_bar.map(|bar| 2.0 * bar);
             let mut y_bar = bar(1, i) - mirror_bar[1];

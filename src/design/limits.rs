@@ -15,6 +15,8 @@ pub struct Limits {
 struct Steepness {
     positions: Vec<f64>,
     slope: f64,
+    /// The variable behind which another wall begins, which may be anywhere.
+    last_of_wall: Option<usize>,
 }
 
 /// Most sweeps over the sets of Dykstra's algorithm; it converges linearly, usually within ten.
@@ -28,14 +30,25 @@ impl Limits {
 
     /// `|x_k| <= bound`, and neighbours, at increasing `positions`, no steeper than `slope`.
     pub fn symmetric(bound: f64, positions: &[f64], slope: f64) -> Self {
-        let steepness = Some(Steepness { positions: positions.to_vec(), slope });
+        let steepness = Some(Steepness { positions: positions.to_vec(), slope, last_of_wall: None });
         Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steepness }
+    }
+
+    /// Those of two walls, one behind the other.
+    pub fn twice(&self) -> Self {
+        let twice = |numbers: &[f64]| [numbers, numbers].concat();
+        let steepness = self.steepness.as_ref().map(|one| Steepness {
+            positions: twice(&one.positions),
+            last_of_wall: Some(one.positions.len() - 1),
+            slope: one.slope,
+        });
+        Self { lower: twice(&self.lower), upper: twice(&self.upper), steepness }
     }
 
     /// Most that the variables k and k + 1 may differ by, if that is limited. A little inside, so that a wall passes its
     /// own check after rounding.
     fn most(&self, k: usize) -> Option<f64> {
-        let steepness = self.steepness.as_ref()?;
+        let steepness = self.steepness.as_ref().filter(|steepness| steepness.last_of_wall != Some(k))?;
         let (from, to) = (steepness.positions[k], steepness.positions[k + 1]);
         Some(steepness.slope * (to - from).abs() * (1.0 - 1e-12))
     }

@@ -139,7 +139,7 @@ impl<R: Sweeps> Problem<R> {
             return self.differentiate_steady(variables, start.state, progress);
         }
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress).map_err(|e| {
-            let (problem, advice) = (e.to_string(), "time.cfl=0.5 (a smaller time step), or a smaller design.bound");
+            let (problem, advice) = (e.to_string(), self.model.remedy());
             match e.is_divergence() {
                 true => Error::diverged(problem, advice),
                 false => Error::run(problem, advice),

@@ -25,6 +25,8 @@ pub struct Shape {
     pub nodes: Vec<f64>,
     /// Heights; positive narrows the channel.
     pub offsets: Vec<f64>,
+    /// Those of the top wall below y = H, if that is shaped too; positive narrows the channel.
+    pub top: Option<Vec<f64>>,
     pub hot_from: f64,
     pub hot_to: f64,
 }
@@ -75,11 +77,38 @@ impl Shape {
                 .advice("a smoother shape, or a smaller design.amplitude or design.periods"));
             }
         }
-        Ok(Self { nodes, offsets, hot_from, hot_to })
+        Ok(Self { nodes, offsets, top: None, hot_from, hot_to })
+    }
+
+    /// With a top wall, checked like the other.
+    ///
+    /// # Errors
+    /// As for [`Self::new`], of `design.top_offsets`.
+    pub fn with_top(self, top: Option<Vec<f64>>) -> Result<Self, BadInput> {
+        let Some(offsets) = top else { return Ok(self) };
+        let top = Self::new(self.nodes.clone(), offsets, self.hot_from, self.hot_to)
+            .map_err(|bad| bad.key("design.top_offsets").place("the top wall"))?;
+        Ok(Self { top: Some(top.offsets), ..self })
+    }
+
+    /// The top wall as a shape of its own: its heights are depths.
+    pub fn top_wall(&self) -> Self {
+        let offsets = self.top.clone().unwrap_or_else(|| vec![0.0; self.nodes.len()]);
+        Self { offsets, top: None, ..self.clone() }
+    }
+
+    /// The same without heights.
+    pub fn flat(&self) -> Self {
+        let top = self.top.as_ref().map(|top| vec![0.0; top.len()]);
+        Self { offsets: vec![0.0; self.nodes.len()], top, ..self.clone() }
     }
 
     /// Checks |offset| <= bound.
     pub fn check_bound(&self, bound: f64) -> Result<(), BadInput> {
+        if self.top.is_some() {
+            let named = |bad: BadInput| bad.key("design.top_offsets").place("the top wall");
+            self.top_wall().check_bound(bound).map_err(named)?;
+        }
         match self.offsets.iter().position(|o| o.abs() > bound * (1.0 + 1e-12)) {
             None => Ok(()),
             Some(i) => {
@@ -283,6 +312,9 @@ fn finite(key: &str, numbers: &[f64]) -> Result<(), BadInput> {
             .allowed("finite numbers")),
     }
 }
+
+/// The column of a shape file that holds the top wall.
+pub const TOP: &str = "top";
 
 /// The columns of a shape file.
 #[derive(Debug, Clone, PartialEq)]

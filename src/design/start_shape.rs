@@ -36,6 +36,7 @@ impl Shape {
         let is_named = offsets.is_none();
         let offsets = offsets.unwrap_or_else(|| named(config, &nodes));
         let shape = Self::new(nodes, offsets, channel.hot_from, channel.hot_to).and_then(|shape| {
+            let shape = shape.with_top(design.top_offsets.clone())?;
             shape.check_bound(design.bound)?;
             Ok(shape)
         });

@@ -41,12 +41,12 @@ pub struct NeighbourList {
 /// The list could not be built.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NeighbourError {
-    #[error("particle {particle} is at a position that is not a number or far outside the box (component {component}: {value}): the run has diverged; try a smaller time.cfl")]
+    #[error("particle {particle} is at a position that is not a number or far outside the box (component {component}: {value}): the run has diverged")]
     LostParticle { particle: usize, component: usize, value: f64 },
-    #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged; try a smaller time.cfl or a larger fluid.background_pressure_factor")]
+    #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged")]
     Clumped { particle: usize, count: usize },
     #[error(
-        "a particle moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged; try a smaller time.cfl"
+        "a particle moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged"
     )]
     TooFast { distance: f64, cutoff: f64 },
     #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]

@@ -1,6 +1,6 @@
 //! A progress bar on stderr; where stderr is not a terminal it prints nothing at all.
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
 const TEMPLATE: &str = "{prefix} [{bar:30}] {pos}/{len} {elapsed} (left {eta}) {msg}";
@@ -15,6 +15,15 @@ impl Progress {
     /// Starts a bar over `total` units of work, with `label` in front.
     pub fn new(total: u64, label: &str) -> Self {
         Self::with_visibility(total, label, std::io::stderr().is_terminal())
+    }
+
+    /// A bar below those of other tasks that go on meanwhile.
+    pub fn among(others: &Tasks, total: u64, label: &str) -> Self {
+        let mut progress = Self::with_visibility(total, label, std::io::stderr().is_terminal());
+        if !progress.is_hidden() {
+            progress.bar = others.0.add(progress.bar);
+        }
+        progress
     }
 
     /// A bar that never prints (quiet mode, tests).
@@ -86,6 +95,10 @@ impl Progress {
         self.bar.finish_and_clear();
     }
 }
+
+/// Tasks that go on at the same time, each with a bar.
+#[derive(Debug, Default)]
+pub struct Tasks(MultiProgress);
 
 #[cfg(test)]
 mod tests {

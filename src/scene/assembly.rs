@@ -271,6 +271,7 @@ impl<R: Real> Parts<R> {
             body_force: self.body_force,
             drive: self.drive,
             heat: self.heat.take(),
+            wall_heat_until: None,
             consistent: None,
             fixed: None,
             scratch: Scratch::default(),

@@ -7,8 +7,8 @@ use super::assembly::{Assembled, Lattice, Numerics, Parts};
 use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
 use super::{Exact, Scene};
 use crate::config::scene::{
-    BodyForceRegion, Config, DriveName, Formulation, GradientMode, HotIsotherm, Interpolation as Mode, KernelName,
-    MassConvention, Motion, Start,
+    BodyForceRegion, Config, DesignWalls, DriveName, Formulation, GradientMode, HotIsotherm, Interpolation as Mode,
+    KernelName, MassConvention, Motion, ObjectiveKind, Start,
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
@@ -51,6 +51,9 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         exact: Exact::Unknown,
     };
     let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
+    if config.objective.kind == ObjectiveKind::WallHeat {
+        model.wall_heat_until = Some(config.objective.target_x);
+    }
     let (n, l) = (model.particles(), model.layout);
     for i in (0..n).filter(|&i| hot[i] > 0.0) {
         model.tags[i] = tag::HOT_WALL;
@@ -181,11 +184,16 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     let mut points: Vec<Point> = vertices.iter().map(|&x| at(x, 0.0, 1.0, still)).collect();
     points.extend(hot.iter().map(|&x| at(x, 0.0, 1.0, Knows::Temperature(excess))));
     points.extend(cold.iter().map(|&x| at(x, 0.0, 1.0, Knows::NoHeatFlux)));
-    let (lower, upper) = (points.len(), points.len() + columns);
-    let above = |c: usize| (c as f64 + 0.5) * dx;
-    points.extend((0..columns).map(|c| at(above(c), height, -1.0, still)));
-    points.extend((0..columns).map(|c| at(above(c), height, -1.0, Knows::NoHeatFlux)));
-    let (mut dummies, mut below) = (Vec::new(), Vec::new());
+    let lower = points.len();
+    // A top wall that stays flat needs a point for each column; one that is shaped has the bottom's.
+    let shaped = config.design.walls == DesignWalls::Both;
+    let centres: Vec<f64> = (0..columns).map(|c| (c as f64 + 0.5) * dx).collect();
+    let above = if shaped { vertices.clone() } else { centres.clone() };
+    let upper = lower + above.len();
+    let stride = above.len() / columns;
+    points.extend(above.iter().map(|&x| at(x, height, -1.0, still)));
+    points.extend(centres.iter().map(|&x| at(x, height, -1.0, Knows::NoHeatFlux)));
+    let (mut dummies, mut below, mut behind_top) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..n {
         let column = lattice.rows(i)[0];
         if lattice.is_below(i, 1) {
@@ -197,8 +205,12 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
             let is_hot = x > channel.hot_from && x < channel.hot_to;
             assembled.model.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
         } else if lattice.is_above(i, 1) {
+            if shaped {
+                assembled.base[i] = above[stride * column];
+                behind_top.push((i, stride * column));
+            }
             let mirror = [assembled.base[i], 2.0 * height - assembled.base[n + i], 0.0];
-            dummies.push(Dummy { particle: i, point: lower + column, mirror });
+            dummies.push(Dummy { particle: i, point: lower + stride * column, mirror });
         }
     }
     let fluid: Vec<usize> = (0..n).filter(|&i| assembled.model.is_fluid(i)).collect();
@@ -211,20 +223,33 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     let settings = Settings::from_config(config).unwrap_or_default();
     let Assembled { model, base } = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
     let first = n + vertices.len();
-    let map = Map::Surface(deformation::Surface {
+    let bottom = deformation::Surface {
         points: (n..first).collect(),
         hot: (first..first + hot.len()).collect(),
         cold: (first + hot.len()..first + hot.len() + cold.len()).collect(),
         x: vertices,
         length,
         height,
+        is_top: false,
         slope_over: 0.5 * dx,
         fluid,
         dummies: below,
         vector: model.layout.velocity(),
-    });
-    let columns = 2 * columns;
-    let deformation = Deformation { columns, particles: model.particles(), map, base };
+    };
+    let mut walls = vec![bottom];
+    if shaped {
+        walls.push(deformation::Surface {
+            points: (n + lower..n + upper).collect(),
+            hot: vec![],
+            cold: (n + upper..n + upper + centres.len()).collect(),
+            x: above,
+            is_top: true,
+            dummies: behind_top,
+            ..walls[0].clone()
+        });
+    }
+    let columns = walls.iter().map(|wall| wall.x.len()).sum();
+    let deformation = Deformation { columns, particles: model.particles(), map: Map::Surfaces(walls), base };
     (model, deformation)
 }
 
@@ -270,21 +295,28 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
     }));
     let mut equation_of_state = model.equation_of_state;
     equation_of_state.background_pressure = 0.0;
-    let map = Map::Surface(deformation::Surface {
+    let bottom = deformation::Surface {
         points: (inner..inner + columns).collect(),
         hot: vec![],
         cold: vec![],
         x,
         length: channel.length,
         height: parts.lattice.spacing * config.rows() as f64,
+        is_top: false,
         slope_over: dx,
         fluid: (0..inner).collect(),
         dummies: vec![],
         vector: layout.velocity(),
-    });
+    };
+    let mut walls = vec![bottom];
+    if config.design.walls == DesignWalls::Both {
+        let points = (inner + columns..inner + 2 * columns).collect();
+        walls.push(deformation::Surface { points, is_top: true, ..walls[0].clone() });
+    }
     let base = base.iter().map(|x| x.f64()).collect();
     let model = Model { layout, tags, equation_of_state, fixed: Some(Arc::new(fixed)), transport: 0.0, ..model };
-    Ok((model, Deformation { columns, particles: n, map, base }))
+    let columns = walls.len() * columns;
+    Ok((model, Deformation { columns, particles: n, map: Map::Surfaces(walls), base }))
 }
 
 /// Steps of the objective's window.

@@ -9,7 +9,7 @@ use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
-use crate::config::scene::{Config, Family, Formulation, GradientMode, Motion, Search};
+use crate::config::scene::{Config, Family, Formulation, GradientMode, Motion, Search, Start};
 use crate::config::schema::Schema;
 use crate::design::shape;
 use crate::design::shape::Shape;
@@ -121,7 +121,11 @@ impl Loaded {
                 // a run gives every key.)
                 let (optimise, usual) = (&self.config.optimise, Config::default().optimise);
                 let chosen = optimise.segment != usual.segment || optimise.store != usual.store;
-                if optimise.gradient == GradientMode::Segments && !chosen {
+                // A run that ends before its flow is steady is optimised for what it ends with.
+                let (flow, time) = (&self.config.fluid.reference_velocity, &self.config.time);
+                let passages = self.config.duration() * flow / self.config.channel.length;
+                let settles = passages >= if time.start == Start::Rest { 4.0 } else { 2.0 };
+                if optimise.gradient == GradientMode::Segments && !chosen && settles {
                     settings.push(Setting::set("optimise.gradient=steady"));
                 }
                 self.with(&settings)
@@ -217,6 +221,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
             merged.set("design.nodes", array(columns.nodes), &file);
             merged.set("design.offsets", array(columns.offsets), &file);
+            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP)? {
+                merged.set("design.top_offsets", array(top.offsets), &file);
+                merged.set("design.walls", Value::from("both"), &file);
+            }
             config = merged.read();
         }
     }

@@ -220,11 +220,15 @@ fn rounded(x: f64) -> String {
 
 /// The keys of a wall.
 fn wall_settings(wall: &Shape) -> Vec<Setting> {
-    let settings = [
+    let mut settings = vec![
         format!("design.nodes={:?}", wall.nodes),
         format!("design.offsets={:?}", wall.offsets),
         "design.parametrisation=nodes".to_string(),
     ];
+    if let Some(top) = &wall.top {
+        settings.push(format!("design.top_offsets={top:?}"));
+        settings.push("design.walls=both".to_string());
+    }
     settings.iter().map(|text| Setting::set(text)).collect()
 }
 

@@ -2,6 +2,7 @@
 
 use super::consistent::blocks::width;
 use super::consistent::derivatives::{rows, KINDS};
+use super::consistent::operators::Shown;
 use super::consistent::stencil::{monomials, packed};
 use super::fixed::Fixed;
 use super::model::Model;
@@ -79,7 +80,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         run.step
     }
     fn check(&self, run: &Solver<R>) -> Result<(), RunError> {
-        run.check_finite()
+        run.check()
     }
     fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
         run.look();
@@ -94,14 +95,11 @@ impl<R: Sweeps> Dynamics for Sph<R> {
                     false => None,
                 };
                 let (position, velocity) = (tensor(&run.state[..l.dimension * n])?, tensor(velocity)?);
-                self.fields_with_masses(
-                    run.step,
-                    position,
-                    velocity,
-                    tensor(masses)?,
-                    temperature,
-                    &run.neighbourhood.list,
-                )
+                let list = &run.neighbourhood.list;
+                let fields =
+                    self.fields_with_masses(run.step, position, velocity, tensor(masses)?, temperature, list)?;
+                let heat = |until| Tensor::new(run.wall_heat_flux(until), &Device::Cpu)?.to_dtype(R::DTYPE);
+                Ok(Fields { wall_heat: self.model.wall_heat_until.map(heat).transpose()?, ..fields })
             };
             return go().map_err(RunError::tensor(run.step));
         }
@@ -123,8 +121,8 @@ impl<R: Sweeps> Dynamics for Sph<R> {
 
     fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
         if self.model.layout.consistent {
-            let (known, masses) = tape.look_consistent(state)?;
-            let fields = self.fields_of_known(tape.step, &known, masses, &tape.neighbourhood.list);
+            let shown = tape.look_consistent(state)?;
+            let fields = self.fields_of_known(tape.step, shown, &tape.neighbourhood.list);
             return fields.map_err(RunError::tensor(tape.step));
         }
         let (moved, primitives) = tape.look(state)?;
@@ -204,15 +202,14 @@ impl<R: Sweeps> Sph<R> {
     /// Tensor errors.
     pub fn fields_of_fixed(&self, fixed: &Fixed<R>, state: &Tensor) -> candle_core::Result<Fields> {
         let list = NeighbourList { count: vec![1; self.model.particles()], ..NeighbourList::default() };
-        self.fields_of_known(0, state, fixed.masses(state)?, &list)
+        self.fields_of_known(0, fixed.shown(&self.model, state)?, &list)
     }
 
     /// Fields of the consistent formulation's known state `[F, N]`, or of one of fixed particles.
     fn fields_of_known(
         &self,
         step: usize,
-        known: &Tensor,
-        mass: Tensor,
+        Shown { known, masses, wall_heat }: Shown,
         list: &NeighbourList,
     ) -> candle_core::Result<Fields> {
         let l = self.model.layout;
@@ -222,7 +219,8 @@ impl<R: Sweeps> Sph<R> {
             velocity = velocity.broadcast_mul(&per_particle(self.moving(), &velocity)?)?;
         }
         let temperature = if l.heat { Some(known.narrow(0, l.temperature(), 1)?) } else { None };
-        self.fields_with_masses(step, position, velocity, mass, temperature, list)
+        let fields = self.fields_with_masses(step, position, velocity, masses, temperature, list)?;
+        Ok(Fields { wall_heat, ..fields })
     }
 
     /// Fields of the consistent formulation.
@@ -246,6 +244,7 @@ impl<R: Sweeps> Sph<R> {
             density,
             mass,
             temperature,
+            wall_heat: None,
             tags: self.tags.clone(),
             active: Arc::new((0..n).map(|i| model.is_fluid(i) || list.count[i] > 0).collect()),
         })
@@ -277,6 +276,7 @@ impl<R: Sweeps> Sph<R> {
             density: primitives.narrow(0, 0, 1)?,
             mass,
             temperature,
+            wall_heat: None,
             tags: self.tags.clone(),
             active: Arc::new((0..n).map(|i| model.is_fluid(i) || list.count[i] > 0).collect()),
         })

@@ -162,6 +162,8 @@ pub struct Model<R> {
     /// What drives the flow besides, in the consistent formulation; fixed particles have their own.
     pub drive: Option<Drive>,
     pub heat: Option<Heat<R>>,
+    /// Up to which x the walls' heat is summed for an objective, where one asks for it.
+    pub wall_heat_until: Option<f64>,
     /// What the consistent formulation needs; none in the standard one.
     pub consistent: Option<Consistent<R>>,
     /// Particles that do not move; then nothing else of the model's laws is asked.
@@ -180,6 +182,19 @@ impl<R: Real> Model<R> {
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == crate::particles::tag::FLUID
+    }
+    /// What to try about a run that diverges.
+    pub fn remedy(&self) -> &'static str {
+        if self.fixed.is_some() {
+            "time.cfl=0.8 (a smaller time step), or a gentler wall (a smaller design.amplitude or design.bound)"
+        } else if self.consistent.is_some() {
+            // Smaller steps do not help over a rough wall; more neighbours do.
+            "resolution.smoothing_length=1.2 (more neighbours: stands rough walls), fluid.motion=fixed, a gentler wall (a \
+             smaller design.amplitude or design.bound), or time.cfl=0.5"
+        } else {
+            "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one (a \
+             smaller design.amplitude or design.bound)"
+        }
     }
     pub fn has_walls(&self) -> bool {
         self.tags.iter().any(|&t| t != crate::particles::tag::FLUID)

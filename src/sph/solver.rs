@@ -1,7 +1,7 @@
 //! Advancing a state: without a graph (buffers reused), or as candle tensors (a graph per step).
 
 use super::chain::{Chain, Step};
-use super::consistent::operators::{self, Buffers};
+use super::consistent::operators::{self, Buffers, Shown};
 use super::consistent::{composed, Blocks, Geometry};
 use super::fixed::{Fixed, FixedStep, Work};
 use super::laws::body_force::BodyForce;
@@ -300,11 +300,12 @@ impl<R: Sweeps> Solver<R> {
         &self.state[row * n..(row + 1) * n]
     }
 
-    /// An error if a number of the state is not finite.
+    /// An error if a number of the state is not finite, or larger than it can be: a velocity above the speed of sound, which
+    /// no weakly compressible flow has, or a temperature far beyond the walls'.
     ///
     /// # Errors
     /// That one.
-    pub fn check_finite(&self) -> Result<(), RunError> {
+    pub fn check(&self) -> Result<(), RunError> {
         let (n, l) = (self.model.particles(), self.model.layout);
         for (place, value) in self.state.iter().enumerate() {
             if !value.f64().is_finite() {
@@ -319,7 +320,34 @@ impl<R: Sweeps> Solver<R> {
                 return Err(RunError::NotFinite { step: self.step, field, particle: place % n, value: value.f64() });
             }
         }
+        let speed = super::plan::sound_speed(&self.model.equation_of_state);
+        let velocity = (l.velocity()..l.velocity() + l.dimension).map(|row| (row, "velocity", speed));
+        let limits = velocity.chain(self.largest_temperature().map(|most| (l.temperature(), "temperature", most)));
+        for (row, field, limit) in limits {
+            let fluid = (0..n).filter(|&i| self.model.is_fluid(i));
+            if let Some(particle) = fluid.into_iter().find(|&i| self.state[row * n + i].f64().abs() > limit) {
+                let value = self.state[row * n + particle].f64();
+                return Err(RunError::Impossible { step: self.step, field, particle, value, limit });
+            }
+        }
         Ok(())
+    }
+
+    /// Ten times the largest temperature of a wall, above the reference; none without a warm or a cold one. (Conduction and
+    /// convection keep temperatures between the walls' and the first ones; discrete sums only nearly do.)
+    fn largest_temperature(&self) -> Option<f64> {
+        let (model, n, l) = (&self.model, self.model.particles(), self.model.layout);
+        let heat = model.heat.as_ref()?;
+        let given = heat.wall_constant.iter().map(|t| t.f64().abs());
+        let most = match (&model.fixed, &model.consistent) {
+            (Some(fixed), _) => fixed.channel.hot_excess.abs(),
+            (None, Some(consistent)) => {
+                let known = (0..n).filter(|&i| !model.is_fluid(i) && !consistent.holds_no_temperature(i));
+                known.map(|i| self.state[l.temperature() * n + i].f64().abs()).fold(0.0, f64::max)
+            }
+            (None, None) => given.fold(0.0, f64::max),
+        };
+        (most > 0.0).then_some(10.0 * most)
     }
 }
 
@@ -446,14 +474,13 @@ impl<R: Sweeps> TensorSolver<R> {
         operators::Chain::new(self.model.clone(), self.tables.blocks.clone())
     }
 
-    /// The consistent formulation's known state `[F, N]` and masses `[1, N]` of a state as it is, on the graph.
+    /// A state of the consistent formulation, or of fixed particles, as it is, on the graph.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn look_consistent(&mut self, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
+    pub fn look_consistent(&mut self, state: &Tensor) -> Result<Shown, RunError> {
         if let Some(fixed) = &self.model.fixed {
-            let masses = fixed.masses(state).map_err(RunError::tensor(self.step))?;
-            return Ok((state.clone(), masses));
+            return fixed.shown(&self.model, state).map_err(RunError::tensor(self.step));
         }
         self.tables.update(&self.model, &self.neighbourhood);
         let found = match self.kernels {

@@ -103,6 +103,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
         transport: 0.0,
         body_force: BodyForce::None,
         drive: None,
+        wall_heat_until: None,
         heat: heat.then(|| Heat {
             conductivity: diffusivity * density,
             capacity: 1.0,

@@ -175,6 +175,7 @@ impl Case {
             transport: self.transport,
             body_force: self.body_force(),
             drive: None,
+            wall_heat_until: None,
             heat,
             consistent: None,
             fixed: None,

@@ -166,6 +166,7 @@ impl RandomScene {
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
             drive: None,
+            wall_heat_until: None,
             heat: options.heat.then(|| Heat {
                 conductivity: 7.313,
                 capacity: 30.527,

@@ -196,7 +196,7 @@ impl<'a> Cases<'a> {
         let quick = self.arguments.quick;
         let mut families = vec![];
         for lacking in Lacking::ALL {
-            let scene = Scene { preset: Some("report".into()), sets: self.arguments.sets.clone(), scene: None };
+            let scene = Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None };
             // 3200 particles: enough that the work shows beside the threads' meetings.
             let dx = if quick { "resolution.dx=0.02" } else { "resolution.dx=0.01" };
             let scene = scene.with_defaults(&[dx, "fluid.transport_velocity=1"]);
@@ -228,7 +228,7 @@ impl<'a> Cases<'a> {
     fn kernels(&self) -> Result<Vec<Family>, Error> {
         let quick = self.arguments.quick;
         let steps = format!("time.steps={}", if quick { 10 } else { 100 });
-        let scene = Scene { preset: Some("report".into()), sets: self.arguments.sets.clone(), scene: None };
+        let scene = Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None };
         let scene = scene.with_defaults(&[&steps, "objective.window=0"]);
         let config = scene.load()?.config;
         let channel = Case {

@@ -98,7 +98,7 @@ impl<R: Sweeps> Ready<R> {
         for _ in 0..steps {
             self.dynamics.advance(&mut solver)?;
         }
-        solver.check_finite()?;
+        solver.check()?;
         Ok(Snapshot { step: 0, ..solver.snapshot() })
     }
 
@@ -255,7 +255,7 @@ fn forward<R: Sweeps>(
         }
         measured.seconds.push(timed(&mut solver, measured.steps)?);
     }
-    solver.check_finite()
+    solver.check()
 }
 
 fn backward<R: Sweeps>(

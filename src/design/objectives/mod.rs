@@ -6,10 +6,12 @@
 pub mod heat_outflow;
 pub mod outlet;
 pub mod outlet_temperature;
+pub mod wall_heat;
 
 pub use heat_outflow::HeatOutflow;
 pub use outlet::Outlet;
 pub use outlet_temperature::OutletTemperature;
+pub use wall_heat::WallHeat;
 
 use crate::adjoint::Objective;
 use crate::config::scene::{Config, ObjectiveForm, ObjectiveKind};
@@ -27,6 +29,7 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
             Arc::new(HeatOutflow { outlet, scale, samples })
         }
         ObjectiveKind::OutletTemperature => Arc::new(OutletTemperature { outlet, samples }),
+        ObjectiveKind::WallHeat => Arc::new(WallHeat { samples }),
     }
 }
 
@@ -54,6 +57,9 @@ impl Figure {
                     ObjectiveForm::Sum => config.resolution.dx,
                 },
             },
+            ObjectiveKind::WallHeat => {
+                Self { symbol: "W", quantity: "heat from the walls", unit: "rho u T length", factor: 1.0 }
+            }
             ObjectiveKind::OutletTemperature => Self {
                 symbol: "T",
                 quantity: "mixed outlet temperature above the inlet's",

@@ -209,6 +209,6 @@ impl Parametrisation for BSpline {
         let width = (section.to - section.from) / count as f64;
         let nodes: Vec<f64> = (0..count).map(|k| section.from + (k as f64 + 0.5) * width).collect();
         let offsets = nodes.iter().map(|&x| self.curve(variables, x)).collect();
-        Shape { nodes, offsets, hot_from: section.from, hot_to: section.to }
+        Shape { nodes, offsets, top: None, hot_from: section.from, hot_to: section.to }
     }
 }

@@ -9,13 +9,15 @@
 
 pub mod b_spline;
 pub mod nodes;
+pub mod two_walls;
 
 pub use b_spline::BSpline;
 pub use nodes::Nodes;
+pub use two_walls::TwoWalls;
 
 use super::limits::Limits;
 use super::shape::{HotSection, Shape};
-use crate::config::scene::{Config, Formulation, Motion, ParametrisationName};
+use crate::config::scene::{Config, DesignWalls, Formulation, Motion, ParametrisationName};
 use crate::error::BadInput;
 use std::sync::Arc;
 
@@ -36,15 +38,28 @@ pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisat
     };
     Ok(match design.parametrisation {
         ParametrisationName::Nodes => {
-            let nodes = Nodes::new(start.nodes.clone(), section, design.bound)?;
-            (Arc::new(nodes.sampled_at(at_points.as_deref())), start.offsets.clone())
+            let nodes = Nodes::new(start.nodes.clone(), section, design.bound)?.sampled_at(at_points.as_deref());
+            each_wall(design.walls, nodes, start, |wall| wall.offsets.clone())
         }
         ParametrisationName::BSpline => {
             let spline = BSpline::new(design.control_points, section, design.bound)?;
-            let points = spline.fitted(start);
-            (Arc::new(spline.sampled_at(at_points.as_deref())), points)
+            let points = spline.clone();
+            each_wall(design.walls, spline.sampled_at(at_points.as_deref()), start, |wall| points.fitted(wall))
         }
     })
+}
+
+/// The parametrisation of one wall or of both, and its variables at a start shape: those of a wall are `first` of its shape.
+fn each_wall(
+    walls: DesignWalls,
+    one: impl Parametrisation + 'static,
+    start: &Shape,
+    first: impl Fn(&Shape) -> Vec<f64>,
+) -> (Arc<dyn Parametrisation>, Vec<f64>) {
+    match walls {
+        DesignWalls::Bottom => (Arc::new(one), first(start)),
+        DesignWalls::Both => (Arc::new(TwoWalls::new(one)), [first(start), first(&start.top_wall())].concat()),
+    }
 }
 
 /// x of the first column of fixed particles: such that the cells of columns begin where the hot section does, if dx fits.

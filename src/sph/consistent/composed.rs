@@ -1,6 +1,7 @@
 //! The same step from ordinary candle operators over the padded neighbour list: the oracle.
 
 use super::derivatives::{kind, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
+use super::operators::Shown;
 use super::shift::{Chain, Isotropic};
 use super::stencil::{at, monomials as monomials_of, packed, quadratic};
 use super::{Consistent, Shift};
@@ -323,9 +324,26 @@ fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
 ///
 /// # Errors
 /// Tensor errors.
-pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<(Tensor, Tensor)> {
+pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<Shown> {
     let around = Around::new(model, list, state)?;
-    Ok((known(&around, state)?, around.masses(state)?))
+    let (known, masses) = (known(&around, state)?, around.masses(state)?);
+    let heating = |until: f64| -> Result<Tensor> {
+        let (l, consistent) = (model.layout, around.consistent);
+        let (d, dx) = (l.dimension, consistent.spacing);
+        let fit = around.fit(&around.factor(TEMPERATURE)?, TEMPERATURE, &known.narrow(0, l.temperature(), 1)?)?;
+        let mut spread = fit.narrow(0, quadratic(d, 0, 0), 1)?;
+        for a in 1..d {
+            spread = (spread + fit.narrow(0, quadratic(d, a, a), 1)?)?;
+        }
+        let x = known.narrow(0, 0, 1)?;
+        let shift = around.shift(&state.narrow(0, 0, d)?)?;
+        let carried = shift.mul(&fit.narrow(0, 0, d)?)?.sum_keepdim(0)?.affine(1.0 / dx, 0.0)?;
+        let rate = (carried + spread.affine(consistent.diffusivity / (dx * dx), 0.0)?)?;
+        let here = conduction::conducts_composed(model, &x)?.mul(&below(&x, until)?)?;
+        rate.mul(&masses)?.mul(&here)?.sum_all()
+    };
+    let wall_heat = model.wall_heat_until.map(heating).transpose()?;
+    Ok(Shown { known, masses, wall_heat })
 }
 
 /// [`super::operators::advance`].

@@ -76,6 +76,10 @@ pub struct Geometry<'a, R> {
 }
 
 impl<R: crate::numerics::lanes::Real> Consistent<R> {
+    /// Whether a wall's particle is no point whose temperature is known.
+    pub fn holds_no_temperature(&self, i: usize) -> bool {
+        self.weights[4 * i + derivatives::TEMPERATURE] == R::default()
+    }
     /// Whether a wall's particle has something else than a velocity in its rows of velocity.
     pub fn holds_no_velocity(&self, i: usize) -> bool {
         self.weights[4 * i] == R::default()

@@ -73,6 +73,8 @@ pub struct PressureGradient<R: Sweeps>(pub Arc<Chain<R>>);
 pub struct Advance<R: Sweeps>(pub Arc<Chain<R>>);
 /// derivatives -> mass of the fluid's particles as sections count it, rho V times the quadrature's weight, `[1, N]`.
 pub struct Masses<R: Sweeps>(pub Arc<Chain<R>>);
+/// known, derivatives, masses -> [`heating`] up to some x, `[]`.
+pub struct Heating<R: Sweeps>(pub Arc<Chain<R>>, pub f64);
 /// state, masses -> state, kicked.
 pub struct Drive<R: Sweeps>(pub Arc<Chain<R>>);
 
@@ -257,41 +259,100 @@ pub fn masses<R: Real>(geometry: &Geometry<'_, R>, derivatives: &[R], masses: &m
     each_mass(geometry, |i, at, factor| masses[i] = derivatives[at] * factor);
 }
 
+/// For each conducting fluid particle with x < `until`: its number and where its derivatives stand.
+fn each_conducting<R: Real>(geometry: &Geometry<'_, R>, known: &[R], until: f64, mut each: impl FnMut(usize, Place)) {
+    let l = geometry.model.layout;
+    let fluid = &geometry.blocks.fluid;
+    for place in 0..fluid.places {
+        let i = fluid.members[place] as usize;
+        if conduction::conducts(geometry.model, known[i]) && known[i].f64() < until {
+            each(i, Place::of::<R>(place, rows(l.dimension, l.fields())));
+        }
+    }
+}
+
+/// alpha lap T + w.grad T from what `derivative` gives for its rows; `slope` sees each row of which the rate is a function,
+/// and the derivative by it.
+fn conduction_rate<R: Real>(
+    geometry: &Geometry<'_, R>,
+    derivative: impl Fn(usize) -> f64,
+    mut slope: impl FnMut(usize, f64),
+) -> f64 {
+    let (l, consistent) = (geometry.model.layout, geometry.consistent);
+    let (d, fields) = (l.dimension, l.fields());
+    let q = monomials(d);
+    let mut rate = 0.0;
+    for a in 0..d {
+        let spread = (d + 1) * q + super::stencil::quadratic(d, a, a);
+        let (shift, along) = (fields * q + 1 + a, (d + 1) * q + a);
+        let diffusivity = consistent.diffusivity / consistent.spacing.powi(2);
+        rate += diffusivity * derivative(spread) + derivative(shift) * derivative(along) / consistent.spacing;
+        slope(spread, diffusivity);
+        slope(shift, derivative(along) / consistent.spacing);
+        slope(along, derivative(shift) / consistent.spacing);
+    }
+    rate
+}
+
 /// What conduction brings to conducting fluid with x < `until`: sum over it of mass times (alpha lap T + w.grad T), the rate of
 /// the particles that stand there. `masses` as [`masses`] gives them.
 pub fn heating<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], masses: &[R], until: f64) -> f64 {
-    let (model, consistent) = (geometry.model, geometry.consistent);
-    let l = model.layout;
-    let (d, fields) = (l.dimension, l.fields());
-    let q = monomials(d);
-    let fluid = &geometry.blocks.fluid;
     let mut sum = 0.0;
-    for place in 0..fluid.places {
-        let i = fluid.members[place] as usize;
-        if !conduction::conducts(model, known[i]) || known[i].f64() >= until {
-            continue;
-        }
-        let at = Place::of::<R>(place, rows(d, fields));
-        let derivative = |k: usize| derivatives[at.row(k)].f64();
-        let mut rate = 0.0;
-        for a in 0..d {
-            let spread = derivative((d + 1) * q + super::stencil::quadratic(d, a, a));
-            rate += consistent.diffusivity / consistent.spacing.powi(2) * spread;
-            rate += derivative(fields * q + 1 + a) * derivative((d + 1) * q + a) / consistent.spacing;
-        }
-        sum += masses[i].f64() * rate;
-    }
+    each_conducting(geometry, known, until, |i, at| {
+        sum += masses[i].f64() * conduction_rate(geometry, |k| derivatives[at.row(k)].f64(), |_, _| ());
+    });
     sum
 }
 
-/// known `[F, N]` and mass `[1, N]` of a state as it is, on the graph.
+impl<R: Sweeps> Operator<3> for Heating<R> {
+    type Real = R;
+    const NAME: &'static str = "heating";
+
+    fn forward(&self, [known, derivatives, masses]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
+        Ok((vec![R::of(heating(&self.0.geometry()?, known, derivatives, masses, self.1))], ().into()))
+    }
+
+    fn adjoint(
+        &self,
+        [known, derivatives, masses]: [&[R]; 3],
+        _: &[R],
+        bar: &[R],
+        _: [bool; 3],
+    ) -> Result<[Option<Vec<R>>; 3]> {
+        let geometry = self.0.geometry()?;
+        let (mut derivatives_bar, mut masses_bar) = (zeros([derivatives.len()]), zeros([masses.len()]));
+        let bar = bar[0].f64();
+        each_conducting(&geometry, known, self.1, |i, at| {
+            let mass_bar = bar * masses[i].f64();
+            let slope = |k: usize, by: f64| derivatives_bar[at.row(k)] += R::of(mass_bar * by);
+            masses_bar[i] = R::of(bar * conduction_rate(&geometry, |k| derivatives[at.row(k)].f64(), slope));
+        });
+        // Who conducts does not change with an infinitesimal step.
+        Ok([Some(zeros([known.len()])), Some(derivatives_bar), Some(masses_bar)])
+    }
+}
+
+/// A state as fields are made of it, on the graph.
+pub struct Shown {
+    /// With the dummy particles' values, `[F, N]`.
+    pub known: Tensor,
+    /// `[1, N]`.
+    pub masses: Tensor,
+    /// See [`crate::adjoint::Fields::wall_heat`].
+    pub wall_heat: Option<Tensor>,
+}
+
+/// A state as it is, on the graph.
 ///
 /// # Errors
 /// Tensor errors.
-pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<(Tensor, Tensor)> {
+pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Shown> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;
-    Ok((known, apply1(Masses(chain.clone()), &derivatives)?))
+    let masses = apply1(Masses(chain.clone()), &derivatives)?;
+    let heating = |until| apply3(Heating(chain.clone(), until), &known, &derivatives, &masses);
+    let wall_heat = chain.model.wall_heat_until.map(heating).transpose()?;
+    Ok(Shown { known, masses, wall_heat })
 }
 
 /// One step, on the graph.

@@ -48,8 +48,10 @@ pub use work::Work;
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
+use crate::sph::consistent::operators::Shown;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::drive::Drive;
+use crate::sph::model::Model;
 use candle_core::Tensor;
 use ghosts::Ghosts;
 use grid::Grid;
@@ -275,6 +277,30 @@ impl<R: Real> Fixed<R> {
         let density = density.affine(1.0 / (c.sound_speed * c.sound_speed), c.density)?;
         let masses = stretch.mul(&weights)?.mul(&density)?;
         Tensor::cat(&[masses, Tensor::zeros((1, 2 * nx), state.dtype(), state.device())?], 1)
+    }
+
+    /// A state as fields are made of it, on the graph.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn shown(&self, model: &Model<R>, state: &Tensor) -> candle_core::Result<Shown> {
+        let wall_heat = model.wall_heat_until.map(|_| self.wall_heat(state)).transpose()?;
+        Ok(Shown { known: state.clone(), masses: self.masses(state)?, wall_heat })
+    }
+
+    /// [`Self::wall_heat_flux`] on the graph, `[]`.
+    fn wall_heat(&self, state: &Tensor) -> candle_core::Result<Tensor> {
+        let (nx, fluid, c) = (self.channel.columns, self.fluid_particles(), &self.channel);
+        let row = |row: usize, from: usize| state.narrow(0, row, 1)?.narrow(1, from, nx);
+        let (bottom, top) = (row(row::Y, fluid)?, row(row::Y, fluid + nx)?);
+        let turned = |by: usize| Tensor::cat(&[bottom.narrow(1, by, nx - by)?, bottom.narrow(1, 0, by)?], 1);
+        let slope = (turned(1)? - turned(nx - 1)?)?.affine(0.5 / c.spacing, 0.0)?;
+        let stretch = (top - &bottom)?.affine(1.0 / self.height(), 0.0)?;
+        let near =
+            (row(row::T, 0)?.affine(-3.0, 8.0 / 3.0 * c.hot_excess)? + row(row::T, nx)?.affine(1.0 / 3.0, 0.0)?)?;
+        let share: Vec<R> = c.hot_share().into_iter().map(|share| R::of(share * c.density * c.diffusivity)).collect();
+        let share = Tensor::from_vec(share, (1, nx), state.device())?.to_dtype(state.dtype())?;
+        slope.sqr()?.affine(1.0, 1.0)?.div(&stretch)?.mul(&near)?.mul(&share)?.sum_all()
     }
 
     /// What the hot wall gives to the fluid, alpha (1 + S^2)/D dT/deta over its length, in units of density * temperature *

@@ -1,0 +1,73 @@
+//! Both walls, each with the same parametrisation and variables of its own: first the bottom wall's, then the top wall's.
+
+use super::Parametrisation;
+use crate::design::limits::Limits;
+use crate::design::shape::Shape;
+use crate::error::BadInput;
+
+/// Two of the same.
+#[derive(Debug)]
+pub struct TwoWalls<P> {
+    one: P,
+    /// Those of one wall, twice.
+    positions: Vec<f64>,
+    limits: Limits,
+}
+
+impl<P: Parametrisation> TwoWalls<P> {
+    pub fn new(one: P) -> Self {
+        let positions = [one.positions(), one.positions()].concat();
+        let limits = one.limits().twice();
+        Self { one, positions, limits }
+    }
+
+    fn each<'a>(&self, variables: &'a [f64]) -> (&'a [f64], &'a [f64]) {
+        variables.split_at(self.one.variables())
+    }
+}
+
+impl<P: Parametrisation> Parametrisation for TwoWalls<P> {
+    fn name(&self) -> &str {
+        self.one.name()
+    }
+
+    fn positions(&self) -> &[f64] {
+        &self.positions
+    }
+
+    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
+        let (bottom, top) = self.each(variables);
+        [self.one.column_heights(bottom), self.one.column_heights(top)].concat()
+    }
+
+    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
+        let (bottom, top) = heights_bar.split_at(heights_bar.len() / 2);
+        [self.one.pull_back(bottom), self.one.pull_back(top)].concat()
+    }
+
+    /// The bottom wall's.
+    fn height(&self, variables: &[f64], x: f64) -> f64 {
+        self.one.height(self.each(variables).0, x)
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
+        let (bottom, top) = self.each(variables);
+        self.one.check(bottom)?;
+        self.one.check(top).map_err(|bad| bad.place("the top wall"))
+    }
+
+    fn sampled(&self, variables: &[f64]) -> Shape {
+        let (bottom, top) = self.each(variables);
+        Shape { top: Some(self.one.sampled(top).offsets), ..self.one.sampled(bottom) }
+    }
+
+    fn penalty(&self, weight: f64, variables: &[f64]) -> (f64, Vec<f64>) {
+        let (bottom, top) = self.each(variables);
+        let (found, above) = (self.one.penalty(weight, bottom), self.one.penalty(weight, top));
+        (found.0 + above.0, [found.1, above.1].concat())
+    }
+}
