@@ -125,7 +125,7 @@ fn two_walls_are_kept_by_their_file() {
     // The same file as a design of its own.
     let wall = at.join("run/shape.csv");
     let file = format!("design.file={}", wall.display());
-    let sets = ["--set", &file, "--set", "fluid.motion=fixed", "--out", "again"];
+    let sets = ["--set", &file, "--set", "fluid.motion=fixed", "--set", "design.bound=0.003", "--out", "again"];
     succeeds(at, &with(&["simulate"], &sets));
     let config = std::fs::read_to_string(at.join("again/config.toml")).unwrap();
     assert!(config.contains("walls = \"both\"") && config.contains("top_offsets = ["), "{config}");

@@ -97,7 +97,8 @@ pub const SCENES: &[BuiltIn] = &[
 pub const PRESETS: &[BuiltIn] = &[
     BuiltIn {
         name: "report",
-        description: "the original report's experiment: height 0.26, 2000 small steps from rest, 10 epochs of a whole spacing",
+        description:
+            "the original report's experiment: height 0.26, 2000 small steps from rest, 10 epochs of a whole spacing",
         text: include_str!("../../data/scenes/presets/report.toml"),
     },
     BuiltIn {

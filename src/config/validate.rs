@@ -491,7 +491,7 @@ impl Config {
 fn spacings(count: f64) -> String {
     match count {
         6.0 => "six spacings".into(),
-        _ => format!("{count} spacings"),
+        _ => format!("{} spacings", (1e6 * count).round() / 1e6),
     }
 }
 

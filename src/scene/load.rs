@@ -128,6 +128,11 @@ impl Loaded {
                 if optimise.gradient == GradientMode::Segments && !chosen && settles {
                     settings.push(Setting::set("optimise.gradient=steady"));
                 }
+                // The same window and samples, as far as the other steps allow: not what would be chosen anew.
+                let (objective, step) = (&self.config.objective, self.with(&settings)?.config.time_step());
+                let steps = (objective.window / step).round().max(1.0) as usize;
+                settings.push(Setting::set(&format!("objective.window={}", objective.window)));
+                settings.push(Setting::set(&format!("objective.samples={}", objective.samples.min(steps))));
                 self.with(&settings)
             }
             _ => Ok(self.clone()),

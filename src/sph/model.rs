@@ -186,11 +186,12 @@ impl<R: Real> Model<R> {
     /// What to try about a run that diverges.
     pub fn remedy(&self) -> &'static str {
         if self.fixed.is_some() {
-            "time.cfl=0.8 (a smaller time step), or a gentler wall (a smaller design.amplitude or design.bound)"
+            "time.cfl=0.6 or time.diffusion_number=0.06 (a smaller time step), or a gentler wall (a smaller \
+             design.amplitude or design.bound)"
         } else if self.consistent.is_some() {
-            // Smaller steps do not help over a rough wall; more neighbours do.
-            "resolution.smoothing_length=1.2 (more neighbours: stands rough walls), fluid.motion=fixed, a gentler wall (a \
-             smaller design.amplitude or design.bound), or time.cfl=0.5"
+            // Over a rough wall smaller steps do not help; more neighbours do (src/sph/README.md has the figures).
+            "over a rough wall fluid.motion=fixed or resolution.smoothing_length=1.1, or a gentler one (a smaller \
+             design.amplitude or design.bound); over a flat one time.cfl=0.5"
         } else {
             "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one (a \
              smaller design.amplitude or design.bound)"

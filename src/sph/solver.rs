@@ -333,7 +333,7 @@ impl<R: Sweeps> Solver<R> {
         Ok(())
     }
 
-    /// Ten times the largest temperature of a wall, above the reference; none without a warm or a cold one. (Conduction and
+    /// Three times the largest temperature of a wall, above the reference; none without a warm or a cold one. (Conduction and
     /// convection keep temperatures between the walls' and the first ones; discrete sums only nearly do.)
     fn largest_temperature(&self) -> Option<f64> {
         let (model, n, l) = (&self.model, self.model.particles(), self.model.layout);
@@ -347,7 +347,7 @@ impl<R: Sweeps> Solver<R> {
             }
             (None, None) => given.fold(0.0, f64::max),
         };
-        (most > 0.0).then_some(10.0 * most)
+        (most > 0.0).then_some(3.0 * most)
     }
 }
 
