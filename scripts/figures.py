@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes f32. Of speed: bench-kernels bench-gradient
+Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32. Of speed: bench-kernels bench-gradient
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
 Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
@@ -14,6 +14,7 @@ import csv
 import json
 import math
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -147,19 +148,24 @@ def cfl():
 
 
 def starts():
-    folder = run("starts", "optimize", "--no-verify", "--preset", "report", "--start", "all")
     rows = []
-    for name, s in load(folder).items():
-        if not isinstance(s, dict) or "q_per_epoch" not in s:
-            continue
-        q = s["q_per_epoch"]
-        rows.append([name, f"{q[0]:.6f}", f"{s['q']:.6f}", percent(s["q"], q[0]), s["best_epoch"], f"{q[-1]:.6f}", f"{s['wall_seconds']:.1f}"])
-    return table(["start", "Q first", "Q best", "gain", "epoch", "Q last", "seconds"], rows)
+    for preset in ("report", "report-jax-sph"):
+        folder = run(preset, "optimize", "--preset", preset, "--start", "all")
+        every = load(folder)
+        for name, s in every.items():
+            if not isinstance(s, dict) or "q_per_epoch" not in s:
+                continue
+            q = s["q_per_epoch"]
+            kept = f"{100 * every['gain_survives']:+.2f} %" if every["verified_start"] == name else ""
+            rows.append([preset, name, f"{q[0]:.6f}", f"{max(q):.6f}", percent(max(q), q[0]), s["best_epoch"], f"{q[-1]:.6f}", kept,
+                         f"{sum(s['seconds_per_epoch']):.1f}"])
+    return table(["preset", "start", "Q first", "Q best", "gain", "epoch", "Q last", "survives its checks, against flat", "seconds"], rows)
 
 
 def drift():
     """Q over ever longer runs."""
     walls = [("flat", {}), ("sine 0.02", {"design__shape": "sine", "design__amplitude": 0.02}),
+             ("random 0.02", {"design__shape": "random", "design__amplitude": 0.02, "run__seed": 1}),
              ("cosine, two periods, 0.02", {"design__shape": "cosine", "design__amplitude": 0.02, "design__periods": 2}),
              ("random 0.01", {"design__shape": "random", "design__amplitude": 0.01})]
     rows = []
@@ -197,10 +203,9 @@ def shapes():
         reference = list(csv.DictReader(file))
     rows = []
     rough = {"fluid__formulation": "standard", "fluid__transport_velocity": 1, "fluid__background_pressure_factor": 0, "time__cfl": 1, "time__end": 2}
-    # At 0.01 every third shape: the rest takes ten minutes more.
-    for label, extra, some in (("moving particles (default), dx 0.02", {}, 1), ("moving particles, dx 0.01", {"resolution__dx": 0.01}, 3),
+    for label, extra, some in (("moving particles (default), dx 0.02", {}, 1), ("moving particles, dx 0.01", {"resolution__dx": 0.01}, 1),
                                ("fixed particles, dx 0.02", {"fluid__motion": "fixed"}, 1),
-                               ("fixed particles, dx 0.01", {"fluid__motion": "fixed", "resolution__dx": 0.01}, 3),
+                               ("fixed particles, dx 0.01", {"fluid__motion": "fixed", "resolution__dx": 0.01}, 1),
                                ("standard formulation, dx 0.02", {"fluid__formulation": "standard", "time__end": 2}, 1),
                                ("standard, transport velocity 1, no background pressure, CFL 1", rough, 1)):
         errors, flows, diverged = [], [], 0
@@ -220,6 +225,34 @@ def shapes():
     return table(["", "walls", "error of Q, mean", "worst", "worst error of Q / Q flat", "flow rate / that of FEM, mean", "diverged"], rows)
 
 
+def rough():
+    """Walls at the limit of steepness, twice as deep as those of `shapes`: which particles run over them."""
+    def wave(periods, f):
+        return [0.04 * f(2 * math.pi * periods * (x - 0.25) / 0.5) for x in NODES]
+    gentle = lambda offsets: [max(-0.04, min(0.04, o)) for o in offsets]
+    named = [wave(3, math.sin), wave(2, math.sin), wave(3, math.cos), wave(2, math.cos), [0.04] * 25, [-0.04] * 25,
+             [0.04 * max(0, 1 - abs(x - 0.5) / 0.04) for x in NODES], [0.02 * (-1) ** k for k in range(25)],
+             [0.04 if 8 <= k < 17 else 0.0 for k in range(25)]]
+    random_walls = []
+    for seed in range(10):
+        source, wall = random.Random(seed), [0.0]
+        while len(wall) < 25:
+            wall.append(max(wall[-1] - 0.0399, min(wall[-1] + 0.0399, 0.04 * (2 * source.random() - 1))))
+        random_walls.append(gentle(wall))
+    fixed = {"fluid__motion": "fixed"}
+    kinds = [("moving particles (default)", {}), ("moving, resolution.smoothing_length 1.1", {"resolution__smoothing_length": 1.1}),
+             ("moving, time.cfl 0.5", {"time__cfl": 0.5}), ("moving, fluid.shift isotropic", {"fluid__shift": "isotropic"}), ("fixed particles", fixed)]
+    rows = [[label] for label, _ in kinds]
+    for walls in (named, random_walls):
+        keys = [dict(design__offsets="[" + ",".join(f"{o:.6f}" for o in wall) + "]", design__nodes=NODES, design__bound=0.04, time__end=3) for wall in walls]
+        exact = [simulate("rough", resolution__dx=0.01, time__cfl=0.6, **key, **fixed)["q"] for key in keys]
+        for row, (_, extra) in zip(rows, kinds):
+            runs = [simulate("rough", **{**key, **extra}) for key in keys]
+            errors = [abs(s["q"] / q - 1) for s, q in zip(runs, exact) if s]
+            row += [f"{len(errors)} of {len(walls)}", f"{100 * sum(errors) / len(errors):.1f}, {100 * max(errors):.1f} %" if errors else ""]
+    return table(["", "named walls: ran", "error of Q against fixed particles at dx 0.01, mean, worst", "random walls: ran", "error, mean, worst"], rows)
+
+
 def f32():
     rows = []
     for steps in (100, 500, 2000):
@@ -230,7 +263,7 @@ def f32():
     return table(["steps", "norm of the gradient", "f32 differs by"], rows)
 
 
-FIGURES = {**{f.__name__: f for f in (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, f32)}, **SPEED}
+FIGURES = {**{f.__name__: f for f in (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32)}, **SPEED}
 
 
 def main():

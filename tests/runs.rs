@@ -54,6 +54,7 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
         "shapes.png",
         "shapes.svg",
         "temperature.png",
+        "flow.png",
         "temperature.svg",
         "state.h5",
         "checkpoint.safetensors",

@@ -5,7 +5,7 @@ use crate::design::diagnostics::Diagnostics;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_columns;
 use crate::report::memory::peak_memory_bytes;
-use crate::report::plots::{temperature_particles, TemperaturePanel};
+use crate::report::plots::{colored_particles, TemperaturePanel};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use serde_json::{json, Map, Value};
@@ -62,31 +62,50 @@ pub fn write_summary(folder: &Path, map: Map<String, Value>) -> anyhow::Result<(
 
 /// `temperature.png` and `.svg`: particles coloured by temperature, panel by panel.
 pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
+    let (low, high) = (config.fluid.inlet_temperature, config.wall.hot_temperature);
+    // Equal temperatures are a fair question (does nothing happen?) but no range of colours.
+    let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
+    let temperature = |fields: &ParticleFields| fields.temperature.clone().unwrap_or_default();
+    let range = (low.min(high), low.max(high));
+    plot_particles(folder, config, panels, ("temperature", "temperature T (scene units)"), temperature, range)
+}
+
+/// `flow.png` and `.svg`: particles coloured by speed, panel by panel.
+pub fn plot_flow(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
+    let speed = |fields: &ParticleFields| -> Vec<f64> {
+        let n = fields.tag.len();
+        let square = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
+        (0..n).map(|i| square(i).sqrt()).collect()
+    };
+    let fastest = panels.iter().flat_map(|(_, fields)| speed(fields)).fold(1e-6, f64::max);
+    plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speed, (0.0, fastest))
+}
+
+fn plot_particles(
+    folder: &Path,
+    config: &Config,
+    panels: &[(&str, &ParticleFields)],
+    (name, label): (&str, &str),
+    of: impl Fn(&ParticleFields) -> Vec<f64>,
+    range: (f64, f64),
+) -> anyhow::Result<()> {
     let dx = config.resolution.dx;
     let rows = config.channel.wall_rows as f64 * dx;
-    let below =
-        panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..]).fold(-rows, |low, &y| low.min(y - 0.5 * dx));
+    let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..]);
+    let below = y().fold(-rows, |low, &y| low.min(y - 0.5 * dx));
+    let above = y().fold(config.channel.height + rows, |high, &y| high.max(y + 0.5 * dx));
+    let values: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| of(fields)).collect();
     let panels: Vec<TemperaturePanel> = panels
         .iter()
-        .map(|(title, f)| TemperaturePanel {
+        .zip(&values)
+        .map(|((title, f), values)| TemperaturePanel {
             title,
             position: &f.position,
-            temperature: f.temperature.as_deref().unwrap_or(&[]),
+            temperature: values,
             tag: &f.tag,
             diameter: dx,
         })
         .collect();
-    let (low, high) = (config.fluid.inlet_temperature, config.wall.hot_temperature);
-    // Equal temperatures are a fair question (does nothing happen?) but no range of colours.
-    let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
-    let y_range = (below, config.channel.height + rows);
-    temperature_particles(
-        &folder.join("temperature"),
-        &panels,
-        low.min(high),
-        low.max(high),
-        (0.0, config.channel.length),
-        y_range,
-    )?;
+    colored_particles(&folder.join(name), label, &panels, range, (0.0, config.channel.length), (below, above))?;
     Ok(())
 }

@@ -397,7 +397,9 @@ fn report<R: Sweeps>(
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (ParticleFields::of(&mut solver_before), ParticleFields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
-    files::plot_temperature(folder, config, &[("before", &fields_before), ("after", &fields_after)])?;
+    let panels = [("before", &fields_before), ("after", &fields_after)];
+    files::plot_temperature(folder, config, &panels)?;
+    files::plot_flow(folder, config, &panels)?;
     files::write_summary(folder, summary.clone())?;
     let values = optimisation.column(|e| e.figure);
     let [first, best] = [first, best].map(|variables| problem.parametrisation.sampled(variables));
@@ -542,7 +544,7 @@ fn text(
         100.0 * a.energy_imbalance
     ));
     text.push_str(&format!(
-        "files in {}: summary.json, history.png, shapes.png, temperature.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView)",
+        "files in {}: summary.json, history.png, shapes.png, temperature.png, flow.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView)",
         folder.display()
     ));
     text

@@ -38,7 +38,9 @@ pub fn report_design<R: Sweeps>(
 ) -> anyhow::Result<()> {
     let Finished { loaded, folder, history, .. } = finished;
     plot_outflow(folder, history)?;
-    files::plot_temperature(folder, &loaded.config, &[("start", start), ("end", finished.end)])?;
+    let panels = [("start", start), ("end", finished.end)];
+    files::plot_temperature(folder, &loaded.config, &panels)?;
+    files::plot_flow(folder, &loaded.config, &panels)?;
     let mut map = files::summary(loaded, d, finished.scene.steps, finished.seconds);
     let wall = design.first_wall();
     map.insert("nodes".into(), wall.nodes.into());
@@ -56,7 +58,7 @@ pub fn report_design<R: Sweeps>(
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
     println!("mean density        {:.6}", d.mean_density);
     println!(
-        "files in {}: summary.json, temperature.png, history.csv, state.h5{}",
+        "files in {}: summary.json, temperature.png, flow.png, history.csv, state.h5{}",
         folder.display(),
         finished.pictures
     );

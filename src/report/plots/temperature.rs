@@ -11,11 +11,17 @@ use std::path::{Path, PathBuf};
 const FLUID: u8 = 0;
 const MOVING_WALL: u8 = 2;
 const HOT_WALL: u8 = 3;
+/// Ours: points on the walls' surface, which have no width.
+const SURFACE: u8 = 4;
+const HOT_SURFACE: u8 = 5;
 
 const WALL_GREY: Color = [188, 188, 188];
 const MOVING_GREY: Color = [140, 140, 140];
 const HOT_GREY: Color = [214, 214, 214];
 const HOT_OUTLINE: Color = [200, 30, 30];
+const SURFACE_INK: Color = [70, 70, 70];
+/// Of a surface point's radius, in a particle's.
+const SURFACE_SIZE: f64 = 0.22;
 
 /// One picture of particles.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +31,7 @@ pub struct TemperaturePanel<'a> {
     pub position: &'a [f64],
     /// `[N]`; not looked at for walls.
     pub temperature: &'a [f64],
-    /// `[N]`: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature.
+    /// `[N]`: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature, 4 and 5 points on the surface of such walls.
     pub tag: &'a [u8],
     /// Of a particle, scene length units.
     pub diameter: f64,
@@ -128,6 +134,11 @@ pub(super) fn draw_particles(
                 drawing.disc(centre, radius - (0.22 * radius).min(1.5), HOT_GREY);
                 continue;
             }
+            SURFACE | HOT_SURFACE => {
+                let ink = if panel.tag[particle] == SURFACE { SURFACE_INK } else { HOT_OUTLINE };
+                drawing.disc(centre, SURFACE_SIZE * radius, ink);
+                continue;
+            }
             MOVING_WALL => MOVING_GREY,
             _ => WALL_GREY,
         };
@@ -141,6 +152,8 @@ fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
         (1, "wall", WALL_GREY, None),
         (MOVING_WALL, "moving wall", MOVING_GREY, None),
         (HOT_WALL, "wall of set temperature", HOT_GREY, Some(HOT_OUTLINE)),
+        (SURFACE, "the wall's surface", SURFACE_INK, None),
+        (HOT_SURFACE, "that of set temperature", HOT_OUTLINE, None),
     ];
     kinds
         .into_iter()
