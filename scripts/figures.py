@@ -120,14 +120,18 @@ def gradient():
 
 
 def growth():
-    """The gradient of ever longer runs over a sine wall."""
-    cells = []
-    for end in (2, 4, 8, 16):
-        folder = run("growth", "optimize", "--no-verify", "--epochs", "1", *sets(optimise__search="scene", time__end=end, design__shape="sine", design__amplitude=0.02,
-                                                                               output__frames=0))
-        s = load(folder)
-        cells.append([f"t = {end}", f"{s['q_first']:.6f}", f"{s['gradient_norm_per_epoch'][0]:.4f}"])
-    return table(["end of the run", "Q", "norm of the gradient"], cells)
+    """The gradient of ever longer runs: one that exploded would grow with them."""
+    rows = []
+    for name, wall in [("flat", {}), ("sine 0.01", {"design__shape": "sine", "design__amplitude": 0.01}), ("sine 0.02", {"design__shape": "sine", "design__amplitude": 0.02}),
+                       ("cosine, two periods, 0.02", {"design__shape": "cosine", "design__amplitude": 0.02, "design__periods": 2}),
+                       ("up 0.02", {"design__shape": "uniform", "design__amplitude": 0.02}), ("down 0.02", {"design__shape": "uniform", "design__amplitude": -0.02}),
+                       ("linear 0.02", {"design__shape": "linear", "design__amplitude": 0.02}), ("random 0.01", {"design__shape": "random", "design__amplitude": 0.01})]:
+        norms = []
+        for end in (2, 4, 8, 16):
+            folder = run("growth", "optimize", "--no-verify", "--epochs", "1", *sets(optimise__search="scene", time__end=end, output__frames=0, **wall))
+            norms.append(f"{load(folder)['gradient_norm_per_epoch'][0]:.4f}")
+        rows.append([name, *norms])
+    return table(["norm of the gradient at", "t = 2", "t = 4", "t = 8", "t = 16"], rows)
 
 
 def cfl():
@@ -204,6 +208,7 @@ def shapes():
     rows = []
     rough = {"fluid__formulation": "standard", "fluid__transport_velocity": 1, "fluid__background_pressure_factor": 0, "time__cfl": 1, "time__end": 2}
     for label, extra, some in (("moving particles (default), dx 0.02", {}, 1), ("moving particles, dx 0.01", {"resolution__dx": 0.01}, 1),
+                               ("moving particles, fluid.shift rows, dx 0.02", {"fluid__shift": "rows"}, 1),
                                ("fixed particles, dx 0.02", {"fluid__motion": "fixed"}, 1),
                                ("fixed particles, dx 0.01", {"fluid__motion": "fixed", "resolution__dx": 0.01}, 1),
                                ("standard formulation, dx 0.02", {"fluid__formulation": "standard", "time__end": 2}, 1),

@@ -32,6 +32,7 @@ fn cases<R: Sweeps>() -> Vec<Case<R>> {
         vortices(3, true, isotropic()),
         noisy_channel(&[]),
         noisy_channel(&["fluid.shift=isotropic"]),
+        noisy_channel(&["fluid.shift=rows"]),
         noisy_channel(&["fluid.shift=none"]),
         noisy_channel(&["resolution.kernel=wendland-c2", "resolution.smoothing_length=1.3"]),
         noisy_channel(&["fluid.drive=flow-rate", "fluid.flow_rate=0.17"]),
@@ -312,6 +313,7 @@ fn design_gradients_are_derivatives() {
     let kinds = [
         &[][..],
         &["fluid.shift=isotropic"],
+        &["fluid.shift=rows"],
         &["fluid.shift=none"],
         &["design.parametrisation=b-spline"],
         &["fluid.drive=flow-rate"],

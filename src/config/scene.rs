@@ -204,6 +204,8 @@ pub enum ShiftName {
     /// Along rows that stay rows: channels.
     #[default]
     Chain,
+    /// Along rows that stay where they are, while the flow passes through them: channels.
+    Rows,
     /// Away from crowds, anywhere.
     Isotropic,
     None,

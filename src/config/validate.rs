@@ -149,8 +149,9 @@ impl Config {
                 .key("fluid.motion")
                 .allowed("moving, or scene heated-channel"));
         }
-        if fluid.formulation == Formulation::Consistent && fluid.shift == ShiftName::Chain {
-            return Err(BadInput::new("fluid.shift = chain without rows of particles that stay rows")
+        let in_rows = matches!(fluid.shift, ShiftName::Chain | ShiftName::Rows);
+        if fluid.formulation == Formulation::Consistent && in_rows {
+            return Err(BadInput::new("fluid.shift = chain or rows without rows of particles that stay rows")
                 .key("fluid.shift")
                 .allowed("isotropic or none, or scene heated-channel")
                 .advice("fluid.shift=isotropic"));

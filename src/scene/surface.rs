@@ -211,10 +211,11 @@ impl<R: Real> Assembled<R> {
         let mut quadrature = vec![one; n];
         let shift = match (settings.shift, &surface.rows) {
             (ShiftName::None, _) => Shift::None,
-            (ShiftName::Chain, Some(rows)) => {
+            (ShiftName::Chain | ShiftName::Rows, Some(rows)) => {
                 let points = |points: &[usize]| points.iter().map(|&k| numbers[k]).collect::<Vec<u32>>();
                 let all = [vec![points(&rows.lower)], rows.fluid.clone(), vec![points(&rows.upper)]].concat();
-                Shift::Chain(Chain::new(settings.strength, all, n))
+                let is_still = settings.shift == ShiftName::Rows;
+                Shift::Chain(Chain::new(settings.strength, is_still, all, n))
             }
             _ => Shift::Isotropic(Isotropic {
                 strength: settings.strength,

@@ -122,10 +122,11 @@ impl<'a, R: Real> Around<'a, R> {
     }
 
     /// The shift, `[D, N]`, 0 for walls.
-    fn shift(&self, position: &Tensor) -> Result<Tensor> {
+    fn shift(&self, state: &Tensor) -> Result<Tensor> {
+        let position = &state.narrow(0, 0, self.model.layout.dimension)?;
         let w = match &self.consistent.shift {
             Shift::None => position.zeros_like()?,
-            Shift::Chain(chain) => self.chain(chain, position)?,
+            Shift::Chain(chain) => self.chain(chain, state)?,
             Shift::Isotropic(isotropic) => self.isotropic(isotropic, position)?,
         };
         w.broadcast_mul(&self.fluid)
@@ -166,8 +167,9 @@ impl<'a, R: Real> Around<'a, R> {
         w + normal.broadcast_mul(&size.mul(&nearest)?)?.sum(2)?
     }
 
-    fn chain(&self, chain: &Chain, position: &Tensor) -> Result<Tensor> {
+    fn chain(&self, chain: &Chain, state: &Tensor) -> Result<Tensor> {
         let model = self.model;
+        let position = &state.narrow(0, 0, 2)?;
         let n = model.particles();
         let xs: Vec<f64> = position.narrow(0, 0, 1)?.detach().flatten_all()?.to_dtype(DType::F64)?.to_vec1()?;
         let near = |d: f64| model.domain.nearest(0, d);
@@ -212,7 +214,19 @@ impl<'a, R: Real> Around<'a, R> {
             across = (across + level.mul(&wall.affine(-1.0, 1.0)?)? + mirrored.mul(&wall)?)?;
         }
         let factor = 0.5 * chain.strength * self.consistent.velocity / self.consistent.spacing;
-        Tensor::cat(&[along, across], 0)?.affine(factor, 0.0)
+        let w = Tensor::cat(&[along, across], 0)?.affine(factor, 0.0)?;
+        if !chain.is_still {
+            return Ok(w);
+        }
+        let l = model.layout;
+        let width = (toward(1)? - toward(0)?)?;
+        // Particles without a row stand beside themselves.
+        let none = width.detach().eq(0.0)?.to_dtype(width.dtype())?;
+        let slope = (of(1, 1)? - of(1, 0)?)?.div(&(width + none)?)?;
+        let (u, v) = (state.narrow(0, l.velocity(), 1)?, state.narrow(0, l.velocity() + 1, 1)?);
+        let along = w.narrow(0, 0, 1)?;
+        let passing = ((u + &along)?.mul(&slope)? - v)?;
+        Tensor::cat(&[along, (w.narrow(0, 1, 1)? + passing)?], 0)
     }
 
     /// Fills in the dummy particles' values of fields `[C, N]`.
@@ -336,7 +350,7 @@ pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &T
             spread = (spread + fit.narrow(0, quadratic(d, a, a), 1)?)?;
         }
         let x = known.narrow(0, 0, 1)?;
-        let shift = around.shift(&state.narrow(0, 0, d)?)?;
+        let shift = around.shift(state)?;
         let carried = shift.mul(&fit.narrow(0, 0, d)?)?.sum_keepdim(0)?.affine(1.0 / dx, 0.0)?;
         let rate = (carried + spread.affine(consistent.diffusivity / (dx * dx), 0.0)?)?;
         let here = conduction::conducts_composed(model, &x)?.mul(&below(&x, until)?)?;
@@ -372,7 +386,7 @@ pub fn advance<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state:
         }
         sum.affine(1.0 / (dx * dx), 0.0)
     };
-    let w = around.shift(&position)?;
+    let w = around.shift(state)?;
     let carried = |fit: &Tensor| w.mul(&gradient(fit)?)?.sum_keepdim(0);
     // Continuity.
     let mut divergence = gradient(&fits[0])?.narrow(0, 0, 1)?;

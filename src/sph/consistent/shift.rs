@@ -4,6 +4,8 @@
 //!   and the rows above and below from the start, and is drawn to the middle of each:
 //!   w_x = k U (x_+ + x_- - 2x)/(2 dx), w_y = k U (Y_up(x) + Y_down(x) - 2y)/(2 dx), Y linear along the row beside it, and
 //!   2 y_wall(x) - y beyond a wall. Smooth and linear, and nothing swaps neighbours: so the flow does not turn chaotic.
+//! * `rows`: as `chain`, but particles go along their row instead of with the flow across it, w_y gaining (u + w_x) s - v with
+//!   the row's slope s = (y_+ - y_-)/(x_+ - x_-): rows stay where they are while the flow passes through them.
 //! * `isotropic`, anywhere: w = -k U dx sum_j dx^D grad W_ij (Lind et al. 2012), |w| <= limit U, and away from the wall's
 //!   surface where it is nearer than dx/2.
 //! * `none`.
@@ -35,6 +37,8 @@ impl Shift {
 pub struct Chain {
     /// k.
     pub strength: f64,
+    /// Whether rows stay where they are (`rows`).
+    pub is_still: bool,
     /// Particles of each row, in the order of x.
     pub rows: Vec<Vec<u32>>,
     /// Row and place in it of each particle, `[N]`; (0, 0) for those that are in none.
@@ -43,14 +47,14 @@ pub struct Chain {
 
 impl Chain {
     /// With these rows of a scene of `particles` particles.
-    pub fn new(strength: f64, rows: Vec<Vec<u32>>, particles: usize) -> Self {
+    pub fn new(strength: f64, is_still: bool, rows: Vec<Vec<u32>>, particles: usize) -> Self {
         let mut seat = vec![(0, 0); particles];
         for (r, row) in rows.iter().enumerate() {
             for (c, &i) in row.iter().enumerate() {
                 seat[i as usize] = (r as u32, c as u32);
             }
         }
-        Self { strength, rows, seat }
+        Self { strength, is_still, rows, seat }
     }
 
     /// A particle's row, and the particles in front of it and behind it there.
@@ -85,13 +89,20 @@ struct Rows<'a, R> {
     chain: &'a Chain,
     x: &'a [R],
     y: &'a [R],
+    known: &'a [R],
     domain: &'a Domain,
 }
 
 impl<'a, R: Real> Rows<'a, R> {
     fn new(geometry: &Geometry<'a, R>, chain: &'a Chain, known: &'a [R]) -> Self {
         let n = geometry.model.particles();
-        Self { chain, x: &known[..n], y: &known[n..2 * n], domain: &geometry.model.domain }
+        Self { chain, x: &known[..n], y: &known[n..2 * n], known, domain: &geometry.model.domain }
+    }
+
+    /// A row's slope between two of its particles, and 1 / their distance along x; `x` is between them.
+    fn slope(&self, x: R, previous: u32, next: u32) -> (R, R) {
+        let inverse = R::of(1.0) / (self.toward(x, next) - self.toward(x, previous));
+        ((self.y[next as usize] - self.y[previous as usize]) * inverse, inverse)
     }
 
     fn toward(&self, from: R, particle: u32) -> R {
@@ -146,7 +157,7 @@ fn hints<'a>(chain: &Chain, hints: &'a mut Vec<u32>) -> &'a mut [u32] {
 /// Replaces the derivatives' last rows (c_i) by w.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept<R>, derivatives: &mut [R]) {
     let (model, consistent) = (geometry.model, geometry.consistent);
-    let l = model.layout;
+    let (n, l) = (model.particles(), model.layout);
     let (d, fields) = (l.dimension, l.fields());
     let fluid = &geometry.blocks.fluid;
     let first = fields * monomials(d) + 1;
@@ -194,8 +205,14 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
                     let level = low + share * (high - low);
                     across += if beside == 0 || beside == last { two * level - y } else { level };
                 }
-                derivatives[row(place, 0)] = factor * along;
-                derivatives[row(place, 1)] = factor * across;
+                let w = [factor * along, factor * across];
+                derivatives[row(place, 0)] = w[0];
+                derivatives[row(place, 1)] = w[1];
+                if chain.is_still {
+                    let (u, v) = (at.known[l.velocity() * n + i], at.known[(l.velocity() + 1) * n + i]);
+                    let (slope, _) = at.slope(x, previous, next);
+                    derivatives[row(place, 1)] += (u + w[0]) * slope - v;
+                }
             }
         }
     }
@@ -249,11 +266,24 @@ pub fn backward<R: Real>(
             let hints = hints(chain, &mut kept.hints);
             for place in 0..fluid.places {
                 let i = fluid.members[place] as usize;
-                let (along, across) =
-                    (factor * derivatives_bar[row(place, 0)], factor * derivatives_bar[row(place, 1)]);
+                let mut w_bar = [derivatives_bar[row(place, 0)], derivatives_bar[row(place, 1)]];
                 // What c_i would get: nothing comes of it.
                 (0..d).for_each(|k| derivatives_bar[row(place, k)] = R::default());
                 let (r, previous, next) = chain.beside(i);
+                if chain.is_still {
+                    let (x, u) = (at.x[i], known[l.velocity() * n + i]);
+                    let along = factor * (at.toward(x, previous) + at.toward(x, next));
+                    let (slope, inverse) = at.slope(x, previous, next);
+                    known_bar[l.velocity() * n + i] += slope * w_bar[1];
+                    known_bar[(l.velocity() + 1) * n + i] -= w_bar[1];
+                    w_bar[0] += slope * w_bar[1];
+                    let rise_bar = (u + along) * inverse * w_bar[1];
+                    known_bar[n + next as usize] += rise_bar;
+                    known_bar[n + previous as usize] -= rise_bar;
+                    known_bar[next as usize] -= slope * rise_bar;
+                    known_bar[previous as usize] += slope * rise_bar;
+                }
+                let (along, across) = (factor * w_bar[0], factor * w_bar[1]);
                 known_bar[previous as usize] += along;
                 known_bar[next as usize] += along;
                 known_bar[i] -= two * along;
