@@ -351,6 +351,22 @@ fn malformed_set() {
 }
 
 #[test]
+fn what_is_held_and_which_walls_need_the_consistent_formulation() {
+    let standard = "fluid.formulation=standard";
+    refuses_sets(&["fluid.drive=flow-rate", standard], &["fluid.drive", "body-force; flow-rate and pumping-power"]);
+    refuses_sets(&["design.walls=both", standard], &["design.walls", "fluid.formulation = consistent"]);
+    refuses_sets(&["objective.kind=wall-heat", standard], &["objective.kind", "fluid.formulation = consistent"]);
+    refuses_sets(&["fluid.flow_rate=0.1"], &["fluid.flow_rate", "try: --set fluid.drive=flow-rate"]);
+    refuses_sets(&["fluid.drive=flow-rate", "fluid.pumping_power=1"], &["fluid.pumping_power", "pumping-power"]);
+    refuses_sets(&["fluid.drive=flow-rate", "fluid.flow_rate=-1"], &["fluid.flow_rate = -1", "> 0"]);
+    refuses_sets(&["fluid.drive=pumping-power", "fluid.body_force=0"], &["fluid.drive", "a body force above 0"]);
+    refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "try: --set design.walls=both"]);
+    let top = ["design.walls=both", "design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]"];
+    refuses_sets(&[&top[..], &["design.top_offsets=[0]"]].concat(), &["design.top_offsets", "1 numbers for 2 nodes"]);
+    refuses_sets(&[&top[..], &["design.top_offsets=[0, 0.03]"]].concat(), &["design.top_offsets", "0.03"]);
+}
+
+#[test]
 fn unknown_preset() {
     let case = Case::new(&[]);
     let parts = ["--preset reprot", "allowed: report, report-jax-sph", "try: `report`"];

@@ -1,6 +1,8 @@
 //! Conduction along a given motion: the exact decay of a wave, heat that stays, walls.
 
+use candle_core::{Device, Tensor, Var};
 use hydrograd::dataset::{kind, Metadata};
+use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::surrogate::conduction::Conduction;
 use hydrograd::surrogate::predictor::{Frame, Scenery};
 use std::f64::consts::TAU;
@@ -85,6 +87,63 @@ fn erfc(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.3275911 * x);
     let series = [0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429];
     series.iter().rev().fold(0.0, |sum, a| (sum + a) * t) * (-x * x).exp()
+}
+
+/// On candle's graph: the same temperatures, and their derivatives by where particles are, by where they go and by how warm
+/// they are.
+#[test]
+fn conduction_on_the_graph_is_the_plain_one_and_has_its_gradient() {
+    let mut metadata = metadata(0.36, false, 0.05);
+    if let Some(heat) = &mut metadata.heat {
+        (heat.inlet_length, heat.outlet_length) = (0.1, 0.1);
+    }
+    let kinds: Vec<i32> =
+        (0..900).map(|k| if (4..14).contains(&(k / 50)) { kind::FLUID } else { kind::SOLID_WALL }).collect();
+    let hot: Vec<f32> = (0..900).map(|k| if k / 50 < 4 && k % 50 > 20 { 2.0 } else { f32::NAN }).collect();
+    let scenery = Scenery { metadata: &metadata, kind: &kinds, wall_temperature: Some(&hot) };
+    let conduction = Conduction::new(&scenery).unwrap();
+    let mut random = Normal::new(stream(7, "conduction"));
+    let mut disordered = |shift: f64, size: f64| -> Vec<f64> {
+        let fluid = |k: usize| (4..14).contains(&(k / 2 / 50));
+        let moved = |(k, x): (usize, f64)| if fluid(k) { x + size * 0.02 * random.next() } else { x };
+        let all: Vec<f64> = lattice(18, 0.0).into_iter().enumerate().map(moved).collect();
+        let along = |(k, x): (usize, f64)| if fluid(k) && k % 2 == 0 { (x + shift).rem_euclid(1.0) } else { x };
+        all.into_iter().enumerate().map(along).collect()
+    };
+    let (from, next) = (disordered(0.0, 0.1), disordered(0.03, 0.1));
+    let temperature: Vec<f64> = (0..900).map(|_| 1.0 + 0.1 * random.next()).collect();
+    let weights: Vec<f64> = (0..900).map(|_| random.next()).collect();
+    let plainly = |from: &[f64], temperature: &[f64], next: &[f64]| {
+        let frame = Frame { position: from.to_vec(), temperature: Some(temperature.to_vec()) };
+        conduction.advance(&frame, next).unwrap()
+    };
+    let wanted = plainly(&from, &temperature, &next);
+    assert!(wanted.iter().zip(&temperature).any(|(a, b)| (a - b).abs() > 0.05));
+    let variable = |values: &[f64], columns: usize| {
+        let tensor = Tensor::from_slice(values, (values.len() / columns, columns), &Device::Cpu).unwrap();
+        Var::from_tensor(&if columns == 1 { tensor.squeeze(1).unwrap() } else { tensor }).unwrap()
+    };
+    let variables = [variable(&from, 2), variable(&temperature, 1), variable(&next, 2)];
+    let found = conduction.advance_on_graph(&variables[0], &variables[1], &variables[2]).unwrap();
+    let numbers = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f64>().unwrap();
+    let apart = numbers(&found).iter().zip(&wanted).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-12, "{apart:e}");
+    let weighed = (found * Tensor::from_slice(&weights, 900, &Device::Cpu).unwrap()).unwrap().sum_all().unwrap();
+    let gradients = weighed.backward().unwrap();
+    let inputs = [from, temperature, next];
+    for (k, name) in ["places", "temperatures", "places to go to"].into_iter().enumerate() {
+        let gradient = numbers(gradients.get(&variables[k]).unwrap());
+        let direction: Vec<f64> = gradient.iter().map(|_| random.next()).collect();
+        let exact: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        let at = |h: f64| -> f64 {
+            let mut moved = inputs.clone();
+            moved[k].iter_mut().zip(&direction).for_each(|(x, d)| *x += h * d);
+            let [from, temperature, next] = moved;
+            plainly(&from, &temperature, &next).iter().zip(&weights).map(|(t, w)| t * w).sum()
+        };
+        let gaps = [1e-6, 1e-7, 1e-8].map(|h| ((at(h) - at(-h)) / (2.0 * h) / exact - 1.0).abs());
+        assert!(gaps.iter().any(|gap| *gap < 1e-6), "{name}: {gaps:?} of {exact:e}");
+    }
 }
 
 #[test]

@@ -509,7 +509,7 @@ fn clumped_particles_are_an_error() {
 }
 
 /// A heated box with an inlet, and a learned model of it with random parameters, in f64.
-fn heated() -> (Metadata, Learned) {
+fn heated(model: HeatModel) -> (Metadata, Learned) {
     let mut metadata = metadata(1.0);
     let heat = serde_json::json!({
         "temperature_mean": 1.2, "temperature_std": 0.3, "change_mean": 0.01, "change_std": 0.05,
@@ -519,6 +519,7 @@ fn heated() -> (Metadata, Learned) {
     metadata.heat = Some(serde_json::from_value(heat).unwrap());
     let mut settings = Settings::default();
     (settings.model.latent, settings.model.rounds, settings.model.embedding) = (12, 2, 4);
+    settings.model.heat = model;
     let setup = Setup::new(&settings, &metadata).unwrap();
     let network: Arc<dyn Network> = Arc::from(setup.network(Kernels::Fused, 2, DType::F64).unwrap());
     scatter(&*network);
@@ -528,7 +529,12 @@ fn heated() -> (Metadata, Learned) {
 /// On candle's graph: the frames of the plain rollout, and the gradient by the first frames and the parameters.
 #[test]
 fn rollout_on_the_graph_is_the_plain_one_and_has_its_gradient() {
-    let (metadata, mut learned) = heated();
+    rollout_on_the_graph(HeatModel::Learned);
+    rollout_on_the_graph(HeatModel::Conduction);
+}
+
+fn rollout_on_the_graph(heat: HeatModel) {
+    let (metadata, mut learned) = heated(heat);
     let kind: Vec<i32> = (0..60).map(|i| if i % 4 == 0 { kind::SOLID_WALL } else { kind::FLUID }).collect();
     let frames = cloud();
     let still = |k: usize| kind[k / 2] == kind::SOLID_WALL;
@@ -570,14 +576,11 @@ fn rollout_on_the_graph_is_the_plain_one_and_has_its_gradient() {
         let frame = wanted.next().unwrap();
         let temperature = plain(&window.temperature[5]);
         assert!(largest(&plain(&window.position[5]), &frame.position) < 1e-15);
-        assert_eq!(Some(&temperature), frame.temperature.as_ref());
+        // Conduction adds up in another order.
+        assert!(largest(&temperature, frame.temperature.as_ref().unwrap()) < 1e-14);
         met.set(met.get() + temperature.iter().filter(|t| **t == 1.0).count());
     }));
     assert!(inlet.get() > 0, "nobody met the inlet: nothing was tried");
     let all: Vec<&Var> = position.iter().chain(&temperature).chain(&parameters).collect();
     check_gradient_with(1e-8, "rollout", &all, || run(Box::new(|_| ())));
-
-    learned.setup.heat = HeatModel::Conduction;
-    let error = DifferentiableRollout::new(&learned, scenery).err().unwrap().to_string();
-    assert!(error.contains("conduction is no part of candle's graph"), "{error}");
 }

@@ -37,16 +37,21 @@ impl Shape {
     /// Errors: numbers that are not finite, lengths that differ, no node, nodes out of order or outside the hot
     /// section, neighbours steeper than [`MAX_SLOPE`].
     pub fn new(nodes: Vec<f64>, offsets: Vec<f64>, hot_from: f64, hot_to: f64) -> Result<Self, BadInput> {
+        Self::of("design.offsets", nodes, offsets, hot_from, hot_to)
+    }
+
+    /// [`Self::new`] of offsets of this key.
+    fn of(key: &str, nodes: Vec<f64>, offsets: Vec<f64>, hot_from: f64, hot_to: f64) -> Result<Self, BadInput> {
         finite("design.nodes", &nodes)?;
-        finite("design.offsets", &offsets)?;
+        finite(key, &offsets)?;
         if nodes.is_empty() {
             let bad = BadInput::new("design.nodes is empty").key("design.nodes");
             return Err(bad.allowed("at least one node"));
         }
         if nodes.len() != offsets.len() {
-            let problem = format!("design.offsets has {} numbers for {} nodes", offsets.len(), nodes.len());
+            let problem = format!("{key} has {} numbers for {} nodes", offsets.len(), nodes.len());
             return Err(BadInput::new(problem)
-                .key("design.offsets")
+                .key(key)
                 .allowed(format!("{} offsets, one per node (default: a node per spacing)", nodes.len()))
                 .advice("give design.nodes with the positions that these offsets belong to"));
         }
@@ -66,13 +71,13 @@ impl Shape {
             let step = offsets[i + 1] - offsets[i];
             if step.abs() > limit * (1.0 + 1e-9) {
                 return Err(BadInput::new(format!(
-                    "design.offsets is too steep between [{i}] and [{}]: {} to {} over {:.6}",
+                    "{key} is too steep between [{i}] and [{}]: {} to {} over {:.6}",
                     i + 1,
                     offsets[i],
                     offsets[i + 1],
                     pair[1] - pair[0]
                 ))
-                .key("design.offsets")
+                .key(key)
                 .allowed(format!("a step of at most {limit:.6}, twice the distance of the nodes"))
                 .advice("a smoother shape, or a smaller design.amplitude or design.periods"));
             }
@@ -86,8 +91,7 @@ impl Shape {
     /// As for [`Self::new`], of `design.top_offsets`.
     pub fn with_top(self, top: Option<Vec<f64>>) -> Result<Self, BadInput> {
         let Some(offsets) = top else { return Ok(self) };
-        let top = Self::new(self.nodes.clone(), offsets, self.hot_from, self.hot_to)
-            .map_err(|bad| bad.key("design.top_offsets").place("the top wall"))?;
+        let top = Self::of("design.top_offsets", self.nodes.clone(), offsets, self.hot_from, self.hot_to)?;
         Ok(Self { top: Some(top.offsets), ..self })
     }
 
@@ -105,20 +109,16 @@ impl Shape {
 
     /// Checks |offset| <= bound.
     pub fn check_bound(&self, bound: f64) -> Result<(), BadInput> {
-        if self.top.is_some() {
-            let named = |bad: BadInput| bad.key("design.top_offsets").place("the top wall");
-            self.top_wall().check_bound(bound).map_err(named)?;
-        }
-        match self.offsets.iter().position(|o| o.abs() > bound * (1.0 + 1e-12)) {
-            None => Ok(()),
-            Some(i) => {
-                let problem = format!("design.offsets[{i}] = {} is out of bounds", self.offsets[i]);
-                Err(BadInput::new(problem)
-                    .key("design.offsets")
+        let top = self.top.as_deref().unwrap_or_default();
+        for (key, offsets) in [("design.offsets", self.offsets.as_slice()), ("design.top_offsets", top)] {
+            if let Some(i) = offsets.iter().position(|o| o.abs() > bound * (1.0 + 1e-12)) {
+                return Err(BadInput::new(format!("{key}[{i}] = {} is out of bounds", offsets[i]))
+                    .key(key)
                     .allowed(format!("-{bound} ... {bound} (design.bound)"))
-                    .advice("a smaller design.amplitude, or a larger design.bound"))
+                    .advice("a smaller design.amplitude, or a larger design.bound"));
             }
         }
+        Ok(())
     }
 
     /// Wall height at x (length units).

@@ -14,6 +14,7 @@ use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
 use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::conduction;
+use candle_core::{DType, Device, Result, Tensor};
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;
@@ -50,10 +51,7 @@ impl<'a> Conduction<'a> {
     pub fn advance(&self, from: &Frame, next: &[f64]) -> anyhow::Result<Vec<f64>> {
         let metadata = self.scenery.metadata;
         let Some(mut temperature) = from.temperature.clone() else { anyhow::bail!("a frame has no temperature") };
-        let time = metadata.dt * metadata.write_every as f64;
-        let most = DIFFUSION_NUMBER * metadata.dx * metadata.dx / self.heat.diffusivity;
-        let steps = (time / most).ceil().max(1.0) as usize;
-        let dt = time / steps as f64;
+        let (steps, dt) = self.steps();
         let (d, n, extent) = (metadata.dim, temperature.len(), Extent::of(metadata));
         for step in 0..steps {
             // The middle of the step's stretch of the way.
@@ -68,12 +66,110 @@ impl<'a> Conduction<'a> {
             let rate = self.rate(&position, &temperature)?;
             for i in 0..n {
                 temperature[i] += dt * rate[i];
-                if self.tags[i] == tag::FLUID && position[i] < self.heat.inlet_length - extent.low[0] {
+                if self.is_inlet(i, position[i]) {
                     temperature[i] = self.heat.inlet_temperature;
                 }
             }
         }
         Ok(temperature)
+    }
+
+    /// Steps between two frames, and their length.
+    fn steps(&self) -> (usize, f64) {
+        let metadata = self.scenery.metadata;
+        let time = metadata.dt * metadata.write_every as f64;
+        let most = DIFFUSION_NUMBER * metadata.dx * metadata.dx / self.heat.diffusivity;
+        let steps = (time / most).ceil().max(1.0) as usize;
+        (steps, time / steps as f64)
+    }
+
+    /// Whether a particle at x from the box's corner is fluid at the inlet.
+    fn is_inlet(&self, i: usize, x: f64) -> bool {
+        self.tags[i] == tag::FLUID && x < self.heat.inlet_length - self.scenery.metadata.bounds[0][0]
+    }
+
+    /// Whether it is fluid that conducts.
+    fn conducts(&self, i: usize, x: f64) -> bool {
+        let (heat, [low, high]) = (self.heat, self.scenery.metadata.bounds[0]);
+        self.tags[i] == tag::FLUID && x + low >= heat.inlet_length && x + low <= high - heat.outlet_length
+    }
+
+    /// [`Self::advance`] on candle's graph, in f64: positions `[N, D]` and temperatures `[N]` of a frame, and the positions one
+    /// frame later. Who sees whom, and who is at the inlet, are constants.
+    ///
+    /// # Errors
+    /// Lost or clumped particles, tensor errors.
+    pub fn advance_on_graph(&self, from: &Tensor, temperature: &Tensor, next: &Tensor) -> anyhow::Result<Tensor> {
+        let (steps, dt) = self.steps();
+        let (n, d, extent) = (self.tags.len(), self.domain.dimension, Extent::of(self.scenery.metadata));
+        let column = |of: &Tensor, k: usize| of.narrow(1, k, 1)?.t()?.contiguous();
+        let mut way = Vec::with_capacity(d);
+        for k in 0..d {
+            let x = column(from, k)?;
+            let distance = self.domain.nearest_of(k, &(column(next, k)? - &x)?)?;
+            way.push((x.affine(1.0, -extent.low[k])?, distance));
+        }
+        let mut temperature = temperature.unsqueeze(0)?;
+        for step in 0..steps {
+            let part = (step as f64 + 0.5) / steps as f64;
+            let at =
+                |(k, (x, way)): (usize, &(Tensor, Tensor))| self.domain.wrapped_of(k, &(x + way.affine(part, 0.0)?)?);
+            let position = way.iter().enumerate().map(at).collect::<Result<Vec<_>>>()?;
+            let position = Tensor::cat(&position, 0)?;
+            let numbers = position.detach().flatten_all()?.to_vec1::<f64>()?;
+            let rate = self.rate_on_graph(&position, &numbers, &temperature)?;
+            let warmed = (&temperature + rate.affine(dt, 0.0)?)?;
+            let open = mask((0..n).map(|i| !self.is_inlet(i, numbers[i])))?;
+            let inlet = open.affine(-self.heat.inlet_temperature, self.heat.inlet_temperature)?;
+            temperature = (warmed.mul(&open)? + inlet)?;
+        }
+        Ok(temperature.squeeze(0)?)
+    }
+
+    /// [`Self::rate`] `[1, N]`, from positions `[D, N]` as tensors and as numbers and temperatures `[1, N]`.
+    fn rate_on_graph(&self, position: &Tensor, numbers: &[f64], temperature: &Tensor) -> anyhow::Result<Tensor> {
+        let n = self.tags.len();
+        let pairs = self.pairs(numbers)?;
+        let index = |of: &dyn Fn(&Pair) -> usize| {
+            Tensor::from_vec(pairs.iter().map(|pair| of(pair) as u32).collect::<Vec<_>>(), pairs.len(), &Device::Cpu)
+        };
+        let (i, j) = (index(&|pair| pair.i)?, index(&|pair| pair.j)?);
+        let own = |of: &Tensor| of.index_select(&i, 1);
+        let other = |of: &Tensor| of.index_select(&j, 1);
+        let sums = |of: &Tensor| Tensor::zeros((1, n), DType::F64, &Device::Cpu)?.index_add(&i, of, 1);
+        let mut square: Option<Tensor> = None;
+        for k in 0..self.domain.dimension {
+            let x = position.narrow(0, k, 1)?;
+            let apart = self.domain.nearest_of(k, &(own(&x)? - other(&x)?)?)?.sqr()?;
+            square = Some(match square {
+                None => apart,
+                Some(sum) => (sum + apart)?,
+            });
+        }
+        let Some(square) = square else { anyhow::bail!("particles without a place") };
+        let (weight, slope) = self.kernel.composed(&square.sqrt()?)?;
+        let weights = sums(&weight)?;
+        let fluid = mask(self.tags.iter().map(|&tag| tag == tag::FLUID))?;
+        let walls = fluid.affine(-1.0, 1.0)?;
+        let metadata = self.scenery.metadata;
+        let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
+        let volume = (weights.affine(1.0, itself)?.recip()?.mul(&fluid)? + walls.affine(lattice, 0.0)?)?;
+        // Walls that see fluid: the mean of what they see, or mirrored at a set temperature.
+        let seen = weights.detach().flatten_all()?.to_vec1::<f64>()?;
+        let sees = |i: usize| self.tags[i] != tag::FLUID && seen[i] != 0.0;
+        let set = |i: usize| self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
+        let takes = mask((0..n).map(sees))?;
+        let mirrors = mask((0..n).map(|i| sees(i) && set(i).is_finite()))?;
+        let given = (0..n).map(|i| if sees(i) && set(i).is_finite() { 2.0 * f64::from(set(i)) } else { 0.0 });
+        let given = Tensor::from_vec(given.collect::<Vec<_>>(), (1, n), &Device::Cpu)?;
+        let mean = sums(&weight.mul(&other(temperature)?)?)?.mul(&takes)?;
+        let mean = mean.div(&(weights.mul(&takes)? + takes.affine(-1.0, 1.0)?)?)?;
+        let wall = (mean.mul(&mirrors.affine(-2.0, 1.0)?)? + given)?;
+        let now = (temperature.mul(&takes.affine(-1.0, 1.0)?)? + wall)?;
+        let difference = (own(&now)? - other(&now)?)?;
+        let flows = sums(&own(&volume)?.mul(&other(&volume)?)?.mul(&slope)?.mul(&difference)?)?;
+        let conducting = mask((0..n).map(|i| self.conducts(i, numbers[i])))?;
+        Ok(flows.div(&volume)?.mul(&conducting)?.affine(2.0 * self.heat.diffusivity, 0.0)?)
     }
 
     /// dT/dt `[N]`. `position` is `[D, N]`, from the box's corner.
@@ -93,11 +189,14 @@ impl<'a> Conduction<'a> {
             let Pair { i, j, slope, .. } = *pair;
             conduction::flow([volume[i], volume[j]], slope, [now[i], now[j]])
         });
-        let (heat, [low, high]) = (self.heat, self.scenery.metadata.bounds[0]);
-        let conducts = |x: f64| x + low >= heat.inlet_length && x + low <= high - heat.outlet_length;
-        let conducts = |i: usize| self.tags[i] == tag::FLUID && conducts(position[i]);
         // Over m_i = rho_i V_i: with 2 alpha = 2 k/(c rho) at the reference density.
-        let rate = |i: usize| if conducts(i) { 2.0 * heat.diffusivity / volume[i] * flows[i] } else { 0.0 };
+        let rate = |i: usize| {
+            if self.conducts(i, position[i]) {
+                2.0 * self.heat.diffusivity / volume[i] * flows[i]
+            } else {
+                0.0
+            }
+        };
         Ok((0..n).map(rate).collect())
     }
 
@@ -142,6 +241,13 @@ impl<'a> Conduction<'a> {
         let now = |i: usize| if self.tags[i] == tag::FLUID || weights[i] == 0.0 { temperature[i] } else { wall(i) };
         (0..temperature.len()).map(now).collect()
     }
+}
+
+/// 1 where it is true, `[1, N]`.
+fn mask(of: impl Iterator<Item = bool>) -> Result<Tensor> {
+    let values: Vec<f64> = of.map(|is| if is { 1.0 } else { 0.0 }).collect();
+    let n = values.len();
+    Tensor::from_vec(values, (1, n), &Device::Cpu)
 }
 
 /// Two particles that see each other.

@@ -6,6 +6,7 @@
 
 use crate::config::training::HeatModel;
 use crate::dataset::kind;
+use crate::surrogate::conduction::Conduction;
 use crate::surrogate::features::Window;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
@@ -23,11 +24,8 @@ impl<'a> DifferentiableRollout<'a> {
     /// The model's parameters are those that the caller wants tracked, or not.
     ///
     /// # Errors
-    /// A model whose heat is conducted by plain numbers, tensor errors.
+    /// Tensor errors.
     pub fn new(model: &'a Learned, scenery: Scenery<'a>) -> anyhow::Result<Self> {
-        if model.setup.heat == HeatModel::Conduction {
-            anyhow::bail!("{}: its conduction is no part of candle's graph; model.heat = \"learned\" is", model.name);
-        }
         let moves = scenery.kind.iter().map(|&k| if kind::is_kinematic(k) { 0.0 } else { 1.0 });
         let moves = column(moves.collect())?;
         Ok(Self { model, scenery, moves })
@@ -39,8 +37,11 @@ impl<'a> DifferentiableRollout<'a> {
     /// Lost or clumped particles, tensor errors.
     pub fn advance(&self, window: &Window, force: Option<&Tensor>) -> anyhow::Result<Window> {
         let Some(last) = window.position.last() else { anyhow::bail!("a window without frames") };
-        let (position, temperature) = self.model.predict(&self.scenery, window, force)?;
-        let position = choose(&self.moves, &position, last)?;
+        let (predicted, mut temperature) = self.model.predict(&self.scenery, window, force)?;
+        if let (HeatModel::Conduction, Some(before)) = (self.model.setup.heat, window.temperature.last()) {
+            temperature = Some(Conduction::new(&self.scenery)?.advance_on_graph(last, before, &predicted)?);
+        }
+        let position = choose(&self.moves, &predicted, last)?;
         let mut next = window.clone();
         if let (Some(temperature), Some(before)) = (temperature, window.temperature.last()) {
             let temperature = choose(&self.moves, &temperature.unsqueeze(1)?, &before.unsqueeze(1)?)?;
