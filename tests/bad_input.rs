@@ -360,6 +360,14 @@ fn what_is_held_and_which_walls_need_the_consistent_formulation() {
     refuses_sets(&["fluid.drive=flow-rate", "fluid.pumping_power=1"], &["fluid.pumping_power", "pumping-power"]);
     refuses_sets(&["fluid.drive=flow-rate", "fluid.flow_rate=-1"], &["fluid.flow_rate = -1", "> 0"]);
     refuses_sets(&["fluid.drive=pumping-power", "fluid.body_force=0"], &["fluid.drive", "a body force above 0"]);
+    refuses_sets(
+        &["channel.height=0.6"],
+        &["as fast as 10.350", "sound speed of 10.000", "fluid.reference_velocity=10.35"],
+    );
+    for (key, value) in [("design.walls", "both"), ("fluid.drive", "flow-rate")] {
+        let set = format!("{key}={value}");
+        Case::new(&[]).refuses(&["generate", "--set", &set, "--out", "out"], &[key, "a data set of"]);
+    }
     refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "try: --set design.walls=both"]);
     let top = ["design.walls=both", "design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]"];
     refuses_sets(&[&top[..], &["design.top_offsets=[0]"]].concat(), &["design.top_offsets", "1 numbers for 2 nodes"]);

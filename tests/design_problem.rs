@@ -208,3 +208,33 @@ fn a_finished_optimiser_ends_the_run() {
     optimisation.run(1000, problem.parametrisation.limits(), square, |_| Ok(())).unwrap();
     assert!(optimisation.optimiser.is_done() && optimisation.history.len() < 60, "{}", optimisation.history.len());
 }
+
+/// What the walls give to the fluid is what flows out of it, once the flow is steady; and a wall that is better by one figure
+/// is better by the other.
+#[test]
+fn the_walls_heat_is_what_flows_out() {
+    let steady = |kind: &str, amplitude: f64, periods: f64| {
+        let shape = [
+            "fluid.motion=fixed".to_string(),
+            "design.shape=cosine".into(),
+            format!("objective.kind={kind}"),
+            format!("design.amplitude={amplitude}"),
+            format!("design.periods={periods}"),
+        ];
+        let config = Config::load(None, None, &shape).unwrap().config;
+        let problem = Scene::<f64>::from_config(&config).unwrap().design.unwrap();
+        problem.evaluate_steady(&problem.first, 1e-8).unwrap()
+    };
+    let ratio = |(amplitude, periods): (f64, f64)| {
+        let (outflow, walls) = (steady("heat-outflow", amplitude, periods), steady("wall-heat", amplitude, periods));
+        println!("{amplitude}, {periods}: {outflow:.6} flows out, {walls:.6} comes in");
+        walls / outflow
+    };
+    let flat = ratio((0.0, 1.0));
+    // The targets interpolate the product u T, the pairs of particles carry a product of means: 0.9 % apart at this spacing.
+    assert!((flat - 1.0).abs() < 0.012, "{flat}");
+    for wall in [(0.01, 1.0), (-0.015, 2.0), (0.02, 3.0)] {
+        let found = ratio(wall);
+        assert!((found / flat - 1.0).abs() < 2e-3, "{wall:?}: {found} {flat}");
+    }
+}

@@ -43,6 +43,19 @@ fn every_key_is_described_in_the_built_in_scene() {
 }
 
 #[test]
+fn a_search_lasts_as_long_as_the_scene() {
+    for sets in [&["time.steps=500"][..], &["time.steps=300", "objective.window=0.81"], &["time.end=1.7"]] {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let loaded = Config::load(None, None, &sets).unwrap();
+        let search = loaded.for_search().unwrap().config;
+        let (scene, step) = (loaded.config.duration(), search.time_step());
+        assert!((search.duration() - scene).abs() <= step, "{sets:?}: {} instead of {scene}", search.duration());
+        assert_ne!(step, loaded.config.time_step());
+        assert_eq!(search.objective.window, loaded.config.objective.window);
+    }
+}
+
+#[test]
 fn report_preset() {
     let consistent = Config::load(None, Some("report"), &[]).unwrap().config;
     assert_eq!(consistent.fluid.formulation, Formulation::Consistent);

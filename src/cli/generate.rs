@@ -3,7 +3,7 @@
 use super::arguments::{check_own, CommonArguments};
 use super::files::VERSION;
 use super::prepare::difference;
-use crate::config::scene::{Config, Precision, ShapeName};
+use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
 use crate::dataset::recipe::{Job, Recipe};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
@@ -100,6 +100,19 @@ impl GenerateArguments {
 
     /// The scene's recipe with what was given.
     pub fn recipe(&self, loaded: &Loaded) -> Result<Recipe, Error> {
+        let (design, fluid) = (&loaded.config.design, &loaded.config.fluid);
+        if design.walls == DesignWalls::Both {
+            return Err(BadInput::new("design.walls = both: a data set of channels with two shaped walls")
+                .key("design.walls")
+                .allowed("bottom: what a data set says of a wall is the bottom one's")
+                .into());
+        }
+        if fluid.drive != DriveName::BodyForce {
+            return Err(BadInput::new("fluid.drive: a data set of flows with a force that is found")
+                .key("fluid.drive")
+                .allowed("body-force: a data set has one force for all of its flows")
+                .into());
+        }
         let usual = Recipe::of(loaded.config.scene);
         let design = &loaded.config.design;
         let own = design.offsets.is_some() || design.shape != ShapeName::Flat;

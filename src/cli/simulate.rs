@@ -9,6 +9,7 @@ use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
+use crate::design::shape::TOP;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
@@ -93,7 +94,9 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     if let Some(wall) = scene.design.as_ref().map(Problem::first_wall) {
-        files::write_shape(folder, &wall.nodes, &[("offset", &wall.offsets)])?;
+        let mut columns = vec![("offset", wall.offsets.as_slice())];
+        columns.extend(wall.top.as_deref().map(|top| (TOP, top)));
+        files::write_shape(folder, &wall.nodes, &columns)?;
     }
     // A resumed run leaves the frames and the history of its first part alone and adds to them.
     let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };

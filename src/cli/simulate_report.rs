@@ -45,6 +45,9 @@ pub fn report_design<R: Sweeps>(
     let wall = design.first_wall();
     map.insert("nodes".into(), wall.nodes.into());
     map.insert("offsets".into(), wall.offsets.into());
+    if let Some(top) = wall.top {
+        map.insert("top_offsets".into(), top.into());
+    }
     files::write_summary(folder, map)?;
     println!("Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet", d.q);
     println!(

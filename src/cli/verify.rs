@@ -190,7 +190,17 @@ pub fn text_of(verified: &Verified) -> String {
     let mut text = format!("{}\n", table.to_text());
     let reference = verified.reference_name;
     text.push_str(&match verified.survives() {
-        Some(gain) => format!("gain that survives: {}, the least of them", percent(gain)),
+        Some(gain) => match verified.failed().count() {
+            0 => format!("gain that survives: {}, the least of them", percent(gain)),
+            failed => {
+                let all = verified.checks.len();
+                format!(
+                    "gain that survives: {}, the least of the {} checks of {all} that ran",
+                    percent(gain),
+                    all - failed
+                )
+            }
+        },
         None => "gain that survives: not known".to_string(),
     });
     text.push_str(&format!(" (reference: {reference}; {:.1} s)", verified.seconds));

@@ -69,6 +69,7 @@ impl Schema for Config {
         self.check_drive()?;
         self.check_walls()?;
         self.check_objective()?;
+        self.check_speed()?;
         self.check_store()
     }
 }
@@ -130,6 +131,9 @@ fn numbers(config: &Config) -> Vec<Number> {
     ]
 }
 
+/// A weakly compressible flow is slower than this part of the sound speed.
+const FASTEST: f64 = 0.5;
+
 impl Config {
     /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
     fn fluid_rows(&self) -> f64 {
@@ -157,6 +161,20 @@ impl Config {
                 .advice("fluid.shift=isotropic"));
         }
         Ok(())
+    }
+
+    /// A flow that the sound speed allows.
+    fn check_speed(&self) -> Result<(), BadInput> {
+        let (fastest, sound) = (1.5 * self.plane_flow_rate() / self.channel.height, self.sound_speed());
+        if fastest <= FASTEST * sound {
+            return Ok(());
+        }
+        Err(BadInput::new(format!(
+            "the plane channel's flow would be as fast as {fastest:.3}, with a sound speed of {sound:.3}"
+        ))
+        .key("fluid.reference_velocity")
+        .allowed(format!("flows up to {FASTEST} of the sound speed, reference_velocity * sound_speed_factor"))
+        .advice(format!("fluid.reference_velocity={:.2} (smaller steps), or a smaller fluid.body_force", fastest)))
     }
 
     /// A flow rate or a power that something holds.

@@ -12,10 +12,11 @@ use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::sph::dynamics::Sph;
 use crate::sph::fixed::steady::SteadyOptions;
+use crate::sph::fixed::Fixed;
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
-use candle_core::{Device, Tensor, Var};
+use candle_core::{DType, Device, Tensor, Var};
 use std::sync::Arc;
 
 /// A wall to shape, a flow over it, and what is made large.
@@ -47,7 +48,10 @@ pub struct Problem<R> {
 const BLOCK: usize = 20;
 const DEPTH: usize = 20;
 const STEADY: f64 = 1e-6;
+/// In single precision rounding alone changes a state so much.
+const STEADY_SINGLE: f64 = 3e-4;
 const MOST_STEPS: usize = 100_000;
+const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
 
 impl<R> std::fmt::Debug for Problem<R> {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -134,10 +138,10 @@ impl<R: Sweeps> Problem<R> {
         schedule: &Schedule,
         progress: Progress<'_>,
     ) -> Result<(f64, Vec<f64>), Error> {
-        let start = self.start(variables);
         if self.is_steady {
-            return self.differentiate_steady(variables, start.state, progress);
+            return self.differentiate_steady(variables, progress);
         }
+        let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress).map_err(|e| {
             let (problem, advice) = (e.to_string(), self.model.remedy());
             match e.is_divergence() {
@@ -150,26 +154,40 @@ impl<R: Sweeps> Problem<R> {
         Ok((found.value, by_variables))
     }
 
-    /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
-    /// length of the run.
-    fn differentiate_steady(
-        &self,
-        variables: &[f64],
-        mut state: Vec<R>,
-        progress: Progress<'_>,
-    ) -> Result<(f64, Vec<f64>), Error> {
+    /// The objective at the steady state of fixed particles, where nothing changes by more than `tolerance` per time.
+    ///
+    /// # Errors
+    /// As for [`Self::differentiate`].
+    pub fn evaluate_steady(&self, variables: &[f64], tolerance: f64) -> Result<f64, Error> {
+        let (fixed, state) = self.settled(variables, tolerance)?;
+        let value = || -> candle_core::Result<f64> {
+            let shape = (self.model.layout.state_rows(), self.model.particles());
+            let state = Tensor::from_slice(&state, shape, &Device::Cpu)?;
+            value(&*self.objective, &self.dynamics().fields_of_fixed(fixed, &state)?)
+        };
+        value().map_err(|error| Error::run(error.to_string(), "report this"))
+    }
+
+    /// The steady state that a design's run would come to.
+    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&Fixed<R>, Vec<R>), Error> {
         let Some(fixed) = &self.model.fixed else {
             return Err(Error::run("there is no steady state of particles that move", "fluid.motion=fixed"));
         };
-        let unsteady =
-            |what: String| Error::diverged(what, "optimise.gradient=segments, or a smaller time.cfl or design.bound");
-        let (steps, residual) = fixed.settle(&mut state, BLOCK, DEPTH, STEADY, MOST_STEPS);
+        let mut state = self.start(variables).state;
+        let (steps, residual) = fixed.settle(&mut state, BLOCK, DEPTH, tolerance, MOST_STEPS);
         // Not a number fails here too.
-        if residual.is_nan() || residual > 100.0 * STEADY {
-            return Err(unsteady(format!(
-                "the flow is not steady after {steps} steps: it changes by {residual:.1e} per time"
-            )));
+        if residual.is_nan() || residual > 100.0 * tolerance {
+            let what = format!("the flow is not steady after {steps} steps: it changes by {residual:.1e} per time");
+            return Err(Error::diverged(what, UNSTEADY));
         }
+        Ok((fixed, state))
+    }
+
+    /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
+    /// length of the run.
+    fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
+        let tolerance = if R::DTYPE == DType::F32 { STEADY_SINGLE } else { STEADY };
+        let (fixed, state) = self.settled(variables, tolerance)?;
         progress(0.5);
         let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
@@ -189,7 +207,8 @@ impl<R: Sweeps> Problem<R> {
         let (value, mut bar) = go().map_err(failed)?;
         let found = fixed.steady_gradient(&state, &bar, &SteadyOptions::default());
         if found.residual.is_nan() || found.residual > 1e-2 {
-            return Err(unsteady(format!("the adjoint of the steady state does not converge: {:.1e}", found.residual)));
+            let what = format!("the adjoint of the steady state does not converge: {:.1e}", found.residual);
+            return Err(Error::diverged(what, UNSTEADY));
         }
         // What is left is how positions, the walls' among them, come of the variables.
         let (n, inner) = (self.model.particles(), fixed.fluid_particles());

@@ -9,7 +9,7 @@ use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
-use crate::config::scene::{Config, Family, Formulation, GradientMode, Motion, Search, Start};
+use crate::config::scene::{Config, DesignWalls, Family, Formulation, GradientMode, Motion, Search, Start};
 use crate::config::schema::Schema;
 use crate::design::shape;
 use crate::design::shape::Shape;
@@ -117,6 +117,10 @@ impl Loaded {
         match self.config.optimise.search {
             Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
                 let mut settings = vec![Setting::set("fluid.motion=fixed")];
+                if self.config.time.steps.is_some() {
+                    // A number of steps is another time with other steps.
+                    settings.push(Setting::set(&format!("time.end={}", self.config.duration())));
+                }
                 // What a run comes to is known without it, unless its schedule was chosen. (By values: the configuration of
                 // a run gives every key.)
                 let (optimise, usual) = (&self.config.optimise, Config::default().optimise);
@@ -226,7 +230,11 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
             merged.set("design.nodes", array(columns.nodes), &file);
             merged.set("design.offsets", array(columns.offsets), &file);
-            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP)? {
+            // Where nobody has said which walls, the file does.
+            let says = |key: &str| merged.places().contains_key(key);
+            let (walls, offsets) = (says("design.walls"), says("design.top_offsets"));
+            let takes = config.design.walls == DesignWalls::Both || !walls;
+            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP)?.filter(|_| takes && !offsets) {
                 merged.set("design.top_offsets", array(top.offsets), &file);
                 merged.set("design.walls", Value::from("both"), &file);
             }

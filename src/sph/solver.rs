@@ -17,7 +17,7 @@ use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply1, apply2, read};
 use crate::numerics::lanes::Real;
 use crate::particles::Neighbourhood;
-use candle_core::{Device, Tensor};
+use candle_core::{DType, Device, Tensor};
 use std::sync::Arc;
 
 /// A state to come back to: everything that the steps behind it depend on.
@@ -255,7 +255,10 @@ impl<R: Sweeps> Solver<R> {
     /// to that fluid (at the walls themselves the flux is infinite where the hot section begins and ends).
     pub fn wall_heat_flux(&self, until: f64) -> f64 {
         if let Some(lattice) = &self.lattice {
-            return lattice.fixed.wall_heat_flux(&self.state);
+            let shape = (self.model.layout.state_rows(), self.model.particles());
+            let state = Tensor::from_slice(&self.state, shape, &Device::Cpu);
+            let heating = state.and_then(|state| lattice.fixed.heating(&state, until)?.to_dtype(DType::F64));
+            return heating.and_then(|heat| heat.to_scalar::<f64>()).unwrap_or(f64::NAN);
         }
         match (&self.consistent, &self.model.consistent) {
             (Some(run), Some(consistent)) => {

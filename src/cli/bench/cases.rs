@@ -65,7 +65,7 @@ impl<'a> Cases<'a> {
             let stem = std::path::Path::new(name).file_stem().unwrap_or_default().to_string_lossy().to_string();
             return vec![(a.preset.as_ref().map_or(stem.clone(), |preset| format!("{stem}-{preset}")), given)];
         }
-        vec![("heated-channel-report".into(), scene(Some("report"))), ("heated-channel".into(), scene(None))]
+        vec![("heated-channel-report".into(), scene(Some("report-jax-sph"))), ("heated-channel".into(), scene(None))]
     }
 
     /// One case per floating-point type and number of threads.

@@ -131,6 +131,44 @@ impl<R: Real> Fixed<R> {
         })
     }
 
+    /// Omega of all pairs of an offset.
+    fn omega(&self, metric: &Metric, i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>) -> Result<Tensor> {
+        let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(weight.f64(), 0.0);
+        let w = &self.stencil[j][i];
+        (both(&metric.d, w.lxx)? + both(&metric.k, w.lyy)?)? - both(&metric.s, w.lxy)?
+    }
+
+    /// What conduction and ghosts bring to conducting particles with x < `until`, in units of density * temperature * volume
+    /// per time, `[]`: the walls' heat, and what little is conducted along the channel. (Ghosts have a mass flux, which is
+    /// zero on the wall itself; their heat counts, so that in a steady flow this is what flows out.)
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn heating(&self, state: &Tensor, until: f64) -> Result<Tensor> {
+        let c = &self.channel;
+        let (nx, ny, fluid) = (c.columns, c.rows, self.fluid_particles());
+        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, fluid)?.reshape((ny, nx));
+        let [u, v, p, t] = [field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?];
+        let metric = self.composed_metric(state)?;
+        let (d, s) = (self.inner(&metric.d)?, self.inner(&metric.s)?);
+        let rho = p.affine(1.0 / (c.density * c.sound_speed * c.sound_speed), 1.0)?;
+        let ghosts = self.temperature_with_ghosts(&t, &metric)?;
+        let mx = parabola(&(&d * &rho)?.mul(&u)?)?;
+        let my = odd(&rho.mul(&(v - s.mul(&u)?)?)?)?;
+        let outside = rho.ones_like()?.pad_with_zeros(0, REACH, REACH)?.affine(-1.0, 1.0)?;
+        let heat = self.sum(|i, j, there| {
+            let (w, other) = (&self.stencil[j][i], there(&ghosts)?);
+            let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(0.5 * weight.f64(), 0.0);
+            let carried = (both(&mx, w.gx)? + both(&my, w.gy)?)?.mul(&there(&outside)?)?.mul(&(&other + &t)?)?;
+            let conducted = self.omega(&metric, i, j, there)?.mul(&rho)?.mul(&(&other - &t)?)?;
+            conducted.affine(c.diffusivity, 0.0)? - carried
+        })?;
+        let conducts = |i: usize| self.open[i].f64() > 0.0 && i <= self.outlet && c.x(i) < until;
+        let here: Vec<R> = (0..nx).map(|i| R::of(conducts(i) as u8 as f64)).collect();
+        let here = Tensor::from_vec(here, (1, nx), state.device())?.to_dtype(state.dtype())?;
+        heat.broadcast_mul(&here)?.sum_all()?.affine(c.density * c.spacing * c.spacing, 0.0)
+    }
+
     /// State `[6, N]` -> next `[6, N]`.
     ///
     /// # Errors
@@ -154,11 +192,7 @@ impl<R: Real> Fixed<R> {
         let pad = |f: &Tensor| f.pad_with_zeros(0, REACH, REACH);
         let inside = pad(&rho.ones_like()?)?;
         let (padded, gradients) = (pad(&rho)?, [pad(&gradient[0])?, pad(&gradient[1])?]);
-        let omega = |i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>| -> Result<Tensor> {
-            let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(weight.f64(), 0.0);
-            let w = w(i, j);
-            (both(&metric.d, w.lxx)? + both(&metric.k, w.lyy)?)? - both(&metric.s, w.lxy)?
-        };
+        let omega = |i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>| self.omega(&metric, i, j, there);
         // M of all offsets, of velocities u and v.
         let fluxes = |u: &Tensor, v: &Tensor| -> Result<Vec<Tensor>> {
             let mx = parabola(&(&d * &rho)?.mul(u)?)?;

@@ -284,41 +284,8 @@ impl<R: Real> Fixed<R> {
     /// # Errors
     /// Tensor errors.
     pub fn shown(&self, model: &Model<R>, state: &Tensor) -> candle_core::Result<Shown> {
-        let wall_heat = model.wall_heat_until.map(|_| self.wall_heat(state)).transpose()?;
+        let wall_heat = model.wall_heat_until.map(|until| self.heating(state, until)).transpose()?;
         Ok(Shown { known: state.clone(), masses: self.masses(state)?, wall_heat })
-    }
-
-    /// [`Self::wall_heat_flux`] on the graph, `[]`.
-    fn wall_heat(&self, state: &Tensor) -> candle_core::Result<Tensor> {
-        let (nx, fluid, c) = (self.channel.columns, self.fluid_particles(), &self.channel);
-        let row = |row: usize, from: usize| state.narrow(0, row, 1)?.narrow(1, from, nx);
-        let (bottom, top) = (row(row::Y, fluid)?, row(row::Y, fluid + nx)?);
-        let turned = |by: usize| Tensor::cat(&[bottom.narrow(1, by, nx - by)?, bottom.narrow(1, 0, by)?], 1);
-        let slope = (turned(1)? - turned(nx - 1)?)?.affine(0.5 / c.spacing, 0.0)?;
-        let stretch = (top - &bottom)?.affine(1.0 / self.height(), 0.0)?;
-        let near =
-            (row(row::T, 0)?.affine(-3.0, 8.0 / 3.0 * c.hot_excess)? + row(row::T, nx)?.affine(1.0 / 3.0, 0.0)?)?;
-        let share: Vec<R> = c.hot_share().into_iter().map(|share| R::of(share * c.density * c.diffusivity)).collect();
-        let share = Tensor::from_vec(share, (1, nx), state.device())?.to_dtype(state.dtype())?;
-        slope.sqr()?.affine(1.0, 1.0)?.div(&stretch)?.mul(&near)?.mul(&share)?.sum_all()
-    }
-
-    /// What the hot wall gives to the fluid, alpha (1 + S^2)/D dT/deta over its length, in units of density * temperature *
-    /// volume per time: from the parabola through the wall's temperature and the two rows next to it.
-    pub fn wall_heat_flux(&self, state: &[R]) -> f64 {
-        let (n, nx, c) = (self.particles(), self.channel.columns, &self.channel);
-        let (bottom, top) = self.walls(state);
-        let temperature = |row: usize, i: usize| state[row::T * n + row * nx + i].f64();
-        let at = |k: usize| bottom[k % nx].f64();
-        let share = c.hot_share();
-        (0..nx)
-            .map(|i| {
-                let slope = (at(i + 1) - at(i + nx - 1)) / (2.0 * c.spacing);
-                let stretch = (top[i].f64() - bottom[i].f64()) / self.height();
-                let fall = (8.0 * c.hot_excess - 9.0 * temperature(0, i) + temperature(1, i)) / 3.0;
-                share[i] * c.density * c.diffusivity * (1.0 + slope * slope) / stretch * fall
-            })
-            .sum()
     }
 
     /// Heights of the bottom and of the top wall's points, `[columns]` each.
