@@ -205,7 +205,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let figure = Figure::of_config(&loaded.config);
     let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
-    let (mut curves, mut walls, mut nodes, mut bound) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
+    let (mut curves, mut walls, mut tops, mut nodes, mut bound) = (vec![], vec![], vec![], vec![], 0.0);
     let mut all = Map::new();
     let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
@@ -223,6 +223,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         let values = outcome.values;
         (nodes, bound) = (outcome.best.nodes.clone(), loaded.config.design.bound);
         walls.push((format!("from {name}"), outcome.best.offsets.clone()));
+        tops.extend(outcome.best.top.clone().map(|top| (format!("from {name}"), top)));
         if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
             best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
         }
@@ -248,6 +249,9 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     )?;
     let chosen = curves.iter().position(|(name, _)| best_of_all.as_ref().is_some_and(|(_, best, ..)| best == name));
     wall_shapes(&folder.join("walls"), &nodes, &walls, chosen, bound)?;
+    if !tops.is_empty() {
+        wall_shapes(&folder.join("walls-top"), &nodes, &tops, chosen, bound)?;
+    }
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
     println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());

@@ -27,9 +27,10 @@ Examples:
   hydrograd verify runs/starts/sine --set time.end=4
       of one of several starts, over a longer time
   hydrograd verify wall.csv --scene my.toml --out runs/wall
-      a wall of your own (columns x and offset) against the flat one")]
+      a wall of your own (columns x and offset, and top if both are shaped) against the flat one")]
 pub struct VerifyArguments {
-    /// Folder of a run of `optimize`, or a CSV file with columns x and offset (and, if it has one, first: the reference).
+    /// Folder of a run of `optimize`, or a CSV file with columns x and offset (and, if it has them, top: the other
+    /// wall, first and top_first: the reference).
     #[arg(value_name = "PATH")]
     pub path: PathBuf,
     /// Scene of a CSV file: built-in, or a TOML file [default: heated-channel].
