@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32. Of speed: bench-kernels bench-gradient
+Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
 Needs no packages. Build first: cargo build --release. Results go to runs/figures/.

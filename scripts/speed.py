@@ -78,6 +78,21 @@ def bench_gradient():
     return table(["work, ms per step", "f64, 1 thread", "2 threads", "f32, 2 threads", "peak of the process, f64, MB"], lines)
 
 
+def bench_formulations():
+    lines, standard = [], None
+    for label, sets in [("standard", ["fluid.formulation=standard", "resolution.smoothing_length=1.0", "time.cfl=2"]), ("moving particles (default)", []),
+                        ("moving, a flow rate held", ["fluid.drive=flow-rate"]), ("fixed particles", ["fluid.motion=fixed"]),
+                        ("fixed, a flow rate held", ["fluid.motion=fixed", "fluid.drive=flow-rate"])]:
+        sets = [word for key in (*sets, "time.steps=500", "objective.window=0") for word in ("--set", key)]
+        rows = bench("bench-formulations", "step", "gradient", "heated-channel", "--precision", "f64", "--threads", "2", "--repeats", "3", *sets)
+        forward, gradient = find(rows, kind="forward"), find(rows, kind="gradient", mode="every state")
+        step = forward["ms_per_step"]
+        standard = standard or step
+        lines.append([label, forward["particles"], f"{step:.4f}", f"{step / standard:.2f}", f"{gradient['ms_per_step']:.3f}",
+                      f"{gradient['ms_per_step'] / step:.1f}", megabytes(gradient)])
+    return table(["formulation, dx 0.02, 500 steps", "particles", "ms per step", "over standard", "gradient, ms per step", "over forward", "gradient, MB"], lines)
+
+
 def bench_scaling():
     rows = bench("bench-scaling", "scaling", "--sizes", "100^2,316^2,1000^2,40^3", "--precision", "f64", "--repeats", "1")
     lines = []
@@ -150,5 +165,5 @@ def peers_surrogate():
                   "memory, MB, same order"], lines)
 
 
-FIGURES = {"bench-kernels": bench_kernels, "bench-gradient": bench_gradient, "bench-scaling": bench_scaling, "bench-plan": bench_plan,
+FIGURES = {"bench-kernels": bench_kernels, "bench-gradient": bench_gradient, "bench-formulations": bench_formulations, "bench-scaling": bench_scaling, "bench-plan": bench_plan,
            "bench-surrogate": bench_surrogate, "peers": peers, "peers-surrogate": peers_surrogate}
