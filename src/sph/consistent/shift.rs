@@ -14,9 +14,11 @@ use super::blocks::{width, Place};
 use super::derivatives::rows;
 use super::stencil::monomials;
 use super::{Geometry, Kept};
-use crate::numerics::lanes::Real;
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::Domain;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// How particles are kept evenly spread.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +60,7 @@ impl Chain {
     }
 
     /// A particle's row, and the particles in front of it and behind it there.
+    #[inline(always)]
     fn beside(&self, i: usize) -> (usize, u32, u32) {
         let (r, c) = (self.seat[i].0 as usize, self.seat[i].1 as usize);
         let own = &self.rows[r];
@@ -100,16 +103,19 @@ impl<'a, R: Real> Rows<'a, R> {
     }
 
     /// A row's slope between two of its particles, and 1 / their distance along x; `x` is between them.
+    #[inline(always)]
     fn slope(&self, x: R, previous: u32, next: u32) -> (R, R) {
         let inverse = R::of(1.0) / (self.toward(x, next) - self.toward(x, previous));
         ((self.y[next as usize] - self.y[previous as usize]) * inverse, inverse)
     }
 
+    #[inline(always)]
     fn toward(&self, from: R, particle: u32) -> R {
         self.domain.nearest_image(0, self.x[particle as usize] - from)
     }
 
     /// The two particles of a row between which x is; `hint` is where to begin.
+    #[inline(always)]
     fn between(&self, row: usize, x: R, hint: usize) -> Between<R> {
         let row = &self.chain.rows[row];
         let count = row.len();
@@ -136,6 +142,7 @@ impl<'a, R: Real> Rows<'a, R> {
     }
 
     /// The share of the right one, and 1 / distance of both (0 where they have changed sides).
+    #[inline(always)]
     fn share(&self, at: &Between<R>) -> (R, R) {
         let distance = at.behind - at.before;
         if distance > R::of(1e-9) && at.before <= R::default() && at.behind >= R::default() {
@@ -157,7 +164,7 @@ fn hints<'a>(chain: &Chain, hints: &'a mut Vec<u32>) -> &'a mut [u32] {
 /// Replaces the derivatives' last rows (c_i) by w.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept<R>, derivatives: &mut [R]) {
     let (model, consistent) = (geometry.model, geometry.consistent);
-    let (n, l) = (model.particles(), model.layout);
+    let l = model.layout;
     let (d, fields) = (l.dimension, l.fields());
     let fluid = &geometry.blocks.fluid;
     let first = fields * monomials(d) + 1;
@@ -186,33 +193,57 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
         }
         Shift::Chain(chain) => {
             let at = Rows::new(geometry, chain, known);
-            let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
-            let two = R::of(2.0);
-            let last = chain.rows.len() - 1;
-            let hints = hints(chain, &mut kept.hints);
-            for place in 0..fluid.places {
-                let i = fluid.members[place] as usize;
-                let (r, previous, next) = chain.beside(i);
-                let (x, y) = (at.x[i], at.y[i]);
-                let along = at.toward(x, previous) + at.toward(x, next);
-                let mut across = -two * y;
-                for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
-                    let between = at.between(beside, x, hints[2 * i + side] as usize);
-                    hints[2 * i + side] = between.left as u32;
-                    let (share, _) = at.share(&between);
-                    let height = |place: usize| at.y[chain.rows[beside][place] as usize];
-                    let (low, high) = (height(between.left), height(between.right));
-                    let level = low + share * (high - low);
-                    across += if beside == 0 || beside == last { two * level - y } else { level };
-                }
-                let w = [factor * along, factor * across];
-                derivatives[row(place, 0)] = w[0];
-                derivatives[row(place, 1)] = w[1];
-                if chain.is_still {
-                    let (u, v) = (at.known[l.velocity() * n + i], at.known[(l.velocity() + 1) * n + i]);
-                    let (slope, _) = at.slope(x, previous, next);
-                    derivatives[row(place, 1)] += (u + w[0]) * slope - v;
-                }
+            let hints = Shared::new(hints(chain, &mut kept.hints));
+            let sweep = ChainSweep { geometry: *geometry, at, hints, derivatives: Shared::new(derivatives) };
+            run_rows(&sweep, fluid.places);
+        }
+    }
+}
+
+/// w of a chain.
+struct ChainSweep<'a, R> {
+    geometry: Geometry<'a, R>,
+    at: Rows<'a, R>,
+    hints: Shared<'a, u32>,
+    derivatives: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, places: Range<usize>) {
+        let (geometry, at) = (&self.geometry, &self.at);
+        let (model, consistent, chain) = (geometry.model, geometry.consistent, at.chain);
+        let (n, l) = (model.particles(), model.layout);
+        let (d, fields) = (l.dimension, l.fields());
+        let first = fields * monomials(d) + 1;
+        let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
+        let two = R::of(2.0);
+        let last = chain.rows.len() - 1;
+        for place in places {
+            let i = geometry.blocks.fluid.members[place] as usize;
+            let (r, previous, next) = chain.beside(i);
+            let (x, y) = (at.x[i], at.y[i]);
+            let along = at.toward(x, previous) + at.toward(x, next);
+            let mut across = -two * y;
+            for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
+                // SAFETY (all): each place has its own particle, and that its own hints.
+                let between = at.between(beside, x, unsafe { self.hints.get(2 * i + side) } as usize);
+                unsafe { self.hints.set(2 * i + side, between.left as u32) };
+                let (share, _) = at.share(&between);
+                let height = |place: usize| at.y[chain.rows[beside][place] as usize];
+                let (low, high) = (height(between.left), height(between.right));
+                let level = low + share * (high - low);
+                across += if beside == 0 || beside == last { two * level - y } else { level };
+            }
+            let mut w = [factor * along, factor * across];
+            if chain.is_still {
+                let (u, v) = (at.known[l.velocity() * n + i], at.known[(l.velocity() + 1) * n + i]);
+                let (slope, _) = at.slope(x, previous, next);
+                w[1] += (u + w[0]) * slope - v;
+            }
+            for (k, w) in w.into_iter().enumerate() {
+                // SAFETY: likewise.
+                unsafe { self.derivatives.set(Place::of::<R>(place, rows(d, fields)).row(first + k), w) };
             }
         }
     }
