@@ -65,9 +65,9 @@ pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &Partic
     let (low, high) = (config.fluid.inlet_temperature, config.wall.hot_temperature);
     // Equal temperatures are a fair question (does nothing happen?) but no range of colours.
     let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
-    let temperature = |fields: &ParticleFields| fields.temperature.clone().unwrap_or_default();
+    let temperatures = panels.iter().map(|(_, fields)| fields.temperature.clone().unwrap_or_default()).collect();
     let range = (low.min(high), low.max(high));
-    plot_particles(folder, config, panels, ("temperature", "temperature T (scene units)"), temperature, range)
+    plot_particles(folder, config, panels, ("temperature", "temperature T (scene units)"), temperatures, range)
 }
 
 /// `flow.png` and `.svg`: particles coloured by speed, panel by panel.
@@ -77,16 +77,18 @@ pub fn plot_flow(folder: &Path, config: &Config, panels: &[(&str, &ParticleField
         let square = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
         (0..n).map(|i| square(i).sqrt()).collect()
     };
-    let fastest = panels.iter().flat_map(|(_, fields)| speed(fields)).fold(1e-6, f64::max);
-    plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speed, (0.0, fastest))
+    let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speed(fields)).collect();
+    let fastest = speeds.iter().flatten().copied().fold(1e-6, f64::max);
+    plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speeds, (0.0, fastest))
 }
 
+/// `NAME.png` and `.svg`: particles coloured by values `[N]` of each panel.
 fn plot_particles(
     folder: &Path,
     config: &Config,
     panels: &[(&str, &ParticleFields)],
     (name, label): (&str, &str),
-    of: impl Fn(&ParticleFields) -> Vec<f64>,
+    values: Vec<Vec<f64>>,
     range: (f64, f64),
 ) -> anyhow::Result<()> {
     let dx = config.resolution.dx;
@@ -94,7 +96,6 @@ fn plot_particles(
     let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..]);
     let below = y().fold(-rows, |low, &y| low.min(y - 0.5 * dx));
     let above = y().fold(config.channel.height + rows, |high, &y| high.max(y + 0.5 * dx));
-    let values: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| of(fields)).collect();
     let panels: Vec<TemperaturePanel> = panels
         .iter()
         .zip(&values)

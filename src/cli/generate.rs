@@ -2,7 +2,7 @@
 
 use super::arguments::{check_own, CommonArguments};
 use super::files::VERSION;
-use super::prepare::difference;
+use super::prepare::{difference, share_out, workers};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
 use crate::dataset::recipe::{Job, Recipe};
 use crate::dataset::record::record;
@@ -16,8 +16,6 @@ use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use clap::Args;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::Mutex;
 use std::time::Instant;
 
 /// Make a data set of trajectories, to train a surrogate with (LagrangeBench's layout, with temperature).
@@ -300,26 +298,11 @@ fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow
     for pool in ["CANDLE_NUM_THREADS", "RAYON_NUM_THREADS"] {
         std::env::set_var(pool, "1");
     }
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let workers = if loaded.config.run.threads > 0 { loaded.config.run.threads } else { cores };
-    let workers = workers.min(jobs.len()).max(1);
+    let workers = workers(loaded.config.run.threads, jobs.len());
     let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
-    let (next, stop, error) = (AtomicUsize::new(0), AtomicBool::new(false), Mutex::new(None));
-    let work = || {
-        while !stop.load(Ordering::Relaxed) {
-            let Some(&job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
-            if let Err(problem) = one(store, loaded, recipe, job, &bar) {
-                stop.store(true, Ordering::Relaxed);
-                error.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(problem);
-            }
-        }
-    };
-    std::thread::scope(|scope| (0..workers).for_each(|_| drop(scope.spawn(work))));
+    let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar));
     bar.finish();
-    match error.into_inner().unwrap_or_else(|e| e.into_inner()) {
-        Some(problem) => Err(problem),
-        None => Ok(workers),
-    }
+    made.map(|_| workers)
 }
 
 fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress) -> anyhow::Result<()> {

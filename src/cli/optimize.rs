@@ -3,7 +3,7 @@
 use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
 use super::explain::explain;
 use super::files;
-use super::prepare::{build, change, diverged, use_threads};
+use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::verify;
 use crate::adjoint::run::Observer;
 use crate::adjoint::RunError;
@@ -30,7 +30,6 @@ use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
 #[derive(Debug, Clone, Args)]
@@ -130,9 +129,9 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if arguments.no_verify {
         return Ok(());
     }
-    let [reference, best] = [&outcome.first, &outcome.best].map(Clone::clone);
+    let Outcome { first: reference, best, summary, .. } = outcome;
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
-    verified(&folder, outcome.summary, &verification)
+    verified(&folder, summary, &verification)
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
@@ -161,40 +160,6 @@ fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str, tasks
     }
 }
 
-/// What one start after the other would give, on as many threads as a run may have. Each run's numbers are those that it
-/// has alone.
-fn at_once(runs: &[(String, Loaded)], folder: &Path) -> anyhow::Result<Vec<Outcome>> {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = runs.first().map_or(0, |(_, loaded)| loaded.config.run.threads);
-    let workers = if threads == 0 { cores } else { threads.min(cores) }.min(runs.len());
-    let (next, tasks) = (AtomicUsize::new(0), Tasks::default());
-    let work = || {
-        let mut done = Vec::new();
-        while let Some((number, (name, loaded))) = {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            runs.get(number).map(|run| (number, run))
-        } {
-            let outcome = one(loaded, &folder.join(name), None, name, &tasks);
-            if outcome.is_err() {
-                // The others end what they have begun.
-                next.store(runs.len(), Ordering::Relaxed);
-            }
-            done.push((number, outcome));
-        }
-        done
-    };
-    let mut found: Vec<_> = std::thread::scope(|scope| {
-        let others: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
-        let join = |other: std::thread::ScopedJoinHandle<'_, _>| match other.join() {
-            Ok(done) => done,
-            Err(panic) => std::panic::resume_unwind(panic),
-        };
-        others.into_iter().flat_map(join).collect()
-    });
-    found.sort_by_key(|(number, _)| *number);
-    found.into_iter().map(|(_, outcome)| outcome).collect()
-}
-
 fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) -> anyhow::Result<()> {
     if arguments.resume.resume.is_some() {
         return Err(BadInput::new("--resume together with --start all")
@@ -216,7 +181,11 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         Shape::from_config(&loaded.config)?;
         runs.push((format!("{start:?}").to_lowercase(), loaded));
     }
-    let outcomes = at_once(&runs, folder)?;
+    let (tasks, threads) = (Tasks::default(), loaded.config.run.threads);
+    // At once: each run's numbers are those that it has alone.
+    let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
+        one(loaded, &folder.join(name), None, name, &tasks)
+    })?;
     for ((name, loaded), outcome) in runs.into_iter().zip(outcomes) {
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
@@ -258,7 +227,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) else { return Ok(()) };
     println!("the best of all began {name}");
     all.insert("verified_start".into(), json!(name));
-    let reference = verify::flat(&best);
+    let reference = best.flat();
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
     verified(folder, all, &verification)
 }

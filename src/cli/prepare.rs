@@ -9,6 +9,10 @@ use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::scene::Scene;
+use std::panic::resume_unwind;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Mutex;
+use std::thread::ScopedJoinHandle;
 
 /// Sets the number of worker threads; 0 takes every core. Must come before the first operator: candle's pools read it once.
 pub fn use_threads(threads: usize) {
@@ -19,6 +23,50 @@ pub fn use_threads(threads: usize) {
         let threads = threads.to_string();
         std::env::set_var("CANDLE_NUM_THREADS", &threads);
         std::env::set_var("RAYON_NUM_THREADS", &threads);
+    }
+}
+
+/// Workers that share out some jobs: as many as `threads` (0: as there are cores), and no more than there are jobs.
+pub fn workers(threads: usize, jobs: usize) -> usize {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    if threads > 0 { threads } else { cores }.min(jobs).max(1)
+}
+
+/// What `work` makes of each of the jobs, in their order, by several workers. After an error no job is begun any more.
+///
+/// # Errors
+/// The first of `work`.
+pub fn share_out<J: Sync, T: Send>(
+    workers: usize,
+    jobs: &[J],
+    work: impl Fn(&J) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    let (next, failed) = (AtomicUsize::new(0), Mutex::new(None));
+    let turn = || {
+        let mut done = Vec::new();
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            let Some(job) = jobs.get(number) else { return done };
+            match work(job) {
+                Ok(result) => done.push((number, result)),
+                Err(problem) => {
+                    next.store(jobs.len(), Ordering::Relaxed);
+                    failed.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(problem);
+                }
+            }
+        }
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let begun: Vec<_> = (0..workers).map(|_| scope.spawn(turn)).collect();
+        let end = |worker: ScopedJoinHandle<'_, _>| worker.join().unwrap_or_else(|panic| resume_unwind(panic));
+        begun.into_iter().flat_map(end).collect()
+    });
+    match failed.into_inner().unwrap_or_else(|e| e.into_inner()) {
+        Some(problem) => Err(problem),
+        None => {
+            done.sort_unstable_by_key(|(number, _)| *number);
+            Ok(done.into_iter().map(|(_, result)| result).collect())
+        }
     }
 }
 

@@ -109,20 +109,17 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     check_writable(&folder)?;
     let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
     let located = |bad: BadInput| bad.located(|_| Some(given.wall.display().to_string()));
-    let wall = |columns: Columns| -> Result<Shape, BadInput> {
-        let wall = Shape::new(columns.nodes, columns.offsets, from, to).map_err(located)?;
-        Ok(wall)
-    };
-    let both = |columns: Columns, top: &str| -> Result<Shape, BadInput> {
+    let wall = |columns: Columns, top: &str| -> Result<Shape, BadInput> {
         let top = read_column(&given.wall, top)?.map(|top| top.offsets);
-        let shape = wall(columns)?.with_top(top).map_err(located)?;
+        let shape = Shape::new(columns.nodes, columns.offsets, from, to).and_then(|shape| shape.with_top(top));
+        let shape = shape.map_err(located)?;
         shape.check_bound(loaded.config.design.bound).map_err(located)?;
         Ok(shape)
     };
-    let best = both(read_columns(&given.wall)?, shape::TOP)?;
+    let best = wall(read_columns(&given.wall)?, shape::TOP)?;
     let (reference, reference_name) = match read_column(&given.wall, "first")? {
-        Some(first) => (both(first, "top_first")?, FIRST),
-        None => (flat(&best), FLAT),
+        Some(first) => (wall(first, "top_first")?, FIRST),
+        None => (best.flat(), FLAT),
     };
     use_threads(loaded.config.run.threads);
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name };
@@ -141,11 +138,6 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
 /// What the reference of a run is called.
 pub const FIRST: &str = "the first design";
 pub const FLAT: &str = "the flat wall";
-
-/// The flat wall, at the nodes of another.
-pub fn flat(wall: &Shape) -> Shape {
-    wall.flat()
-}
 
 /// Runs the checks, behind a progress bar.
 pub fn verify(verification: &Verification, label: &str) -> Result<Verified, Error> {

@@ -165,7 +165,7 @@ impl Config {
 
     /// A flow that the sound speed allows.
     fn check_speed(&self) -> Result<(), BadInput> {
-        let (fastest, sound) = (1.5 * self.plane_flow_rate() / self.channel.height, self.sound_speed());
+        let (fastest, sound) = (self.plane_speed(), self.sound_speed());
         if fastest <= FASTEST * sound {
             return Ok(());
         }

@@ -107,6 +107,12 @@ impl Loaded {
         Ok(finish(merged, self.source.clone())?)
     }
 
+    /// What another time step needs besides: a number of steps is another time with other steps.
+    pub fn same_time(&self) -> Option<Setting> {
+        let config = &self.config;
+        config.time.steps.map(|_| Setting::set(&format!("time.end={}", config.duration())))
+    }
+
     /// The configuration that an optimiser searches with: see [`Search`].
     ///
     /// # Errors
@@ -117,10 +123,7 @@ impl Loaded {
         match self.config.optimise.search {
             Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
                 let mut settings = vec![Setting::set("fluid.motion=fixed")];
-                if self.config.time.steps.is_some() {
-                    // A number of steps is another time with other steps.
-                    settings.push(Setting::set(&format!("time.end={}", self.config.duration())));
-                }
+                settings.extend(self.same_time());
                 // What a run comes to is known without it, unless its schedule was chosen. (By values: the configuration of
                 // a run gives every key.)
                 let (optimise, usual) = (&self.config.optimise, Config::default().optimise);

@@ -257,15 +257,10 @@ fn work(loaded: &Loaded) -> f64 {
 /// The same runs with half the time step.
 fn slower(pair: &Pair) -> Result<Pair, Error> {
     let half = |loaded: &Loaded| {
-        let (config, time) = (&loaded.config, &loaded.config.time);
-        let mut settings = vec![
-            format!("time.cfl={}", 0.5 * time.cfl),
-            format!("time.diffusion_number={}", 0.5 * time.diffusion_number),
-        ];
-        if time.steps.is_some() {
-            settings.push(format!("time.end={}", config.duration()));
-        }
-        loaded.with(&settings.iter().map(|text| Setting::set(text)).collect::<Vec<_>>())
+        let time = &loaded.config.time;
+        let halves = [("time.cfl", time.cfl), ("time.diffusion_number", time.diffusion_number)];
+        let halves = halves.map(|(key, value)| Setting::set(&format!("{key}={}", 0.5 * value)));
+        loaded.with(&halves.into_iter().chain(loaded.same_time()).collect::<Vec<_>>())
     };
     Ok([half(&pair[0])?, half(&pair[1])?])
 }

@@ -4,7 +4,6 @@ use super::chain::{Chain, Step};
 use super::consistent::operators::{self, Buffers, Shown};
 use super::consistent::{composed, Blocks, Geometry};
 use super::fixed::{Fixed, FixedStep, Work};
-use super::laws::body_force::BodyForce;
 use super::laws::conduction;
 use super::model::{Layout, Model};
 use super::operators::composed::Pairs;
@@ -284,11 +283,7 @@ impl<R: Sweeps> Solver<R> {
         match (self.drive, &self.model.fixed) {
             (Some(force), _) => force,
             (None, Some(fixed)) => fixed.channel.body_force,
-            (None, None) => match self.model.body_force {
-                BodyForce::Uniform(force) => force,
-                BodyForce::Band { strength, .. } | BodyForce::Reversing { strength, .. } => strength,
-                BodyForce::None => 0.0,
-            },
+            (None, None) => self.model.body_force.strength(),
         }
     }
 

@@ -9,29 +9,28 @@ use crate::sph::operators::composed::below;
 use crate::sph::operators::drift::wrapped;
 use candle_core::{Result, Tensor};
 
-fn fluid<R: Real>(geometry: &Geometry<'_, R>) -> Vec<usize> {
-    // In the order of particles, so that sums do not depend on how they are dealt out.
-    (0..geometry.model.particles()).filter(|&i| geometry.model.is_fluid(i)).collect()
+/// In the order of particles, so that sums do not depend on how they are dealt out.
+fn fluid<R: Real>(model: &Model<R>) -> impl Iterator<Item = usize> + '_ {
+    (0..model.particles()).filter(|&i| model.is_fluid(i))
 }
 
 /// The kick of a state's velocities before it.
-fn found<R: Real>(geometry: &Geometry<'_, R>, fluid: &[usize], masses: &[R], u: impl Fn(usize) -> f64) -> Kick {
-    let Some(drive) = geometry.model.drive else { return Kick::default() };
+fn found<R: Real>(model: &Model<R>, masses: &[R], u: &[R]) -> Kick {
+    let Some(drive) = model.drive else { return Kick::default() };
     let (mut momentum, mut mass) = (0.0, 0.0);
-    for &i in fluid {
+    for i in fluid(model) {
         let m = masses[i].f64();
         mass += m;
-        momentum += m * u(i);
+        momentum += m * u[i].f64();
     }
-    drive.kick(geometry.model.dt, momentum, mass)
+    drive.kick(model.dt, momentum, mass)
 }
 
 /// Kicks a state `[F, N]`, in place; the acceleration of it. `masses` `[N]` as [`super::operators::masses`] gives them.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], state: &mut [R]) -> f64 {
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
-    let fluid = fluid(geometry);
-    let kick = found(geometry, &fluid, masses, |i| state[l.velocity() * n + i].f64()).kick;
-    for i in fluid {
+    let kick = found(model, masses, &state[l.velocity() * n..]).kick;
+    for i in fluid(model) {
         state[l.velocity() * n + i] += R::of(kick);
         state[i] = wrapped(&model.domain, 0, state[i] + R::of(model.dt * kick));
         if l.heat && conduction::is_inlet(model, state[i]) {
@@ -51,11 +50,11 @@ pub fn backward<R: Real>(
     masses_bar: &mut [R],
 ) {
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
-    let (fluid, at) = (fluid(geometry), l.velocity() * n);
-    let found = found(geometry, &fluid, masses, |i| before[at + i].f64());
-    let kick_bar: f64 = fluid.iter().map(|&i| bar[at + i].f64() + model.dt * bar[i].f64()).sum();
+    let at = l.velocity() * n;
+    let found = found(model, masses, &before[at..]);
+    let kick_bar: f64 = fluid(model).map(|i| bar[at + i].f64() + model.dt * bar[i].f64()).sum();
     let (by_momentum, by_mass) = (R::of(kick_bar * found.by_momentum), R::of(kick_bar * found.by_mass));
-    for i in fluid {
+    for i in fluid(model) {
         bar[at + i] += masses[i] * by_momentum;
         masses_bar[i] = before[at + i] * by_momentum + by_mass;
         if l.heat && conduction::is_inlet(model, after[i]) {

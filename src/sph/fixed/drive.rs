@@ -6,7 +6,7 @@ use super::work::{field, line};
 use super::{row, Fixed};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{RowKernel, Shared};
-use crate::sph::laws::drive::{Drive, Kick};
+use crate::sph::laws::drive::Drive;
 use std::ops::Range;
 
 /// Sums over columns: of the fluid's momentum and mass, rho D and rho D u times the rows' weights in a section.
@@ -145,16 +145,16 @@ impl<R: Real> Fixed<R> {
     /// Kicks the velocities behind the other forces, in `context` and in the next state, and keeps the acceleration as the
     /// context's body force.
     pub(super) fn push(&self, context: &mut Context<'_, R>, drive: Drive, next: Option<&Shared<'_, R>>) {
-        let kick = self.found(context, drive).kick;
+        let [momentum, mass] = self.momentum_and_mass(context);
+        let kick = drive.kick(self.channel.dt, momentum, mass).kick;
         run(&Push { context, next, kick: R::of(kick) }, self.grid.units());
         context.constants.body_force = R::of(kick / self.channel.dt);
     }
 
-    /// The kick of the velocities in `context`.
-    fn found(&self, context: &Context<'_, R>, drive: Drive) -> Kick {
+    /// Momentum along x, by the velocities in `context`, and mass.
+    fn momentum_and_mass(&self, context: &Context<'_, R>) -> [f64; 2] {
         run(&Momentum(context), self.grid.units());
-        let sum = |line: usize| self.unit_mass() * context.fields.sum_of_line(line);
-        drive.kick(self.channel.dt, sum(line::MOMENTUM), sum(line::MASS))
+        [line::MOMENTUM, line::MASS].map(|line| self.unit_mass() * context.fields.sum_of_line(line))
     }
 
     /// Its adjoint, between the two sweeps of the step's.
@@ -162,10 +162,8 @@ impl<R: Real> Fixed<R> {
         let units = self.grid.units();
         let kick = context.constants.body_force.f64() * self.channel.dt;
         // Sums of the velocities behind the kick give those before it.
-        run(&Momentum(context), units);
-        let sum = |line: usize| self.unit_mass() * context.fields.sum_of_line(line);
-        let mass = sum(line::MASS);
-        let found = drive.kick(self.channel.dt, sum(line::MOMENTUM) - kick * mass, mass);
+        let [momentum, mass] = self.momentum_and_mass(context);
+        let found = drive.kick(self.channel.dt, momentum - kick * mass, mass);
         run(&KickBar(context), units);
         let kick_bar = context.fields.sum_of_line(line::MOMENTUM);
         let unit = self.unit_mass();

@@ -23,6 +23,14 @@ pub enum BodyForce {
 }
 
 impl BodyForce {
+    /// Its size where it acts.
+    pub fn strength(&self) -> f64 {
+        match *self {
+            Self::None => 0.0,
+            Self::Uniform(strength) | Self::Band { strength, .. } | Self::Reversing { strength, .. } => strength,
+        }
+    }
+
     /// Acceleration along x of fluid at height y.
     #[inline(always)]
     pub fn at(&self, y: f64) -> f64 {
