@@ -3,7 +3,7 @@
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::{run, Dynamics};
 use hydrograd::config::scene::Config;
-use hydrograd::design::problem::Evaluation;
+use hydrograd::design::problem::{Derivative, Evaluation};
 use hydrograd::design::{checkpoint, optimisers, Optimisation, Problem};
 use hydrograd::error::Error;
 use hydrograd::io::tensor_file::TensorFile;
@@ -31,7 +31,7 @@ fn the_gradient_is_the_derivative() {
             let (_, problem) = problem(&[&sets[..], &["objective.window=0.02", "objective.samples=5"]].concat());
             let x = &problem.first;
             let schedule = Schedule::segments(problem.steps, 20);
-            let (value, gradient) = problem.differentiate(x, &schedule, &mut |_| ()).unwrap();
+            let Derivative { value, by_variables: gradient, .. } = problem.differentiate(x, &schedule, &mut |_| ()).unwrap();
             assert_eq!(value, problem.evaluate(x).unwrap(), "the gradient's run is the plain run");
             assert_eq!(gradient.len(), problem.parametrisation.variables());
             let mut normal = Normal::new(stream(5, "along"));
@@ -155,7 +155,12 @@ fn cliff(x: &[f64]) -> Result<Evaluation, Error> {
         return Err(Error::diverged("step 7: the run has diverged", "time.cfl=0.5"));
     }
     let loss: f64 = x.iter().map(|x| (x - 0.015) * (x - 0.015)).sum();
-    Ok(Evaluation { figure: -loss, loss, gradient: x.iter().map(|x| 2.0 * (x - 0.015)).collect() })
+    Ok(Evaluation {
+        figure: -loss,
+        loss,
+        gradient: x.iter().map(|x| 2.0 * (x - 0.015)).collect(),
+        ..Evaluation::default()
+    })
 }
 
 #[test]
@@ -203,7 +208,12 @@ fn a_finished_optimiser_ends_the_run() {
     let mut optimisation = Optimisation::new(optimisers::of_config(&config.optimise, &problem.first));
     let square = |_: usize, x: &[f64]| {
         let loss: f64 = x.iter().map(|x| (x - 0.005) * (x - 0.005)).sum();
-        Ok(Evaluation { figure: -loss, loss, gradient: x.iter().map(|x| 2.0 * (x - 0.005)).collect() })
+        Ok(Evaluation {
+            figure: -loss,
+            loss,
+            gradient: x.iter().map(|x| 2.0 * (x - 0.005)).collect(),
+            ..Evaluation::default()
+        })
     };
     optimisation.run(1000, problem.parametrisation.limits(), square, |_| Ok(())).unwrap();
     assert!(optimisation.optimiser.is_done() && optimisation.history.len() < 60, "{}", optimisation.history.len());

@@ -93,7 +93,7 @@ impl Fixture {
         let forces = if force.is_some() { dim } else { 0 };
         let choices = [(false, false), (false, true), (true, false), (true, true)];
         let features = choices
-            .map(|(speed, boundary)| Features { frames: 6, speed, boundary })
+            .map(|(speed, boundary)| Features { speed, boundary, ..Features::default() })
             .into_iter()
             .find(|f| f.count(&metadata, false, forces) == node_features)
             .expect("a set of features with the fixture's number");
@@ -319,6 +319,7 @@ impl Fixture {
             periodic: self.metadata.periodic()[..self.metadata.dim].to_vec(),
             spacing: None,
             frame_time: None,
+            data: None,
         };
         let learned = Learned { name: "fixture".into(), setup, network: Arc::new(network), parameters };
         let (metadata, kind) = (self.metadata.clone(), self.kind.clone());

@@ -53,6 +53,7 @@ fn history_of_an_optimisation() -> TestResult {
         .map(|epoch| {
             let decay = (-0.15 * epoch as f64).exp();
             HistoryPoint {
+                truth: f64::NAN,
                 epoch,
                 q: 0.0412 - 0.0093 * decay + 2e-4 * (epoch as f64).sin() * decay,
                 loss: -0.0412 + 0.0093 * decay,

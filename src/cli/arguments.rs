@@ -12,7 +12,7 @@ use crate::error::{BadInput, Error};
 use crate::scene::load::Loaded;
 
 /// Options that stand for a key of the scene.
-const OPTIONS: [(&str, &str); 10] = [
+const OPTIONS: [(&str, &str); 13] = [
     ("--precision", "run.precision"),
     ("--threads", "run.threads"),
     ("--seed", "run.seed"),
@@ -23,6 +23,9 @@ const OPTIONS: [(&str, &str); 10] = [
     ("--segment", "optimise.segment"),
     ("--horizon", "optimise.horizon"),
     ("--epochs", "optimise.epochs"),
+    ("--dynamics", "optimise.dynamics"),
+    ("--model", "surrogate.model"),
+    ("--trust", "surrogate.trust"),
 ];
 
 /// Options that are no key of a configuration but stand in the library's advice as if they were.

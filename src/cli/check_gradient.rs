@@ -190,5 +190,5 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
 fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Vec<f64>> {
     let (problem, _) = build::<R>(config)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
-    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?.1)
+    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?.by_variables)
 }

@@ -4,7 +4,7 @@ use super::arguments::{check_own, CommonArguments};
 use super::files::VERSION;
 use super::prepare::{difference, share_out, workers};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
-use crate::dataset::recipe::{Job, Recipe};
+use crate::dataset::recipe::{Job, Recipe, Starts};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
@@ -65,6 +65,9 @@ pub struct GenerateArguments {
     /// Walls of the heated channel [default: mix, or scene where the scene's own design is given].
     #[arg(long, value_enum)]
     pub walls: Option<Walls>,
+    /// How the heated channel's flows begin.
+    #[arg(long, value_enum, default_value_t)]
+    pub starts: Starts,
     /// Walls from a file: a line per wall, its offsets at the design's nodes, separated by commas; trajectories take them in
     /// turns.
     #[arg(long, value_name = "FILE", conflicts_with = "walls")]
@@ -129,6 +132,7 @@ impl GenerateArguments {
                 None if own => Walls::Scene,
                 walls => walls.unwrap_or(usual.walls),
             },
+            starts: self.starts,
             given,
         })
     }

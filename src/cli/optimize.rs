@@ -5,12 +5,17 @@ use super::explain::explain;
 use super::files;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::verify;
+use crate::adjoint::gradient::Progress as Share;
 use crate::adjoint::run::Observer;
+use crate::adjoint::schedule::Schedule;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Precision};
+use crate::config::scene::{Config, DynamicsName, Kernels, Precision, Trust};
 use crate::design::diagnostics::{simulate, Diagnostics, Finished};
 use crate::design::objectives::Figure;
+use crate::design::optimise::Epoch;
+use crate::design::optimisers::{Optimiser, TrustRegion};
+use crate::design::problem::{Evaluation, ADJOINT};
 use crate::design::shape::{Shape, TOP};
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
@@ -26,9 +31,12 @@ use crate::scene::particle_fields::ParticleFields;
 use crate::scene::verification::Verification;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
+use crate::surrogate::design::SurrogateProblem;
+use crate::surrogate::load_learned;
+use candle_core::DType;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 
 /// Shape the hot wall so that the fluid carries out more heat (the main job).
@@ -63,6 +71,16 @@ pub struct OptimizeArguments {
     /// Optimiser steps (optimise.epochs).
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
+    /// Who judges walls while the optimiser searches (optimise.dynamics). What is found is judged by the solver in any case.
+    #[arg(long, value_enum)]
+    pub dynamics: Option<DynamicsName>,
+    /// A surrogate of `hydrograd train` [default: the built-in one, see models/heated-channel] (surrogate.model).
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<String>,
+    /// How the surrogate is kept honest: none; check=N, the solver judges every N-th wall (default 5); region, a trust region, in
+    /// which the solver judges what the corrected surrogate proposes in each epoch (surrogate.trust).
+    #[arg(long, value_name = "none|check[=N]|region", value_parser = parse_trust)]
+    pub trust: Option<(Trust, Option<usize>)>,
     /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
     #[arg(long)]
     pub no_verify: bool,
@@ -95,12 +113,34 @@ impl OptimizeArguments {
         let mut options = self.gradient.settings();
         options.extend(self.epochs.map(|value| option("optimise.epochs", value)));
         options.extend(self.start.and_then(StartName::setting));
+        options.extend(self.dynamics.map(|value| option("optimise.dynamics", name_of(value))));
+        options.extend(self.model.as_ref().map(|file| option("surrogate.model", format!("{file:?}"))));
+        if let Some((trust, every)) = self.trust {
+            options.push(option("surrogate.trust", name_of(trust)));
+            options.extend(every.map(|every| Setting::option("--trust", "surrogate.check_every", every)));
+        }
         self.common.load(self.resume.resume.as_deref(), vec![], options)
     }
 
     /// Where results go; an error if nothing can be written there.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+    }
+}
+
+/// `none`, `check`, `check=N` or `region`.
+fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
+    let (name, every) = match text.split_once('=') {
+        Some((name, every)) => (name, Some(every)),
+        None => (text, None),
+    };
+    let every = every.map(|every| every.parse().ok().filter(|every| *every > 0));
+    match (name, every) {
+        ("none", None) => Ok((Trust::None, None)),
+        ("region", None) => Ok((Trust::Region, None)),
+        ("check", None) => Ok((Trust::Check, None)),
+        ("check", Some(Some(every))) => Ok((Trust::Check, Some(every))),
+        _ => Err("allowed: none, check, check=N with a whole number N >= 1, region".into()),
     }
 }
 
@@ -253,6 +293,7 @@ fn go<R: Sweeps>(
         false => Some(build::<R>(config)?.0),
     };
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
+    let judges = Judges { config, problem: &problem, schedule: &schedule, surrogate: surrogate::<R>(loaded)? };
     let mut optimisation = begin(config, &problem, resume)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
@@ -260,18 +301,31 @@ fn go<R: Sweeps>(
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
     let bar = Progress::among(tasks, (config.optimise.epochs - done) as u64 * UNITS, &label);
     let reason = RefCell::new(String::new());
-    let evaluate = |epoch: usize, variables: &[f64]| {
-        let base = (epoch - done) as u64 * UNITS;
+    // Steps of the solver that proposals took, which belong to the epoch behind them.
+    let proposals = Cell::new(0);
+    let prepare = |optimisation: &mut Optimisation| {
+        proposals.set(proposals.get() + judges.prepare(optimisation)?);
+        Ok(())
+    };
+    let evaluate = |optimisation: &Optimisation, variables: &[f64]| {
+        let base = (optimisation.history.len() - done) as u64 * UNITS;
         let mut progress = |share: f64| bar.set_position(base + (share * UNITS as f64) as u64);
-        let found = problem.gradient(variables, &schedule, &mut progress);
+        let mut found = judges.judge(optimisation, variables, &mut progress);
+        if let Ok(found) = &mut found {
+            found.solver_steps += proposals.take();
+        }
         if let Err(Error::Diverged { problem, .. }) = &found {
             reason.replace(problem.clone());
         }
         found
     };
-    optimisation.run(config.optimise.epochs, problem.parametrisation.limits(), evaluate, |optimisation| {
+    let keep = |optimisation: &Optimisation| -> anyhow::Result<()> {
         checkpoint::write(&folder.join(CHECKPOINT), optimisation, &notes(loaded))?;
-        write_history(folder, problem.figure, optimisation)?;
+        write_history(folder, problem.figure, judges.surrogate.is_some(), optimisation)
+    };
+    let limits = problem.parametrisation.limits();
+    optimisation.run_prepared(config.optimise.epochs, limits, prepare, evaluate, |optimisation| {
+        keep(optimisation)?;
         if let Some(last) = optimisation.history.last() {
             let (epoch, symbol) = (optimisation.history.len() - 1, problem.figure.symbol);
             if last.is_rejected() {
@@ -284,19 +338,115 @@ fn go<R: Sweeps>(
             }
             bar.message(format!("{symbol} {:.6} |gradient| {:.2e}", last.figure, last.gradient_norm));
             bar.line(&format!(
-                "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}  {:.1} s",
-                last.figure, last.loss, last.gradient_norm, last.seconds
+                "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}{}  {:.1} s",
+                last.figure,
+                last.loss,
+                last.gradient_norm,
+                both_sides(last),
+                last.seconds
             ));
         }
         Ok(())
     })?;
+    if judges.surrogate.is_some() {
+        // What is believed of the first and of the best wall is not enough.
+        optimisation.judge(&[0, optimisation.predicted_best()], |variables| problem.truth(variables))?;
+        keep(&optimisation)?;
+    }
     bar.finish();
     report(loaded, folder, (&problem, own.as_ref()), &optimisation)
 }
 
+/// What surrogate and solver say of an epoch, for its line.
+fn both_sides(epoch: &Epoch) -> String {
+    match (epoch.predicted, epoch.truth) {
+        (Some(predicted), Some(truth)) => format!("  (predicted {predicted:.6}, solver {:.6})", truth.figure),
+        (Some(_), None) => "  (predicted)".into(),
+        _ => String::new(),
+    }
+}
+
+/// The surrogate that a configuration asks for.
+fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateProblem<R>>> {
+    let wanted = &loaded.config.surrogate;
+    if loaded.config.optimise.dynamics == DynamicsName::Solver {
+        return Ok(None);
+    }
+    let dtype = match wanted.precision {
+        Precision::F32 => DType::F32,
+        Precision::F64 => DType::F64,
+    };
+    let model = load_learned(wanted.model.as_deref().map(Path::new), Kernels::Fused, dtype)?;
+    Ok(Some(SurrogateProblem::new(loaded, model)?))
+}
+
+/// Who judges walls: the solver, a surrogate, or both.
+struct Judges<'a, R> {
+    config: &'a Config,
+    problem: &'a Problem<R>,
+    schedule: &'a Schedule,
+    surrogate: Option<SurrogateProblem<R>>,
+}
+
+impl<R: Sweeps> Judges<'_, R> {
+    /// What comes before an epoch: a proposal, or the solver's turn. Steps of the solver that it took.
+    fn prepare(&self, optimisation: &mut Optimisation) -> anyhow::Result<usize> {
+        let Some(surrogate) = &self.surrogate else { return Ok(0) };
+        let wanted = &self.config.surrogate;
+        let done = optimisation.history.len();
+        if self.config.optimise.dynamics == DynamicsName::Both {
+            let over = done >= wanted.epochs || optimisation.optimiser.is_done();
+            if optimisation.solver_from.is_none() && over && done > 0 {
+                let best = &optimisation.history[optimisation.predicted_best()].variables;
+                optimisation.optimiser = optimisers::of_config(&self.config.optimise, best);
+                optimisation.solver_from = Some(done);
+            }
+            return Ok(0);
+        }
+        let mut steps = 0;
+        if let Some(region) = optimisation.optimiser.trust_region() {
+            region.propose(self.problem.parametrisation.limits(), |variables| {
+                let found = surrogate.gradient(variables, &mut |_| ());
+                steps += found.as_ref().map_or(0, |found| found.solver_steps);
+                found
+            })?;
+        }
+        Ok(steps)
+    }
+
+    /// The loss of a design and its gradient, for the optimiser.
+    fn judge(&self, optimisation: &Optimisation, variables: &[f64], progress: Share<'_>) -> Result<Evaluation, Error> {
+        let (wanted, done) = (&self.config.surrogate, optimisation.history.len());
+        let in_region = wanted.trust == Trust::Region;
+        let surrogate = self.surrogate.as_ref().filter(|_| !in_region && optimisation.solver_from.is_none());
+        let Some(surrogate) = surrogate else {
+            let found = self.problem.gradient(variables, self.schedule, progress)?;
+            let predicted = optimisation.optimiser.promise().map(|promise| {
+                let (penalty, _) = self.problem.parametrisation.penalty(self.problem.smoothing, variables);
+                let loss = optimisation.history[optimisation.best].loss - promise;
+                (penalty - loss) * self.problem.figure.factor
+            });
+            return Ok(Evaluation { predicted, ..found });
+        };
+        let mut found = surrogate.gradient(variables, progress)?;
+        if wanted.trust == Trust::Check && done.is_multiple_of(wanted.check_every) {
+            let (truth, steps) = self.problem.truth(variables)?;
+            found.truth = Some(truth);
+            found.solver_steps += steps;
+        }
+        Ok(found)
+    }
+}
+
 /// A new optimisation, or one that goes on.
 fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>) -> anyhow::Result<Optimisation> {
-    let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+    let in_region = config.optimise.dynamics == DynamicsName::Surrogate && config.surrogate.trust == Trust::Region;
+    let new = |x: &[f64]| -> Box<dyn Optimiser> {
+        match in_region {
+            true => Box::new(TrustRegion::new(config.surrogate.radius, config.surrogate.inner_epochs, x)),
+            false => optimisers::of_config(&config.optimise, x),
+        }
+    };
     let Some(from) = resume else {
         return Ok(Optimisation::new(new(&problem.first)));
     };
@@ -374,7 +524,7 @@ fn report<R: Sweeps>(
     files::plot_temperature(folder, config, &panels)?;
     files::plot_flow(folder, config, &panels)?;
     files::write_summary(folder, summary.clone())?;
-    let values = optimisation.column(|e| e.figure);
+    let values = optimisation.column(Epoch::shown);
     let [first, best] = [first, best].map(|variables| problem.parametrisation.sampled(variables));
     Ok(Outcome { text, summary, values, first, best })
 }
@@ -426,9 +576,14 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
         .history
         .iter()
         .enumerate()
-        .map(|(epoch, e)| HistoryPoint { epoch, q: e.figure, loss: e.loss, gradient_norm: e.gradient_norm })
+        .map(|(epoch, e)| {
+            let truth = e.truth.filter(|_| e.predicted.is_some()).map_or(f64::NAN, |truth| truth.figure);
+            // Within a trust region the optimiser sees the solver's, and what was promised is beside it.
+            let q = e.predicted.unwrap_or(e.figure);
+            HistoryPoint { epoch, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
+        })
         .collect();
-    let first = Some(("first design", optimisation.history[0].figure));
+    let first = Some(("first design", optimisation.history[0].shown()));
     let symbol = problem.figure.symbol;
     let label = format!("{} {symbol} (scene units)", problem.objective.name());
     history(&folder.join("history"), &points, (symbol, &label), first)?;
@@ -447,15 +602,22 @@ fn summary<R>(
     let name = problem.figure.symbol.to_lowercase();
     // By the objective's own samples, so that the best is one of those per epoch.
     for (map, epoch) in [(&mut before, 0), (&mut after, best)] {
-        map.insert(name.clone(), json!(history[epoch].figure));
+        map.insert(name.clone(), json!(history[epoch].shown()));
         let q = map.get("q").and_then(Value::as_f64);
         map.insert("q_sum".into(), json!(q.map(|q| q / problem.outlet.spacing)));
     }
     let mut put = |key: &str, value: Value| after.insert(key.into(), value);
-    put(&format!("{name}_first"), json!(history[0].figure));
+    put(&format!("{name}_first"), json!(history[0].shown()));
+    put("solver_steps", json!(optimisation.solver_steps()));
     put("best_epoch", json!(best));
     put("rejected_epochs", json!(optimisation.rejected()));
     put(&format!("{name}_per_epoch"), json!(optimisation.column(|e| e.figure)));
+    if history.iter().any(|e| e.predicted.is_some()) {
+        let predicted = |e: &Epoch| json!(e.predicted);
+        let truth = |e: &Epoch| json!(e.truth.map(|truth| truth.figure));
+        put(&format!("{name}_predicted_per_epoch"), history.iter().map(predicted).collect());
+        put(&format!("{name}_solver_per_epoch"), history.iter().map(truth).collect());
+    }
     put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
     put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
@@ -476,7 +638,7 @@ fn text(
     (b, a): (&Diagnostics, &Diagnostics),
     motion: Option<&str>,
 ) -> String {
-    let (first, best) = (optimisation.history[0].figure, optimisation.history[optimisation.best].figure);
+    let (first, best) = (optimisation.history[0].shown(), optimisation.history[optimisation.best].shown());
     let mut table = Table::new(["", "before", "after"]);
     let mut row = |name: &str, x: f64, y: f64| {
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);
@@ -502,6 +664,7 @@ fn text(
         optimisation.best,
         optimisation.history.len() - 1
     ));
+    text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}
         1 => text.push_str("1 design was rejected: its run diverged\n"),
@@ -529,15 +692,48 @@ fn text(
     text
 }
 
-fn write_history(folder: &Path, figure: Figure, optimisation: &Optimisation) -> anyhow::Result<()> {
+/// What a surrogate promised, and what came of it; nothing where none was asked.
+fn surrogate_text(figure: Figure, optimisation: &Optimisation) -> String {
+    let (history, promised) = (&optimisation.history, optimisation.predicted_best());
+    let (Some(before), Some(after)) = (history[0].predicted.or(Some(history[0].shown())), history[promised].predicted)
+    else {
+        return String::new();
+    };
+    let mut text =
+        format!("the surrogate's best is epoch {promised}: it predicted {} {}", figure.symbol, change(before, after));
+    if let Some(truth) = history[promised].truth {
+        text.push_str(&format!("; in the solver {}", change(history[0].shown(), truth.figure)));
+    }
+    if optimisation.best == 0 {
+        text.push_str("\nWARNING: no wall that the surrogate proposed is better in the solver than the first");
+    }
+    text.push_str(&format!(
+        "\n{} steps of the solver (a step of an adjoint counts as {ADJOINT})\n",
+        optimisation.solver_steps()
+    ));
+    text
+}
+
+fn write_history(folder: &Path, figure: Figure, predicts: bool, optimisation: &Optimisation) -> anyhow::Result<()> {
     let rows: Vec<Vec<f64>> = optimisation
         .history
         .iter()
         .enumerate()
-        .map(|(k, e)| vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds])
+        .map(|(k, e)| {
+            let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
+            if predicts {
+                let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
+                row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
+            }
+            row
+        })
         .collect();
     let name = figure.symbol.to_lowercase();
-    Ok(write_rows(&folder.join("history.csv"), &["epoch", &name, "loss", "gradient_norm", "seconds"], &rows)?)
+    let mut header = vec!["epoch", &name, "loss", "gradient_norm", "seconds"];
+    if predicts {
+        header.extend(["predicted", "solver", "solver_steps"]);
+    }
+    Ok(write_rows(&folder.join("history.csv"), &header, &rows)?)
 }
 
 /// Keys that may change when a run is resumed: how far and how it is computed, not what.

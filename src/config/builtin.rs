@@ -43,7 +43,9 @@ impl BuiltIn {
                 near.dedup();
             }
             let what = match own.as_str() {
-                "design" | "objective" | "optimise" if self.name != SCENES[0].name => ", which has no design",
+                "design" | "objective" | "optimise" | "surrogate" if self.name != SCENES[0].name => {
+                    ", which has no design"
+                }
                 _ => "",
             };
             let bad = BadInput::new(format!("`{path}` is not a key of scene {}{what}", self.name))

@@ -21,6 +21,7 @@ pub struct Config {
     pub objective: Objective,
     pub design: Design,
     pub optimise: Optimise,
+    pub surrogate: Surrogate,
     pub run: Run,
     pub output: Output,
 }
@@ -419,6 +420,70 @@ pub struct Optimise {
     pub segment: usize,
     /// Steps that `truncated` looks back.
     pub horizon: usize,
+    /// Who says how good a wall is while the optimiser searches.
+    pub dynamics: DynamicsName,
+}
+
+/// What judges walls while the optimiser searches. What it finds is judged by the solver in any case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum DynamicsName {
+    #[default]
+    Solver,
+    /// A learned model, from frames that the solver makes.
+    Surrogate,
+    /// First the surrogate, then, from the best wall that it found, the solver.
+    Both,
+}
+
+/// The surrogate that judges walls, and how far it is trusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Surrogate {
+    /// A model by `hydrograd train`; default: the built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Reference steps that the solver makes before the first frame.
+    pub settle: usize,
+    /// Frames that the model predicts behind those that the solver makes.
+    pub steps: usize,
+    pub first_frames: FirstFrames,
+    /// Of the network; single precision is what it was trained in.
+    pub precision: Precision,
+    pub trust: Trust,
+    /// With `trust = check`: epochs between two evaluations by the solver.
+    pub check_every: usize,
+    /// With `trust = region`: the most that a node moves in the first epoch.
+    pub radius: f64,
+    /// With `trust = region`: steps of the optimiser within the region, per epoch.
+    pub inner_epochs: usize,
+    /// With `dynamics = both`: epochs that the surrogate has.
+    pub epochs: usize,
+}
+
+/// What the gradient knows of the first frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum FirstFrames {
+    /// That the solver made them over this wall.
+    #[default]
+    Differentiable,
+    /// That they are there: the fluid in them is what it is.
+    Detached,
+}
+
+/// How a surrogate is kept honest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Trust {
+    /// It is believed; only the first and the best wall are run in the solver, at the end.
+    #[default]
+    None,
+    /// The solver evaluates every `check_every`th wall, and the best of those wins.
+    Check,
+    /// A trust region: each epoch the solver evaluates a wall that the corrected surrogate proposes near the best one, and the
+    /// region shrinks where prediction and truth part.
+    Region,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -605,6 +670,24 @@ impl Default for Optimise {
             store: Precision::F64,
             segment: 0,
             horizon: 200,
+            dynamics: DynamicsName::Solver,
+        }
+    }
+}
+
+impl Default for Surrogate {
+    fn default() -> Self {
+        Self {
+            model: None,
+            settle: 300,
+            steps: 20,
+            first_frames: FirstFrames::Differentiable,
+            precision: Precision::F32,
+            trust: Trust::None,
+            check_every: 5,
+            radius: 5e-3,
+            inner_epochs: 10,
+            epochs: 10,
         }
     }
 }

@@ -110,11 +110,13 @@ pub struct Features {
     pub speed: bool,
     /// Distances to the ends of the box in directions that are not periodic.
     pub boundary: bool,
+    /// Temperatures of walls that none is set for, which the data have and a rollout on its own does not.
+    pub unset_walls: bool,
 }
 
 impl Default for Features {
     fn default() -> Self {
-        Self { frames: MOST_FRAMES, speed: false, boundary: true }
+        Self { frames: MOST_FRAMES, speed: false, boundary: true, unset_walls: false }
     }
 }
 

@@ -3,8 +3,8 @@
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, Family, Formulation, GradientMode, Motion, ObjectiveKind,
-    Precision, ShiftName,
+    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, Motion,
+    ObjectiveKind, Precision, ShiftName, Trust,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
@@ -40,6 +40,7 @@ impl Schema for Config {
         config.design.offsets = Some(vec![]);
         config.design.top_offsets = Some(vec![]);
         config.design.file = Some(String::new());
+        config.surrogate.model = Some(String::new());
         config
     }
 
@@ -70,6 +71,7 @@ impl Schema for Config {
         self.check_walls()?;
         self.check_objective()?;
         self.check_speed()?;
+        self.check_trust()?;
         self.check_store()
     }
 }
@@ -77,8 +79,21 @@ impl Schema for Config {
 /// Every number with its own range (the wall's arrays are checked as a shape).
 fn numbers(config: &Config) -> Vec<Number> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
-    let Config { scene: _, resolution, channel, flow, fluid, wall, time, objective, design, optimise, run, output } =
-        config;
+    let Config {
+        scene: _,
+        resolution,
+        channel,
+        flow,
+        fluid,
+        wall,
+        time,
+        objective,
+        design,
+        optimise,
+        surrogate,
+        run,
+        output,
+    } = config;
     // The other scenes have no such key: they choose for themselves.
     let least_rows = if config.scene == Family::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
@@ -126,6 +141,12 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("optimise.smoothing", optimise.smoothing, NotNegative),
         ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
         ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
+        ("surrogate.settle", surrogate.settle as f64, Within(1.0, MAX_STEPS)),
+        ("surrogate.steps", surrogate.steps as f64, Within(1.0, 10_000.0)),
+        ("surrogate.check_every", surrogate.check_every as f64, Within(1.0, 1e6)),
+        ("surrogate.radius", surrogate.radius, Positive),
+        ("surrogate.inner_epochs", surrogate.inner_epochs as f64, Within(1.0, 1e6)),
+        ("surrogate.epochs", surrogate.epochs as f64, Within(1.0, 1e6)),
         ("run.threads", run.threads as f64, Within(0.0, 1024.0)),
         ("output.frames", output.frames as f64, Within(0.0, 1e5)),
     ]
@@ -289,6 +310,21 @@ impl Config {
                 .allowed("its default, in the consistent formulation")
                 .advice("fluid.formulation=standard, or leave it out")),
             None => Ok(()),
+        }
+    }
+
+    /// A surrogate's settings belong to a search that asks one.
+    fn check_trust(&self) -> Result<(), BadInput> {
+        let (dynamics, trust) = (self.optimise.dynamics, self.surrogate.trust);
+        let bad = |problem: &str| BadInput::new(problem).key("surrogate.trust");
+        match (dynamics, trust) {
+            (DynamicsName::Solver, Trust::Check | Trust::Region) => Err(bad("surrogate.trust without a surrogate")
+                .allowed("none where the solver judges every wall")
+                .advice("optimise.dynamics=surrogate")),
+            (DynamicsName::Both, Trust::Region) => Err(bad("surrogate.trust = region with optimise.dynamics = both")
+                .allowed("none or check: in a trust region the solver has its say in every epoch")
+                .advice("optimise.dynamics=surrogate")),
+            _ => Ok(()),
         }
     }
 

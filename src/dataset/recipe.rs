@@ -11,7 +11,7 @@ use crate::config::layers::Setting;
 use crate::config::scene::{Config, Family};
 use crate::design::shape::default_nodes;
 use crate::error::{BadInput, Error};
-use crate::numerics::random::{new_seed, numbered};
+use crate::numerics::random::{new_seed, numbered, uniform};
 use crate::scene::load::Loaded;
 use serde::{Deserialize, Serialize};
 
@@ -32,9 +32,23 @@ pub struct Recipe {
     /// Reference steps from a random start to a relaxed one, before time 0; flows only.
     pub relax: usize,
     pub walls: Walls,
+    /// How the flows begin.
+    #[serde(default)]
+    pub starts: Starts,
     /// Offsets of [`Walls::File`]; the trajectories of all splits take them in turns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub given: Vec<Vec<f64>>,
+}
+
+/// How the flows of a data set begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Starts {
+    /// As the scene does: time.start.
+    #[default]
+    Scene,
+    /// At random: half of them from rest, half with the developed flow.
+    Mix,
 }
 
 /// One trajectory of a data set.
@@ -85,7 +99,16 @@ impl Recipe {
             Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
             Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
         };
-        Self { trajectories, frames, every: 100, skip, relax, walls: Walls::default(), given: Vec::new() }
+        Self {
+            trajectories,
+            frames,
+            every: 100,
+            skip,
+            relax,
+            walls: Walls::default(),
+            starts: Starts::default(),
+            given: Vec::new(),
+        }
     }
 
     /// An error if the numbers cannot be used with the scene.
@@ -120,6 +143,10 @@ impl Recipe {
             let option = if self.walls == Walls::File { "walls-file" } else { "walls" };
             return Err(bad(option, format!("scene {scene} has no walls to shape"))
                 .allowed("walls with scene heated-channel only"));
+        }
+        if self.starts == Starts::Mix && config.scene != Family::HeatedChannel {
+            return Err(bad("starts", format!("scene {} has one way to begin", config.scene.name()))
+                .allowed("starts = mix with scene heated-channel only"));
         }
         let usual = config.scene.defaults().time;
         // A preset's length is that of its own runs.
@@ -198,6 +225,10 @@ impl Recipe {
                 settings.push(option("design.offsets", format!("{offsets:?}")));
                 name = wall;
             }
+        }
+        if self.starts == Starts::Mix {
+            let start = if uniform(&mut rng) < 0.5 { "rest" } else { "developed" };
+            settings.push(option("time.start", format!("{start:?}")));
         }
         let mut ready = loaded.with(&settings)?.config;
         // Not part of the result: it must not be part of the file either.

@@ -150,7 +150,8 @@ impl<R: Sweeps> Observer<Sph<R>> for Recorder<'_, R> {
     }
 }
 
-fn kind_of(tag: u8) -> i32 {
+/// What LagrangeBench calls a particle of a tag.
+pub fn kind_of(tag: u8) -> i32 {
     match tag {
         tag::FLUID => kind::FLUID,
         tag::MOVING_WALL => kind::MOVING_WALL,

@@ -132,6 +132,7 @@ impl Store {
             }
             let frame = Enclosure::of(config)?;
             let mut metadata = metadata(config, recipe, &frame);
+            metadata.other.insert(CONFIGURATION.into(), config.recorded()?.into());
             let mut statistics = Statistics::default();
             for split in Split::ALL {
                 let path = &split.path(&self.folder);
@@ -204,6 +205,9 @@ pub fn read_provenance(path: &Path, group: &hdf5::Group) -> Result<Provenance, F
         wall: read_text(path, group, "wall")?,
     })
 }
+
+/// The key of the metadata with the scene's configuration, as TOML.
+pub const CONFIGURATION: &str = "configuration";
 
 /// Metadata without statistics.
 fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {

@@ -5,6 +5,7 @@
 //!   offsets_best [K]            the best one
 //!   history.offsets [E, K]      of each epoch: variables,
 //!   history.q, .loss, .gradient_norm, .seconds [E]      objective, loss, norm of its gradient, time
+//!   history.truth_q, .truth_loss, .predicted_q, .solver_steps [E]     what solver and surrogate say; NaN where nobody asked
 //!   adam.*                      what the optimiser adds, see [`Optimiser::save`]
 //! ```
 //!
@@ -13,6 +14,7 @@
 use super::optimise::{Epoch, Optimisation};
 use super::optimisers::{count, unreadable, Optimiser, Record};
 use super::parametrisations::Parametrisation;
+use super::problem::Truth;
 use crate::error::BadInput;
 use crate::io::tensor_file::{write_tensors, TensorFile};
 use crate::io::FileError;
@@ -37,6 +39,14 @@ pub fn write(path: &Path, optimisation: &Optimisation, notes: &[(&str, String)])
     record.put("history.loss", &[epochs], optimisation.column(|e| e.loss));
     record.put("history.gradient_norm", &[epochs], optimisation.column(|e| e.gradient_norm));
     record.put("history.seconds", &[epochs], optimisation.column(|e| e.seconds));
+    let truth = |of: fn(&Truth) -> f64| optimisation.column(|e| e.truth.as_ref().map_or(f64::NAN, of));
+    record.put("history.truth_q", &[epochs], truth(|truth| truth.figure));
+    record.put("history.truth_loss", &[epochs], truth(|truth| truth.loss));
+    record.put("history.predicted_q", &[epochs], optimisation.column(|e| e.predicted.unwrap_or(f64::NAN)));
+    record.put("history.solver_steps", &[epochs], optimisation.column(|e| e.solver_steps as f64));
+    if let Some(epoch) = optimisation.solver_from {
+        record.note("solver_from", epoch);
+    }
     record.note("kind", KIND);
     record.note("epochs", epochs);
     record.note("best_epoch", optimisation.best);
@@ -65,6 +75,17 @@ pub fn restore(
     let variables = file.f64("history.offsets", &[epochs, k]).map_err(unreadable)?;
     let (q, loss) = (column("history.q")?, column("history.loss")?);
     let (norm, seconds) = (column("history.gradient_norm")?, column("history.seconds")?);
+    // Earlier versions had no surrogate: what they say is the solver's.
+    let judged = file.tensors.contains_key("history.truth_q");
+    let (truth_q, truth_loss) = match judged {
+        true => (column("history.truth_q")?, column("history.truth_loss")?),
+        false => (q, loss),
+    };
+    let (predicted, steps) = match judged {
+        true => (Some(column("history.predicted_q")?), Some(column("history.solver_steps")?)),
+        false => (None, None),
+    };
+    let is_known = |e: usize| !truth_q[e].is_nan() || truth_loss[e] == f64::INFINITY;
     let history = (0..epochs)
         .map(|e| Epoch {
             variables: variables[e * k..(e + 1) * k].to_vec(),
@@ -72,11 +93,18 @@ pub fn restore(
             loss: loss[e],
             gradient_norm: norm[e],
             seconds: seconds[e],
+            truth: is_known(e).then(|| Truth { figure: truth_q[e], loss: truth_loss[e] }),
+            predicted: predicted.map(|q| q[e]).filter(|q| !q.is_nan()),
+            solver_steps: steps.map_or(0, |steps| steps[e] as usize),
         })
         .collect();
     let x = file.f64("offsets", &[k]).map_err(unreadable)?;
     parametrisation.check(x).map_err(|bad| bad.place(file.path.display().to_string()))?;
     let mut optimiser = begin(x);
     optimiser.restore(file)?;
-    Ok(Optimisation { optimiser, history, best })
+    let solver_from = match file.metadata.contains_key("solver_from") {
+        true => Some(count(file, "solver_from")?),
+        false => None,
+    };
+    Ok(Optimisation { optimiser, history, best, solver_from })
 }

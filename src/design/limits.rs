@@ -34,6 +34,13 @@ impl Limits {
         Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steepness }
     }
 
+    /// The part that is within `radius` of a point of the set, along each variable.
+    pub fn near(&self, point: &[f64], radius: f64) -> Self {
+        let lower = self.lower.iter().zip(point).map(|(lower, x)| lower.max(x - radius)).collect();
+        let upper = self.upper.iter().zip(point).map(|(upper, x)| upper.min(x + radius)).collect();
+        Self { lower, upper, steepness: self.steepness.clone() }
+    }
+
     /// Those of two walls, one behind the other.
     pub fn twice(&self) -> Self {
         let twice = |numbers: &[f64]| [numbers, numbers].concat();

@@ -64,8 +64,8 @@ impl<R> std::fmt::Debug for Problem<R> {
     }
 }
 
-/// Loss and gradient of a design.
-#[derive(Debug, Clone, PartialEq)]
+/// Loss and gradient of a design, as whoever judges it has them.
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
     /// The objective as it is reported.
     pub figure: f64,
@@ -73,12 +73,38 @@ pub struct Evaluation {
     pub loss: f64,
     /// Of the loss by the variables.
     pub gradient: Vec<f64>,
+    /// Steps that the solver made for it; one of an adjoint counts as [`ADJOINT`].
+    pub solver_steps: usize,
+    /// What the solver says, where it was asked.
+    pub truth: Option<Truth>,
+    /// The objective as a surrogate predicts it, where one was asked.
+    pub predicted: Option<f64>,
+}
+
+/// What the solver says of a design: the objective as it is reported, and the loss.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    pub figure: f64,
+    pub loss: f64,
+}
+
+/// Steps forward that a step of an adjoint counts as: what it costs.
+pub const ADJOINT: usize = 3;
+
+/// The objective of a design and its derivative.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Derivative {
+    pub value: f64,
+    /// By the variables, `[K]`.
+    pub by_variables: Vec<f64>,
+    /// See [`Evaluation::solver_steps`].
+    pub solver_steps: usize,
 }
 
 impl Evaluation {
     /// That of a design without a value: an infinite loss that leads nowhere.
     pub fn rejected(variables: usize) -> Self {
-        Self { figure: f64::NAN, loss: f64::INFINITY, gradient: vec![0.0; variables] }
+        Self { figure: f64::NAN, loss: f64::INFINITY, gradient: vec![0.0; variables], ..Self::default() }
     }
 }
 
@@ -128,7 +154,7 @@ impl<R: Sweeps> Problem<R> {
         Ok(sum)
     }
 
-    /// The objective of a design and its derivative by the variables, `[K]`.
+    /// The objective of a design and its derivative by the variables.
     ///
     /// # Errors
     /// [`Error::Diverged`] for a run that can not go on, and for a gradient that is not finite; others.
@@ -137,7 +163,7 @@ impl<R: Sweeps> Problem<R> {
         variables: &[f64],
         schedule: &Schedule,
         progress: Progress<'_>,
-    ) -> Result<(f64, Vec<f64>), Error> {
+    ) -> Result<Derivative, Error> {
         if self.is_steady {
             return self.differentiate_steady(variables, progress);
         }
@@ -151,7 +177,8 @@ impl<R: Sweeps> Problem<R> {
         })?;
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
-        Ok((found.value, by_variables))
+        let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
+        Ok(Derivative { value: found.value, by_variables, solver_steps })
     }
 
     /// The objective at the steady state of fixed particles, where nothing changes by more than `tolerance` per time.
@@ -159,17 +186,23 @@ impl<R: Sweeps> Problem<R> {
     /// # Errors
     /// As for [`Self::differentiate`].
     pub fn evaluate_steady(&self, variables: &[f64], tolerance: f64) -> Result<f64, Error> {
-        let (fixed, state) = self.settled(variables, tolerance)?;
+        Ok(self.evaluate_settled(variables, tolerance)?.0)
+    }
+
+    /// The same, and the steps that it took.
+    fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
+        let (fixed, state, steps) = self.settled(variables, tolerance)?;
         let value = || -> candle_core::Result<f64> {
             let shape = (self.model.layout.state_rows(), self.model.particles());
             let state = Tensor::from_slice(&state, shape, &Device::Cpu)?;
             value(&*self.objective, &self.dynamics().fields_of_fixed(fixed, &state)?)
         };
-        value().map_err(|error| Error::run(error.to_string(), "report this"))
+        let value = value().map_err(|error| Error::run(error.to_string(), "report this"))?;
+        Ok((value, steps))
     }
 
-    /// The steady state that a design's run would come to.
-    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&Fixed<R>, Vec<R>), Error> {
+    /// The steady state that a design's run would come to, and the steps that it took.
+    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&Fixed<R>, Vec<R>, usize), Error> {
         let Some(fixed) = &self.model.fixed else {
             return Err(Error::run("there is no steady state of particles that move", "fluid.motion=fixed"));
         };
@@ -180,14 +213,14 @@ impl<R: Sweeps> Problem<R> {
             let what = format!("the flow is not steady after {steps} steps: it changes by {residual:.1e} per time");
             return Err(Error::diverged(what, UNSTEADY));
         }
-        Ok((fixed, state))
+        Ok((fixed, state, steps))
     }
 
     /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
     /// length of the run.
-    fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
+    fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         let tolerance = if R::DTYPE == DType::F32 { STEADY_SINGLE } else { STEADY };
-        let (fixed, state) = self.settled(variables, tolerance)?;
+        let (fixed, state, steps) = self.settled(variables, tolerance)?;
         progress(0.5);
         let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
@@ -219,7 +252,7 @@ impl<R: Sweeps> Problem<R> {
         let by_variables = self.by_variables(variables, &bar);
         check_gradient(&by_variables)?;
         progress(1.0);
-        Ok((value, by_variables))
+        Ok(Derivative { value, by_variables, solver_steps: steps + ADJOINT * found.steps })
     }
 
     /// The derivative by the variables from that by the state at the schedule's first step.
@@ -252,11 +285,45 @@ impl<R: Sweeps> Problem<R> {
         schedule: &Schedule,
         progress: Progress<'_>,
     ) -> Result<Evaluation, Error> {
-        let (value, by_variables) = self.differentiate(variables, schedule, progress)?;
+        let found = self.evaluation(variables, &self.differentiate(variables, schedule, progress)?);
+        Ok(Evaluation { truth: Some(Truth { figure: found.figure, loss: found.loss }), ..found })
+    }
+
+    /// What the solver says of a design, without a gradient, and the steps that it took.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] for a run that can not go on.
+    pub fn truth(&self, variables: &[f64]) -> Result<(Truth, usize), Error> {
+        let (value, steps) = match self.is_steady {
+            true => {
+                let tolerance = if R::DTYPE == DType::F32 { STEADY_SINGLE } else { STEADY };
+                self.evaluate_settled(variables, tolerance)?
+            }
+            false => {
+                let found = self.evaluate(variables).map_err(|error| match error.downcast::<RunError>() {
+                    Ok(error) if error.is_divergence() => Error::diverged(error.to_string(), self.model.remedy()),
+                    Ok(error) => Error::run(error.to_string(), self.model.remedy()),
+                    Err(error) => Error::run(error.to_string(), "report this"),
+                });
+                (found?, self.steps)
+            }
+        };
+        let (penalty, _) = self.parametrisation.penalty(self.smoothing, variables);
+        Ok((Truth { figure: value * self.figure.factor, loss: penalty - value }, steps))
+    }
+
+    /// The loss of a design with this objective.
+    pub fn evaluation(&self, variables: &[f64], found: &Derivative) -> Evaluation {
         // The objective enters the loss with a minus: more is better.
         let (penalty, penalty_gradient) = self.parametrisation.penalty(self.smoothing, variables);
-        let gradient = by_variables.iter().zip(penalty_gradient).map(|(v, p)| p - v).collect();
-        Ok(Evaluation { figure: value * self.figure.factor, loss: penalty - value, gradient })
+        let gradient = found.by_variables.iter().zip(penalty_gradient).map(|(v, p)| p - v).collect();
+        Evaluation {
+            figure: found.value * self.figure.factor,
+            loss: penalty - found.value,
+            gradient,
+            solver_steps: found.solver_steps,
+            ..Evaluation::default()
+        }
     }
 
     /// What keeping a state and taping a step cost, from the first neighbour list over a flat wall.
@@ -334,7 +401,7 @@ fn rounded_up(bytes: usize) -> String {
 }
 
 /// Every design variable must have received a finite gradient.
-fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
+pub fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
     if let Some(k) = gradient.iter().position(|g| !g.is_finite()) {
         return Err(Error::diverged(
             format!("the gradient by design variable {k} is {}", gradient[k]),

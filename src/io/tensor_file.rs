@@ -131,15 +131,23 @@ impl TensorFile {
     /// The file is missing, cut short, damaged, or has tensors of types other than F64, F32, U64, I64, I32.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
+        Self::parse(path, &bytes)
+    }
+
+    /// The contents of a file, which messages call `path`.
+    ///
+    /// # Errors
+    /// As for [`Self::read`].
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, FileError> {
         let damaged = |error: safetensors::SafeTensorError| FileError::Damaged {
             path: path.to_owned(),
             format: FORMAT,
             what: format!("{error} ({} bytes)", bytes.len()),
             hint: HINT_FILE,
         };
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(damaged)?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
         let metadata = header.metadata().clone().unwrap_or_default();
-        let file = SafeTensors::deserialize(&bytes).map_err(damaged)?;
+        let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
         let mut tensors = Tensors::new();
         for (name, view) in file.iter() {
             let data = match view.dtype() {

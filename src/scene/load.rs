@@ -190,7 +190,8 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     let text = std::fs::read_to_string(path).map_err(|error| unreadable(name, path, &error))?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let layer = Layer::from_text::<Config>(name, &text)?
-        .change("design.file", |file| folder.join(file).to_string_lossy().into());
+        .change("design.file", |file| folder.join(file).to_string_lossy().into())
+        .change("surrogate.model", |file| folder.join(file).to_string_lossy().into());
     let family = layer.string("scene").unwrap_or(SCENES[0].name);
     // The file was read as a Config, so its family exists.
     let scene = builtin::scene(family).expect("every scene family has a built-in scene");
@@ -241,6 +242,14 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
                 merged.set("design.top_offsets", array(top.offsets), &file);
                 merged.set("design.walls", Value::from("both"), &file);
             }
+            config = merged.read();
+        }
+    }
+    // A run's configuration is read from another folder than it was given in.
+    if let Some(model) = config.surrogate.model.clone().filter(|model| Path::new(model).is_relative()) {
+        let place = merged.places().get("surrogate.model").cloned().unwrap_or_default();
+        if let Ok(absolute) = std::path::absolute(&model) {
+            merged.set("surrogate.model", Value::from(absolute.to_string_lossy().into_owned()), &place);
             config = merged.read();
         }
     }

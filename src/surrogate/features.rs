@@ -3,8 +3,8 @@
 //! Node features in this order (reference: LagrangeBench, Toshev et al. 2023; ours after them):
 //! W - 1 velocities (v - mean)/s_v, oldest first; their norms if asked for; clip([p - lo, hi - p]/r_c, -1, 1) of the
 //! directions that are not periodic; the external force if any; with heat: W - 1 temperature changes (normalised), the
-//! temperature (normalised), the set temperature of a wall (normalised, 0 where none is set) and whether one is set, and
-//! the clipped distances to inlet and outlet. The embedding of the particle's type follows in the model.
+//! temperature (normalised), both 0 for walls that no temperature is set for unless `unset_walls`, the set temperature of a
+//! wall (normalised, 0 where none is set) and whether one is set, and the clipped distances to inlet and outlet. The embedding of the particle's type follows in the model.
 //! Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it is 0).
 //! s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
@@ -160,10 +160,15 @@ impl Features {
         };
         let temperature = &window.temperature[window.temperature.len() - self.frames..];
         let mut columns = Vec::new();
+        let set = |i: usize| scenery.wall_temperature.is_some_and(|wall| wall[i].is_finite());
+        let seen = |i: usize| self.unset_walls || set(i) || !kind::is_kinematic(scenery.kind[i]);
+        let seen: Vec<f64> = (0..scenery.kind.len()).map(|i| if seen(i) { 1.0 } else { 0.0 }).collect();
+        let seen = Tensor::from_vec(seen, (scenery.kind.len(), 1), &Device::Cpu)?;
         for pair in temperature.windows(2) {
-            columns.push(((&pair[1] - &pair[0])?.affine(1.0 / c_scale, -c_mean / c_scale)?).unsqueeze(1)?);
+            columns.push((&pair[1] - &pair[0])?.affine(1.0 / c_scale, -c_mean / c_scale)?.unsqueeze(1)?.mul(&seen)?);
         }
-        columns.push(temperature[self.frames - 1].affine(1.0 / t_scale, -t_mean / t_scale)?.unsqueeze(1)?);
+        let now = temperature[self.frames - 1].affine(1.0 / t_scale, -t_mean / t_scale)?;
+        columns.push(now.unsqueeze(1)?.mul(&seen)?);
         let (mut set, mut is_set) = (vec![0.0; scenery.kind.len()], vec![0.0; scenery.kind.len()]);
         for (i, &t) in scenery.wall_temperature.unwrap_or_default().iter().enumerate() {
             if t.is_finite() {

@@ -22,9 +22,11 @@
 
 pub mod adam;
 pub mod l_bfgs_b;
+pub mod trust_region;
 
 pub use adam::Adam;
 pub use l_bfgs_b::LBfgsB;
+pub use trust_region::TrustRegion;
 
 use super::limits::Limits;
 use crate::config::scene::{Optimise, OptimiserName};
@@ -59,6 +61,16 @@ pub trait Optimiser: std::fmt::Debug + Send {
     /// Whether there is nothing left to evaluate: the last point can not be improved, as far as rounding can tell.
     fn is_done(&self) -> bool {
         false
+    }
+
+    /// The fall of the value that is expected of the point that is asked for, if the optimiser has a model that says so.
+    fn promise(&self) -> Option<f64> {
+        None
+    }
+
+    /// Itself, if it is one that asks a model where to go.
+    fn trust_region(&mut self) -> Option<&mut TrustRegion> {
+        None
     }
 
     /// Adds everything to `record` that the next [`Self::ask`]s depend on, but for the point of the next one.

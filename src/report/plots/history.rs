@@ -16,6 +16,8 @@ pub struct HistoryPoint {
     pub loss: f64,
     /// Euclidean norm of d loss / d parameters.
     pub gradient_norm: f64,
+    /// The solver's Q, where a surrogate's is shown and the solver was asked.
+    pub truth: f64,
 }
 
 /// Two panels: Q per epoch (with a dashed reference, if given by name and value), below it the loss (left axis) and
@@ -41,7 +43,8 @@ pub fn history(
     let epoch_axis = || Axis::whole_numbers(epochs.iter().map(number));
 
     let reference = q_reference.map(|(_, value)| value);
-    let q_axis = Axis::around(values(&q).into_iter().chain(reference));
+    let truth: Vec<Point> = series(|p| p.truth).into_iter().filter(|point| point.1.is_finite()).collect();
+    let q_axis = Axis::around(values(&q).into_iter().chain(reference).chain(values(&truth)));
     let loss_axis = Axis::around(values(&loss));
     let gradient_axis = Axis::around_log(values(&gradient));
     let (left, width) = (q_axis.margin().max(loss_axis.margin()), 840.0);
@@ -58,6 +61,10 @@ pub fn history(
         entries.push(Entry { text: name.to_owned(), color: colors::series(1), sample: Sample::Dashed });
     }
     curve(&mut drawing, &upper, &q, 0);
+    if !truth.is_empty() {
+        curve(&mut drawing, &upper, &truth, 2);
+        entries.push(Entry { text: "the solver's".to_owned(), color: colors::series(2), sample: Sample::Marked(2) });
+    }
     legend_row(&mut drawing, (left, 34.0), &entries);
 
     lower.draw(&mut drawing, "epoch", "loss", colors::series(0));

@@ -52,6 +52,27 @@ pub fn load_predictor(path: &Path, metadata: &Metadata, kernels: Kernels) -> any
     Ok(Box::new(Learned::new(name, setup, Arc::from(network))))
 }
 
+/// The model that comes with the program.
+const BUILT_IN: &[u8] = include_bytes!("../../../models/heated-channel/model.safetensors");
+/// What messages call it.
+pub const BUILT_IN_NAME: &str = "models/heated-channel/model.safetensors";
+
+/// A model of ours, from a file or the built-in one, to compute in `dtype`.
+///
+/// # Errors
+/// [`BadInput`] if the file can not be read, is damaged, or holds no model of ours.
+pub fn load_learned(path: Option<&Path>, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
+    let header = match path {
+        Some(path) => checkpoint::read(path)?,
+        None => checkpoint::of_file(TensorFile::parse(Path::new(BUILT_IN_NAME), BUILT_IN)?)?,
+    };
+    let network = header.setup.network(kernels, 0, dtype)?;
+    header.load_into(&*network, true)?;
+    let name =
+        path.and_then(Path::file_stem).map_or("heated-channel".into(), |stem| stem.to_string_lossy().into_owned());
+    Ok(Learned::new(name, header.setup, Arc::from(network)))
+}
+
 /// The setup of LagrangeBench's weights, from the shapes of its tensors.
 fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
     let side = |name: &str, k: usize| -> Result<usize, String> {
@@ -65,7 +86,7 @@ fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
     let node_features = side("param.enc.node.0.weight", 0)?.saturating_sub(embedding);
     let choices = [(false, false), (false, true), (true, false), (true, true)];
     let features = choices
-        .map(|(speed, boundary)| Features { frames: crate::surrogate::evaluation::rollout::HISTORY, speed, boundary })
+        .map(|(speed, boundary)| Features { speed, boundary, ..Features::default() })
         .into_iter()
         .find(|features| features.count(metadata, false, 0) == node_features)
         .ok_or_else(|| format!("{node_features} node features do not belong to these data"))?;
@@ -91,5 +112,6 @@ fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
         periodic: metadata.periodic()[..metadata.dim].to_vec(),
         spacing: None,
         frame_time: None,
+        data: None,
     })
 }

@@ -25,6 +25,9 @@ pub struct Setup {
     pub spacing: Option<f64>,
     #[serde(rename = "frame", default, skip_serializing_if = "Option::is_none")]
     pub frame_time: Option<f64>,
+    /// What the data were that the model was trained on; unknown of foreign models and of those before 0.2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data: Option<Metadata>,
 }
 
 impl Setup {
@@ -66,6 +69,7 @@ impl Setup {
             periodic: metadata.periodic()[..metadata.dim].to_vec(),
             spacing: Some(metadata.dx),
             frame_time: Some(metadata.dt * metadata.write_every as f64),
+            data: Some(metadata.clone()),
         })
     }
 

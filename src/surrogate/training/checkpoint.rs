@@ -89,7 +89,16 @@ pub struct Header {
 /// [`BadInput`]: the file is missing, damaged, or no checkpoint of a training.
 pub fn read(path: &Path) -> Result<Header, BadInput> {
     let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
-    let file = TensorFile::read(path).map_err(|error| bad(error.to_string()))?;
+    of_file(TensorFile::read(path).map_err(|error| bad(error.to_string()))?)
+}
+
+/// What a file says that is a checkpoint of ours.
+///
+/// # Errors
+/// As for [`read`].
+pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
+    let path = file.path.clone();
+    let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
     let text = |key: &str| file.text(key).map_err(|error| bad(format!("not a model of hydrograd: {error}")));
     if text("format")? != FORMAT {
         return Err(bad(format!("its format is `{}`, not `{FORMAT}`", text("format")?)));
@@ -97,7 +106,10 @@ pub fn read(path: &Path) -> Result<Header, BadInput> {
     let number = |key: &str| -> Result<f64, BadInput> {
         text(key)?.parse().map_err(|_| bad(format!("its `{key}` is not a number")))
     };
-    let setup = serde_json::from_str(text("setup")?).map_err(|error| bad(format!("its `setup`: {error}")))?;
+    let mut setup: Setup =
+        serde_json::from_str(text("setup")?).map_err(|error| bad(format!("its `setup`: {error}")))?;
+    // Models that say nothing of their data are from before there was a choice.
+    setup.features.unset_walls |= setup.data.is_none();
     let settings = toml::from_str(text("settings")?).map_err(|error| bad(format!("its `settings`: {error}")))?;
     let (step, seconds, best) = (number("step")? as u64, number("seconds")?, number("best")?);
     Ok(Header { setup, settings, step, seconds, best, file })

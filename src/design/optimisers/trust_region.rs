@@ -1,0 +1,244 @@
+//! A trust region for a function that is costly, with a cheap model of it that is not quite right.
+//!
+//! At the best point c so far the model m is corrected so that its value and its gradient are the function's (first-order
+//! consistency: Alexandrov, Dennis, Lewis and Torczon 1998, "A trust-region framework for managing the use of approximation
+//! models in optimization"):
+//!
+//! ```text
+//!   m_c(x) = m(x) + f(c) - m(c) + (f'(c) - m'(c)) . (x - c)
+//! ```
+//!
+//! An inner optimiser lowers m_c within |x_k - c_k| <= radius and the limits; the function is evaluated where that ends, and
+//!
+//! ```text
+//!   ratio = (f(c) - f(x)) / (m_c(c) - m_c(x))
+//! ```
+//!
+//! says how much of the fall that was predicted came true. The point is accepted where the ratio is at least 0.1; the radius is
+//! halved where it is below 0.25 and doubled where it is above 0.75 (Conn, Gould and Toint 2000, algorithm 6.1.1).
+//!
+//! What it asks for is proposed by [`TrustRegion::propose`], which needs the model; [`super::Optimiser::tell`] takes the function's.
+
+use super::{numbers, LBfgsB, Optimiser, Record};
+use crate::design::limits::Limits;
+use crate::design::problem::Evaluation;
+use crate::error::{BadInput, Error};
+use crate::io::tensor_file::TensorFile;
+
+/// The ratio from which on a point is accepted, and those between which the radius stays.
+const ACCEPTED: f64 = 0.1;
+const POOR: f64 = 0.25;
+const GOOD: f64 = 0.75;
+/// The radius, as a share of the first one, that is too small to go on with.
+const SMALLEST: f64 = 1e-3;
+/// What a step must promise, as a share of the value, to be worth an evaluation.
+const WORTH: f64 = 1e-6;
+
+/// See the module.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrustRegion {
+    /// The most that a variable moves in the first step.
+    pub first_radius: f64,
+    /// Evaluations of the model per step.
+    pub inner: usize,
+    radius: f64,
+    /// The best point, with the function's value and gradient; no value before the first evaluation.
+    centre: Vec<f64>,
+    value: f64,
+    gradient: Vec<f64>,
+    trial: Vec<f64>,
+    /// What the corrected model says of the trial; NaN where there is no trial.
+    expected: f64,
+    done: bool,
+}
+
+impl TrustRegion {
+    /// Begins at `x`, which is within the limits.
+    pub fn new(first_radius: f64, inner: usize, x: &[f64]) -> Self {
+        Self {
+            first_radius,
+            inner,
+            radius: first_radius,
+            centre: x.to_vec(),
+            value: f64::NAN,
+            gradient: vec![0.0; x.len()],
+            trial: x.to_vec(),
+            expected: f64::NAN,
+            done: false,
+        }
+    }
+
+    /// How far a variable may move from the best point now.
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    /// Finds the point to ask for, with `model`'s loss and gradient. Does nothing before the first evaluation, and where a
+    /// point waits to be evaluated.
+    ///
+    /// # Errors
+    /// Those of `model`; where it diverges it has no value, but at the best point it must have one.
+    pub fn propose(
+        &mut self,
+        limits: &Limits,
+        mut model: impl FnMut(&[f64]) -> Result<Evaluation, Error>,
+    ) -> Result<(), Error> {
+        if self.done || self.value.is_nan() || self.expected.is_finite() {
+            return Ok(());
+        }
+        let here = model(&self.centre)?;
+        let slope: Vec<f64> = self.gradient.iter().zip(&here.gradient).map(|(f, m)| f - m).collect();
+        while self.radius >= SMALLEST * self.first_radius {
+            let near = limits.near(&self.centre, self.radius);
+            let mut inner = LBfgsB::new(self.radius, &self.centre);
+            let (mut best, mut least) = (self.centre.clone(), self.value);
+            for evaluation in 0..self.inner.max(2) {
+                if inner.is_done() {
+                    break;
+                }
+                let x = inner.ask().to_vec();
+                let found = match evaluation {
+                    0 => Ok(here.clone()),
+                    _ => model(&x),
+                };
+                let found = match found {
+                    Err(Error::Diverged { .. }) => Evaluation::rejected(x.len()),
+                    found => found?,
+                };
+                let along: f64 = slope.iter().zip(x.iter().zip(&self.centre)).map(|(s, (x, c))| s * (x - c)).sum();
+                let value = found.loss + self.value - here.loss + along;
+                let gradient: Vec<f64> = found.gradient.iter().zip(&slope).map(|(g, s)| g + s).collect();
+                if value < least {
+                    (best, least) = (x, value);
+                }
+                inner.tell(&near, value, &gradient);
+            }
+            if self.value - least > WORTH * self.value.abs() {
+                (self.trial, self.expected) = (best, least);
+                return Ok(());
+            }
+            self.radius *= 0.25;
+        }
+        self.done = true;
+        self.trial.clone_from(&self.centre);
+        Ok(())
+    }
+}
+
+impl Optimiser for TrustRegion {
+    fn name(&self) -> &str {
+        "trust region"
+    }
+
+    fn ask(&self) -> &[f64] {
+        &self.trial
+    }
+
+    fn tell(&mut self, _: &Limits, value: f64, gradient: &[f64]) {
+        let has_value = value.is_finite() && gradient.iter().all(|g| g.is_finite());
+        if self.value.is_nan() {
+            (self.value, self.gradient) = (value, gradient.to_vec());
+            self.done = !has_value;
+            return;
+        }
+        let ratio = if has_value { (self.value - value) / (self.value - self.expected) } else { f64::NEG_INFINITY };
+        let step = self.trial.iter().zip(&self.centre).map(|(x, c)| (x - c).abs()).fold(0.0, f64::max);
+        if ratio < POOR {
+            self.radius = 0.5 * self.radius.min(step);
+        } else if ratio > GOOD && step > 0.9 * self.radius {
+            self.radius *= 2.0;
+        }
+        if ratio >= ACCEPTED {
+            self.centre.clone_from(&self.trial);
+            (self.value, self.gradient) = (value, gradient.to_vec());
+        }
+        self.expected = f64::NAN;
+        self.done = self.radius < SMALLEST * self.first_radius;
+        self.trial.clone_from(&self.centre);
+    }
+
+    fn is_done(&self) -> bool {
+        self.done
+    }
+
+    fn save(&self, record: &mut Record) {
+        let k = self.centre.len();
+        record.put("trust_region.centre", &[k], self.centre.clone());
+        record.put("trust_region.gradient", &[k], self.gradient.clone());
+        record.put("trust_region.numbers", &[2], vec![self.value, self.radius]);
+        record.note("trust_region.done", self.done);
+    }
+
+    fn restore(&mut self, file: &TensorFile) -> Result<(), BadInput> {
+        let k = self.centre.len();
+        self.centre = numbers(file, "trust_region.centre", &[k])?;
+        self.gradient = numbers(file, "trust_region.gradient", &[k])?;
+        let found = numbers(file, "trust_region.numbers", &[2])?;
+        (self.value, self.radius) = (found[0], found[1]);
+        self.done = file.metadata.get("trust_region.done").is_some_and(|text| text == "true");
+        (self.trial, self.expected) = (self.centre.clone(), f64::NAN);
+        Ok(())
+    }
+
+    fn promise(&self) -> Option<f64> {
+        Some(self.value - self.expected).filter(|fall| fall.is_finite())
+    }
+
+    fn trust_region(&mut self) -> Option<&mut TrustRegion> {
+        Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// f(x) = sum (x - a)^2 + 0.3 sin(3 x), and a model that has half the curvature and another minimum.
+    fn function(x: &[f64]) -> Evaluation {
+        let term = |x: f64, a: f64| (x - a).powi(2) + 0.3 * (3.0 * x).sin();
+        let slope = |x: f64, a: f64| 2.0 * (x - a) + 0.9 * (3.0 * x).cos();
+        let loss = term(x[0], 0.4) + term(x[1], -0.2);
+        Evaluation { figure: -loss, loss, gradient: vec![slope(x[0], 0.4), slope(x[1], -0.2)], ..Default::default() }
+    }
+
+    fn model(x: &[f64]) -> Evaluation {
+        let loss = 0.5 * ((x[0] - 1.0).powi(2) + (x[1] - 0.5).powi(2));
+        Evaluation { figure: -loss, loss, gradient: vec![x[0] - 1.0, x[1] - 0.5], ..Default::default() }
+    }
+
+    #[test]
+    fn finds_the_function_s_minimum_with_a_wrong_model() {
+        let limits = Limits::within(vec![-1.0, -1.0], vec![1.0, 1.0]);
+        let mut region = TrustRegion::new(0.3, 20, &[0.9, 0.9]);
+        let mut evaluations = 0;
+        for _ in 0..60 {
+            region.propose(&limits, |x| Ok(model(x))).unwrap();
+            if region.is_done() {
+                break;
+            }
+            let found = function(region.ask());
+            evaluations += 1;
+            region.tell(&limits, found.loss, &found.gradient);
+        }
+        let found = function(&region.centre);
+        let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        assert!(norm < 2e-3, "{evaluations} evaluations: {region:?}");
+    }
+
+    #[test]
+    fn shrinks_where_prediction_and_truth_part() {
+        let limits = Limits::within(vec![-1.0, -1.0], vec![1.0, 1.0]);
+        let mut region = TrustRegion::new(0.3, 20, &[0.9, 0.9]);
+        region.tell(&limits, 1.0, &[1.0, 0.0]);
+        region.propose(&limits, |x| Ok(model(x))).unwrap();
+        let asked = region.ask().to_vec();
+        assert!(asked[0] < 0.9 && region.promise().unwrap() > 0.0);
+        let step = (0.9 - asked[0]).abs().max((0.9 - asked[1]).abs());
+        region.tell(&limits, 2.0, &[1.0, 0.0]);
+        assert!(region.ask() == [0.9, 0.9] && (region.radius() - 0.5 * step).abs() < 1e-12);
+        // A point without a value is worth nothing.
+        region.propose(&limits, |x| Ok(model(x))).unwrap();
+        region.tell(&limits, f64::INFINITY, &[0.0, 0.0]);
+        assert!(region.radius() < 0.5 * step && region.value == 1.0);
+    }
+}

@@ -1,0 +1,341 @@
+//! A design judged by a surrogate: the solver runs until the flow has adapted to the wall, a learned model predicts the rest.
+//!
+//! ```text
+//!   variables --deformation--> first state --solver--> W frames --model, frame by frame--> fields --objective--> value
+//! ```
+//!
+//! The wall is known to the model by its particles, which stand in every frame. The gradient by the variables has two parts:
+//! through the wall's particles in the frames that the model sees and the fields that the objective sees, and through the solver
+//! that made the first frames ([`FirstFrames::Differentiable`]; without it the fluid's first frames are taken for given). Each
+//! part is a [`gradient`] of its own, with a schedule that keeps within the memory that is allowed.
+
+use crate::adjoint::dynamics::{Dynamics, Fields, Objective};
+use crate::adjoint::gradient::{gradient, value, Progress};
+use crate::adjoint::run::run;
+use crate::adjoint::schedule::Schedule;
+use crate::adjoint::RunError;
+use crate::config::difference::differences;
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, DesignWalls, FirstFrames, GradientMode, Optimise};
+use crate::config::training::HeatModel;
+use crate::dataset::recipe::Recipe;
+use crate::dataset::record::kind_of;
+use crate::dataset::store::CONFIGURATION;
+use crate::dataset::Metadata;
+use crate::design::objectives::{self, Samples};
+use crate::design::problem::{check_gradient, Derivative, Evaluation, ADJOINT};
+use crate::design::Problem;
+use crate::error::{BadInput, Error};
+use crate::particles::tag;
+use crate::scene::load::Loaded;
+use crate::scene::Scene;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
+use crate::surrogate::dynamics::{Begin, LearnedFlow, PAIRS};
+use crate::surrogate::models::learned::Learned;
+use candle_core::{Device, Tensor};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// A wall to shape, judged by a learned model.
+pub struct SurrogateProblem<R> {
+    /// The solver's part: it ends with the last frame that the model is given.
+    pub problem: Problem<R>,
+    pub flow: LearnedFlow<R>,
+    /// Of the predicted frames.
+    pub objective: Arc<dyn Objective + Send>,
+    /// Frames to predict.
+    pub steps: usize,
+    /// Steps of the solver that the given frames stand behind.
+    pub looks: Vec<usize>,
+    pub first_frames: FirstFrames,
+    solver_schedule: Schedule,
+    model_schedule: Schedule,
+}
+
+/// What may differ between a scene and that of a model's data: where it does not change the flow.
+const FREE: [&str; 7] = ["design", "optimise", "surrogate", "objective", "output", "run", "time"];
+
+impl<R: Sweeps> SurrogateProblem<R> {
+    /// # Errors
+    /// A model that can not be optimised with, or of another flow; a schedule that does not fit into `optimise.memory`.
+    pub fn new(loaded: &Loaded, model: Learned) -> Result<Self, Error> {
+        let config = &loaded.config;
+        let metadata = known_data(config, &model)?.clone();
+        let wanted = &config.surrogate;
+        let frames = model.setup.features.frames;
+        let recipe = Recipe { every: metadata.write_every, skip: wanted.settle, frames, ..Recipe::of(config.scene) };
+        let pace = recipe.pace(config);
+        // The time step that the data were made with, and a run that ends with the last frame to be given.
+        let cfl = pace.dt / config.time_step_limits().acoustic * config.time.cfl;
+        let set = |key: &str, value: String| Setting::option("the surrogate's first frames", key, value);
+        let settings = [
+            set("time.cfl", format!("{cfl:?}")),
+            set("time.steps", pace.total.to_string()),
+            set("objective.window", "0.0".into()),
+            set("objective.samples", "1".into()),
+        ];
+        let own = loaded.with(&settings)?;
+        let scene = Scene::<R>::from_config(&own.config)?;
+        let Some(problem) = scene.design else {
+            return Err(Error::run("a scene with a design has none", "report this"));
+        };
+        let flow = flow(config, model, metadata, &problem, pace.dt * pace.total as f64)?;
+        let time = flow.frame_time();
+        let window = ((config.objective.window / time).round() as usize).clamp(1, wanted.steps);
+        let samples = Samples::window(wanted.steps, window, config.objective.samples);
+        let objective = objectives::of_config(config, problem.outlet.clone(), samples);
+        let schedule = |steps: usize, costs| schedule(&config.optimise, steps, costs);
+        let model_schedule = schedule(wanted.steps, flow.costs(PAIRS * flow.kept.len()))?;
+        let solver_schedule = schedule(pace.total, problem.costs()?)?;
+        let looks = (0..frames).map(|frame| pace.skip + frame * pace.every).collect();
+        let (steps, first_frames) = (wanted.steps, wanted.first_frames);
+        Ok(Self { problem, flow, objective, steps, looks, first_frames, solver_schedule, model_schedule })
+    }
+
+    /// Steps of the solver that the frames take, without their gradient.
+    pub fn solver_steps(&self) -> usize {
+        self.problem.steps
+    }
+
+    /// The time that the last predicted frame is at.
+    pub fn end(&self) -> f64 {
+        self.flow.begin + self.steps as f64 * self.flow.frame_time()
+    }
+
+    /// The model's first state over a design's wall: the frames that the solver makes.
+    ///
+    /// # Errors
+    /// A run that can not go on.
+    pub fn begin(&self, variables: &[f64]) -> anyhow::Result<Begin> {
+        let start = self.problem.start(variables);
+        let first: Vec<f64> = start.state.iter().map(|x| x.f64()).collect();
+        let (model, mut frames) = (&self.problem.model, Vec::new());
+        let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
+        // What the data say of walls: their set temperature, and of others nothing that is looked at.
+        let mut walls = vec![reference; model.particles()];
+        for (&i, &set) in self.flow.kept.iter().zip(&self.flow.wall_temperature) {
+            if set.is_finite() {
+                walls[i as usize] = f64::from(set);
+            }
+        }
+        let mut keep = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
+            if self.looks.contains(&solver.step) {
+                let fields = dynamics.look(solver)?;
+                let warmth = fields.temperature.as_ref().map(|t| t.flatten_all()?.to_vec1::<R>()).transpose()?;
+                let warmth = warmth.unwrap_or_default();
+                let own = |(i, t): (usize, &R)| if model.is_fluid(i) { t.f64() + reference } else { walls[i] };
+                let state = solver.state.iter().map(|x| x.f64()).collect();
+                frames.push((state, warmth.iter().enumerate().map(own).collect()));
+            }
+            Ok(())
+        };
+        run(&self.problem.dynamics(), &start, self.problem.steps, &mut [&mut keep])?;
+        Ok(Begin { state: self.flow.state(&frames, &first)? })
+    }
+
+    /// The objective that is predicted for a design.
+    ///
+    /// # Errors
+    /// A run that can not go on, of the solver or of the model.
+    pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
+        let mut sum = 0.0;
+        let mut measure = |flow: &LearnedFlow<R>, at: &mut _| -> anyhow::Result<()> {
+            if let Some(weight) = self.objective.weight(flow.step(at)) {
+                let fields = flow.look(at)?;
+                sum += weight * value(&*self.objective, &fields).map_err(RunError::tensor(flow.step(at)))?;
+            }
+            Ok(())
+        };
+        run(&self.flow, &self.begin(variables)?, self.steps, &mut [&mut measure])?;
+        Ok(sum)
+    }
+
+    /// The loss of a design as the model has it, and its derivative by the variables.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] for a run that can not go on, and for a gradient that is not finite; others.
+    pub fn gradient(&self, variables: &[f64], progress: Progress<'_>) -> Result<Evaluation, Error> {
+        let found = self.problem.evaluation(variables, &self.differentiate(variables, progress)?);
+        Ok(Evaluation { predicted: Some(found.figure), ..found })
+    }
+
+    /// The predicted objective of a design and its derivative by the variables.
+    ///
+    /// # Errors
+    /// As for [`Self::gradient`].
+    pub fn differentiate(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
+        let advice = "a gentler wall (a smaller design.amplitude or design.bound), or fewer surrogate.steps";
+        let failed = |error: RunError| match error.is_divergence() {
+            true => Error::diverged(error.to_string(), advice),
+            false => Error::run(error.to_string(), advice),
+        };
+        let begin = self.begin(variables).map_err(|error| match error.downcast::<RunError>() {
+            Ok(error) => failed(error),
+            Err(error) => Error::run(error.to_string(), "report this"),
+        })?;
+        let mut own = |share: f64| progress(0.2 + 0.6 * share);
+        let found = gradient(&self.flow, &begin, &self.model_schedule, &*self.objective, &mut own).map_err(&failed)?;
+        let mut steps = self.problem.steps;
+        let rows = || -> candle_core::Result<Vec<Vec<f64>>> { found.state.to_vec2::<f64>() };
+        let rows = rows().map_err(|error| Error::run(error.to_string(), "report this"))?;
+        let n = self.problem.model.particles();
+        let is_wall = |i: usize| !self.problem.model.is_fluid(i);
+        let mut bar: Vec<f64> = rows[self.flow.solver_row()..].concat();
+        let (mut frames, dimension) = (BTreeMap::new(), self.flow.metadata.dim);
+        for (frame, &step) in self.looks.iter().enumerate() {
+            let (place, warmth) = self.flow.rows(frame);
+            for (k, row) in rows[place..place + dimension].iter().enumerate() {
+                (0..n).filter(|&i| is_wall(i)).for_each(|i| bar[k * n + i] += row[i]);
+            }
+            let mut taken: Vec<Vec<f64>> = rows[place..place + dimension].to_vec();
+            taken.push(rows[warmth].clone());
+            taken.iter_mut().for_each(|row| (0..n).filter(|&i| is_wall(i)).for_each(|i| row[i] = 0.0));
+            frames.insert(step, taken);
+        }
+        if self.first_frames == FirstFrames::Differentiable {
+            let objective = GivenCotangents { frames };
+            let start = self.problem.start(variables);
+            let mut own = |share: f64| progress(0.8 + 0.2 * share);
+            let dynamics = self.problem.dynamics();
+            let found = gradient(&dynamics, &start, &self.solver_schedule, &objective, &mut own).map_err(&failed)?;
+            steps += found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
+            let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>());
+            let state = state.map_err(|error| Error::run(error.to_string(), "report this"))?;
+            bar.iter_mut().zip(&state).for_each(|(bar, more)| *bar += more.f64());
+        }
+        let bar: Vec<R> = bar.into_iter().map(R::of).collect();
+        let by_variables = self.problem.by_variables(variables, &bar);
+        check_gradient(&by_variables)?;
+        progress(1.0);
+        Ok(Derivative { value: found.value, by_variables, solver_steps: steps })
+    }
+}
+
+/// What the frames' cotangents make of a run: sum over frames, particles and components of cotangent times value.
+struct GivenCotangents {
+    /// By step: positions `[D][N]`, temperatures `[N]`.
+    frames: BTreeMap<usize, Vec<Vec<f64>>>,
+}
+
+impl Objective for GivenCotangents {
+    fn name(&self) -> &str {
+        "what the surrogate makes of its first frames"
+    }
+
+    fn weight(&self, step: usize) -> Option<f64> {
+        self.frames.get(&step).map(|_| 1.0)
+    }
+
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
+        let Some(rows) = self.frames.get(&fields.step) else { candle_core::bail!("no cotangent for this step") };
+        let like = &fields.position;
+        let tensor = |rows: &[Vec<f64>]| {
+            let n = rows[0].len();
+            Tensor::from_vec(rows.concat(), (rows.len(), n), &Device::Cpu)?.to_dtype(like.dtype())
+        };
+        let d = rows.len() - 1;
+        let places = like.mul(&tensor(&rows[..d])?)?.sum_all()?;
+        match &fields.temperature {
+            Some(temperature) => places + temperature.mul(&tensor(&rows[d..])?)?.sum_all()?,
+            None => Ok(places),
+        }
+    }
+}
+
+/// The model among the particles of a scene.
+fn flow<R: Sweeps>(
+    config: &Config,
+    model: Learned,
+    metadata: Metadata,
+    problem: &Problem<R>,
+    begin: f64,
+) -> Result<LearnedFlow<R>, Error> {
+    let tags = &problem.model.tags;
+    let is_kept = |&i: &usize| !matches!(tags[i], tag::SURFACE | tag::HOT_SURFACE);
+    let kept: Vec<usize> = (0..tags.len()).filter(is_kept).collect();
+    let hot = config.wall.hot_temperature as f32;
+    let set = |&i: &usize| if tags[i] == tag::HOT_WALL { hot } else { f32::NAN };
+    let origin =
+        metadata.other.get("origin").and_then(|origin| serde_json::from_value::<Vec<f64>>(origin.clone()).ok());
+    let origin = origin.filter(|origin| origin.len() == metadata.dim);
+    let origin = origin.ok_or_else(|| unknown("where its data's 0, 0 is"))?;
+    Ok(LearnedFlow {
+        kind: kept.iter().map(|&i| kind_of(tags[i])).collect(),
+        wall_temperature: kept.iter().map(set).collect(),
+        kept: kept.into_iter().map(|i| i as u32).collect(),
+        sph: problem.dynamics(),
+        model,
+        metadata,
+        origin,
+        begin,
+    })
+}
+
+/// The schedule for a part of the gradient.
+fn schedule(wanted: &Optimise, steps: usize, costs: crate::adjoint::schedule::Costs) -> Result<Schedule, Error> {
+    if wanted.gradient == GradientMode::Taped {
+        return Ok(Schedule::taped(steps));
+    }
+    let budget = wanted.memory;
+    Ok(Schedule::within(steps, 0, costs, budget.bytes()).map_err(|too_small| {
+        BadInput::new(format!("optimise.memory = {budget} is too small for the surrogate's gradient"))
+            .key("optimise.memory")
+            .allowed(format!("at least {:.1}MB", too_small.least as f64 / 1e6 + 0.1))
+    })?)
+}
+
+fn unknown(what: &str) -> BadInput {
+    BadInput::new(format!("the model does not say {what}"))
+        .key("surrogate.model")
+        .allowed("a model trained by this version on data of this version")
+        .advice("scripts/train_model.sh, which makes one")
+}
+
+/// The data that a model was trained on, if it can be optimised with.
+fn known_data<'a>(config: &Config, model: &'a Learned) -> Result<&'a Metadata, Error> {
+    let Some(data) = &model.setup.data else { return Err(unknown("what data it was trained on").into()) };
+    let bad = |problem: String| BadInput::new(problem).key("surrogate.model");
+    if model.setup.heat == HeatModel::None || data.heat.is_none() {
+        return Err(bad("the model knows no temperatures".into())
+            .allowed("a model with heat: learned or conduction")
+            .into());
+    }
+    if model.setup.features.unset_walls {
+        return Err(bad("the model sees the temperatures of all walls, which only data have".into())
+            .allowed("a model trained with features.unset_walls = false")
+            .into());
+    }
+    if config.design.walls != DesignWalls::Bottom {
+        return Err(BadInput::new("design.walls = both with a surrogate")
+            .key("design.walls")
+            .allowed("bottom: the data have no other shaped wall")
+            .into());
+    }
+    if matches!(config.optimise.gradient, GradientMode::Truncated | GradientMode::Steady) {
+        return Err(BadInput::new("optimise.gradient = truncated or steady with a surrogate")
+            .key("optimise.gradient")
+            .allowed("segments or taped")
+            .into());
+    }
+    let text = data.other.get(CONFIGURATION).and_then(|text| text.as_str());
+    let before = text.and_then(|text| Config::from_record(text).ok());
+    let Some(before) = before else { return Err(unknown("which scene its data are of").into()) };
+    let differing = differences(&before, config, &FREE);
+    if !differing.is_empty() {
+        let list: Vec<String> =
+            differing.iter().map(|d| format!("{} was {} and is {}", d.key, d.before, d.now)).collect();
+        return Err(bad(format!("the model knows another flow: {}", list.join("; ")))
+            .allowed("the scene that its data are of, with other walls, start, objective and time step")
+            .advice("scripts/train_model.sh, which makes a model of a scene, or the data's own values")
+            .into());
+    }
+    if config.design.bound > before.design.bound * (1.0 + 1e-12) {
+        return Err(BadInput::new(format!("the model knows walls within {} only", before.design.bound))
+            .key("design.bound")
+            .allowed(format!("design.bound <= {}", before.design.bound))
+            .into());
+    }
+    Ok(data)
+}

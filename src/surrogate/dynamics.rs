@@ -1,0 +1,304 @@
+//! A learned model as [`Dynamics`]: what the solver is to a gradient and to an objective, step by frame.
+//!
+//! The state `[W (D + 1) + F, N]` (f64) holds the W frames that the model sees, oldest first: their positions, in the data's
+//! coordinates, and behind those their temperatures. The last F rows are the solver's state of the walls, which nothing moves: their
+//! positions, mirror images and normals are how a design gets into the fields that an objective sees.
+//!
+//! ```text
+//!   x_{k+1}, T_{k+1} = model(x_{k-W+1} ... x_k, T_{k-W+1} ... T_k),     u_k = (x_k - x_{k-1}) / (time between frames)
+//! ```
+//!
+//! An objective sees the fields that the solver would show of these particles: the same volumes, the same interpolation.
+
+use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
+use crate::adjoint::schedule::Costs;
+use crate::dataset::extent::Extent;
+use crate::dataset::Metadata;
+use crate::numerics::candle::read;
+use crate::particles::neighbourhood::Neighbourhood;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::TensorSolver;
+use crate::sph::Sweeps;
+use crate::surrogate::differentiable_rollout::DifferentiableRollout;
+use crate::surrogate::features::{displacement, Window};
+use crate::surrogate::models::learned::Learned;
+use crate::surrogate::predictor::Scenery;
+use candle_core::{DType, Device, Result, Tensor};
+
+/// A learned model among the particles of a scene.
+pub struct LearnedFlow<R> {
+    pub model: Learned,
+    /// Of the data that the model knows.
+    pub metadata: Metadata,
+    /// The solver, which shows fields.
+    pub sph: Sph<R>,
+    /// The particles that the data have, among the solver's.
+    pub kept: Vec<u32>,
+    /// Of the kept, `[n]`.
+    pub kind: Vec<i32>,
+    pub wall_temperature: Vec<f32>,
+    /// Where the data's 0, 0 is in the scene.
+    pub origin: Vec<f64>,
+    /// The time of the last frame that comes from the solver.
+    pub begin: f64,
+}
+
+/// Frames to begin with.
+#[derive(Debug, Clone)]
+pub struct Begin {
+    /// `[W (D + 1) + F, N]`.
+    pub state: Tensor,
+}
+
+/// A run without a graph, and a state that a schedule keeps.
+#[derive(Debug, Clone)]
+pub struct At {
+    pub step: usize,
+    pub state: Tensor,
+}
+
+impl<R: Sweeps> LearnedFlow<R> {
+    fn frames(&self) -> usize {
+        self.model.setup.features.frames
+    }
+
+    fn dimension(&self) -> usize {
+        self.metadata.dim
+    }
+
+    /// Time from frame to frame.
+    pub fn frame_time(&self) -> f64 {
+        self.metadata.dt * self.metadata.write_every as f64
+    }
+
+    /// The first row of a frame's positions, and its row of temperatures.
+    pub fn rows(&self, frame: usize) -> (usize, usize) {
+        (frame * self.dimension(), self.frames() * self.dimension() + frame)
+    }
+
+    /// The first of the solver's rows.
+    pub fn solver_row(&self) -> usize {
+        self.frames() * (self.dimension() + 1)
+    }
+
+    fn scenery(&self) -> Scenery<'_> {
+        Scenery { metadata: &self.metadata, kind: &self.kind, wall_temperature: Some(&self.wall_temperature) }
+    }
+
+    /// The state `[W (D + 1) + F, N]` of frames that the solver made, each its state `[F, N]` and temperatures `[N]` (as the data
+    /// have them), oldest first, and of the solver's first state.
+    pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> Result<Tensor> {
+        let (d, n, extent) = (self.dimension(), self.sph.model.particles(), Extent::of(&self.metadata));
+        let mut state = Vec::with_capacity((self.solver_row() * n) + first.len());
+        for (solver, _) in frames {
+            for k in 0..d {
+                let place = |x: &f64| extent.wrapped(k, x - self.origin[k]);
+                state.extend(solver[k * n..(k + 1) * n].iter().map(place));
+            }
+        }
+        frames.iter().for_each(|(_, temperature)| state.extend(temperature));
+        state.extend(first);
+        Tensor::from_vec(state, (self.solver_row() + first.len() / n, n), &Device::Cpu)
+    }
+
+    /// What the model sees of a state.
+    fn window(&self, state: &Tensor) -> Result<Window> {
+        let kept = Tensor::from_slice(&self.kept, self.kept.len(), &Device::Cpu)?;
+        let mut window = Window::default();
+        for frame in 0..self.frames() {
+            let (place, warmth) = self.rows(frame);
+            window.position.push(state.narrow(0, place, self.dimension())?.index_select(&kept, 1)?.t()?.contiguous()?);
+            window.temperature.push(state.narrow(0, warmth, 1)?.index_select(&kept, 1)?.squeeze(0)?);
+        }
+        Ok(window)
+    }
+
+    /// Rows of the kept particles, `[rows, n]`, as rows of all `[rows, N]`. The others get something finite that nobody reads.
+    fn spread(&self, rows: &Tensor) -> Result<Tensor> {
+        let mut place = vec![0_u32; self.sph.model.particles()];
+        self.kept.iter().enumerate().for_each(|(k, &i)| place[i as usize] = k as u32);
+        rows.contiguous()?.index_select(&Tensor::from_vec(place, self.sph.model.particles(), &Device::Cpu)?, 1)
+    }
+
+    fn next(&self, step: usize, state: &Tensor) -> std::result::Result<Tensor, RunError> {
+        let failed =
+            |error: anyhow::Error| RunError::Tensor { step, source: candle_core::Error::Msg(format!("{error:#}")) };
+        let go = || -> anyhow::Result<Tensor> {
+            let window = self.window(state)?;
+            let next = DifferentiableRollout::new(&self.model, self.scenery())?.advance(&window, None)?;
+            let (Some(position), Some(temperature)) = (next.position.last(), next.temperature.last()) else {
+                anyhow::bail!("a model without temperatures has no heat to optimise")
+            };
+            let (d, frames) = (self.dimension(), self.frames());
+            let behind = |first: usize, count: usize| state.narrow(0, first, count);
+            let rows = [
+                behind(d, (frames - 1) * d)?,
+                self.spread(&position.t()?)?,
+                behind(frames * d + 1, frames - 1)?,
+                self.spread(&temperature.unsqueeze(0)?)?,
+                behind(self.solver_row(), state.dim(0)? - self.solver_row())?,
+            ];
+            Ok(Tensor::cat(&rows, 0)?)
+        };
+        go().map_err(failed)
+    }
+
+    /// The solver's state `[F, N]` of the last frame, on the graph if the state is.
+    fn shown(&self, state: &Tensor) -> Result<Tensor> {
+        let (d, model) = (self.dimension(), &self.sph.model);
+        let l = model.layout;
+        let n = model.particles();
+        let moves: Vec<f64> = (0..n).map(|i| if model.is_fluid(i) { 1.0 } else { 0.0 }).collect();
+        let moves = Tensor::from_vec(moves, (1, n), &Device::Cpu)?;
+        let stays = moves.affine(-1.0, 1.0)?;
+        let (solver, last) = (self.solver_row(), self.frames() - 1);
+        let frame = |k: usize| state.narrow(0, self.rows(k).0, d);
+        // By columns: what is told of the box is told of `[N, D]`.
+        let step =
+            displacement(&frame(last)?.t()?.contiguous()?, &frame(last - 1)?.t()?.contiguous()?, &self.metadata)?;
+        let velocity = step.t()?.contiguous()?.affine(1.0 / self.frame_time(), 0.0)?;
+        let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
+        let temperature = state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?;
+        let mut rows = Vec::with_capacity(l.state_rows());
+        for row in 0..l.state_rows() {
+            let still = state.narrow(0, solver + row, 1)?;
+            let moved = match row {
+                row if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
+                row if (l.velocity()..l.velocity() + d).contains(&row) => velocity.narrow(0, row - l.velocity(), 1)?,
+                row if l.heat && row == l.temperature() => temperature.clone(),
+                _ => {
+                    rows.push(still);
+                    continue;
+                }
+            };
+            rows.push((moved.broadcast_mul(&moves)? + still.broadcast_mul(&stays)?)?);
+        }
+        Tensor::cat(&rows, 0)?.to_dtype(R::DTYPE)
+    }
+
+    /// Fields of a state, on the graph if it is.
+    fn fields_at(&self, step: usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+        let failed = RunError::tensor(step);
+        let shown = self.shown(state).and_then(|shown| shown.contiguous()).map_err(&failed)?;
+        let mut list = Err(None);
+        read(&shown.detach(), |numbers: &[R]| {
+            list = Neighbourhood::build(&self.sph.model.reach(), numbers).map_err(Some);
+            Ok(())
+        })
+        .map_err(&failed)?;
+        let list = list.map_err(|source| match source {
+            Some(source) => RunError::Neighbours { step, source },
+            None => RunError::Tensor { step, source: candle_core::Error::Msg("a state that can not be read".into()) },
+        })?;
+        let mut tape = TensorSolver::new(self.sph.model.clone(), list, step, self.sph.kernels);
+        let fields = self.sph.fields(&mut tape, &shown)?;
+        Ok(Fields { step, time: self.begin + step as f64 * self.frame_time(), ..fields })
+    }
+
+    /// What a schedule must know: a state, and what a step leaves on the tape, estimated from the network's sizes and `pairs`
+    /// of the graph (activations of each perceptron's layers, for nodes and edges, and features in double precision).
+    pub fn costs(&self, pairs: usize) -> Costs {
+        let (n, sizes) = (self.sph.model.particles(), &self.model.setup.sizes);
+        let kept = self.kept.len();
+        let state = (self.solver_row() + self.sph.model.layout.state_rows()) * n * 8;
+        let width = match self.model.parameters.first().map(Tensor::dtype) {
+            Some(DType::F64) => 8,
+            _ => 4,
+        };
+        let layers = (sizes.rounds + 1) * (sizes.linears + 1) * sizes.latent;
+        let network = layers * (kept + pairs) * width;
+        let features = 8 * (sizes.node_features * kept + sizes.edge_features * pairs) * 3;
+        let tape_step = network + features + state;
+        Costs {
+            state,
+            rounded_state: state / 2,
+            shared: 0,
+            shared_steps: 1,
+            tape_step,
+            tape_shared: 0,
+            // The plain run's network, cotangents, and the fields that the objective sees.
+            working: network + 4 * state,
+        }
+    }
+
+    fn particle_of(&self, place: usize) -> usize {
+        place % self.sph.model.particles()
+    }
+}
+
+impl<R: Sweeps> Dynamics for LearnedFlow<R> {
+    type Start = Begin;
+    type Kept = At;
+    type Run = At;
+    type Tape = usize;
+
+    fn start(&self, from: &Begin) -> std::result::Result<At, RunError> {
+        Ok(At { step: 0, state: from.state.clone() })
+    }
+    fn advance(&self, run: &mut At) -> std::result::Result<(), RunError> {
+        run.state = self.next(run.step, &run.state)?.detach();
+        run.step += 1;
+        Ok(())
+    }
+    fn step(&self, run: &At) -> usize {
+        run.step
+    }
+    fn check(&self, run: &At) -> std::result::Result<(), RunError> {
+        let numbers =
+            run.state.flatten_all().and_then(|state| state.to_vec1::<f64>()).map_err(RunError::tensor(run.step))?;
+        match numbers.iter().position(|x| !x.is_finite()) {
+            None => Ok(()),
+            Some(at) => {
+                let (particle, value) = (self.particle_of(at), numbers[at]);
+                Err(RunError::NotFinite { step: run.step, field: "a predicted number", particle, value })
+            }
+        }
+    }
+    fn look(&self, run: &mut At) -> std::result::Result<Fields, RunError> {
+        self.fields_at(run.step, &run.state)
+    }
+
+    fn tensor(&self, from: &Begin) -> std::result::Result<Tensor, RunError> {
+        Ok(from.state.clone())
+    }
+    fn advance_taped(
+        &self,
+        tape: &mut usize,
+        state: &Tensor,
+        _: Option<&Tensor>,
+    ) -> std::result::Result<Tensor, RunError> {
+        let next = self.next(*tape, state)?;
+        *tape += 1;
+        Ok(next)
+    }
+    fn fields(&self, tape: &mut usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+        self.fields_at(*tape, state)
+    }
+
+    fn keep(&self, run: &At, rounded: bool) -> std::result::Result<At, RunError> {
+        let state = match rounded {
+            true => run.state.to_dtype(DType::F32).map_err(RunError::tensor(run.step))?,
+            false => run.state.clone(),
+        };
+        Ok(At { step: run.step, state })
+    }
+    fn settle(&self, _: &mut At, _: &At) {}
+    fn resume(&self, run: &mut At, kept: &At) -> std::result::Result<(), RunError> {
+        *run = At { step: kept.step, state: kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))? };
+        Ok(())
+    }
+    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> std::result::Result<(usize, Tensor), RunError> {
+        Ok((kept.step, kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))?))
+    }
+
+    fn kept_bytes(&self, kept: &At) -> Bytes {
+        Bytes { own: kept.state.elem_count() * kept.state.dtype().size_in_bytes(), shared: 0, identity: 0 }
+    }
+    fn taped_bytes(&self, _: &usize) -> Bytes {
+        // About as many pairs as particles see within 1.45 spacings.
+        Bytes { own: self.costs(PAIRS * self.kept.len()).tape_step, shared: 0, identity: 0 }
+    }
+}
+
+/// Neighbours within 1.45 spacings, about.
+pub const PAIRS: usize = 8;
