@@ -192,6 +192,7 @@ pub mod config;
 pub mod dataset;
 pub mod design;
 pub mod error;
+pub mod inverse;
 pub mod io;
 pub mod numerics;
 pub mod particles;

@@ -31,7 +31,8 @@ fn the_gradient_is_the_derivative() {
             let (_, problem) = problem(&[&sets[..], &["objective.window=0.02", "objective.samples=5"]].concat());
             let x = &problem.first;
             let schedule = Schedule::segments(problem.steps, 20);
-            let Derivative { value, by_variables: gradient, .. } = problem.differentiate(x, &schedule, &mut |_| ()).unwrap();
+            let Derivative { value, by_variables: gradient, .. } =
+                problem.differentiate(x, &schedule, &mut |_| ()).unwrap();
             assert_eq!(value, problem.evaluate(x).unwrap(), "the gradient's run is the plain run");
             assert_eq!(gradient.len(), problem.parametrisation.variables());
             let mut normal = Normal::new(stream(5, "along"));

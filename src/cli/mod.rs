@@ -2,6 +2,7 @@
 
 mod arguments;
 mod bench;
+mod calibrate;
 mod check_gradient;
 mod dataset;
 mod evaluate;
@@ -12,7 +13,9 @@ pub mod grid;
 mod guard;
 mod model_data;
 mod optimize;
+mod optimize_compare;
 mod prepare;
+mod recover;
 mod rollout;
 mod scenes;
 mod simulate;
@@ -41,6 +44,8 @@ pub enum Command {
     Optimize(optimize::OptimizeArguments),
     Verify(verify::VerifyArguments),
     CheckGradient(check_gradient::CheckGradientArguments),
+    Recover(recover::RecoverArguments),
+    Calibrate(calibrate::CalibrateArguments),
     Train(train::TrainArguments),
     Evaluate(evaluate::EvaluateArguments),
     Rollout(rollout::RolloutArguments),
@@ -63,6 +68,8 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::Verify(arguments) => verify::run(arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
+        Command::Recover(arguments) => recover::run(arguments.load()?, arguments),
+        Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Train(arguments) => train::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments),
         Command::Rollout(arguments) => rollout::run(arguments),

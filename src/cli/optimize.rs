@@ -2,9 +2,9 @@
 
 use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
 use super::explain::explain;
-use super::files;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::verify;
+use super::{files, optimize_compare};
 use crate::adjoint::gradient::Progress as Share;
 use crate::adjoint::run::Observer;
 use crate::adjoint::schedule::Schedule;
@@ -81,6 +81,9 @@ pub struct OptimizeArguments {
     /// which the solver judges what the corrected surrogate proposes in each epoch (surrogate.trust).
     #[arg(long, value_name = "none|check[=N]|region", value_parser = parse_trust)]
     pub trust: Option<(Trust, Option<usize>)>,
+    /// Run every way to search (solver, surrogate, checked surrogate, trust region, both, CMA-ES without gradients) and compare them.
+    #[arg(long, conflicts_with_all = ["dynamics", "trust", "resume", "start"])]
+    pub compare: bool,
     /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
     #[arg(long)]
     pub no_verify: bool,
@@ -154,6 +157,9 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
     }
+    if arguments.compare {
+        return optimize_compare::run(&loaded, &folder);
+    }
     if arguments.start == Some(StartName::All) {
         return every_start(&loaded, &folder, &arguments);
     }
@@ -184,16 +190,23 @@ fn verified(folder: &Path, mut summary: Map<String, Value>, verification: &Verif
 }
 
 /// What `--start all` compares, and what is verified.
-struct Outcome {
+pub struct Outcome {
     text: String,
-    summary: Map<String, Value>,
+    pub summary: Map<String, Value>,
+    pub history: Vec<Epoch>,
     /// The objective per epoch, as it is reported.
     values: Vec<f64>,
     first: Shape,
     best: Shape,
 }
 
-fn one(loaded: &Loaded, folder: &Path, resume: Option<&Path>, label: &str, tasks: &Tasks) -> anyhow::Result<Outcome> {
+pub fn one(
+    loaded: &Loaded,
+    folder: &Path,
+    resume: Option<&Path>,
+    label: &str,
+    tasks: &Tasks,
+) -> anyhow::Result<Outcome> {
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(loaded, folder, resume, label, tasks),
         Precision::F64 => go::<f64>(loaded, folder, resume, label, tasks),
@@ -367,7 +380,7 @@ fn both_sides(epoch: &Epoch) -> String {
 }
 
 /// The surrogate that a configuration asks for.
-fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateProblem<R>>> {
+pub fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateProblem<R>>> {
     let wanted = &loaded.config.surrogate;
     if loaded.config.optimise.dynamics == DynamicsName::Solver {
         return Ok(None);
@@ -526,7 +539,7 @@ fn report<R: Sweeps>(
     files::write_summary(folder, summary.clone())?;
     let values = optimisation.column(Epoch::shown);
     let [first, best] = [first, best].map(|variables| problem.parametrisation.sampled(variables));
-    Ok(Outcome { text, summary, values, first, best })
+    Ok(Outcome { text, summary, history: history.clone(), values, first, best })
 }
 
 /// Runs a design and writes ParaView frames of it.

@@ -6,6 +6,7 @@
 //!   optimiser <------- pull back <---------- pull back <-------------------- gradient ----------------+
 //! ```
 pub mod checkpoint;
+pub mod cma_es;
 pub mod deformation;
 pub mod diagnostics;
 pub mod limits;

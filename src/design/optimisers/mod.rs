@@ -21,10 +21,12 @@
 //! Another one is a file here that implements [`Optimiser`] and a line in [`of_config`].
 
 pub mod adam;
+pub mod barzilai_borwein;
 pub mod l_bfgs_b;
 pub mod trust_region;
 
 pub use adam::Adam;
+pub use barzilai_borwein::BarzilaiBorwein;
 pub use l_bfgs_b::LBfgsB;
 pub use trust_region::TrustRegion;
 

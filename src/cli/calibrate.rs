@@ -1,0 +1,174 @@
+//! `hydrograd calibrate`: viscosity and conductivity from a trajectory that was seen.
+
+use super::arguments::{at_least_one, check_writable, set_option};
+use super::files;
+use super::model_data::unreadable;
+use super::prepare::use_threads;
+use crate::config::layers::Setting;
+use crate::config::scene::Config;
+use crate::dataset::{read_split, Metadata, Split};
+use crate::design::limits::Limits;
+use crate::design::optimisers::{LBfgsB, Optimiser};
+use crate::error::{BadInput, Error};
+use crate::inverse::calibration::{Calibration, Parameter};
+use crate::io::atomic::prepare_output_folder;
+use crate::io::csv::write_rows;
+use crate::io::hdf5_file::open;
+use crate::report::plots::compare;
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use clap::Args;
+use serde_json::{json, Map, Value};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Find viscosity and conductivity from a trajectory of a data set (an inverse problem).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+The trajectory is run again from the same particles with what is assumed of the parameters; each epoch compares places and
+temperatures with those that were seen and follows the exact gradient by the parameters' logarithms.
+
+Examples:
+  hydrograd generate heated-channel --set time.start=rest --trajectories 1/1/1 --frames 12 --out data/seen
+  hydrograd calibrate --data data/seen --set fluid.viscosity=0.016 --set fluid.conductivity=5
+      what the first trajectory of the training split was made with, from a wrong guess
+  hydrograd calibrate --data data/seen --split test --parameters viscosity --set fluid.viscosity=0.02 --frames 6
+      the viscosity alone, from six frames")]
+pub struct CalibrateArguments {
+    /// Folder of the data set, of the heated channel from rest.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Which of its files.
+    #[arg(long, value_enum, default_value = "train")]
+    pub split: Split,
+    /// Name of the trajectory [default: the first].
+    #[arg(long, value_name = "NAME")]
+    pub trajectory: Option<String>,
+    /// Frames to look at, from the first on.
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = at_least_one)]
+    pub frames: usize,
+    /// What to find.
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["viscosity", "conductivity"])]
+    pub parameters: Vec<Parameter>,
+    /// What is assumed at first, e.g. `--set fluid.viscosity=0.02`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Runs, each with its gradient, at most.
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = at_least_one)]
+    pub epochs: usize,
+    /// Worker threads, 0 for every core.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = "runs/calibrate")]
+    pub out: PathBuf,
+}
+
+/// The most that a parameter may be away from what is assumed.
+const FACTOR: f64 = 10.0;
+
+pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
+    check_writable(&arguments.out)?;
+    use_threads(arguments.threads);
+    let folder = &arguments.data;
+    let metadata = Metadata::read(folder).map_err(unreadable(folder))?;
+    let trajectories = read_split(folder, &metadata, arguments.split).map_err(unreadable(folder))?;
+    let found = match &arguments.trajectory {
+        None => trajectories.first(),
+        Some(name) => trajectories.iter().find(|t| t.name == *name),
+    };
+    let trajectory = found.ok_or_else(|| {
+        BadInput::new("there is no such trajectory")
+            .place(format!("--trajectory {}", arguments.trajectory.as_deref().unwrap_or("")))
+            .allowed("the name of one in the data set")
+            .advice(format!("hydrograd dataset inspect {}", folder.display()))
+    })?;
+    let path = arguments.split.path(folder);
+    let provenance = {
+        let file = open(&path, "data set")?;
+        let group = file.group(&trajectory.name)?;
+        crate::dataset::store::read_provenance(&path, &group).map_err(unreadable(folder))?
+    };
+    let true_config = Config::from_record(&provenance.configuration).map_err(|error| {
+        BadInput::new(format!("the trajectory's configuration: {error}"))
+            .place(path.display().to_string())
+            .allowed("a data set made by `hydrograd generate`")
+    })?;
+    // As a scene of one's own: the trajectory's configuration, and on top what is assumed.
+    let scene = tempfile::Builder::new().suffix(".toml").tempfile()?;
+    std::fs::write(scene.path(), &provenance.configuration)?;
+    let settings: Vec<Setting> = arguments.sets.iter().map(|text| set_option(text)).collect();
+    let loaded = Config::load_settings(Some(&scene.path().to_string_lossy()), None, &settings)?;
+    let mut parameters = arguments.parameters.clone();
+    parameters.dedup();
+    let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
+    let problem = Calibration::<f64>::new(loaded, &metadata, trajectory, arguments.frames, parameters.clone())?;
+    prepare_output_folder(&arguments.out)?;
+    let count = parameters.len();
+    let limits = Limits::within(vec![-FACTOR.ln(); count], vec![FACTOR.ln(); count]);
+    let mut optimiser = LBfgsB::new(0.3, &vec![0.0; count]).worth(1e-10);
+    let bar = Progress::new(arguments.epochs as u64 * 100, "calibrate");
+    let clock = Instant::now();
+    let (mut rows, mut best) = (Vec::<Vec<f64>>::new(), (f64::INFINITY, vec![0.0; count]));
+    for epoch in 0..arguments.epochs {
+        if optimiser.is_done() {
+            break;
+        }
+        let x = optimiser.ask().to_vec();
+        let mut progress = |share: f64| bar.set_position((100.0 * (epoch as f64 + share)) as u64);
+        let (loss, gradient) = match problem.evaluate(&x, &mut progress) {
+            Err(Error::Diverged { .. }) if epoch > 0 => (f64::INFINITY, vec![0.0; count]),
+            found => found?,
+        };
+        let values = problem.values(&x);
+        let shown: Vec<String> =
+            parameters.iter().zip(&values).map(|(p, value)| format!("{} {value:.6}", p.key())).collect();
+        bar.line(&format!("epoch {epoch:3}  loss {loss:.4e}  {}", shown.join("  ")));
+        rows.push([vec![epoch as f64, loss], values, vec![clock.elapsed().as_secs_f64()]].concat());
+        if loss < best.0 {
+            best = (loss, x);
+        }
+        optimiser.tell(&limits, loss, &gradient);
+    }
+    bar.finish();
+    let found = problem.values(&best.1);
+    let mut header = vec!["epoch", "loss"];
+    header.extend(parameters.iter().map(|p| p.key()));
+    header.push("seconds");
+    write_rows(&arguments.out.join("history.csv"), &header, &rows)?;
+    let curve = |k: usize| rows.iter().map(|row| (row[0], (row[2 + k] / known[k] - 1.0).abs())).collect::<Vec<_>>();
+    let mut curves: Vec<(String, Vec<(f64, f64)>)> =
+        parameters.iter().enumerate().map(|(k, p)| (format!("{}, relative error", p.key()), curve(k))).collect();
+    curves.push(("loss".into(), rows.iter().map(|row| (row[0], row[1])).collect()));
+    compare(&arguments.out.join("history"), "Calibration", "epoch", "", &curves, false, true)?;
+    let mut table = Table::new(["", "assumed", "found", "made with", "error"]);
+    let mut summary = Map::new();
+    for (k, parameter) in parameters.iter().enumerate() {
+        let error = found[k] / known[k] - 1.0;
+        let number = |x: f64| format!("{x:.6}");
+        let cells =
+            [number(problem.assumed[k]), number(found[k]), number(known[k]), format!("{:+.3} %", 100.0 * error)];
+        table.row([vec![parameter.key().to_string()], cells.to_vec()].concat());
+        let row = json!({"assumed": problem.assumed[k], "found": found[k], "made_with": known[k], "error": error});
+        summary.insert(parameter.key().into(), row);
+    }
+    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
+    put("loss_before", json!(rows[0][1]));
+    put("loss", json!(best.0));
+    put("epochs", json!(rows.len()));
+    put("steps", json!(problem.steps));
+    put("frames", json!(arguments.frames));
+    put("seconds", json!(clock.elapsed().as_secs_f64()));
+    files::write_summary(&arguments.out, summary)?;
+    println!("{}", table.to_text());
+    println!(
+        "loss {:.3e} -> {:.3e} in {} epochs of {} steps, {:.1} s",
+        rows[0][1],
+        best.0,
+        rows.len(),
+        problem.steps,
+        clock.elapsed().as_secs_f64()
+    );
+    println!("files in {}: summary.json, history.csv, history.png", arguments.out.display());
+    Ok(())
+}

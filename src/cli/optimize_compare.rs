@@ -1,0 +1,283 @@
+//! `hydrograd optimize --compare`: solver, surrogate, both, a trust region, and a search without gradients, side by side.
+
+use super::files;
+use super::optimize::{one, surrogate, Outcome};
+use super::prepare::build;
+use crate::config::layers::Setting;
+use crate::config::scene::Precision;
+use crate::design::cma_es;
+use crate::design::optimise::Epoch;
+use crate::design::problem::{Derivative, ADJOINT};
+use crate::error::Error;
+use crate::io::csv::write_rows;
+use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
+use crate::report::plots::compare;
+use crate::report::progress::{Progress, Tasks};
+use crate::report::table::Table;
+use crate::scene::load::Loaded;
+use crate::sph::Sweeps;
+use serde_json::{json, Map, Value};
+use std::path::Path;
+use std::time::Instant;
+
+/// Epochs of a trust region: each has a proposal of its own.
+const REGION_EPOCHS: usize = 8;
+/// Evaluations of the search without gradients.
+const EVALUATIONS: usize = 300;
+/// Designs of the surrogate's path at which both gradients are taken.
+const PLACES: usize = 6;
+/// Predicted frames of the comparison of gradients over horizons.
+const HORIZONS: [usize; 5] = [5, 10, 20, 40, 80];
+
+/// What one way to search found.
+struct Way {
+    name: &'static str,
+    /// Steps of the solver so far, and the best objective that the solver has confirmed.
+    course: Vec<(f64, f64)>,
+    seconds: f64,
+    bytes: u64,
+}
+
+impl Way {
+    fn first(&self) -> f64 {
+        self.course.first().map_or(f64::NAN, |point| point.1)
+    }
+    fn best(&self) -> f64 {
+        self.course.last().map_or(f64::NAN, |point| point.1)
+    }
+    fn gain(&self) -> f64 {
+        self.best() / self.first() - 1.0
+    }
+    fn steps(&self) -> f64 {
+        self.course.last().map_or(0.0, |point| point.0)
+    }
+    /// Steps of the solver until so much of a gain is confirmed.
+    fn steps_to(&self, gain: f64) -> Option<f64> {
+        self.course.iter().find(|(_, q)| q / self.first() - 1.0 >= gain).map(|(steps, _)| *steps)
+    }
+}
+
+/// Every way, each in a folder of its own, and what they have in common beside each other.
+///
+/// # Errors
+/// A way that fails.
+pub fn run(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+    match loaded.config.run.precision {
+        Precision::F32 => go::<f32>(loaded, folder),
+        Precision::F64 => go::<f64>(loaded, folder),
+    }
+}
+
+fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+    let set = |pairs: &[(&str, &str)]| -> Result<Loaded, Error> {
+        let settings: Vec<Setting> =
+            pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect();
+        loaded.with(&settings)
+    };
+    let dynamics = |name: &'static str| ("optimise.dynamics", name);
+    let trust = |name: &'static str| ("surrogate.trust", name);
+    let epochs = REGION_EPOCHS.to_string();
+    // Every way is built before the first runs.
+    let ways = [
+        ("solver", set(&[trust("none"), dynamics("solver")])?),
+        ("surrogate", set(&[dynamics("surrogate"), trust("none")])?),
+        ("surrogate, checked", set(&[dynamics("surrogate"), trust("check")])?),
+        ("trust region", set(&[dynamics("surrogate"), trust("region"), ("optimise.epochs", &epochs)])?),
+        ("both", set(&[dynamics("both"), trust("none")])?),
+    ];
+    for (_, loaded) in &ways {
+        surrogate::<R>(loaded)?;
+    }
+    let splines = set(&[trust("none"), dynamics("solver"), ("design.parametrisation", "b-spline")])?;
+    let (mut found, mut path, mut all) = (Vec::new(), Vec::new(), Map::new());
+    for (name, loaded) in &ways {
+        reset_peak_memory();
+        let clock = Instant::now();
+        let label = name.replace(", ", "-").replace(' ', "-");
+        let outcome = one(loaded, &folder.join(&label), None, name, &Tasks::default())?;
+        let seconds = clock.elapsed().as_secs_f64();
+        found.push(Way { name, course: course(&outcome.history), seconds, bytes: peak_memory_bytes() });
+        if *name == "surrogate" {
+            path = designs(&outcome);
+        }
+        all.insert(label, Value::Object(outcome.summary));
+    }
+    found.push(without_gradient::<R>(&splines)?);
+    let cosines = cosines::<R>(&ways[1].1, &path)?;
+    let horizons = horizons::<R>(&ways[1].1)?;
+    report(loaded, folder, &found, (&cosines, &horizons), all)
+}
+
+/// Steps of the solver, and the best that it has confirmed, epoch by epoch.
+fn course(history: &[Epoch]) -> Vec<(f64, f64)> {
+    let (mut steps, mut best) = (0.0, f64::NEG_INFINITY);
+    let mut course = Vec::new();
+    for epoch in history {
+        steps += epoch.solver_steps as f64;
+        if let Some(truth) = epoch.truth.filter(|truth| truth.figure.is_finite()) {
+            best = f64::max(best, truth.figure);
+        }
+        if best.is_finite() {
+            course.push((steps, best));
+        }
+    }
+    course
+}
+
+/// Some designs of a path, spread over it.
+fn designs(outcome: &Outcome) -> Vec<(usize, Vec<f64>)> {
+    let good: Vec<usize> = (0..outcome.history.len()).filter(|&e| !outcome.history[e].is_rejected()).collect();
+    let count = PLACES.min(good.len());
+    let chosen = (0..count).map(|k| good[k * (good.len() - 1) / (count - 1).max(1)]);
+    chosen.map(|epoch| (epoch, outcome.history[epoch].variables.clone())).collect()
+}
+
+/// CMA-ES on the control points of a B-spline, judged by the solver.
+fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
+    let search = loaded.for_search()?;
+    let (problem, _) = build::<R>(&search.config)?;
+    reset_peak_memory();
+    let (clock, bar) = (Instant::now(), Progress::new(EVALUATIONS as u64, "optimize cma-es"));
+    let (mut steps, mut course, mut best) = (0, Vec::new(), f64::NEG_INFINITY);
+    let mut loss = |variables: &[f64]| match problem.truth(variables) {
+        Ok((truth, more)) => {
+            steps += more;
+            best = f64::max(best, truth.figure);
+            course.push((steps as f64, best));
+            bar.done(1);
+            Ok(truth.loss)
+        }
+        Err(Error::Diverged { .. }) => Ok(f64::INFINITY),
+        Err(error) => Err(error),
+    };
+    let step = 0.25 * loaded.config.design.bound;
+    let limits = problem.parametrisation.limits();
+    cma_es::search(&problem.first, step, EVALUATIONS, loaded.config.run.seed, limits, &mut loss)?;
+    bar.finish();
+    let seconds = clock.elapsed().as_secs_f64();
+    Ok(Way { name: "CMA-ES, B-spline", course, seconds, bytes: peak_memory_bytes() })
+}
+
+/// By epoch: the cosine between the surrogate's gradient of the objective and the solver's.
+fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Result<Vec<(usize, f64)>> {
+    let Some(surrogate) = surrogate::<R>(loaded)? else { return Ok(Vec::new()) };
+    let search = loaded.for_search()?;
+    let (problem, _) = build::<R>(&search.config)?;
+    let schedule = problem.schedule(&search.config.optimise, search.config.run.precision)?;
+    let mut found = Vec::new();
+    for (epoch, variables) in path {
+        let solver = problem.differentiate(variables, &schedule, &mut |_| ())?;
+        let own = surrogate.differentiate(variables, &mut |_| ())?;
+        found.push((*epoch, cosine(&own.by_variables, &solver.by_variables)));
+    }
+    Ok(found)
+}
+
+fn norm(of: &[f64]) -> f64 {
+    of.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn cosine(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / (norm(a) * norm(b))
+}
+
+/// Time of a horizon, and the norms of both gradients of the objective at its end.
+struct Horizon {
+    time: f64,
+    surrogate: f64,
+    solver: f64,
+}
+
+/// How gradients grow with the time that they look back, over the first design, with particles that move in both.
+fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
+    let set = |settings: &[(&str, String)]| {
+        let settings: Vec<Setting> =
+            settings.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect();
+        loaded.with(&settings)
+    };
+    let mut found = Vec::new();
+    for steps in HORIZONS {
+        let last = ("objective.window", "0.0".to_string());
+        let one = ("objective.samples", "1".to_string());
+        let with = set(&[("surrogate.steps", steps.to_string()), last.clone(), one.clone()])?;
+        let Some(own) = surrogate::<R>(&with)? else { return Ok(found) };
+        let none = ("optimise.dynamics", "solver".to_string());
+        let with = set(&[("time.end", format!("{:?}", own.end())), last, one, none])?;
+        let (problem, _) = build::<R>(&with.config)?;
+        let schedule = problem.schedule(&with.config.optimise, with.config.run.precision)?;
+        let size = |found: Result<Derivative, Error>| match found {
+            Ok(found) => Ok(norm(&found.by_variables)),
+            Err(Error::Diverged { .. }) => Ok(f64::NAN),
+            Err(error) => Err(error),
+        };
+        found.push(Horizon {
+            time: own.end(),
+            surrogate: size(own.differentiate(&problem.first, &mut |_| ()))?,
+            solver: size(problem.differentiate(&problem.first, &schedule, &mut |_| ()))?,
+        });
+    }
+    Ok(found)
+}
+
+fn report(
+    loaded: &Loaded,
+    folder: &Path,
+    ways: &[Way],
+    (cosines, horizons): (&[(usize, f64)], &[Horizon]),
+    mut all: Map<String, Value>,
+) -> anyhow::Result<()> {
+    let symbol = crate::design::objectives::Figure::of_config(&loaded.config).symbol;
+    let goal = 0.9 * ways[0].gain();
+    let headers =
+        ["search", symbol, "gain in the solver", "of the solver's", "solver steps", "to 90 %", "seconds", "peak MB"];
+    let mut table = Table::new(headers);
+    for way in ways {
+        let steps_to = way.steps_to(goal).map_or("-".into(), |steps| format!("{steps:.0}"));
+        table.row([
+            way.name.to_string(),
+            format!("{:.6}", way.best()),
+            format!("{:+.2} %", 100.0 * way.gain()),
+            format!("{:.0} %", 100.0 * way.gain() / ways[0].gain()),
+            format!("{:.0}", way.steps()),
+            steps_to.clone(),
+            format!("{:.1}", way.seconds),
+            format!("{:.0}", way.bytes as f64 / 1e6),
+        ]);
+        let row = json!({
+            "gain": way.gain(), "solver_steps": way.steps(), "solver_steps_to_90_percent": way.steps_to(goal),
+            "seconds": way.seconds, "peak_bytes": way.bytes,
+        });
+        all.insert(format!("compared: {}", way.name), row);
+    }
+    let curves: Vec<(String, Vec<(f64, f64)>)> = ways
+        .iter()
+        .map(|way| {
+            let percent = |(steps, q): &(f64, f64)| (*steps, 100.0 * (q / way.first() - 1.0));
+            (way.name.to_string(), way.course.iter().map(percent).collect())
+        })
+        .collect();
+    let title = "Gain by the work of the solver";
+    let label = format!("gain of {symbol} that the solver confirms (%)");
+    compare(&folder.join("compare"), title, "steps of the solver", &label, &curves, true, false)?;
+    let of = |size: fn(&Horizon) -> f64| horizons.iter().map(|h| (h.time, size(h))).collect::<Vec<_>>();
+    let curves = [("surrogate".to_string(), of(|h| h.surrogate)), ("solver".to_string(), of(|h| h.solver))];
+    let label = format!("|gradient of {symbol} at the end|");
+    compare(&folder.join("horizons"), "Gradient by horizon", "time", &label, &curves, false, true)?;
+    let rows: Vec<Vec<f64>> = horizons.iter().map(|h| vec![h.time, h.surrogate, h.solver]).collect();
+    write_rows(&folder.join("horizons.csv"), &["time", "surrogate", "solver"], &rows)?;
+    let shown: Vec<String> = cosines.iter().map(|(epoch, cosine)| format!("{cosine:.3} (epoch {epoch})")).collect();
+    all.insert("cosine_by_epoch".into(), json!(cosines));
+    all.insert("gradient_norm_by_horizon".into(), json!(rows));
+    files::write_summary(folder, all)?;
+    println!("{}", table.to_text());
+    println!("a step of an adjoint counts as {ADJOINT} of the solver");
+    println!("cosine of the surrogate's gradient with the solver's along its path: {}", shown.join(", "));
+    let growth: Vec<String> =
+        horizons.iter().map(|h| format!("{:.2e} / {:.2e} at {:.2}", h.surrogate, h.solver, h.time)).collect();
+    println!("|gradient| of surrogate / solver by the time they look back from: {}", growth.join(", "));
+    println!(
+        "files in {}: compare.png, horizons.png, horizons.csv, summary.json, and a folder per search",
+        folder.display()
+    );
+    Ok(())
+}

@@ -1,0 +1,127 @@
+//! Gradient steps of Barzilai and Borwein (1988), for many variables without limits worth mentioning.
+//!
+//! x <- x - a g with a = s.s / s.y, s and y the last changes of x and of the gradient: the step that a quadratic of the measured
+//! curvature asks for, without a matrix. A value above the highest of the last ten is not accepted (Grippo, Lampariello and
+//! Lucidi 1986): the step is taken again, a quarter as long. The first step moves no variable by more than `first_step`.
+
+use super::{numbers, Optimiser, Record};
+use crate::design::limits::Limits;
+use crate::error::BadInput;
+use crate::io::tensor_file::TensorFile;
+
+/// Values that a new one is held against.
+const MEMORY: usize = 10;
+/// What a step that was too long is multiplied with, and the most that one step is longer than the last.
+const SHORTER: f64 = 0.25;
+const LONGEST: f64 = 1e3;
+
+/// See the module.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BarzilaiBorwein {
+    pub first_step: f64,
+    /// The last point that was accepted and its gradient; empty before the first.
+    point: Vec<f64>,
+    gradient: Vec<f64>,
+    length: f64,
+    values: Vec<f64>,
+    trial: Vec<f64>,
+}
+
+impl BarzilaiBorwein {
+    pub fn new(first_step: f64, x: &[f64]) -> Self {
+        Self { first_step, point: vec![], gradient: vec![], length: 0.0, values: vec![], trial: x.to_vec() }
+    }
+
+    fn propose(&mut self, limits: &Limits) {
+        self.trial = self.point.iter().zip(&self.gradient).map(|(x, g)| x - self.length * g).collect();
+        limits.clamp(&mut self.trial);
+    }
+}
+
+impl Optimiser for BarzilaiBorwein {
+    fn name(&self) -> &str {
+        "barzilai-borwein"
+    }
+
+    fn ask(&self) -> &[f64] {
+        &self.trial
+    }
+
+    fn tell(&mut self, limits: &Limits, value: f64, gradient: &[f64]) {
+        let highest = self.values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let is_good = value.is_finite() && gradient.iter().all(|g| g.is_finite());
+        if !is_good || (!self.values.is_empty() && value > highest) {
+            self.length *= SHORTER;
+            return self.propose(limits);
+        }
+        if self.point.is_empty() {
+            let steepest = gradient.iter().fold(0.0, |most: f64, g| most.max(g.abs()));
+            self.length = self.first_step / steepest.max(f64::MIN_POSITIVE);
+        } else {
+            let (mut ss, mut sy) = (0.0, 0.0);
+            for k in 0..gradient.len() {
+                let (s, y) = (self.trial[k] - self.point[k], gradient[k] - self.gradient[k]);
+                ss += s * s;
+                sy += s * y;
+            }
+            let longest = LONGEST * self.length;
+            self.length = if sy > 0.0 { (ss / sy).min(longest) } else { 2.0 * self.length };
+        }
+        self.point.clone_from(&self.trial);
+        self.gradient = gradient.to_vec();
+        self.values.push(value);
+        if self.values.len() > MEMORY {
+            self.values.remove(0);
+        }
+        self.propose(limits);
+    }
+
+    fn save(&self, record: &mut Record) {
+        record.put("barzilai_borwein.point", &[self.point.len()], self.point.clone());
+        record.put("barzilai_borwein.gradient", &[self.gradient.len()], self.gradient.clone());
+        record.put("barzilai_borwein.values", &[self.values.len()], self.values.clone());
+        record.put("barzilai_borwein.length", &[1], vec![self.length]);
+    }
+
+    fn restore(&mut self, file: &TensorFile) -> Result<(), BadInput> {
+        let k = self.trial.len();
+        self.point = numbers(file, "barzilai_borwein.point", &[k])?;
+        self.gradient = numbers(file, "barzilai_borwein.gradient", &[k])?;
+        let count = file.shape("barzilai_borwein.values").map_err(super::unreadable)?.iter().product();
+        self.values = numbers(file, "barzilai_borwein.values", &[count])?;
+        self.length = numbers(file, "barzilai_borwein.length", &[1])?[0];
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_the_minimum_of_a_quadratic_of_many_variables() {
+        let n = 200;
+        let limits = Limits::within(vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);
+        let curvature = |k: usize| 1.0 + 30.0 * k as f64 / n as f64;
+        let mut optimiser = BarzilaiBorwein::new(0.1, &vec![0.0; n]);
+        for _ in 0..60 {
+            let x = optimiser.ask().to_vec();
+            let value = (0..n).map(|k| 0.5 * curvature(k) * (x[k] - 1.0).powi(2)).sum();
+            let gradient: Vec<f64> = (0..n).map(|k| curvature(k) * (x[k] - 1.0)).collect();
+            optimiser.tell(&limits, value, &gradient);
+        }
+        assert!(optimiser.ask().iter().all(|x| (x - 1.0).abs() < 1e-4), "{:?}", &optimiser.ask()[..3]);
+    }
+
+    #[test]
+    fn a_step_that_is_too_long_is_taken_again() {
+        let limits = Limits::within(vec![-9.0], vec![9.0]);
+        let mut optimiser = BarzilaiBorwein::new(1.0, &[2.0]);
+        optimiser.tell(&limits, 4.0, &[1.0]);
+        assert_eq!(optimiser.ask(), [1.0]);
+        optimiser.tell(&limits, f64::NAN, &[1.0]);
+        assert_eq!(optimiser.ask(), [1.75]);
+        optimiser.tell(&limits, 5.0, &[1.0]);
+        assert_eq!(optimiser.ask(), [1.9375]);
+    }
+}

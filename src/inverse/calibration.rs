@@ -1,0 +1,359 @@
+//! Viscosity and conductivity from a trajectory that was seen.
+//!
+//! The unknowns are logarithms of the parameters over what is assumed at first. The loss is [`super::matching`]'s. Its derivative
+//! by a parameter is the sum over the steps of
+//!
+//! ```text
+//!   (cotangent of the state behind the step) . (derivative of the step by the parameter),
+//! ```
+//!
+//! with all that is on the right at the same state. A step is a polynomial of first or second degree in viscosity and
+//! conductivity, so the central difference of two steps with the parameter a little up and down is that derivative, to rounding.
+
+use super::matching::{Matching, Seen};
+use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
+use crate::adjoint::gradient::{gradient, value, Progress};
+use crate::adjoint::run::run;
+use crate::adjoint::schedule::Schedule;
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, Kernels, Motion, Start};
+use crate::dataset::extent::Extent;
+use crate::dataset::{Metadata, Trajectory};
+use crate::error::{BadInput, Error};
+use crate::numerics::candle::read;
+use crate::scene::load::Loaded;
+use crate::scene::Scene;
+use crate::sph::dynamics::{KeptState, Sph};
+use crate::sph::model::Model;
+use crate::sph::solver::{Snapshot, Solver, TensorSolver};
+use crate::sph::Sweeps;
+use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+/// A parameter that can be found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Parameter {
+    Viscosity,
+    Conductivity,
+}
+
+impl Parameter {
+    /// Its key.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Viscosity => "fluid.viscosity",
+            Self::Conductivity => "fluid.conductivity",
+        }
+    }
+
+    pub fn of(self, config: &Config) -> f64 {
+        match self {
+            Self::Viscosity => config.fluid.viscosity,
+            Self::Conductivity => config.fluid.conductivity,
+        }
+    }
+}
+
+/// How far a parameter is moved for its difference, as a share of it: a step is a polynomial, so this need not be small.
+const MOVE: f64 = 1e-3;
+
+/// A trajectory that was seen, the scene that it is of, and what is to be found.
+pub struct Calibration<R> {
+    loaded: Loaded,
+    pub parameters: Vec<Parameter>,
+    /// What is assumed at first.
+    pub assumed: Vec<f64>,
+    /// Steps of the run.
+    pub steps: usize,
+    /// As long as it was when the trajectory was made, whatever the parameters.
+    time_step: f64,
+    objective: Matching,
+    schedule: Schedule,
+    start: Snapshot<R>,
+}
+
+impl<R: Sweeps> Calibration<R> {
+    /// `loaded`: the trajectory's scene with what is assumed of the parameters. `frames` of it are looked at.
+    ///
+    /// # Errors
+    /// A trajectory that is not one of the heated channel from rest, or has too few frames.
+    pub fn new(
+        loaded: Loaded,
+        metadata: &Metadata,
+        trajectory: &Trajectory,
+        frames: usize,
+        parameters: Vec<Parameter>,
+    ) -> anyhow::Result<Self> {
+        let config = &loaded.config;
+        if !config.scene.has_design() || config.time.start != Start::Rest || config.fluid.motion != Motion::Moving {
+            return Err(BadInput::new("a trajectory whose start depends on what is to be found")
+                .place(format!("trajectory {}", trajectory.name))
+                .allowed("one of the heated channel from rest, with particles that move")
+                .advice("hydrograd generate heated-channel --set time.start=rest")
+                .into());
+        }
+        let number = |key: &str| metadata.other.get(key).and_then(serde_json::Value::as_f64);
+        let (Some(dt), Some(every), Some(skip)) =
+            (number("solver_dt"), number("solver_steps_per_frame"), number("skipped_steps"))
+        else {
+            return Err(BadInput::new("the data set does not say with which steps it was made")
+                .place("metadata.json")
+                .allowed("one made by `hydrograd generate`")
+                .into());
+        };
+        if frames < 1 || frames > trajectory.frames {
+            return Err(BadInput::new(format!("{frames} frames of a trajectory of {}", trajectory.frames))
+                .place("--frames")
+                .allowed(format!("1 ... {}", trajectory.frames))
+                .into());
+        }
+        let skip = (skip * metadata.dt / dt).round() as usize;
+        let step_of = |frame: usize| skip + frame * every as usize;
+        let steps = step_of(frames - 1);
+        let scene = scene_with::<R>(&loaded, dt, &[])?;
+        let model = scene.model.clone();
+        let (n, d) = (model.particles(), model.layout.dimension);
+        // The data have the particles that are none of a wall's surface, in their order, in their own coordinates.
+        let kept: Vec<usize> = (0..n)
+            .filter(|&i| !matches!(model.tags[i], crate::particles::tag::SURFACE | crate::particles::tag::HOT_SURFACE))
+            .collect();
+        let origin = metadata.other.get("origin").and_then(|o| serde_json::from_value::<Vec<f64>>(o.clone()).ok());
+        let origin = origin.filter(|origin| origin.len() == d && kept.len() == trajectory.particles);
+        let Some(origin) = origin else {
+            return Err(BadInput::new("the data set has other particles than its scene")
+                .place(format!("trajectory {}", trajectory.name))
+                .allowed("one made by this version of `hydrograd generate`")
+                .into());
+        };
+        let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
+        let extent = Extent::of(metadata);
+        let mut seen = BTreeMap::new();
+        for frame in 0..frames {
+            let (places, mut position) = (trajectory.position_of(frame), vec![0.0; d * n]);
+            let mut temperature = trajectory.temperature_of(frame).map(|_| vec![0.0; n]);
+            for (k, &i) in kept.iter().enumerate() {
+                for c in 0..d {
+                    position[c * n + i] = extent.wrapped(c, f64::from(places[k * d + c])) + origin[c];
+                }
+                if let (Some(temperature), Some(row)) = (&mut temperature, trajectory.temperature_of(frame)) {
+                    temperature[i] = f64::from(row[k]) - reference;
+                }
+            }
+            seen.insert(step_of(frame), Seen { position, temperature, weight: 1.0 / frames as f64 });
+        }
+        let fluid = (0..n).map(|i| model.is_fluid(i)).collect();
+        let warmth = (config.wall.hot_temperature - config.fluid.inlet_temperature).abs().max(1e-12);
+        let objective = Matching { seen, domain: model.domain, fluid, length: config.resolution.dx, warmth };
+        let dynamics = Sph::new(model, Kernels::Fused);
+        let costs = dynamics.costs_from(&scene.start.state)?;
+        let schedule = Schedule::within(steps, 0, costs, config.optimise.memory.bytes()).map_err(|small| {
+            BadInput::new("optimise.memory is too small for the gradient")
+                .key("optimise.memory")
+                .allowed(format!("at least {:.1}MB", small.least as f64 / 1e6 + 0.1))
+        })?;
+        let assumed = parameters.iter().map(|parameter| parameter.of(config)).collect();
+        Ok(Self { parameters, assumed, steps, time_step: dt, objective, schedule, start: scene.start, loaded })
+    }
+
+    /// The parameters that logarithms stand for.
+    pub fn values(&self, logarithms: &[f64]) -> Vec<f64> {
+        self.assumed.iter().zip(logarithms).map(|(assumed, x)| assumed * x.exp()).collect()
+    }
+
+    fn model(&self, values: &[f64]) -> Result<Arc<Model<R>>, Error> {
+        let set = |(parameter, value): (&Parameter, &f64)| (parameter.key(), *value);
+        let settings: Vec<(&str, f64)> = self.parameters.iter().zip(values).map(set).collect();
+        Ok(scene_with::<R>(&self.loaded, self.time_step, &settings)?.model)
+    }
+
+    /// The loss.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn value(&self, logarithms: &[f64]) -> anyhow::Result<f64> {
+        let dynamics = Sph::new(self.model(&self.values(logarithms))?, Kernels::Fused);
+        let mut sum = 0.0;
+        let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
+            if let Some(seen) = self.objective.seen.get(&solver.step) {
+                sum += seen.weight * value(&self.objective, &dynamics.look(solver)?)?;
+            }
+            Ok(())
+        };
+        run(&dynamics, &self.start, self.steps, &mut [&mut measure])?;
+        Ok(sum)
+    }
+
+    /// The loss and its derivative by the logarithms.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn evaluate(&self, logarithms: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
+        let values = self.values(logarithms);
+        let mut moved = Vec::new();
+        for k in 0..values.len() {
+            let with = |factor: f64| {
+                let mut values = values.clone();
+                values[k] *= factor;
+                self.model(&values)
+            };
+            moved.push([with(1.0 + MOVE)?, with(1.0 - MOVE)?]);
+        }
+        let taps = Arc::new(Taps { moved, sums: Mutex::new(vec![0.0; values.len()]) });
+        let base = Sph::new(self.model(&values)?, Kernels::Fused);
+        let advice = base.model.remedy();
+        let dynamics = WithParameters { base, taps: taps.clone() };
+        let found = gradient(&dynamics, &self.start, &self.schedule, &self.objective, progress);
+        let found = found.map_err(|error| match error.is_divergence() {
+            true => Error::diverged(error.to_string(), advice),
+            false => Error::run(error.to_string(), advice),
+        })?;
+        let sums = taps.sums.lock().unwrap_or_else(|e| e.into_inner()).clone();
+        Ok((found.value, sums))
+    }
+}
+
+/// The scene with some parameters, and the time step that it had.
+fn scene_with<R: Sweeps>(loaded: &Loaded, dt: f64, settings: &[(&str, f64)]) -> Result<Scene<R>, Error> {
+    let settings: Vec<Setting> =
+        settings.iter().map(|(key, value)| Setting::option("calibration", key, format!("{value:?}"))).collect();
+    let mut scene = Scene::<R>::from_config(&loaded.with(&settings)?.config)?;
+    // Others hold the model of a design.
+    scene.design = None;
+    match Arc::get_mut(&mut scene.model) {
+        Some(model) => model.dt = dt,
+        None => return Err(Error::run("a new scene is shared", "report this")),
+    }
+    Ok(scene)
+}
+
+/// Models with each parameter a little up and down, and the sums of what they say.
+struct Taps<R> {
+    moved: Vec<[Arc<Model<R>>; 2]>,
+    sums: Mutex<Vec<f64>>,
+}
+
+/// Leaves a step's end as it is; its adjoint adds to the parameters' derivatives what the step's cotangent says of them.
+struct Tap<R> {
+    taps: Arc<Taps<R>>,
+    /// The state before the step.
+    before: Snapshot<R>,
+}
+
+impl<R: Sweeps> Tap<R> {
+    fn after(&self, model: &Arc<Model<R>>) -> candle_core::Result<Vec<R>> {
+        let go = || -> Result<Vec<R>, RunError> {
+            let mut solver = Solver::restore(model.clone(), &self.before)?;
+            solver.advance()?;
+            Ok(solver.state)
+        };
+        go().map_err(|error| candle_core::Error::Msg(error.to_string()))
+    }
+}
+
+impl<R: Sweeps> CustomOp1 for Tap<R> {
+    fn name(&self) -> &'static str {
+        "parameters"
+    }
+    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> candle_core::Result<(CpuStorage, Shape)> {
+        let Some((from, to)) = layout.contiguous_offsets() else { candle_core::bail!("a state is contiguous") };
+        let copy = match storage {
+            CpuStorage::F32(values) => CpuStorage::F32(values[from..to].to_vec()),
+            CpuStorage::F64(values) => CpuStorage::F64(values[from..to].to_vec()),
+            _ => candle_core::bail!("a state is in f32 or f64"),
+        };
+        Ok((copy, layout.shape().clone()))
+    }
+    fn bwd(&self, _: &Tensor, _: &Tensor, bar: &Tensor) -> candle_core::Result<Option<Tensor>> {
+        for (k, [up, down]) in self.taps.moved.iter().enumerate() {
+            let (up, down) = (self.after(up)?, self.after(down)?);
+            let mut sum = 0.0;
+            read(&bar.contiguous()?, |bar: &[R]| {
+                for (bar, (up, down)) in bar.iter().zip(up.iter().zip(&down)) {
+                    sum += bar.f64() * (up.f64() - down.f64());
+                }
+                Ok(())
+            })?;
+            // d/d(logarithm) = parameter d/d(parameter), and the difference is 2 MOVE of the parameter.
+            self.taps.sums.lock().unwrap_or_else(|e| e.into_inner())[k] += sum / (2.0 * MOVE);
+        }
+        Ok(Some(bar.clone()))
+    }
+}
+
+/// The solver, whose steps tell the parameters' derivatives on their way back.
+struct WithParameters<R> {
+    base: Sph<R>,
+    taps: Arc<Taps<R>>,
+}
+
+impl<R: Sweeps> Dynamics for WithParameters<R> {
+    type Start = Snapshot<R>;
+    type Kept = KeptState<R>;
+    type Run = Solver<R>;
+    type Tape = TensorSolver<R>;
+
+    fn start(&self, from: &Snapshot<R>) -> Result<Solver<R>, RunError> {
+        self.base.start(from)
+    }
+    fn advance(&self, run: &mut Solver<R>) -> Result<(), RunError> {
+        self.base.advance(run)
+    }
+    fn step(&self, run: &Solver<R>) -> usize {
+        self.base.step(run)
+    }
+    fn check(&self, run: &Solver<R>) -> Result<(), RunError> {
+        self.base.check(run)
+    }
+    fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
+        self.base.look(run)
+    }
+    fn tensor(&self, from: &Snapshot<R>) -> Result<Tensor, RunError> {
+        self.base.tensor(from)
+    }
+    fn advance_taped(
+        &self,
+        tape: &mut TensorSolver<R>,
+        state: &Tensor,
+        after: Option<&Tensor>,
+    ) -> Result<Tensor, RunError> {
+        let step = tape.step;
+        let mut numbers = Vec::new();
+        let held = read(&state.detach(), |state: &[R]| {
+            numbers.extend_from_slice(state);
+            Ok(())
+        });
+        held.map_err(RunError::tensor(step))?;
+        let next = self.base.advance_taped(tape, state, after)?;
+        // The neighbours that the step had: they may be of an older list.
+        let before = Snapshot { step, state: numbers, reference: tape.neighbourhood.reference.clone() };
+        let next = next.contiguous().and_then(|next| next.apply_op1(Tap { taps: self.taps.clone(), before }));
+        next.map_err(RunError::tensor(step))
+    }
+    fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
+        self.base.fields(tape, state)
+    }
+    fn keep(&self, run: &Solver<R>, rounded: bool) -> Result<KeptState<R>, RunError> {
+        self.base.keep(run, rounded)
+    }
+    fn settle(&self, kept: &mut KeptState<R>, run: &Solver<R>) {
+        self.base.settle(kept, run);
+    }
+    fn resume(&self, run: &mut Solver<R>, kept: &KeptState<R>) -> Result<(), RunError> {
+        self.base.resume(run, kept)
+    }
+    fn tape(
+        &self,
+        kept: &KeptState<R>,
+        last: Option<TensorSolver<R>>,
+        run: &Solver<R>,
+    ) -> Result<(TensorSolver<R>, Tensor), RunError> {
+        self.base.tape(kept, last, run)
+    }
+    fn kept_bytes(&self, kept: &KeptState<R>) -> Bytes {
+        self.base.kept_bytes(kept)
+    }
+    fn taped_bytes(&self, tape: &TensorSolver<R>) -> Bytes {
+        self.base.taped_bytes(tape)
+    }
+}
