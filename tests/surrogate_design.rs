@@ -77,3 +77,82 @@ fn the_gradient_is_that_of_differences() {
         assert!((along / difference - 1.0).abs() < 1e-6, "{heat}: {along:e}, by differences {difference:e}");
     }
 }
+
+/// What the command line makes of it, at the shortest: checks, a trust region, both, and what is refused.
+#[test]
+fn the_command_line_judges_what_the_surrogate_proposes() {
+    let folder = folder();
+    let model = model("learned");
+    let common = |more: &[&str]| -> Vec<String> {
+        let mut all: Vec<String> = vec!["optimize".into(), "--no-verify".into(), "--model".into()];
+        all.push(model.to_str().unwrap().into());
+        let sets = ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "time.end=0.3", "optimise.search=scene"];
+        for set in SCENE.iter().copied().chain(sets).chain(["objective.target_x=0.8"]) {
+            all.extend(["--set".to_string(), set.to_string()]);
+        }
+        all.extend(more.iter().map(|text| text.to_string()));
+        all
+    };
+    let run = |more: &[&str]| {
+        let all = common(more);
+        succeeds(folder, &all.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let summary = |name: &str| -> serde_json::Value {
+        let text = std::fs::read_to_string(folder.join(name).join("summary.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    };
+    run(&["--dynamics", "surrogate", "--trust", "check=2", "--epochs", "3", "--out", "checked"]);
+    let checked = summary("checked");
+    let known = |key: &str, k: usize| checked[key][k].as_f64();
+    assert!((0..3).all(|k| known("q_predicted_per_epoch", k).is_some()));
+    assert!(known("q_solver_per_epoch", 0).is_some() && known("q_solver_per_epoch", 2).is_some());
+    // The gain that is printed is the solver's.
+    let best = checked["best_epoch"].as_u64().unwrap() as usize;
+    assert_eq!(checked["q"].as_f64(), known("q_solver_per_epoch", best));
+    assert!(checked["solver_steps"].as_u64().unwrap() > 0);
+    assert!(std::fs::read_to_string(folder.join("checked/history.csv")).unwrap().contains("predicted,solver,solver_steps"));
+
+    // A run that goes on is the run that was not interrupted.
+    let region = ["--dynamics", "surrogate", "--trust", "region", "--set", "surrogate.inner_epochs=3", "--epochs"];
+    run(&[&region[..], &["3", "--out", "whole"]].concat());
+    run(&[&region[..], &["2", "--out", "parts"]].concat());
+    succeeds(folder, &["optimize", "--no-verify", "--resume", "parts", "--epochs", "3"]);
+    let (whole, parts) = (summary("whole"), summary("parts"));
+    for key in ["q_per_epoch", "q_predicted_per_epoch", "offsets_best"] {
+        assert_eq!(whole[key], parts[key], "{key}");
+    }
+    // Within the region what is promised is close to what comes.
+    assert!(whole["q_solver_per_epoch"].as_array().unwrap().iter().all(serde_json::Value::is_number));
+
+    run(&["--dynamics", "both", "--set", "surrogate.epochs=2", "--epochs", "4", "--out", "both"]);
+    let both = summary("both");
+    assert!(both["q_predicted_per_epoch"][1].is_number() && both["q_predicted_per_epoch"][2].is_null());
+    assert!(both["q_solver_per_epoch"][3].is_number());
+}
+
+#[test]
+fn what_a_surrogate_can_not_do_is_refused() {
+    let folder = folder();
+    let model = model("learned");
+    let model = model.to_str().unwrap();
+    let refuse = |more: &[&str], expected: &[&str]| {
+        let mut all = vec!["optimize", "--dynamics", "surrogate", "--model", model];
+        SCENE.iter().for_each(|set| all.extend(["--set", set]));
+        all.extend(more);
+        let output = support::program::hydrograd(folder, &all);
+        support::program::refused(&all, &output, expected);
+        assert!(!folder.join("runs").exists());
+    };
+    refuse(&["--set", "channel.height=0.25"], &["the model knows another flow", "channel.height was 0.2 and is 0.25"]);
+    refuse(&["--set", "design.bound=0.024"], &["the model knows walls within 0.02 only", "design.bound"]);
+    refuse(&["--set", "design.walls=both"], &["design.walls", "allowed: bottom"]);
+    refuse(&["--gradient", "truncated"], &["optimise.gradient", "segments or taped"]);
+    refuse(&["--trust", "check=0"], &["--trust", "check=N"]);
+    refuse(&["--memory", "1kB"], &["optimise.memory"]);
+    let nobody = ["optimize", "--trust", "region"];
+    let output = support::program::hydrograd(folder, &nobody);
+    support::program::refused(&nobody, &output, &["surrogate.trust without a surrogate", "--dynamics surrogate"]);
+    let missing = ["optimize", "--dynamics", "surrogate", "--model", "none.safetensors"];
+    let output = support::program::hydrograd(folder, &missing);
+    support::program::refused(&missing, &output, &["none.safetensors"]);
+}

@@ -4,6 +4,7 @@ use super::arguments::{at_least_one, check_writable, set_option};
 use super::files;
 use super::model_data::unreadable;
 use super::prepare::use_threads;
+use crate::config::difference::differences;
 use crate::config::layers::Setting;
 use crate::config::scene::Config;
 use crate::dataset::{read_split, Metadata, Split};
@@ -94,11 +95,11 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
             .place(path.display().to_string())
             .allowed("a data set made by `hydrograd generate`")
     })?;
-    // As a scene of one's own: the trajectory's configuration, and on top what is assumed.
-    let scene = tempfile::Builder::new().suffix(".toml").tempfile()?;
-    std::fs::write(scene.path(), &provenance.configuration)?;
-    let settings: Vec<Setting> = arguments.sets.iter().map(|text| set_option(text)).collect();
-    let loaded = Config::load_settings(Some(&scene.path().to_string_lossy()), None, &settings)?;
+    // What the trajectory's configuration has of its own, and on top what is assumed.
+    let own = differences(&true_config.scene.defaults(), &true_config, &[]).into_iter().filter(|d| d.key != "scene");
+    let mut settings: Vec<Setting> = own.map(|d| Setting::option("the trajectory", &d.key, d.now)).collect();
+    settings.extend(arguments.sets.iter().map(|text| set_option(text)));
+    let loaded = Config::load_settings(Some(true_config.scene.name()), None, &settings)?;
     let mut parameters = arguments.parameters.clone();
     parameters.dedup();
     let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
