@@ -5,7 +5,8 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32. Of speed: bench-kernels bench-gradient bench-formulations
+Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
+surrogate-rank surrogate-starts surrogate-compare. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
 Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
@@ -268,7 +269,109 @@ def f32():
     return table(["steps", "norm of the gradient", "f32 differs by"], rows)
 
 
-FIGURES = {**{f.__name__: f for f in (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32)}, **SPEED}
+def smooth_walls(count, seed):
+    """Random sums of six waves within 0.02."""
+    draw = random.Random(seed)
+    for _ in range(count):
+        waves = [(draw.gauss(0, 1) / k, draw.gauss(0, 1) / k) for k in range(1, 7)]
+        level, amplitude = draw.gauss(0, 1), 0.02 * draw.uniform(0.2, 1.0)
+        height = []
+        for x in NODES:
+            s = 2 * math.pi * (x - 0.25)
+            height.append(level + sum(a * math.sin(s * k) + b * math.cos(s * k) for k, (a, b) in enumerate(waves, 1)))
+        highest = max(abs(h) for h in height)
+        yield [round(amplitude * h / highest, 6) for h in height]
+
+
+def ranks(values):
+    order = sorted(range(len(values)), key=values.__getitem__)
+    place = [0] * len(values)
+    for k, i in enumerate(order):
+        place[i] = k
+    return place
+
+
+def correlation(a, b):
+    ma, mb = sum(a) / len(a), sum(b) / len(b)
+    return sum((x - ma) * (y - mb) for x, y in zip(a, b)) / norm([x - ma for x in a]) / norm([y - mb for y in b])
+
+
+def surrogate_rank():
+    """What the surrogate predicts for 50 random walls, and what the solver says of them."""
+    rows = []
+    cases = [("300, 20 (the report's)", 300, 20, 0.5), ("300, 45", 300, 45, 0.9), ("2500, 20 (the default)", 2500, 20, 0.9)]
+    for label, settle, steps, window in cases:
+        predicted, truth = [], []
+        for offsets in smooth_walls(50, 7):
+            values = sets(surrogate__settle=settle, surrogate__steps=steps, surrogate__window=window, output__frames=0,
+                          design__parametrisation="nodes", design__offsets=offsets)
+            folder = run("surrogate-rank", "optimize", "--dynamics", "surrogate", "--trust", "check=1", "--epochs", "1", "--no-verify",
+                         "--threads", "1", *values)
+            s = load(folder)
+            predicted.append(s["q_predicted_per_epoch"][0])
+            truth.append(s["q_solver_per_epoch"][0])
+        ratio = [p / t for p, t in zip(predicted, truth)]
+        bias = sum(ratio) / len(ratio)
+        spread = norm([r / bias - 1 for r in ratio]) / math.sqrt(len(ratio))
+        mean = sum(truth) / len(truth)
+        own = norm([t / mean - 1 for t in truth]) / math.sqrt(len(truth))
+        rows.append([label, f"{100 * (bias - 1):+.2f} %", f"{100 * spread:.2f} %", f"{100 * own:.2f} %", f"{correlation(predicted, truth):.3f}",
+                     f"{correlation(ranks(predicted), ranks(truth)):.3f}"])
+    return table(["reference steps of the solver, frames of the surrogate", "bias of Q", "what is left", "spread of the true Q", "correlation",
+                  "of ranks"], rows)
+
+
+def surrogate_starts():
+    """The surrogate's optimum in the solver, as a share of what the solver's own search gains."""
+    rows = []
+    for start in ("flat", "random", "linear", "sine"):
+        own = load(run("surrogate-own", "optimize", "--start", start, "--no-verify", *sets(output__frames=0)))
+        found = {}
+        for trust in ("none", "check=4"):
+            s = load(run("surrogate-start", "optimize", "--dynamics", "surrogate", "--trust", trust, "--start", start, "--no-verify",
+                         *sets(output__frames=0)))
+            found[trust] = s
+        gain = own["q"] / own["q_first"] - 1
+        row = [start, f"{100 * gain:+.2f} %"]
+        for s in found.values():
+            ours = (s["q"] - own["q_first"]) / own["q_first"]
+            row += [f"{100 * ours:+.2f} %", f"{100 * ours / gain:.0f} %"]
+        rows.append(row)
+    return table(["start", "solver", "surrogate", "of it", "checked every 4 epochs", "of it"], rows)
+
+
+def surrogate_compare():
+    folder = os.path.join(OUT, "surrogate-compare")
+    shutil.rmtree(folder, ignore_errors=True)
+    command = [PROGRAM, "optimize", "--compare", "--out", folder, *sets(output__frames=0)]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    if result.returncode != 0:
+        sys.exit(result.stderr)
+    lines = [line for line in result.stdout.splitlines() if not line.startswith("files in")]
+    for name in ("compare.png", "horizons.png"):
+        shutil.copy(os.path.join(folder, name), os.path.join(ROOT, "data/pictures", f"surrogate-{name}"))
+    return "```text\n" + "\n".join(lines).strip() + "\n```"
+
+
+def inverse():
+    """Initial velocities of the vortices, and viscosity and conductivity of a channel."""
+    rows = []
+    for steps in (50, 100, 200):
+        s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps)))
+        rows.append([f"velocities, {s['unknowns']} unknowns, {steps} steps", f"{s['distance_before']:.4f} -> {s['distance']:.6f}",
+                     f"{100 * s['velocity_error']:.1f} %", s["epochs"], f"{s['seconds']:.1f}"])
+    data = run("seen", "generate", "heated-channel", "--trajectories", "1/1/1", "--frames", "12", *sets(time__start="rest"))
+    for viscosity, conductivity in ((0.016, 5.0), (0.006, 12.0)):
+        s = load(run("calibrate", "calibrate", "--data", data, *sets(fluid__viscosity=viscosity, fluid__conductivity=conductivity)))
+        worst = max(abs(s[key]["error"]) for key in ("fluid.viscosity", "fluid.conductivity"))
+        rows.append([f"viscosity and conductivity, from {viscosity} and {conductivity} ({s['steps']} steps)",
+                     f"{s['loss_before']:.2g} -> {s['loss']:.1g} (loss)", f"{100 * worst:.4f} %", s["epochs"], f"{s['seconds']:.1f}"])
+    return table(["unknown", "distance at the end", "error of what is found", "epochs", "seconds"], rows)
+
+
+surrogate_figures = {"surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
+solver_figures = (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
+FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 
 
 def main():

@@ -53,7 +53,8 @@ fn velocities_are_found_again() {
         assert!(folder.path().join("found").join(file).is_file(), "{file}");
     }
     // From a file it is the same; from one of other particles it is refused.
-    let simulate = ["simulate", "taylor-green", "--set", "resolution.dx=0.05", "--set", "time.steps=40", "--out", "seen"];
+    let simulate =
+        ["simulate", "taylor-green", "--set", "resolution.dx=0.05", "--set", "time.steps=40", "--out", "seen"];
     succeeds(folder.path(), &simulate);
     succeeds(folder.path(), &[&small[..], &["--target", "seen/state.h5", "--out", "again"]].concat());
     let other = ["recover", "taylor-green", "--set", "resolution.dx=0.1", "--target", "seen/state.h5"];

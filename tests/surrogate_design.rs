@@ -86,7 +86,8 @@ fn the_command_line_judges_what_the_surrogate_proposes() {
     let common = |more: &[&str]| -> Vec<String> {
         let mut all: Vec<String> = vec!["optimize".into(), "--no-verify".into(), "--model".into()];
         all.push(model.to_str().unwrap().into());
-        let sets = ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "time.end=0.3", "optimise.search=scene"];
+        let sets =
+            ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "time.end=0.3", "optimise.search=scene"];
         for set in SCENE.iter().copied().chain(sets).chain(["objective.target_x=0.8"]) {
             all.extend(["--set".to_string(), set.to_string()]);
         }
@@ -110,7 +111,9 @@ fn the_command_line_judges_what_the_surrogate_proposes() {
     let best = checked["best_epoch"].as_u64().unwrap() as usize;
     assert_eq!(checked["q"].as_f64(), known("q_solver_per_epoch", best));
     assert!(checked["solver_steps"].as_u64().unwrap() > 0);
-    assert!(std::fs::read_to_string(folder.join("checked/history.csv")).unwrap().contains("predicted,solver,solver_steps"));
+    assert!(std::fs::read_to_string(folder.join("checked/history.csv"))
+        .unwrap()
+        .contains("predicted,solver,solver_steps"));
 
     // A run that goes on is the run that was not interrupted.
     let region = ["--dynamics", "surrogate", "--trust", "region", "--set", "surrogate.inner_epochs=3", "--epochs"];
@@ -128,6 +131,28 @@ fn the_command_line_judges_what_the_surrogate_proposes() {
     let both = summary("both");
     assert!(both["q_predicted_per_epoch"][1].is_number() && both["q_predicted_per_epoch"][2].is_null());
     assert!(both["q_solver_per_epoch"][3].is_number());
+}
+
+#[test]
+fn every_way_to_search_is_compared() {
+    let folder = folder();
+    let model = model("learned");
+    let mut all =
+        vec!["optimize", "--compare", "--epochs", "2", "--out", "compared", "--model", model.to_str().unwrap()];
+    let sets = ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "surrogate.inner_epochs=2"];
+    SCENE.iter().chain(&sets).for_each(|set| all.extend(["--set", set]));
+    let text = succeeds(folder, &all);
+    for way in ["solver", "surrogate", "surrogate, checked", "trust region", "both", "CMA-ES, B-spline"] {
+        assert!(text.lines().any(|line| line.starts_with(way)), "{way}: {text}");
+    }
+    let file = |name: &str| folder.join("compared").join(name);
+    assert!(["compare.png", "horizons.png", "horizons.csv"].iter().all(|name| file(name).is_file()));
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(file("summary.json")).unwrap()).unwrap();
+    // The gain of the solver's search is the one of its own summary.
+    let (own, compared) = (&summary["solver"], &summary["compared: solver"]["gain"]);
+    let gain = own["q"].as_f64().unwrap() / own["q_first"].as_f64().unwrap() - 1.0;
+    assert!((compared.as_f64().unwrap() - gain).abs() < 1e-12, "{summary}");
 }
 
 #[test]

@@ -390,7 +390,11 @@ pub fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateP
         Precision::F64 => DType::F64,
     };
     let model = load_learned(wanted.model.as_deref().map(Path::new), Kernels::Fused, dtype)?;
-    Ok(Some(SurrogateProblem::new(loaded, model)?))
+    let problem = SurrogateProblem::new(loaded, model).map_err(|error| match error {
+        Error::Input(bad) => bad.located(|key| loaded.place(key).map(str::to_owned)).into(),
+        other => other,
+    })?;
+    Ok(Some(problem))
 }
 
 /// Who judges walls: the solver, a surrogate, or both.

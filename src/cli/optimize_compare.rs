@@ -22,8 +22,8 @@ use std::time::Instant;
 
 /// Epochs of a trust region: each has a proposal of its own.
 const REGION_EPOCHS: usize = 8;
-/// Evaluations of the search without gradients.
-const EVALUATIONS: usize = 300;
+/// Evaluations of the search without gradients, per epoch of the others.
+const EVALUATIONS: usize = 12;
 /// Designs of the surrogate's path at which both gradients are taken.
 const PLACES: usize = 6;
 /// Predicted frames of the comparison of gradients over horizons.
@@ -76,7 +76,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     };
     let dynamics = |name: &'static str| ("optimise.dynamics", name);
     let trust = |name: &'static str| ("surrogate.trust", name);
-    let epochs = REGION_EPOCHS.to_string();
+    let epochs = REGION_EPOCHS.min(loaded.config.optimise.epochs).to_string();
     // Every way is built before the first runs.
     let ways = [
         ("solver", set(&[trust("none"), dynamics("solver")])?),
@@ -137,7 +137,8 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
     let search = loaded.for_search()?;
     let (problem, _) = build::<R>(&search.config)?;
     reset_peak_memory();
-    let (clock, bar) = (Instant::now(), Progress::new(EVALUATIONS as u64, "optimize cma-es"));
+    let evaluations = EVALUATIONS * loaded.config.optimise.epochs;
+    let (clock, bar) = (Instant::now(), Progress::new(evaluations as u64, "optimize cma-es"));
     let (mut steps, mut course, mut best) = (0, Vec::new(), f64::NEG_INFINITY);
     let mut loss = |variables: &[f64]| match problem.truth(variables) {
         Ok((truth, more)) => {
@@ -152,7 +153,7 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
     };
     let step = 0.25 * loaded.config.design.bound;
     let limits = problem.parametrisation.limits();
-    cma_es::search(&problem.first, step, EVALUATIONS, loaded.config.run.seed, limits, &mut loss)?;
+    cma_es::search(&problem.first, step, evaluations, loaded.config.run.seed, limits, &mut loss)?;
     bar.finish();
     let seconds = clock.elapsed().as_secs_f64();
     Ok(Way { name: "CMA-ES, B-spline", course, seconds, bytes: peak_memory_bytes() })
@@ -199,7 +200,9 @@ fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
     for steps in HORIZONS {
         let last = ("objective.window", "0.0".to_string());
         let one = ("objective.samples", "1".to_string());
-        let with = set(&[("surrogate.steps", steps.to_string()), last.clone(), one.clone()])?;
+        let frames = ("surrogate.steps", steps.to_string());
+        let early = ("surrogate.settle", "300".to_string());
+        let with = set(&[frames, early, ("surrogate.window", "0.0".to_string())])?;
         let Some(own) = surrogate::<R>(&with)? else { return Ok(found) };
         let none = ("optimise.dynamics", "solver".to_string());
         let with = set(&[("time.end", format!("{:?}", own.end())), last, one, none])?;

@@ -447,6 +447,8 @@ pub struct Surrogate {
     pub settle: usize,
     /// Frames that the model predicts behind those that the solver makes.
     pub steps: usize,
+    /// Average the objective over this last part of the predicted time, in time units.
+    pub window: f64,
     pub first_frames: FirstFrames,
     /// Of the network; single precision is what it was trained in.
     pub precision: Precision,
@@ -679,8 +681,9 @@ impl Default for Surrogate {
     fn default() -> Self {
         Self {
             model: None,
-            settle: 300,
+            settle: 2500,
             steps: 20,
+            window: 0.9,
             first_frames: FirstFrames::Differentiable,
             precision: Precision::F32,
             trust: Trust::None,

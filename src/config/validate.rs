@@ -143,6 +143,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.settle", surrogate.settle as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.steps", surrogate.steps as f64, Within(1.0, 10_000.0)),
+        ("surrogate.window", surrogate.window, NotNegative),
         ("surrogate.check_every", surrogate.check_every as f64, Within(1.0, 1e6)),
         ("surrogate.radius", surrogate.radius, Positive),
         ("surrogate.inner_epochs", surrogate.inner_epochs as f64, Within(1.0, 1e6)),

@@ -34,7 +34,7 @@ impl<R: Sweeps> InitialVelocity<R> {
         let model = scene.model.clone();
         let (n, l) = (model.particles(), model.layout);
         if model.fixed.is_some() {
-            return Err(BadInput::new("the velocities of particles that do not move")
+            return Err(BadInput::new("fluid.motion = fixed: the velocities of particles that do not move")
                 .key("fluid.motion")
                 .allowed("moving: places at the end say nothing of fixed particles")
                 .into());

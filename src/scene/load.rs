@@ -9,7 +9,9 @@ use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
-use crate::config::scene::{Config, DesignWalls, Family, Formulation, GradientMode, Motion, Search, Start};
+use crate::config::scene::{
+    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, Motion, Search, Start,
+};
 use crate::config::schema::Schema;
 use crate::design::shape;
 use crate::design::shape::Shape;
@@ -260,6 +262,12 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         } else if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
             merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
+            config = merged.read();
+        }
+        // A surrogate is easily wrong about rough walls, and an optimiser of many nodes finds where.
+        let says = merged.places().contains_key("design.parametrisation");
+        if config.optimise.dynamics != DynamicsName::Solver && !says {
+            merged.set("design.parametrisation", Value::from("b-spline"), "optimise.dynamics");
             config = merged.read();
         }
         fit_defaults(&mut merged, &config);

@@ -83,8 +83,8 @@ impl<R: Sweeps> SurrogateProblem<R> {
         };
         let flow = flow(config, model, metadata, &problem, pace.dt * pace.total as f64)?;
         let time = flow.frame_time();
-        let window = ((config.objective.window / time).round() as usize).clamp(1, wanted.steps);
-        let samples = Samples::window(wanted.steps, window, config.objective.samples);
+        let window = ((wanted.window / time).round() as usize).clamp(1, wanted.steps);
+        let samples = Samples::window(wanted.steps, window, window);
         let objective = objectives::of_config(config, problem.outlet.clone(), samples);
         let schedule = |steps: usize, costs| schedule(&config.optimise, steps, costs);
         let model_schedule = schedule(wanted.steps, flow.costs(PAIRS * flow.kept.len()))?;

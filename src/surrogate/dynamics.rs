@@ -15,6 +15,7 @@ use crate::adjoint::schedule::Costs;
 use crate::dataset::extent::Extent;
 use crate::dataset::Metadata;
 use crate::numerics::candle::read;
+use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::TensorSolver;
@@ -42,6 +43,9 @@ pub struct LearnedFlow<R> {
     /// The time of the last frame that comes from the solver.
     pub begin: f64,
 }
+
+/// A particle this many times the box's length outside of an open box has left it.
+const FAR: f64 = 0.5;
 
 /// Frames to begin with.
 #[derive(Debug, Clone)]
@@ -121,8 +125,10 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     fn next(&self, step: usize, state: &Tensor) -> std::result::Result<Tensor, RunError> {
-        let failed =
-            |error: anyhow::Error| RunError::Tensor { step, source: candle_core::Error::Msg(format!("{error:#}")) };
+        let failed = |error: anyhow::Error| match error.downcast::<NeighbourError>() {
+            Ok(source) => RunError::Neighbours { step, source },
+            Err(error) => RunError::Tensor { step, source: candle_core::Error::Msg(format!("{error:#}")) },
+        };
         let go = || -> anyhow::Result<Tensor> {
             let window = self.window(state)?;
             let next = DifferentiableRollout::new(&self.model, self.scenery())?.advance(&window, None)?;
@@ -246,13 +252,24 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
     fn check(&self, run: &At) -> std::result::Result<(), RunError> {
         let numbers =
             run.state.flatten_all().and_then(|state| state.to_vec1::<f64>()).map_err(RunError::tensor(run.step))?;
-        match numbers.iter().position(|x| !x.is_finite()) {
-            None => Ok(()),
-            Some(at) => {
-                let (particle, value) = (self.particle_of(at), numbers[at]);
-                Err(RunError::NotFinite { step: run.step, field: "a predicted number", particle, value })
+        if let Some(at) = numbers.iter().position(|x| !x.is_finite()) {
+            let (particle, value) = (self.particle_of(at), numbers[at]);
+            return Err(RunError::NotFinite { step: run.step, field: "a predicted number", particle, value });
+        }
+        let (n, extent, last) =
+            (self.sph.model.particles(), Extent::of(&self.metadata), self.rows(self.frames() - 1).0);
+        for k in (0..self.dimension()).filter(|&k| !extent.domain.periodic[k]) {
+            let (size, low) = (extent.domain.size[k], extent.low[k]);
+            for &i in &self.kept {
+                let x = numbers[(last + k) * n + i as usize];
+                if (x - low - 0.5 * size).abs() > (0.5 + FAR) * size {
+                    let (particle, limit) = (i as usize, low + (1.0 + FAR) * size);
+                    let field = ["predicted x", "predicted y", "predicted z"][k];
+                    return Err(RunError::Impossible { step: run.step, field, particle, value: x, limit });
+                }
             }
         }
+        Ok(())
     }
     fn look(&self, run: &mut At) -> std::result::Result<Fields, RunError> {
         self.fields_at(run.step, &run.state)
