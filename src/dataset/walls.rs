@@ -1,7 +1,7 @@
 //! Wall shapes of a data set of the heated channel: the report's ten functions and two random families.
 //!
 //! With s = (x - hot_from) / (hot_to - hot_from) and an amplitude A up to `design.bound`; all keep |offset| <= bound and
-//! the slope between nodes within [`STEEPEST`] (functions that are steeper are scaled down).
+//! the slope between nodes within 1 (functions that are steeper are scaled down).
 
 use super::trajectory::Split;
 use crate::error::BadInput;

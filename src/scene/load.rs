@@ -10,7 +10,7 @@ use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
 use crate::config::scene::{
-    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, Motion, Search, Start,
+    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, Motion, Search, Start, Trust,
 };
 use crate::config::schema::Schema;
 use crate::design::shape;
@@ -268,6 +268,16 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         let says = merged.places().contains_key("design.parametrisation");
         if config.optimise.dynamics != DynamicsName::Solver && !says {
             merged.set("design.parametrisation", Value::from("b-spline"), "optimise.dynamics");
+            config = merged.read();
+        }
+        // Where the solver corrects each proposal, early and given frames do, and cost it a tenth of the steps.
+        if config.surrogate.trust == Trust::Region {
+            for (key, value) in [("settle", Value::from(300)), ("first_frames", Value::from("detached"))] {
+                let key = format!("surrogate.{key}");
+                if !merged.places().contains_key(&key) {
+                    merged.set(&key, value, "surrogate.trust = region");
+                }
+            }
             config = merged.read();
         }
         fit_defaults(&mut merged, &config);
