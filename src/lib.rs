@@ -29,6 +29,7 @@
 //! | [`design`] | parametrisations, objectives, optimisers, the loop that improves a design |
 //! | [`scene`] | one scene type, and the families that build it |
 //! | [`dataset`] | trajectories for training |
+//! | [`inverse`] | what a flow began with, or is made of, from what was seen |
 //! | [`surrogate`] | networks, models, training, evaluation |
 //! | [`cli`] | one file per command: parses, calls, prints |
 //!

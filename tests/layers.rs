@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up.
-const LAYERS: [&str; 13] = [
+const LAYERS: [&str; 14] = [
     "error",
     "numerics",
     "io",
@@ -16,6 +16,7 @@ const LAYERS: [&str; 13] = [
     "design",
     "scene",
     "dataset",
+    "inverse",
     "surrogate",
     "cli",
 ];

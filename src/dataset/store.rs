@@ -132,7 +132,11 @@ impl Store {
             }
             let frame = Enclosure::of(config)?;
             let mut metadata = metadata(config, recipe, &frame);
-            metadata.other.insert(CONFIGURATION.into(), config.recorded()?.into());
+            // What does not change the data must not change their bytes.
+            let (usual, mut recorded) = (config.scene.defaults(), config.clone());
+            (recorded.run.threads, recorded.output) = (usual.run.threads, usual.output);
+            (recorded.optimise, recorded.surrogate) = (usual.optimise, usual.surrogate);
+            metadata.other.insert(CONFIGURATION.into(), recorded.recorded()?.into());
             let mut statistics = Statistics::default();
             for split in Split::ALL {
                 let path = &split.path(&self.folder);

@@ -90,7 +90,7 @@ impl<R: Sweeps> Calibration<R> {
             return Err(BadInput::new("a trajectory whose start depends on what is to be found")
                 .place(format!("trajectory {}", trajectory.name))
                 .allowed("one of the heated channel from rest, with particles that move")
-                .advice("hydrograd generate heated-channel --set time.start=rest")
+                .advice("a data set made with time.start=rest")
                 .into());
         }
         let number = |key: &str| metadata.other.get(key).and_then(serde_json::Value::as_f64);
@@ -103,8 +103,7 @@ impl<R: Sweeps> Calibration<R> {
                 .into());
         };
         if frames < 1 || frames > trajectory.frames {
-            return Err(BadInput::new(format!("{frames} frames of a trajectory of {}", trajectory.frames))
-                .place("--frames")
+            return Err(BadInput::new(format!("frames = {frames} of a trajectory of {}", trajectory.frames))
                 .allowed(format!("1 ... {}", trajectory.frames))
                 .into());
         }

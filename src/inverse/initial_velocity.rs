@@ -43,9 +43,8 @@ impl<R: Sweeps> InitialVelocity<R> {
         let position = match target {
             Some(position) if position.len() == l.dimension * n => position,
             Some(position) => {
-                let problem = format!("a target of {} coordinates", position.len());
+                let problem = format!("the target has {} coordinates", position.len());
                 return Err(BadInput::new(problem)
-                    .place("--target")
                     .allowed(format!("{} coordinates of {n} particles, in {} directions", l.dimension * n, l.dimension))
                     .into());
             }
