@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# From nothing to models/heated-channel: data, four trainings, evaluation, model and curves copied. About 85 minutes with one core.
+# From nothing to models/heated-channel: data, four trainings, evaluation, model and curves copied. About 70 minutes with one core.
 #
 #   cargo build --release && scripts/train_model.sh
 #   OUT=/tmp/model BOUND=0.02 THREADS=2 scripts/train_model.sh

@@ -12,7 +12,7 @@ use crate::design::limits::Limits;
 use crate::design::optimisers::{LBfgsB, Optimiser};
 use crate::error::{BadInput, Error};
 use crate::inverse::calibration::{Calibration, Parameter};
-use crate::io::atomic::prepare_output_folder;
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::write_rows;
 use crate::io::hdf5_file::open;
 use crate::report::plots::compare;
@@ -100,11 +100,18 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     let mut settings: Vec<Setting> = own.map(|d| Setting::option("the trajectory", &d.key, d.now)).collect();
     settings.extend(arguments.sets.iter().map(|text| set_option(text)));
     let loaded = Config::load_settings(Some(true_config.scene.name()), None, &settings)?;
-    let mut parameters = arguments.parameters.clone();
-    parameters.dedup();
+    let mut parameters: Vec<Parameter> = Vec::new();
+    for &parameter in &arguments.parameters {
+        if !parameters.contains(&parameter) {
+            parameters.push(parameter);
+        }
+    }
     let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
+    let loaded_text = loaded.text.clone();
     let problem = Calibration::<f64>::new(loaded, &metadata, trajectory, arguments.frames, parameters.clone())?;
+    let assumed = loaded_text;
     prepare_output_folder(&arguments.out)?;
+    write_bytes_atomically(&arguments.out.join("config.toml"), assumed.as_bytes())?;
     let count = parameters.len();
     let limits = Limits::within(vec![-FACTOR.ln(); count], vec![FACTOR.ln(); count]);
     let mut optimiser = LBfgsB::new(0.3, &vec![0.0; count]).worth(1e-10);
@@ -162,6 +169,17 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     put("seconds", json!(clock.elapsed().as_secs_f64()));
     files::write_summary(&arguments.out, summary)?;
     println!("{}", table.to_text());
+    for (k, parameter) in parameters.iter().enumerate() {
+        if best.1[k].abs() > 0.99 * FACTOR.ln() {
+            println!(
+                "WARNING: {} is as far from what was assumed as it may be: assume a value nearer to it",
+                parameter.key()
+            );
+        }
+    }
+    if !optimiser.is_done() && best.0 > 1e-6 * rows[0][1] {
+        println!("WARNING: not converged; --epochs {} gives it more", 2 * arguments.epochs);
+    }
     println!(
         "loss {:.3e} -> {:.3e} in {} epochs of {} steps, {:.1} s",
         rows[0][1],

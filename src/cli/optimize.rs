@@ -33,6 +33,7 @@ use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
 use crate::surrogate::load_learned;
+use crate::surrogate::models::load::identity;
 use candle_core::DType;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
@@ -53,6 +54,12 @@ Examples:
       without the checks of the gain that follow (`hydrograd verify` makes them later)
   hydrograd optimize --memory 20MB --explain
       the schedule that fits into 20 MB, with its storage and the steps run again
+  hydrograd optimize --dynamics surrogate --trust check=4
+      a learned model judges the walls (B-splines then, unless told otherwise), the solver every fourth of them
+  hydrograd optimize --dynamics surrogate --trust region --epochs 8
+      the solver judges what the corrected model proposes near the best wall so far
+  hydrograd optimize --compare --out runs/compared
+      solver, surrogate, both, a trust region and CMA-ES: gain, steps of the solver, time, memory, gradients
   hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
       go on with a run, up to 80 epochs in all")]
 pub struct OptimizeArguments {
@@ -308,6 +315,10 @@ fn go<R: Sweeps>(
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     let judges = Judges { config, problem: &problem, schedule: &schedule, surrogate: surrogate::<R>(loaded)? };
     let mut optimisation = begin(config, &problem, resume)?;
+    let mut notes = notes(loaded).to_vec();
+    if judges.surrogate.is_some() {
+        notes.push((MODEL, identity(model_of(config))?));
+    }
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
@@ -333,7 +344,7 @@ fn go<R: Sweeps>(
         found
     };
     let keep = |optimisation: &Optimisation| -> anyhow::Result<()> {
-        checkpoint::write(&folder.join(CHECKPOINT), optimisation, &notes(loaded))?;
+        checkpoint::write(&folder.join(CHECKPOINT), optimisation, &notes)?;
         write_history(folder, problem.figure, judges.surrogate.is_some(), optimisation)
     };
     let limits = problem.parametrisation.limits();
@@ -362,6 +373,9 @@ fn go<R: Sweeps>(
         Ok(())
     })?;
     if judges.surrogate.is_some() {
+        if let Some(last) = optimisation.history.last_mut() {
+            last.solver_steps += proposals.take();
+        }
         // What is believed of the first and of the best wall is not enough.
         optimisation.judge(&[0, optimisation.predicted_best()], |variables| problem.truth(variables))?;
         keep(&optimisation)?;
@@ -379,6 +393,14 @@ fn both_sides(epoch: &Epoch) -> String {
     }
 }
 
+/// What a checkpoint calls the checksum of the model.
+const MODEL: &str = "model";
+
+/// The file of a configuration's surrogate; none: the built-in one.
+fn model_of(config: &Config) -> Option<&Path> {
+    config.surrogate.model.as_deref().map(Path::new)
+}
+
 /// The surrogate that a configuration asks for.
 pub fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateProblem<R>>> {
     let wanted = &loaded.config.surrogate;
@@ -389,7 +411,7 @@ pub fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateP
         Precision::F32 => DType::F32,
         Precision::F64 => DType::F64,
     };
-    let model = load_learned(wanted.model.as_deref().map(Path::new), Kernels::Fused, dtype)?;
+    let model = load_learned(model_of(&loaded.config), Kernels::Fused, dtype)?;
     let problem = SurrogateProblem::new(loaded, model).map_err(|error| match error {
         Error::Input(bad) => bad.located(|key| loaded.place(key).map(str::to_owned)).into(),
         other => other,
@@ -438,9 +460,8 @@ impl<R: Sweeps> Judges<'_, R> {
         let surrogate = self.surrogate.as_ref().filter(|_| !in_region && optimisation.solver_from.is_none());
         let Some(surrogate) = surrogate else {
             let found = self.problem.gradient(variables, self.schedule, progress)?;
-            let predicted = optimisation.optimiser.promise().map(|promise| {
+            let predicted = optimisation.optimiser.expectation().map(|loss| {
                 let (penalty, _) = self.problem.parametrisation.penalty(self.problem.smoothing, variables);
-                let loss = optimisation.history[optimisation.best].loss - promise;
                 (penalty - loss) * self.problem.figure.factor
             });
             return Ok(Evaluation { predicted, ..found });
@@ -470,6 +491,15 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
     let path = from.join(CHECKPOINT);
     let file = open(&path, checkpoint::KIND, config, &FREE)?;
     let optimisation = checkpoint::restore(&file, &*problem.parametrisation, new)?;
+    if let Some(before) = file.metadata.get(MODEL).filter(|_| config.optimise.dynamics != DynamicsName::Solver) {
+        if *before != identity(model_of(config))? {
+            return Err(BadInput::new("the run was begun with another surrogate")
+                .place("--resume")
+                .allowed("the model file as it was")
+                .advice("a new run")
+                .into());
+        }
+    }
     let epochs = optimisation.history.len();
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
@@ -589,14 +619,17 @@ fn write_walls(
 }
 
 fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisation) -> anyhow::Result<()> {
+    let predicts = optimisation.history.iter().any(|e| e.predicted.is_some());
     let points: Vec<HistoryPoint> = optimisation
         .history
         .iter()
         .enumerate()
         .map(|(epoch, e)| {
-            let truth = e.truth.filter(|_| e.predicted.is_some()).map_or(f64::NAN, |truth| truth.figure);
-            // Within a trust region the optimiser sees the solver's, and what was promised is beside it.
-            let q = e.predicted.unwrap_or(e.figure);
+            // A surrogate's and the solver's are two curves.
+            let (q, truth) = match predicts {
+                true => (e.predicted.unwrap_or(f64::NAN), e.truth.map_or(f64::NAN, |truth| truth.figure)),
+                false => (e.figure, f64::NAN),
+            };
             HistoryPoint { epoch, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
         })
         .collect();
@@ -634,6 +667,7 @@ fn summary<R>(
         let truth = |e: &Epoch| json!(e.truth.map(|truth| truth.figure));
         put(&format!("{name}_predicted_per_epoch"), history.iter().map(predicted).collect());
         put(&format!("{name}_solver_per_epoch"), history.iter().map(truth).collect());
+        put("solver_from", json!(optimisation.solver_from));
     }
     put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));

@@ -4,7 +4,7 @@ use super::files;
 use super::optimize::{one, surrogate, Outcome};
 use super::prepare::build;
 use crate::config::layers::Setting;
-use crate::config::scene::Precision;
+use crate::config::scene::{ParametrisationName, Precision};
 use crate::design::cma_es;
 use crate::design::optimise::Epoch;
 use crate::design::problem::{Derivative, ADJOINT};
@@ -113,11 +113,20 @@ fn course(history: &[Epoch]) -> Vec<(f64, f64)> {
     let (mut steps, mut best) = (0.0, f64::NEG_INFINITY);
     let mut course = Vec::new();
     for epoch in history {
-        steps += epoch.solver_steps as f64;
-        if let Some(truth) = epoch.truth.filter(|truth| truth.figure.is_finite()) {
+        steps += (epoch.solver_steps - epoch.judged_late.unwrap_or(0)) as f64;
+        if let Some(truth) = epoch.truth.filter(|truth| truth.figure.is_finite() && epoch.judged_late.is_none()) {
             best = f64::max(best, truth.figure);
         }
         if best.is_finite() {
+            course.push((steps, best));
+        }
+    }
+    // What the solver said when all epochs were over, it said then.
+    for epoch in history {
+        let (Some(more), Some(truth)) = (epoch.judged_late, epoch.truth) else { continue };
+        steps += more as f64;
+        if truth.figure.is_finite() {
+            best = f64::max(best, truth.figure);
             course.push((steps, best));
         }
     }
@@ -148,7 +157,10 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
             bar.done(1);
             Ok(truth.loss)
         }
-        Err(Error::Diverged { .. }) => Ok(f64::INFINITY),
+        Err(Error::Diverged { .. }) => {
+            bar.done(1);
+            Ok(f64::INFINITY)
+        }
         Err(error) => Err(error),
     };
     let step = 0.25 * loaded.config.design.bound;
@@ -167,9 +179,14 @@ fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Re
     let schedule = problem.schedule(&search.config.optimise, search.config.run.precision)?;
     let mut found = Vec::new();
     for (epoch, variables) in path {
-        let solver = problem.differentiate(variables, &schedule, &mut |_| ())?;
-        let own = surrogate.differentiate(variables, &mut |_| ())?;
-        found.push((*epoch, cosine(&own.by_variables, &solver.by_variables)));
+        // A wall that only the surrogate has judged may be none for the solver.
+        let solver = problem.differentiate(variables, &schedule, &mut |_| ());
+        let own = surrogate.differentiate(variables, &mut |_| ());
+        let cosine = match (solver, own) {
+            (Ok(solver), Ok(own)) => cosine(&own.by_variables, &solver.by_variables),
+            _ => f64::NAN,
+        };
+        found.push((*epoch, cosine));
     }
     Ok(found)
 }
@@ -204,19 +221,21 @@ fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
         let early = ("surrogate.settle", "300".to_string());
         let with = set(&[frames, early, ("surrogate.window", "0.0".to_string())])?;
         let Some(own) = surrogate::<R>(&with)? else { return Ok(found) };
-        let none = ("optimise.dynamics", "solver".to_string());
-        let with = set(&[("time.end", format!("{:?}", own.end())), last, one, none])?;
+        // The same design variables in both.
+        let name = match loaded.config.design.parametrisation {
+            ParametrisationName::Nodes => "nodes".to_string(),
+            ParametrisationName::BSpline => "b-spline".to_string(),
+        };
+        let (none, same) = (("optimise.dynamics", "solver".to_string()), ("design.parametrisation", name));
+        let with = set(&[("time.end", format!("{:?}", own.end())), last, one, none, same])?;
         let (problem, _) = build::<R>(&with.config)?;
         let schedule = problem.schedule(&with.config.optimise, with.config.run.precision)?;
-        let size = |found: Result<Derivative, Error>| match found {
-            Ok(found) => Ok(norm(&found.by_variables)),
-            Err(Error::Diverged { .. }) => Ok(f64::NAN),
-            Err(error) => Err(error),
-        };
+        // A run that goes wrong has no gradient to show; the others have.
+        let size = |found: Result<Derivative, Error>| found.map_or(f64::NAN, |found| norm(&found.by_variables));
         found.push(Horizon {
             time: own.end(),
-            surrogate: size(own.differentiate(&problem.first, &mut |_| ()))?,
-            solver: size(problem.differentiate(&problem.first, &schedule, &mut |_| ()))?,
+            surrogate: size(own.differentiate(&own.problem.first, &mut |_| ())),
+            solver: size(problem.differentiate(&problem.first, &schedule, &mut |_| ())),
         });
     }
     Ok(found)

@@ -87,6 +87,13 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
     let truth = problem.truth();
+    if is_twin && truth.iter().all(|v| *v == 0.0) {
+        return Err(BadInput::new("the scene begins at rest: there are no velocities to find")
+            .place(loaded.config.scene.name())
+            .allowed("a scene that begins in motion, or --target with the places that another start led to")
+            .advice("hydrograd recover taylor-green")
+            .into());
+    }
     let limits = Limits::within(vec![f64::NEG_INFINITY; truth.len()], vec![f64::INFINITY; truth.len()]);
     let mut optimiser = BarzilaiBorwein::new(0.5 * problem.scene.reference_velocity, &vec![0.0; truth.len()]);
     let bar = Progress::new(arguments.epochs as u64 * 100, "recover");
@@ -99,11 +106,18 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
             Err(Error::Diverged { .. }) if epoch > 0 => (f64::INFINITY, vec![0.0; velocity.len()]),
             found => found?,
         };
-        let (distance, error) = (problem.distance(loss), error_of(&velocity, &truth));
-        bar.line(&format!("epoch {epoch:3}  distance {distance:.6}  velocity error {error:.4}"));
+        let distance = problem.distance(loss);
+        // Of another flow's start nothing is known.
+        let error = if is_twin { error_of(&velocity, &truth) } else { f64::NAN };
+        let known = if is_twin { format!("  velocity error {error:.4}") } else { String::new() };
+        bar.line(&format!("epoch {epoch:3}  distance {distance:.6}{known}"));
+        let flat = gradient.iter().all(|g| *g == 0.0) && loss.is_finite();
         rows.push(vec![epoch as f64, distance, error, clock.elapsed().as_secs_f64()]);
         if loss < best.0 {
             best = (loss, velocity);
+        }
+        if flat {
+            break;
         }
         optimiser.tell(&limits, loss, &gradient);
     }
@@ -191,10 +205,15 @@ fn pictures<R: Sweeps>(
     };
     let most = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
     let (at_rest, fast) = (speed(&nothing), speed(&end));
+    // How fast particles of a file are is not looked at.
+    let wanted = match truth {
+        Some(truth) => speed(&ParticleFields::of(&mut problem.end(truth)?)),
+        None => vec![0.0; n],
+    };
     let target = &problem.target()[..2 * n];
     let panels = [
         panel("end, from rest", &nothing.position[..2 * n], &at_rest),
-        panel("end, as it should be", target, &fast),
+        panel("end, as it should be", target, &wanted),
         panel("end, from the velocities that were found", &end.position[..2 * n], &fast),
     ];
     draw("end", &panels, most(&fast))?;

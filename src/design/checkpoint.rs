@@ -96,6 +96,7 @@ pub fn restore(
             truth: is_known(e).then(|| Truth { figure: truth_q[e], loss: truth_loss[e] }),
             predicted: predicted.map(|q| q[e]).filter(|q| !q.is_nan()),
             solver_steps: steps.map_or(0, |steps| steps[e] as usize),
+            judged_late: None,
         })
         .collect();
     let x = file.f64("offsets", &[k]).map_err(unreadable)?;

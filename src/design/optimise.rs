@@ -33,6 +33,8 @@ pub struct Epoch {
     pub predicted: Option<f64>,
     /// See [`Evaluation::solver_steps`].
     pub solver_steps: usize,
+    /// Of these, steps of [`Optimisation::judge`], when all epochs were over; none where it was not asked.
+    pub judged_late: Option<usize>,
 }
 
 impl Epoch {
@@ -107,6 +109,7 @@ impl Optimisation {
             truth: found.truth,
             predicted: found.predicted,
             solver_steps: found.solver_steps,
+            judged_late: None,
         });
         let last = self.history.len() - 1;
         if self.history[last].is_better(&self.history[self.best]) {
@@ -144,6 +147,7 @@ impl Optimisation {
         mut seen: impl FnMut(&Self) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         loop {
+            let clock = std::time::Instant::now();
             if self.history.len() < epochs {
                 prepare(self)?;
             }
@@ -151,7 +155,6 @@ impl Optimisation {
                 return Ok(());
             }
             let variables = self.optimiser.ask().to_vec();
-            let clock = std::time::Instant::now();
             let found = evaluate(self, &variables);
             self.record(limits, variables, found, clock)?;
             seen(self)?;
@@ -170,12 +173,15 @@ impl Optimisation {
         for &epoch in epochs {
             let one = &mut self.history[epoch];
             if one.truth.is_none() {
+                let clock = std::time::Instant::now();
                 let (found, steps) = match truth(&one.variables) {
                     Err(Error::Diverged { .. }) if epoch > 0 => (Truth { figure: f64::NAN, loss: f64::INFINITY }, 0),
                     found => found?,
                 };
                 one.truth = Some(found);
+                one.seconds += clock.elapsed().as_secs_f64();
                 one.solver_steps += steps;
+                one.judged_late = Some(steps);
             }
         }
         for epoch in 0..self.history.len() {

@@ -32,7 +32,7 @@ use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
-use crate::surrogate::dynamics::{Begin, LearnedFlow, PAIRS};
+use crate::surrogate::dynamics::{Begin, LearnedFlow};
 use crate::surrogate::models::learned::Learned;
 use candle_core::{Device, Tensor};
 use std::collections::BTreeMap;
@@ -87,7 +87,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
         let samples = Samples::window(wanted.steps, window, window);
         let objective = objectives::of_config(config, problem.outlet.clone(), samples);
         let schedule = |steps: usize, costs| schedule(&config.optimise, steps, costs);
-        let model_schedule = schedule(wanted.steps, flow.costs(PAIRS * flow.kept.len()))?;
+        let model_schedule = schedule(wanted.steps, flow.costs(flow.pairs()))?;
         let solver_schedule = schedule(pace.total, problem.costs()?)?;
         let looks = (0..frames).map(|frame| pace.skip + frame * pace.every).collect();
         let (steps, first_frames) = (wanted.steps, wanted.first_frames);

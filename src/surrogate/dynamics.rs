@@ -227,6 +227,12 @@ impl<R: Sweeps> LearnedFlow<R> {
         }
     }
 
+    /// About how many pairs the model's graph has.
+    pub fn pairs(&self) -> usize {
+        let reach = self.model.setup.normalisation.radius / (1.45 * self.metadata.dx);
+        (PAIRS * reach.max(1.0).powi(self.dimension() as i32) * self.kept.len() as f64) as usize
+    }
+
     fn particle_of(&self, place: usize) -> usize {
         place % self.sph.model.particles()
     }
@@ -312,10 +318,9 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         Bytes { own: kept.state.elem_count() * kept.state.dtype().size_in_bytes(), shared: 0, identity: 0 }
     }
     fn taped_bytes(&self, _: &usize) -> Bytes {
-        // About as many pairs as particles see within 1.45 spacings.
-        Bytes { own: self.costs(PAIRS * self.kept.len()).tape_step, shared: 0, identity: 0 }
+        Bytes { own: self.costs(self.pairs()).tape_step, shared: 0, identity: 0 }
     }
 }
 
-/// Neighbours within 1.45 spacings, about.
-pub const PAIRS: usize = 8;
+/// Neighbours within 1.45 spacings, about, and a particle itself.
+const PAIRS: f64 = 9.0;

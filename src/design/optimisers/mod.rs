@@ -65,8 +65,8 @@ pub trait Optimiser: std::fmt::Debug + Send {
         false
     }
 
-    /// The fall of the value that is expected of the point that is asked for, if the optimiser has a model that says so.
-    fn promise(&self) -> Option<f64> {
+    /// The value that is expected at the point that is asked for, if the optimiser has a model that says so.
+    fn expectation(&self) -> Option<f64> {
         None
     }
 

@@ -77,7 +77,7 @@ impl TrustRegion {
     /// point waits to be evaluated.
     ///
     /// # Errors
-    /// Those of `model`; where it diverges it has no value, but at the best point it must have one.
+    /// Those of `model`; where it diverges it has no value, and where it does so at the best point the search is over.
     pub fn propose(
         &mut self,
         limits: &Limits,
@@ -86,7 +86,14 @@ impl TrustRegion {
         if self.done || self.value.is_nan() || self.expected.is_finite() {
             return Ok(());
         }
-        let here = model(&self.centre)?;
+        let here = match model(&self.centre) {
+            // The model has nothing to say here, so there is nothing to propose.
+            Err(Error::Diverged { .. }) => {
+                self.done = true;
+                return Ok(());
+            }
+            found => found?,
+        };
         let slope: Vec<f64> = self.gradient.iter().zip(&here.gradient).map(|(f, m)| f - m).collect();
         while self.radius >= SMALLEST * self.first_radius {
             let near = limits.near(&self.centre, self.radius);
@@ -180,8 +187,8 @@ impl Optimiser for TrustRegion {
         Ok(())
     }
 
-    fn promise(&self) -> Option<f64> {
-        Some(self.value - self.expected).filter(|fall| fall.is_finite())
+    fn expectation(&self) -> Option<f64> {
+        Some(self.expected).filter(|value| value.is_finite())
     }
 
     fn trust_region(&mut self) -> Option<&mut TrustRegion> {
@@ -232,7 +239,7 @@ mod tests {
         region.tell(&limits, 1.0, &[1.0, 0.0]);
         region.propose(&limits, |x| Ok(model(x))).unwrap();
         let asked = region.ask().to_vec();
-        assert!(asked[0] < 0.9 && region.promise().unwrap() > 0.0);
+        assert!(asked[0] < 0.9 && region.expectation().unwrap() < 1.0);
         let step = (0.9 - asked[0]).abs().max((0.9 - asked[1]).abs());
         region.tell(&limits, 2.0, &[1.0, 0.0]);
         assert!(region.ask() == [0.9, 0.9] && (region.radius() - 0.5 * step).abs() < 1e-12);

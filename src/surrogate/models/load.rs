@@ -57,6 +57,21 @@ const BUILT_IN: &[u8] = include_bytes!("../../../models/heated-channel/model.saf
 /// What messages call it.
 pub const BUILT_IN_NAME: &str = "models/heated-channel/model.safetensors";
 
+/// Tells one model from another: the checksum of its file.
+///
+/// # Errors
+/// A file that can not be read.
+pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
+    let sum = |bytes: &[u8]| format!("{:08x}", crc32c::crc32c(bytes));
+    match path {
+        None => Ok(sum(BUILT_IN)),
+        Some(path) => match std::fs::read(path) {
+            Ok(bytes) => Ok(sum(&bytes)),
+            Err(error) => Err(BadInput::new(error.to_string()).place(path.display().to_string()).allowed(ALLOWED)),
+        },
+    }
+}
+
 /// A model of ours, from a file or the built-in one, to compute in `dtype`.
 ///
 /// # Errors
