@@ -32,6 +32,8 @@ const HORIZONS: [usize; 5] = [5, 10, 20, 40, 80];
 /// What one way to search found.
 struct Way {
     name: &'static str,
+    /// The solver's objective of the first design.
+    first: f64,
     /// Steps of the solver so far, and the best objective that the solver has confirmed.
     course: Vec<(f64, f64)>,
     seconds: f64,
@@ -39,21 +41,18 @@ struct Way {
 }
 
 impl Way {
-    fn first(&self) -> f64 {
-        self.course.first().map_or(f64::NAN, |point| point.1)
-    }
     fn best(&self) -> f64 {
         self.course.last().map_or(f64::NAN, |point| point.1)
     }
     fn gain(&self) -> f64 {
-        self.best() / self.first() - 1.0
+        self.best() / self.first - 1.0
     }
     fn steps(&self) -> f64 {
         self.course.last().map_or(0.0, |point| point.0)
     }
     /// Steps of the solver until so much of a gain is confirmed.
     fn steps_to(&self, gain: f64) -> Option<f64> {
-        self.course.iter().find(|(_, q)| q / self.first() - 1.0 >= gain).map(|(steps, _)| *steps)
+        self.course.iter().find(|(_, q)| q / self.first - 1.0 >= gain).map(|(steps, _)| *steps)
     }
 }
 
@@ -96,7 +95,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         let label = name.replace(", ", "-").replace(' ', "-");
         let outcome = one(loaded, &folder.join(&label), None, name, &Tasks::default())?;
         let seconds = clock.elapsed().as_secs_f64();
-        found.push(Way { name, course: course(&outcome.history), seconds, bytes: peak_memory_bytes() });
+        let first = outcome.history[0].shown();
+        found.push(Way { name, first, course: course(&outcome.history), seconds, bytes: peak_memory_bytes() });
         if *name == "surrogate" {
             path = designs(&outcome);
         }
@@ -168,7 +168,8 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
     cma_es::search(&problem.first, step, evaluations, loaded.config.run.seed, limits, &mut loss)?;
     bar.finish();
     let seconds = clock.elapsed().as_secs_f64();
-    Ok(Way { name: "CMA-ES, B-spline", course, seconds, bytes: peak_memory_bytes() })
+    let first = course.first().map_or(f64::NAN, |point| point.1);
+    Ok(Way { name: "CMA-ES, B-spline", first, course, seconds, bytes: peak_memory_bytes() })
 }
 
 /// By epoch: the cosine between the surrogate's gradient of the objective and the solver's.
@@ -274,7 +275,7 @@ fn report(
     let curves: Vec<(String, Vec<(f64, f64)>)> = ways
         .iter()
         .map(|way| {
-            let percent = |(steps, q): &(f64, f64)| (*steps, 100.0 * (q / way.first() - 1.0));
+            let percent = |(steps, q): &(f64, f64)| (*steps, 100.0 * (q / way.first - 1.0));
             (way.name.to_string(), way.course.iter().map(percent).collect())
         })
         .collect();
