@@ -3,6 +3,7 @@
 //! The solver and a surrogate are both [`Dynamics`]: their state is one tensor, they advance it with and without a graph,
 //! and show it as [`Fields`]. An [`Objective`] sees fields only, an [`super::run::Observer`] a run.
 
+use crate::error::Error;
 use crate::particles::neighbour_list::NeighbourError;
 use candle_core::Tensor;
 use std::sync::Arc;
@@ -27,6 +28,14 @@ impl RunError {
             Self::NotFinite { .. } | Self::Impossible { .. } => true,
             Self::Neighbours { source, .. } => !matches!(source, NeighbourError::BoxTooSmall { .. }),
             Self::Tensor { .. } => false,
+        }
+    }
+
+    /// What a user is told of it: a divergence as one, with what to try.
+    pub fn advised(self, advice: &str) -> Error {
+        match self.is_divergence() {
+            true => Error::diverged(self.to_string(), advice),
+            false => Error::run(self.to_string(), advice),
         }
     }
 

@@ -13,6 +13,8 @@
 //! Binomial: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c states and no
 //! step run more than r times, C(c + r, c) steps can be reversed, which is the most possible.
 
+use crate::config::memory_size::MemorySize;
+use crate::error::BadInput;
 use std::collections::BTreeMap;
 
 /// Bytes that a schedule's kinds of storage take.
@@ -169,6 +171,22 @@ impl Schedule {
         }
         let states = 1 + (budget - least) / (costs.state + costs.shared).max(1);
         Ok(Self::binomial(steps, first, states))
+    }
+
+    /// [`Self::within`] of what `optimise.memory` allows.
+    ///
+    /// # Errors
+    /// A budget that is too small for any schedule.
+    pub fn affordable(steps: usize, first: usize, costs: Costs, budget: MemorySize) -> Result<Self, BadInput> {
+        Self::within(steps, first, costs, budget.bytes()).map_err(|too_small| {
+            let segments = Self::least_memory(steps - first, costs);
+            let good = Self::segments(steps - first, segments).memory(costs);
+            let problem =
+                format!("optimise.memory = {budget} is too small for the gradient of {} steps", steps - first);
+            BadInput::new(problem)
+                .allowed(format!("at least {} (one state kept, and very slow)", rounded_up(too_small.least)))
+                .advice(format!("optimise.memory={} (no step is run twice)", rounded_up(good)))
+        })
     }
 
     /// The segment length that needs the least memory, near sqrt(steps state/tape): (steps/k) states and k taped steps.
@@ -508,4 +526,9 @@ fn split(length: usize, states: usize) -> usize {
         }
     }
     low
+}
+
+/// A number of bytes as `optimise.memory` takes it, up to the next tenth of a megabyte.
+pub fn rounded_up(bytes: usize) -> String {
+    format!("{:.1}MB", (bytes as f64 / 1e5).ceil() / 10.0)
 }

@@ -2,12 +2,13 @@
 
 use super::arguments::{at_least_one, check_writable, set_option};
 use super::files;
-use super::model_data::unreadable;
+use super::model_data::{read_data, unreadable};
 use super::prepare::use_threads;
+use super::rollout::find;
 use crate::config::difference::differences;
 use crate::config::layers::Setting;
 use crate::config::scene::Config;
-use crate::dataset::{read_split, Metadata, Split};
+use crate::dataset::Split;
 use crate::design::limits::Limits;
 use crate::design::optimisers::{LBfgsB, Optimiser};
 use crate::error::{BadInput, Error};
@@ -72,18 +73,8 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     check_writable(&arguments.out)?;
     use_threads(arguments.threads);
     let folder = &arguments.data;
-    let metadata = Metadata::read(folder).map_err(unreadable(folder))?;
-    let trajectories = read_split(folder, &metadata, arguments.split).map_err(unreadable(folder))?;
-    let found = match &arguments.trajectory {
-        None => trajectories.first(),
-        Some(name) => trajectories.iter().find(|t| t.name == *name),
-    };
-    let trajectory = found.ok_or_else(|| {
-        BadInput::new("there is no such trajectory")
-            .place(format!("--trajectory {}", arguments.trajectory.as_deref().unwrap_or("")))
-            .allowed("the name of one in the data set")
-            .advice(format!("hydrograd dataset inspect {}", folder.display()))
-    })?;
+    let (metadata, trajectories) = read_data(folder, arguments.split)?;
+    let trajectory = find(&trajectories, arguments.trajectory.as_deref())?;
     let path = arguments.split.path(folder);
     let provenance = {
         let file = open(&path, "data set")?;
@@ -107,9 +98,8 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
         }
     }
     let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
-    let loaded_text = loaded.text.clone();
+    let assumed = loaded.text.clone();
     let problem = Calibration::<f64>::new(loaded, &metadata, trajectory, arguments.frames, parameters.clone())?;
-    let assumed = loaded_text;
     prepare_output_folder(&arguments.out)?;
     write_bytes_atomically(&arguments.out.join("config.toml"), assumed.as_bytes())?;
     let count = parameters.len();

@@ -49,7 +49,7 @@ impl ModelDataArguments {
     }
 }
 
-fn read_data(folder: &Path, split: Split) -> Result<(Metadata, Vec<Trajectory>), BadInput> {
+pub fn read_data(folder: &Path, split: Split) -> Result<(Metadata, Vec<Trajectory>), BadInput> {
     let metadata = Metadata::read(folder).map_err(unreadable(folder))?;
     let trajectories = read_split(folder, &metadata, split).map_err(unreadable(folder))?;
     Ok((metadata, trajectories))

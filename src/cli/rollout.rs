@@ -83,7 +83,8 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn find<'a>(trajectories: &'a [Trajectory], name: Option<&str>) -> Result<&'a Trajectory, BadInput> {
+/// The trajectory of a name; none: the first.
+pub(super) fn find<'a>(trajectories: &'a [Trajectory], name: Option<&str>) -> Result<&'a Trajectory, BadInput> {
     let first = trajectories.first().ok_or_else(|| BadInput::new("the data set has no trajectory"))?;
     let Some(name) = name else { return Ok(first) };
     trajectories.iter().find(|t| t.name == name).ok_or_else(|| {

@@ -118,6 +118,12 @@ impl Metadata {
         write_bytes_atomically(&path, text.as_bytes())
     }
 
+    /// Where 0, 0 is in the scene, `[D]`; only data of ours say so.
+    pub fn origin(&self) -> Option<Vec<f64>> {
+        let origin: Vec<f64> = serde_json::from_value(self.other.get("origin")?.clone()).ok()?;
+        (origin.len() == self.dim).then_some(origin)
+    }
+
     /// Length of the box in each direction.
     pub fn size(&self) -> [f64; 3] {
         std::array::from_fn(|d| self.bounds.get(d).map_or(1.0, |b| b[1] - b[0]))

@@ -49,7 +49,7 @@ fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let scene = Scene::<R>::from_config(config)?;
     let (model, mut origin) = (&scene.model, scene.corner);
     // Points on a wall's surface are no particles: the dummy particles behind it show where it is.
-    let is_particle = |i: usize| !matches!(model.tags[i], tag::SURFACE | tag::HOT_SURFACE);
+    let is_particle = |i: usize| !tag::is_on_surface(model.tags[i]);
     let written =
         |&i: &usize| is_particle(i) && (config.scene != Family::LidDrivenCavity || is_inner(config, &scene, i));
     let kept: Vec<usize> = (0..model.particles()).filter(written).collect();

@@ -5,7 +5,7 @@ use super::objectives::{Figure, Outlet};
 use super::parametrisations::Parametrisation;
 use super::shape::Shape;
 use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
-use crate::adjoint::schedule::{Costs, Schedule};
+use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
 use crate::adjoint::{run, Dynamics, Objective, RunError};
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
@@ -50,6 +50,16 @@ const DEPTH: usize = 20;
 const STEADY: f64 = 1e-6;
 /// In single precision rounding alone changes a state so much.
 const STEADY_SINGLE: f64 = 3e-4;
+
+/// The change per time that counts as none.
+fn steady_tolerance<R: Real>() -> f64 {
+    if R::DTYPE == DType::F32 {
+        STEADY_SINGLE
+    } else {
+        STEADY
+    }
+}
+
 const MOST_STEPS: usize = 100_000;
 const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
 
@@ -168,13 +178,8 @@ impl<R: Sweeps> Problem<R> {
             return self.differentiate_steady(variables, progress);
         }
         let start = self.start(variables);
-        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress).map_err(|e| {
-            let (problem, advice) = (e.to_string(), self.model.remedy());
-            match e.is_divergence() {
-                true => Error::diverged(problem, advice),
-                false => Error::run(problem, advice),
-            }
-        })?;
+        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
+            .map_err(|error| error.advised(self.model.remedy()))?;
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
@@ -219,8 +224,7 @@ impl<R: Sweeps> Problem<R> {
     /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
     /// length of the run.
     fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
-        let tolerance = if R::DTYPE == DType::F32 { STEADY_SINGLE } else { STEADY };
-        let (fixed, state, steps) = self.settled(variables, tolerance)?;
+        let (fixed, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
         progress(0.5);
         let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
@@ -295,14 +299,10 @@ impl<R: Sweeps> Problem<R> {
     /// [`Error::Diverged`] for a run that can not go on.
     pub fn truth(&self, variables: &[f64]) -> Result<(Truth, usize), Error> {
         let (value, steps) = match self.is_steady {
-            true => {
-                let tolerance = if R::DTYPE == DType::F32 { STEADY_SINGLE } else { STEADY };
-                self.evaluate_settled(variables, tolerance)?
-            }
+            true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
                 let found = self.evaluate(variables).map_err(|error| match error.downcast::<RunError>() {
-                    Ok(error) if error.is_divergence() => Error::diverged(error.to_string(), self.model.remedy()),
-                    Ok(error) => Error::run(error.to_string(), self.model.remedy()),
+                    Ok(error) => error.advised(self.model.remedy()),
                     Err(error) => Error::run(error.to_string(), "report this"),
                 });
                 (found?, self.steps)
@@ -356,15 +356,7 @@ impl<R: Sweeps> Problem<R> {
         let schedule = match (wanted.gradient, wanted.segment) {
             (GradientMode::Taped, _) => Schedule::taped(steps),
             _ if rounded => Schedule::every_state(steps, first, true),
-            (_, 0) => Schedule::within(steps, first, costs, budget.bytes()).map_err(|too_small| {
-                let segments = Schedule::least_memory(steps - first, costs);
-                let good = Schedule::segments(steps - first, segments).memory(costs);
-                let problem =
-                    format!("optimise.memory = {budget} is too small for the gradient of {} steps", steps - first);
-                BadInput::new(problem)
-                    .allowed(format!("at least {} (one state kept, and very slow)", rounded_up(too_small.least)))
-                    .advice(format!("optimise.memory={} (no step is run twice)", rounded_up(good)))
-            })?,
+            (_, 0) => Schedule::affordable(steps, first, costs, budget)?,
             (_, segment) => Schedule::truncated(steps, steps - first, segment),
         };
         match schedule.memory(costs) {
@@ -393,11 +385,6 @@ fn does_not_fit(schedule: &Schedule, costs: Costs, needed: usize) -> BadInput {
         "optimise.memory={}, or optimise.gradient=segments optimise.segment=0 optimise.store=f64 (what fits is chosen)",
         rounded_up(needed)
     ))
-}
-
-/// A number of bytes as `optimise.memory` takes it, up to the next tenth of a megabyte.
-fn rounded_up(bytes: usize) -> String {
-    format!("{:.1}MB", (bytes as f64 / 1e5).ceil() / 10.0)
 }
 
 /// Every design variable must have received a finite gradient.

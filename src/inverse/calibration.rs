@@ -21,6 +21,7 @@ use crate::dataset::extent::Extent;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
+use crate::particles::tag;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::dynamics::{KeptState, Sph};
@@ -114,11 +115,8 @@ impl<R: Sweeps> Calibration<R> {
         let model = scene.model.clone();
         let (n, d) = (model.particles(), model.layout.dimension);
         // The data have the particles that are none of a wall's surface, in their order, in their own coordinates.
-        let kept: Vec<usize> = (0..n)
-            .filter(|&i| !matches!(model.tags[i], crate::particles::tag::SURFACE | crate::particles::tag::HOT_SURFACE))
-            .collect();
-        let origin = metadata.other.get("origin").and_then(|o| serde_json::from_value::<Vec<f64>>(o.clone()).ok());
-        let origin = origin.filter(|origin| origin.len() == d && kept.len() == trajectory.particles);
+        let kept: Vec<usize> = (0..n).filter(|&i| !tag::is_on_surface(model.tags[i])).collect();
+        let origin = metadata.origin().filter(|origin| origin.len() == d && kept.len() == trajectory.particles);
         let Some(origin) = origin else {
             return Err(BadInput::new("the data set has other particles than its scene")
                 .place(format!("trajectory {}", trajectory.name))
@@ -146,11 +144,7 @@ impl<R: Sweeps> Calibration<R> {
         let objective = Matching { seen, domain: model.domain, fluid, length: config.resolution.dx, warmth };
         let dynamics = Sph::new(model, Kernels::Fused);
         let costs = dynamics.costs_from(&scene.start.state)?;
-        let schedule = Schedule::within(steps, 0, costs, config.optimise.memory.bytes()).map_err(|small| {
-            BadInput::new("optimise.memory is too small for the gradient")
-                .key("optimise.memory")
-                .allowed(format!("at least {:.1}MB", small.least as f64 / 1e6 + 0.1))
-        })?;
+        let schedule = Schedule::affordable(steps, 0, costs, config.optimise.memory)?;
         let assumed = parameters.iter().map(|parameter| parameter.of(config)).collect();
         Ok(Self { parameters, assumed, steps, time_step: dt, objective, schedule, start: scene.start, loaded })
     }
@@ -203,10 +197,7 @@ impl<R: Sweeps> Calibration<R> {
         let advice = base.model.remedy();
         let dynamics = WithParameters { base, taps: taps.clone() };
         let found = gradient(&dynamics, &self.start, &self.schedule, &self.objective, progress);
-        let found = found.map_err(|error| match error.is_divergence() {
-            true => Error::diverged(error.to_string(), advice),
-            false => Error::run(error.to_string(), advice),
-        })?;
+        let found = found.map_err(|error| error.advised(advice))?;
         let sums = taps.sums.lock().unwrap_or_else(|e| e.into_inner()).clone();
         Ok((found.value, sums))
     }

@@ -63,11 +63,7 @@ impl<R: Sweeps> InitialVelocity<R> {
             fluid: fluid.clone(),
         };
         let costs = dynamics.costs_from(&scene.start.state)?;
-        let schedule = Schedule::within(scene.steps, 0, costs, config.optimise.memory.bytes()).map_err(|small| {
-            BadInput::new("optimise.memory is too small for the gradient")
-                .key("optimise.memory")
-                .allowed(format!("at least {:.1}MB", small.least as f64 / 1e6 + 0.1))
-        })?;
+        let schedule = Schedule::affordable(scene.steps, 0, costs, config.optimise.memory)?;
         let fluid = (0..n).filter(|&i| fluid[i]).collect();
         Ok(Self { scene, dynamics, fluid, matching, schedule })
     }
@@ -114,13 +110,7 @@ impl<R: Sweeps> InitialVelocity<R> {
     /// A run that diverges.
     pub fn evaluate(&self, velocity: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let found = gradient(&self.dynamics, &self.start(velocity), &self.schedule, &self.matching, progress);
-        let found = found.map_err(|error| {
-            let (problem, advice) = (error.to_string(), self.scene.model.remedy());
-            match error.is_divergence() {
-                true => Error::diverged(problem, advice),
-                false => Error::run(problem, advice),
-            }
-        })?;
+        let found = found.map_err(|error| error.advised(self.scene.model.remedy()))?;
         let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>());
         let state = state.map_err(|error| Error::run(error.to_string(), "report this"))?;
         Ok((found.value, self.of(&state)))

@@ -22,4 +22,9 @@ pub mod tag {
     pub const SURFACE: u8 = 4;
     /// One whose temperature is given.
     pub const HOT_SURFACE: u8 = 5;
+
+    /// Whether it is a point on a wall's surface: no particle that data sets have.
+    pub fn is_on_surface(tag: u8) -> bool {
+        matches!(tag, SURFACE | HOT_SURFACE)
+    }
 }

@@ -167,10 +167,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
     /// As for [`Self::gradient`].
     pub fn differentiate(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         let advice = "a gentler wall (a smaller design.amplitude or design.bound), or fewer surrogate.steps";
-        let failed = |error: RunError| match error.is_divergence() {
-            true => Error::diverged(error.to_string(), advice),
-            false => Error::run(error.to_string(), advice),
-        };
+        let failed = |error: RunError| error.advised(advice);
         let begin = self.begin(variables).map_err(|error| match error.downcast::<RunError>() {
             Ok(error) => failed(error),
             Err(error) => Error::run(error.to_string(), "report this"),
@@ -253,14 +250,10 @@ fn flow<R: Sweeps>(
     begin: f64,
 ) -> Result<LearnedFlow<R>, Error> {
     let tags = &problem.model.tags;
-    let is_kept = |&i: &usize| !matches!(tags[i], tag::SURFACE | tag::HOT_SURFACE);
-    let kept: Vec<usize> = (0..tags.len()).filter(is_kept).collect();
+    let kept: Vec<usize> = (0..tags.len()).filter(|&i| !tag::is_on_surface(tags[i])).collect();
     let hot = config.wall.hot_temperature as f32;
     let set = |&i: &usize| if tags[i] == tag::HOT_WALL { hot } else { f32::NAN };
-    let origin =
-        metadata.other.get("origin").and_then(|origin| serde_json::from_value::<Vec<f64>>(origin.clone()).ok());
-    let origin = origin.filter(|origin| origin.len() == metadata.dim);
-    let origin = origin.ok_or_else(|| unknown("where its data's 0, 0 is"))?;
+    let origin = metadata.origin().ok_or_else(|| unknown("where its data's 0, 0 is"))?;
     Ok(LearnedFlow {
         kind: kept.iter().map(|&i| kind_of(tags[i])).collect(),
         wall_temperature: kept.iter().map(set).collect(),
@@ -278,12 +271,7 @@ fn schedule(wanted: &Optimise, steps: usize, costs: crate::adjoint::schedule::Co
     if wanted.gradient == GradientMode::Taped {
         return Ok(Schedule::taped(steps));
     }
-    let budget = wanted.memory;
-    Ok(Schedule::within(steps, 0, costs, budget.bytes()).map_err(|too_small| {
-        BadInput::new(format!("optimise.memory = {budget} is too small for the surrogate's gradient"))
-            .key("optimise.memory")
-            .allowed(format!("at least {:.1}MB", too_small.least as f64 / 1e6 + 0.1))
-    })?)
+    Ok(Schedule::affordable(steps, 0, costs, wanted.memory)?)
 }
 
 fn unknown(what: &str) -> BadInput {
