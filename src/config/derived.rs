@@ -20,6 +20,11 @@ impl Config {
         self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
     }
 
+    /// The isothermal channel's thermal diffusivity.
+    pub fn channel_diffusivity(&self) -> f64 {
+        1.0 / (self.flow.reynolds * self.heat.prandtl)
+    }
+
     /// Kinematic viscosity nu = viscosity / density.
     pub fn kinematic_viscosity(&self) -> f64 {
         self.fluid.viscosity / self.fluid.density
@@ -56,10 +61,9 @@ impl Config {
 
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
-        if self.scene == Family::TaylorGreen3d {
-            3
-        } else {
-            2
+        match self.scene {
+            Family::TaylorGreen3d | Family::ReversePoiseuille3d | Family::LidDrivenCavity3d => 3,
+            _ => 2,
         }
     }
 
@@ -91,13 +95,16 @@ impl Config {
     }
 
     /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
-    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re and no heat. Fixed particles take no larger cfl
+    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re, and most no heat. Fixed particles take no larger cfl
     /// than 0.144 c / u where the plane channel's fastest flow u is faster than 0.12 c.
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
         let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            // The lower half's is 1.
+            Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
+            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.channel_diffusivity()),
             _ => 1.0 / self.flow.reynolds + artificial,
         };
         // Steps of fixed particles carry sound with the flow explicitly, and the faster that is the smaller they must be:

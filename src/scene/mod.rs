@@ -5,15 +5,18 @@
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod couette;
 pub mod exact;
 pub mod figures;
 pub mod heated_channel;
+pub mod isothermal_channel;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
+pub mod slab;
 mod surface;
 pub mod taylor_green;
 pub mod verification;
@@ -58,8 +61,15 @@ impl<R: Real> Scene<R> {
             Family::HeatedChannel => heated_channel::build(config)?,
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
-            Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
-            Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
+            Family::Couette => couette::Couette::from_config(config).build(),
+            Family::ReversePoiseuille | Family::ReversePoiseuille3d => {
+                reverse_poiseuille::ReversePoiseuille::from_config(config).build()
+            }
+            Family::LidDrivenCavity | Family::LidDrivenCavity3d => {
+                lid_driven_cavity::LidDrivenCavity::from_config(config).build()
+            }
+            Family::Slab => slab::Slab::from_config(config).build(),
+            Family::IsothermalChannel => isothermal_channel::IsothermalChannel::from_config(config).build(),
         })
     }
 
