@@ -82,7 +82,7 @@
 //! # fn main() -> anyhow::Result<()> {
 //! // A periodic box of water with a shear wave, by Wendland's kernel.
 //! let (side, dx) = (16, 1.0 / 16.0);
-//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false, consistent: false };
+//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false, consistent: false, rates: false };
 //! let model = Arc::new(Model {
 //!     domain: Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] },
 //!     layout,
