@@ -30,6 +30,7 @@
 //! | [`scene`] | one scene type, and the families that build it |
 //! | [`dataset`] | trajectories for training |
 //! | [`inverse`] | what a flow began with, or is made of, from what was seen |
+//! | [`validation`] | scenes against their exact solutions and independent references |
 //! | [`surrogate`] | networks, models, training, evaluation |
 //! | [`cli`] | one file per command: parses, calls, prints |
 //!
@@ -201,3 +202,4 @@ pub mod report;
 pub mod scene;
 pub mod sph;
 pub mod surrogate;
+pub mod validation;
