@@ -542,7 +542,7 @@ fn numbers_of_the_flows() {
     refuses(
         "taylor-green",
         "resolution.dx=0.25",
-        &["too coarse", "2 (3 + time.skin)", "try: --set resolution.dx=0.142857"],
+        &["too coarse", "2 (2.4 + time.skin)", "try: --set resolution.dx=0.166666"],
     );
     refuses("poiseuille", "resolution.dx=0.2", &["too coarse", "six spacings"]);
     refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);

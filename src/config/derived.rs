@@ -200,10 +200,12 @@ mod tests {
     fn artificial_viscosity_limits_the_step() {
         let mut config = Family::TaylorGreen.defaults();
         config.fluid.artificial_viscosity = 4.0;
+        config.resolution.smoothing_length = 1.0;
         // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
         let mut config = Family::TaylorGreen3d.defaults();
         config.fluid.artificial_viscosity = 1.0;
+        config.resolution.smoothing_length = 1.0;
         let dx = config.resolution.dx;
         assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");
     }

@@ -452,7 +452,7 @@ impl Config {
         if count < fewest {
             let rule = match walls {
                 true => spacings(fewest),
-                false => format!("2 ({support} + time.skin) spacings"),
+                false => format!("2 ({} + time.skin) spacings", (support * 1e6).round() / 1e6),
             };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
