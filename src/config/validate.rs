@@ -3,8 +3,8 @@
 use crate::config::builtin::SCENES;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, Motion,
-    ObjectiveKind, Precision, ShiftName, Trust,
+    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, KernelName,
+    Motion, ObjectiveKind, Precision, ShiftName, Trust,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
@@ -57,6 +57,7 @@ impl Schema for Config {
     }
 
     fn check_together(&self) -> Result<(), BadInput> {
+        self.check_kernel()?;
         if self.scene != Family::HeatedChannel {
             self.check_box()?;
             self.check_flow()?;
@@ -160,6 +161,24 @@ impl Config {
     /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
     fn fluid_rows(&self) -> f64 {
         2.0 * self.support()
+    }
+
+    /// A kernel that is negative somewhere belongs where nothing divides by a part of its sum (see
+    /// [`crate::sph::kernels::super_gaussian`]).
+    fn check_kernel(&self) -> Result<(), BadInput> {
+        let periodic = matches!(self.scene, Family::TaylorGreen | Family::TaylorGreen3d | Family::ReversePoiseuille);
+        let place = match (periodic, self.fluid.formulation) {
+            (_, Formulation::Consistent) => "in the consistent formulation, whose fits need positive weights",
+            (false, Formulation::Standard) => "with walls, whose averages over the fluid divide by its sum",
+            (true, Formulation::Standard) => return Ok(()),
+        };
+        if self.resolution.kernel != KernelName::SuperGaussian {
+            return Ok(());
+        }
+        Err(BadInput::new(format!("resolution.kernel = super-gaussian {place}: it is negative in its outer part"))
+            .key("resolution.kernel")
+            .allowed("another kernel; super-gaussian in the standard formulation of a scene without walls")
+            .advice("resolution.kernel=gaussian"))
     }
 
     /// What only the heated channel has.
