@@ -4,6 +4,7 @@
 //! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
+use crate::config::custom::{Initial, Region, ShapeEntry};
 use crate::config::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +13,11 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     pub scene: Family,
+    /// Scenes of one's own: the box, the shapes in it, and what the fluid begins with.
+    pub region: Region,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub shapes: Vec<ShapeEntry>,
+    pub initial: Initial,
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
@@ -38,6 +44,8 @@ pub enum Family {
     Poiseuille,
     ReversePoiseuille,
     LidDrivenCavity,
+    /// A box and shapes, from the configuration alone.
+    Custom,
 }
 
 impl Family {
@@ -50,6 +58,7 @@ impl Family {
             Self::Poiseuille => "poiseuille",
             Self::ReversePoiseuille => "reverse-poiseuille",
             Self::LidDrivenCavity => "lid-driven-cavity",
+            Self::Custom => "custom",
         }
     }
 
