@@ -290,12 +290,25 @@ pub struct Time {
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
     pub diffusion_number: f64,
+    /// How the consistent formulation's particles are advanced over a step.
+    pub integrator: IntegratorName,
     /// Initial flow: at rest, or the developed parabolic profile (steady in half the time).
     pub start: Start,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
     pub jitter: f64,
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
+}
+
+/// The step of the consistent formulation's moving particles: see [`crate::sph::consistent::advance`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum IntegratorName {
+    /// First order in time; of velocity and pressure each knows the other's newest.
+    #[default]
+    SymplecticEuler,
+    /// Velocity Verlet: second order, one evaluation a step as well.
+    Verlet,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -640,6 +653,7 @@ impl Default for Time {
             steps: None,
             cfl: 1.5,
             diffusion_number: 0.25,
+            integrator: IntegratorName::SymplecticEuler,
             start: Start::Developed,
             jitter: 0.05,
             skin: 0.2,

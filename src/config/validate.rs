@@ -4,8 +4,8 @@ use crate::config::builtin::SCENES;
 use crate::config::custom::ShapeEntry;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, KernelName,
-    Motion, ObjectiveKind, Precision, ShiftName, Trust,
+    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, IntegratorName,
+    KernelName, Motion, ObjectiveKind, Precision, ShiftName, Trust,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
@@ -315,6 +315,14 @@ impl Config {
                 .allowed("moving; fixed with fluid.formulation = consistent")
                 .advice("fluid.formulation=consistent, or fluid.motion=moving"));
         }
+        if self.time.integrator == IntegratorName::Verlet && (fixed || self.fluid.formulation == Formulation::Standard)
+        {
+            let whose = if fixed { "particles that do not move" } else { "the standard formulation" };
+            return Err(BadInput::new(format!("time.integrator = verlet with {whose}"))
+                .key("time.integrator")
+                .allowed("symplectic-euler; verlet for moving particles of the consistent formulation")
+                .advice("time.integrator=symplectic-euler"));
+        }
         if fixed && self.fluid.body_force_region != BodyForceRegion::Fluid {
             return Err(BadInput::new("fluid.body_force_region = original-channel with particles that do not move")
                 .key("fluid.body_force_region")
@@ -330,14 +338,14 @@ impl Config {
             return Ok(());
         }
         let (fluid, wall) = (&self.fluid, &self.wall);
-        let usual = Self::default();
+        let usual = self.usual().0;
         let others = [
             (
                 "fluid.background_pressure_factor",
                 fluid.background_pressure_factor != usual.fluid.background_pressure_factor,
             ),
-            ("fluid.transport_velocity", fluid.transport_velocity != 0.0),
-            ("fluid.artificial_viscosity", fluid.artificial_viscosity != 0.0),
+            ("fluid.transport_velocity", fluid.transport_velocity != usual.fluid.transport_velocity),
+            ("fluid.artificial_viscosity", fluid.artificial_viscosity != usual.fluid.artificial_viscosity),
             ("wall.hot_isotherm", wall.hot_isotherm != usual.wall.hot_isotherm),
             ("wall.mass", wall.mass != usual.wall.mass),
         ];

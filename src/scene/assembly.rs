@@ -244,6 +244,7 @@ impl<R: Real> Parts<R> {
             heat: self.heat.is_some(),
             mass: self.own_mass,
             consistent: false,
+            rates: false,
         };
         let lid = self.lid != 0.0;
         let tag_of = |i: usize| match lattice.is_wall(i) {
@@ -287,11 +288,26 @@ impl<R: Real> Parts<R> {
     }
 
     /// The scene without a design.
-    pub fn build(mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
+    pub fn build(self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
+        self.build_with_pressure(velocity, |_| 0.0)
+    }
+
+    /// The same with a pressure at the start, which the standard formulation has no use for.
+    pub fn build_with_pressure(
+        mut self,
+        velocity: impl Fn([f64; 3]) -> [f64; 3],
+        pressure: impl Fn([f64; 3]) -> f64,
+    ) -> Scene<R> {
         let mut assembled = self.assemble(velocity);
         if let Some(settings) = self.numerics.consistent {
             let surface = Surface::of_lattice(&self.lattice, self.lid);
             assembled = assembled.with_surface(&surface, &self.numerics, self.lattice.spacing, self.velocity, settings);
+            let Assembled { model, base } = &mut assembled;
+            let (n, l) = (model.particles(), model.layout);
+            for i in (0..n).filter(|&i| model.is_fluid(i)) {
+                let place = std::array::from_fn(|d| if d < l.dimension { base[d * n + i] } else { 0.0 });
+                base[l.pressure() * n + i] = pressure(place);
+            }
         }
         let Assembled { model, base } = assembled;
         let start = Snapshot::first(&model, rounded(&model, &base));

@@ -256,11 +256,13 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
     }
     let given = merged.clone();
+    // Scenes of one's own have no other formulation.
+    if config.fluid.formulation == Formulation::Standard && config.scene != Family::Custom {
+        standard_defaults(&mut merged, &config);
+        config = merged.read();
+    }
     if config.scene == Family::HeatedChannel {
-        if config.fluid.formulation == Formulation::Standard {
-            standard_defaults(&mut merged, &config);
-            config = merged.read();
-        } else if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
+        if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
             merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
             config = merged.read();
         }
@@ -297,18 +299,21 @@ fn check_shape(config: &Config) -> Result<(), BadInput> {
 
 /// The standard formulation's own defaults, for keys that nobody gave.
 fn standard_defaults(merged: &mut Merged, config: &Config) {
-    let usual = Config::default();
+    let (usual, _) = config.usual();
     let place = "fluid.formulation = standard";
-    let mut set = |key: &str, is_usual: bool, value: f64| {
+    let mut set = |key: &str, is_usual: bool, value: Value| {
         // A preset's value, or a run's own, may be the other formulation's default.
         if is_usual && !merged.places().contains_key(key) {
-            merged.set(key, Value::from(value), place);
+            merged.set(key, value, place);
         }
     };
     let smoothing = config.resolution.smoothing_length;
-    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, 1.0);
-    set("time.cfl", config.time.cfl == usual.time.cfl, 2.0);
-    set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, 5.0);
+    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, Value::from(1.0));
+    set("time.integrator", config.time.integrator == usual.time.integrator, Value::from("symplectic-euler"));
+    if config.scene.has_design() {
+        set("time.cfl", config.time.cfl == usual.time.cfl, Value::from(2.0));
+        set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, Value::from(5.0));
+    }
 }
 
 /// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more

@@ -26,6 +26,8 @@ pub struct Layout {
     pub mass: bool,
     /// The state of the consistent formulation, and of fixed particles: position D, velocity D, pressure, (temperature).
     pub consistent: bool,
+    /// Of the consistent formulation, behind these: the last step's acceleration D, (rate of temperature).
+    pub rates: bool,
 }
 
 impl Layout {
@@ -43,7 +45,7 @@ impl Layout {
     /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass).
     pub fn state_rows(&self) -> usize {
         match self.consistent {
-            true => self.d() + self.fields(),
+            true => self.last_rates() + self.rates as usize * (self.d() + self.heat as usize),
             false => self.state_mass() + self.mass as usize,
         }
     }
@@ -51,7 +53,11 @@ impl Layout {
     pub fn fields(&self) -> usize {
         self.d() + 1 + self.heat as usize
     }
-    /// Of the consistent formulation's state.
+    /// Of the consistent formulation's state: where the last step's rates begin.
+    pub fn last_rates(&self) -> usize {
+        self.d() + self.fields()
+    }
+    /// Likewise.
     pub fn pressure(&self) -> usize {
         2 * self.d()
     }

@@ -158,6 +158,7 @@ impl Case {
                 heat: self.heat,
                 mass: everything,
                 consistent: false,
+                rates: false,
             },
             kernel: Kernel::new(KernelName::QuinticSpline, d, h),
             tags: self.tags.clone(),

@@ -224,6 +224,7 @@ impl Options {
             heat: self.heat,
             mass: self.mass,
             consistent: false,
+            rates: false,
         }
     }
     fn typical_mass(&self) -> f64 {
