@@ -104,6 +104,7 @@
 //!     fixed: None,
 //!     transport: 0.0,
 //!     body_force: BodyForce::None,
+//!     walls_slide: false,
 //!     drive: None,
 //!     heat: None,
 //!     wall_heat_until: None,

@@ -230,7 +230,13 @@ fn support_of_the_kernel() {
     let standard = [STANDARD, wide, "channel.wall_rows=4"];
     refuses_sets(&standard, &["channel.wall_rows = 4", "5 <= channel.wall_rows"]);
     refuses_sets(&[wide, "channel.height=0.16"], &["channel.height = 0.16", "9 spacings", "0.18"]);
-    refuses_sets(&["resolution.kernel=wendland"], &["wendland", "quintic-spline, wendland-c2", "try: `wendland-c2`"]);
+    refuses_sets(
+        &["resolution.kernel=wendland"],
+        &["wendland", "wendland-c2", "wendland-c6", "super-gaussian", "try: `wendland-c2`"],
+    );
+    let negative = "resolution.kernel=super-gaussian";
+    refuses_sets(&[negative], &["super-gaussian", "positive weights", "try: resolution.kernel=gaussian"]);
+    refuses_sets(&[STANDARD, negative, "channel.wall_rows=3"], &["super-gaussian", "with walls", "without walls"]);
     let case = Case::new(&[]);
     let run = ["simulate", "taylor-green", "--set", "resolution.dx=0.125", "--set", wide];
     case.refuses(&run, &["too coarse", "2 (4.5 + time.skin) spacings"]);

@@ -93,6 +93,11 @@ pub const SCENES: &[BuiltIn] = &[
         description: "2D vortex in a box whose upper wall moves, without a closed form (no design)",
         text: include_str!("../../data/scenes/lid-driven-cavity.toml"),
     },
+    BuiltIn {
+        name: "custom",
+        description: "a box, walls of any shape, forces and heat of your own, all from the file (no design)",
+        text: include_str!("../../data/scenes/custom.toml"),
+    },
 ];
 
 /// Sets of keys laid over a scene with `--preset`.

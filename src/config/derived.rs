@@ -7,7 +7,12 @@ use crate::config::scene::{Config, DriveName, Family, Formulation, Motion};
 pub struct TimeStepLimits {
     pub acoustic: f64,
     pub diffusive: f64,
+    /// What the body force allows in a scene of one's own; infinite elsewhere.
+    pub force: f64,
 }
+
+/// dt <= 0.25 sqrt(dx / |g|) (Monaghan 1992, sec. 11; Morris, Fox and Zhu 1997, eq. 19).
+const FORCE_NUMBER: f64 = 0.25;
 
 impl Config {
     /// c = sound_speed_factor * reference_velocity.
@@ -56,10 +61,10 @@ impl Config {
 
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
-        if self.scene == Family::TaylorGreen3d {
-            3
-        } else {
-            2
+        match self.scene {
+            Family::TaylorGreen3d => 3,
+            Family::Custom => self.region.size.len(),
+            _ => 2,
         }
     }
 
@@ -98,6 +103,10 @@ impl Config {
         let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            Family::Custom if self.initial.temperature.is_some() => {
+                (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
+            }
+            Family::Custom => self.kinematic_viscosity() + artificial,
             _ => 1.0 / self.flow.reynolds + artificial,
         };
         // Steps of fixed particles carry sound with the flow explicitly, and the faster that is the smaller they must be:
@@ -110,13 +119,22 @@ impl Config {
         TimeStepLimits {
             acoustic: self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity),
             diffusive: self.time.diffusion_number * dx * dx / diffusivity,
+            force: match self.scene {
+                Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),
+                _ => f64::INFINITY,
+            },
         }
     }
 
-    /// The largest time step: the smaller of the two limits.
+    /// The largest time step: the smallest of the limits.
     pub fn time_step_limit(&self) -> f64 {
         let limits = self.time_step_limits();
-        limits.acoustic.min(limits.diffusive)
+        limits.acoustic.min(limits.diffusive).min(limits.force)
+    }
+
+    /// Size of the body force per mass in a scene of one's own.
+    pub fn acceleration(&self) -> f64 {
+        self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()
     }
 
     /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.

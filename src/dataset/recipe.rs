@@ -98,6 +98,7 @@ impl Recipe {
             Family::Poiseuille => ([4, 2, 2], 147, 0, 0),
             Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
             Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
+            Family::Custom => ([4, 2, 2], 147, 0, 0),
         };
         Self {
             trajectories,
@@ -170,7 +171,7 @@ impl Recipe {
     pub fn pace(&self, config: &Config) -> Pace {
         let limits = config.time_step_limits();
         let courant = match config.scene {
-            Family::HeatedChannel | Family::Poiseuille => 0.25,
+            Family::HeatedChannel | Family::Poiseuille | Family::Custom => 0.25,
             // LagrangeBench's: 4e-4 at a spacing of 0.02, 5e-4 at 0.025.
             Family::TaylorGreen | Family::ReversePoiseuille | Family::LidDrivenCavity => 0.22,
             // 5e-3 at a spacing of 2 pi/20.

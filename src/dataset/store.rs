@@ -225,11 +225,12 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
         "is_bc_trick": true,
         "free_slip": false,
         "artificial_alpha": 0.0,
-        "viscosity": if heated { fluid.viscosity } else { 1.0 / config.flow.reynolds },
+        "viscosity": if heated || config.scene == Family::Custom { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
             Family::HeatedChannel | Family::ReversePoiseuille => fluid.body_force,
             Family::Poiseuille => 8.0 / config.flow.reynolds,
+            Family::Custom => config.acceleration(),
             _ => 0.0,
         },
         "t_end": pace.reference * (recipe.every * (recipe.frames - 1)) as f64,

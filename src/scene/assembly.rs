@@ -148,8 +148,15 @@ impl Lattice {
         self.rows(i)[d] + self.wall_rows[d] >= self.cells[d]
     }
 
-    fn is_wall(&self, i: usize) -> bool {
+    pub fn is_wall(&self, i: usize) -> bool {
         (0..self.dimension).any(|d| self.is_below(i, d) || self.is_above(i, d))
+    }
+
+    /// Where a particle of the lattice stands.
+    pub fn place(&self, i: usize) -> [f64; 3] {
+        let rows = self.rows(i);
+        let place = |d: usize| (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
+        std::array::from_fn(|d| if d < self.dimension { place(d) } else { 0.0 })
     }
 
     /// The box; lengths of directions that there are not are 1.
@@ -167,9 +174,9 @@ impl Lattice {
         let mut positions = vec![0.0; self.dimension * n];
         let mut normal = Normal::new(stream(seed, "jitter"));
         for i in 0..n {
-            let rows = self.rows(i);
+            let place = self.place(i);
             for d in 0..self.dimension {
-                let mut x = (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
+                let mut x = place[d];
                 if !self.is_wall(i) {
                     x += jitter * self.spacing * normal.next();
                 }
@@ -270,6 +277,7 @@ impl<R: Real> Parts<R> {
             // Independent of the time step: the strength that dt at CFL 0.25 gives.
             transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,
+            walls_slide: false,
             drive: self.drive,
             heat: self.heat.take(),
             wall_heat_until: None,
@@ -323,7 +331,7 @@ impl<R: Real> Parts<R> {
 }
 
 /// A state in R. Rounded to f32, a place just below the box's end is the end itself: it becomes the beginning.
-fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
+pub(super) fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
     let (n, domain) = (model.particles(), &model.domain);
     let place = |(k, &x): (usize, &f64)| {
         let (d, x) = (k / n, R::of(x));

@@ -256,7 +256,8 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
     }
     let given = merged.clone();
-    if config.fluid.formulation == Formulation::Standard {
+    // Scenes of one's own have no other formulation.
+    if config.fluid.formulation == Formulation::Standard && config.scene != Family::Custom {
         standard_defaults(&mut merged, &config);
         config = merged.read();
     }
@@ -287,11 +288,12 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone(), given })
 }
 
-/// The wall's shape, which configurations know nothing of.
+/// What configurations know nothing of: the wall's shape, and what shapes and formulas come to at every particle.
 fn check_shape(config: &Config) -> Result<(), BadInput> {
-    match config.scene.has_design() {
-        true => Shape::from_config(config).map(|_| ()),
-        false => Ok(()),
+    match config.scene {
+        Family::HeatedChannel => Shape::from_config(config).map(|_| ()),
+        Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
+        _ => Ok(()),
     }
 }
 

@@ -5,6 +5,7 @@
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod custom;
 pub mod exact;
 pub mod figures;
 pub mod heated_channel;
@@ -12,6 +13,7 @@ pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod plausible;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 mod surface;
@@ -59,6 +61,7 @@ impl<R: Real> Scene<R> {
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
             Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
+            Family::Custom => custom::build(config)?,
             Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
         })
     }

@@ -165,6 +165,8 @@ pub struct Model<R> {
     /// Strength of the transport velocity (0: off).
     pub transport: f64,
     pub body_force: BodyForce,
+    /// Walls with a velocity stay where they are, like a belt or a turning roll; else their particles move with it.
+    pub walls_slide: bool,
     /// What drives the flow besides, in the consistent formulation; fixed particles have their own.
     pub drive: Option<Drive>,
     pub heat: Option<Heat<R>>,

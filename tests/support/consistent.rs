@@ -104,6 +104,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
         artificial_viscosity: None,
         transport: 0.0,
         body_force: BodyForce::None,
+        walls_slide: false,
         drive: None,
         wall_heat_until: None,
         heat: heat.then(|| Heat {

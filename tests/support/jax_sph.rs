@@ -175,6 +175,7 @@ impl Case {
             artificial_viscosity: None,
             transport: self.transport,
             body_force: self.body_force(),
+            walls_slide: false,
             drive: None,
             wall_heat_until: None,
             heat,

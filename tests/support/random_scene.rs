@@ -75,6 +75,7 @@ pub struct RandomScene {
     /// Heat conduction everywhere: no inlet, no outlet.
     pub open_everywhere: bool,
     pub body_force: BodyForce,
+    pub walls_slide: bool,
 }
 
 impl RandomScene {
@@ -129,7 +130,11 @@ impl RandomScene {
             wall_factor: factor,
             size,
             open_everywhere: false,
-            body_force: BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            body_force: match options.seed % 5 {
+                2 => BodyForce::Vector([2.3, -1.1, 0.7]),
+                _ => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            },
+            walls_slide: options.seed % 3 == 1,
         }
     }
 
@@ -165,6 +170,7 @@ impl RandomScene {
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
+            walls_slide: self.walls_slide,
             drive: None,
             wall_heat_until: None,
             heat: options.heat.then(|| Heat {

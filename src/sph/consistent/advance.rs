@@ -92,7 +92,7 @@ impl<R: Real> Forward<'_, R> {
             let set = |row: usize, value: R| unsafe { self.state.set(row * n + i, value) };
             let mut x = R::default();
             for k in 0..D {
-                let given = if k == 0 { R::of(geometry.model.body_force.at(known(1).f64())) } else { R::default() };
+                let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
                 let rate = acceleration[k] + given;
                 let (velocity, mean) = match l.rates {
                     true => {

@@ -423,7 +423,7 @@ pub fn advance<R: Real>(
     let filled = around.wall_values(&known, &p)?;
     let slopes = gradient(&around.fit(&factors[PRESSURE], PRESSURE, &filled)?)?;
     // Advance.
-    let given = model.body_force.composed(&known.narrow(0, 1, 1)?)?;
+    let given = model.body_force.composed(&known.narrow(0, 1, 1)?, d)?;
     let (mut velocities, mut rates) = (Vec::new(), Vec::new());
     // What the last step's prediction is now.
     let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {
@@ -433,9 +433,7 @@ pub fn advance<R: Real>(
     for a in 0..d {
         let mut rate = (carried(&fits[a])? + spread(&fits[a])?.affine(consistent.viscosity, 0.0)?)?;
         rate = (rate - slopes.narrow(0, a, 1)?.affine(1.0 / density, 0.0)?)?;
-        if a == 0 {
-            rate = (rate + &given)?;
-        }
+        rate = (rate + given.narrow(0, a, 1)?)?;
         let rate = rate.mul(&around.fluid)?;
         let before = known.narrow(0, l.velocity() + a, 1)?;
         let now = if l.rates { corrected(&before, &rate, a)? } else { before };

@@ -3,7 +3,7 @@
 use crate::sph::operators::composed::{above, below};
 use candle_core::{Result, Tensor};
 
-/// An acceleration along x, by place. It is piecewise constant, so its derivative is zero.
+/// An acceleration, along x unless it is a vector, by place. It is piecewise constant, so its derivative is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BodyForce {
     None,
@@ -20,6 +20,8 @@ pub enum BodyForce {
         strength: f64,
         turn: f64,
     },
+    /// The same everywhere in the fluid, in any direction.
+    Vector([f64; 3]),
 }
 
 impl BodyForce {
@@ -28,13 +30,16 @@ impl BodyForce {
         match *self {
             Self::None => 0.0,
             Self::Uniform(strength) | Self::Band { strength, .. } | Self::Reversing { strength, .. } => strength,
+            Self::Vector(g) => g.iter().map(|g| g * g).sum::<f64>().sqrt(),
         }
     }
 
-    /// Acceleration along x of fluid at height y.
+    /// Acceleration along direction `d` of fluid at height y.
     #[inline(always)]
-    pub fn at(&self, y: f64) -> f64 {
+    pub fn along(&self, d: usize, y: f64) -> f64 {
         match *self {
+            Self::Vector(g) => g[d],
+            _ if d > 0 => 0.0,
             Self::None => 0.0,
             Self::Uniform(g) => g,
             Self::Band { strength, from, to } => {
@@ -54,16 +59,22 @@ impl BodyForce {
         }
     }
 
-    /// The same of heights `[1, N]`. Piecewise constant, so without derivative.
+    /// The same of heights `[1, N]`, in `dimension` directions: `[D, N]`. Piecewise constant, so without derivative.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn composed(&self, y: &Tensor) -> Result<Tensor> {
-        match *self {
-            Self::None => y.zeros_like(),
-            Self::Uniform(g) => y.detach().affine(0.0, g),
-            Self::Band { strength, from, to } => above(y, from)?.mul(&below(y, to)?)?.affine(strength, 0.0),
-            Self::Reversing { strength, turn } => above(y, turn)?.affine(-2.0 * strength, strength),
+    pub fn composed(&self, y: &Tensor, dimension: usize) -> Result<Tensor> {
+        let x = match *self {
+            Self::None => y.zeros_like()?,
+            Self::Uniform(g) | Self::Vector([g, ..]) => y.detach().affine(0.0, g)?,
+            Self::Band { strength, from, to } => above(y, from)?.mul(&below(y, to)?)?.affine(strength, 0.0)?,
+            Self::Reversing { strength, turn } => above(y, turn)?.affine(-2.0 * strength, strength)?,
+        };
+        let mut all = vec![x];
+        for d in 1..dimension {
+            let g = if let Self::Vector(g) = *self { g[d] } else { 0.0 };
+            all.push(y.detach().affine(0.0, g)?);
         }
+        Tensor::cat(&all, 0)
     }
 }

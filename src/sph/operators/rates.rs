@@ -185,7 +185,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
             // SAFETY (all writes): each fluid row writes its own particle.
             unsafe {
                 for d in 0..D {
-                    let given = if d == 0 { R::of(model.body_force.at(record[1].f64())) } else { R::default() };
+                    let given = R::of(model.body_force.along(d, record[1].f64()));
                     self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
                     if W::TRANSPORT {
                         self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
@@ -402,7 +402,7 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             for k in 0..d {
                 let a = self.rates_bar[k * n + i];
                 bar[k] = a * inverse_mass;
-                let given = if k == 0 { R::of(model.body_force.at(self.moved[n + i].f64())) } else { R::default() };
+                let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
                 power += a * (self.rates[k * n + i] - given);
                 if l.transport {
                     let b = self.rates_bar[(d + k) * n + i];
@@ -519,8 +519,8 @@ pub fn composed<R: Real>(
     let only_fluid = pairs.is_fluid.clone();
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
     let pair_forces = per_mass(sums.force.map_or_else(nothing, Ok)?)?;
-    let given = model.body_force.composed(&moved.narrow(0, 1, 1)?)?.mul(&only_fluid)?;
-    let acceleration = Tensor::cat(&[(pair_forces.narrow(0, 0, 1)? + given)?, pair_forces.narrow(0, 1, d - 1)?], 0)?;
+    let given = model.body_force.composed(&moved.narrow(0, 1, 1)?, d)?.broadcast_mul(&only_fluid)?;
+    let acceleration = (pair_forces + given)?;
     let mut rates = vec![acceleration];
     if let Some(spread) = sums.spread {
         rates.push(per_mass(spread.affine(model.equation_of_state.at_vacuum(), 0.0)?)?);
