@@ -121,6 +121,9 @@ pub trait Lanes:
     }
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
+    /// Calls a function that is compiled once, with this lane type's instructions, and not copied into the caller: what is rare
+    /// must not make every loop longer. The function must be a closure whose calls all are `#[inline(always)]`.
+    fn out_of_line<T>(function: impl FnOnce() -> T) -> T;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
     ///
     /// # Safety
@@ -292,6 +295,10 @@ macro_rules! portable {
             fn sum(self) -> $real {
                 self.0.iter().sum()
             }
+            #[inline(never)]
+            fn out_of_line<T>(function: impl FnOnce() -> T) -> T {
+                function()
+            }
             #[inline(always)]
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                 // SAFETY: the caller promises valid indices and records of at least 4 numbers.
@@ -319,7 +326,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($name:ident, $real:ty, $count:expr, $raw:ty,
+        ($name:ident, $features:literal, $real:ty, $count:expr, $raw:ty,
          $set1:path, $loadu:path, $storeu:path, $fma:path, $sqrt:path, $max:path, $zero:path) => {
             #[derive(Clone, Copy)]
             pub struct $name(pub(super) $raw);
@@ -392,6 +399,15 @@ mod x86 {
                     unsafe { sum::$name(self) }
                 }
                 #[inline(always)]
+                fn out_of_line<T>(function: impl FnOnce() -> T) -> T {
+                    #[target_feature(enable = $features)]
+                    #[inline(never)]
+                    fn call<T>(function: impl FnOnce() -> T) -> T {
+                        function()
+                    }
+                    unsafe { call(function) }
+                }
+                #[inline(always)]
                 unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                     unsafe { gather4::$name(records, stride, index) }.map(Self)
                 }
@@ -405,6 +421,7 @@ mod x86 {
 
     vector!(
         Avx2F64,
+        "avx2,fma",
         f64,
         4,
         __m256d,
@@ -418,6 +435,7 @@ mod x86 {
     );
     vector!(
         Avx2F32,
+        "avx2,fma",
         f32,
         8,
         __m256,
@@ -431,6 +449,7 @@ mod x86 {
     );
     vector!(
         Avx512F64,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f64,
         8,
         __m512d,
@@ -444,6 +463,7 @@ mod x86 {
     );
     vector!(
         Avx512F32,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f32,
         16,
         __m512,

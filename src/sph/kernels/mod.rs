@@ -169,7 +169,13 @@ impl<L: Lanes> KernelLanes<L> {
         // At d = 0, which only self pairs and padding have, q is 0 and 1/q large but finite.
         let r2 = r2 * (self.inverse_h * self.inverse_h);
         let inverse = (r2 + number(1e-30)).inverse_sqrt();
-        let (w, f, g) = with_shape!(self.shape, K => K::shape(r2 * inverse, inverse, self.dimension));
+        let q = r2 * inverse;
+        let (w, f, g) = match self.shape {
+            KernelName::QuinticSpline => QuinticSpline::shape(q, inverse, self.dimension),
+            KernelName::WendlandC2 => WendlandC2::shape(q, inverse, self.dimension),
+            // Seven shapes in every loop would make all of them slower, and the compiler too; a call costs these a little.
+            shape => L::out_of_line(|| with_shape!(shape, K => K::shape(q, inverse, self.dimension))),
+        };
         (self.w * w, self.f * f, self.g * g)
     }
 
