@@ -44,6 +44,13 @@ pub const WIDEST: usize = 16;
 const EXPONENT_F64: f64 = (3u64 << 51) as f64 + 1023.0;
 const EXPONENT_F32: f32 = (3u32 << 22) as f32 + 127.0;
 
+/// What [`Lanes::out_of_line`] calls.
+pub trait Rare {
+    type Output;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn call(self) -> Self::Output;
+}
+
 /// A few [`Real`]s that are computed on together.
 pub trait Lanes:
     Copy
@@ -122,8 +129,8 @@ pub trait Lanes:
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
     /// Calls a function that is compiled once, with this lane type's instructions, and not copied into the caller: what is rare
-    /// must not make every loop longer. The function must be a closure whose calls all are `#[inline(always)]`.
-    fn out_of_line<T>(function: impl FnOnce() -> T) -> T;
+    /// must not make every loop longer.
+    fn out_of_line<F: Rare>(function: F) -> F::Output;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
     ///
     /// # Safety
@@ -296,8 +303,8 @@ macro_rules! portable {
                 self.0.iter().sum()
             }
             #[inline(never)]
-            fn out_of_line<T>(function: impl FnOnce() -> T) -> T {
-                function()
+            fn out_of_line<F: Rare>(function: F) -> F::Output {
+                function.call()
             }
             #[inline(always)]
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
@@ -399,11 +406,11 @@ mod x86 {
                     unsafe { sum::$name(self) }
                 }
                 #[inline(always)]
-                fn out_of_line<T>(function: impl FnOnce() -> T) -> T {
+                fn out_of_line<F: Rare>(function: F) -> F::Output {
                     #[target_feature(enable = $features)]
                     #[inline(never)]
-                    fn call<T>(function: impl FnOnce() -> T) -> T {
-                        function()
+                    fn call<F: Rare>(function: F) -> F::Output {
+                        function.call()
                     }
                     unsafe { call(function) }
                 }
