@@ -44,6 +44,13 @@ pub const WIDEST: usize = 16;
 const EXPONENT_F64: f64 = (3u64 << 51) as f64 + 1023.0;
 const EXPONENT_F32: f32 = (3u32 << 22) as f32 + 127.0;
 
+/// What [`Lanes::out_of_line`] calls.
+pub trait Rare {
+    type Output;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn call(self) -> Self::Output;
+}
+
 /// A few [`Real`]s that are computed on together.
 pub trait Lanes:
     Copy
@@ -121,6 +128,9 @@ pub trait Lanes:
     }
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
+    /// Calls a function that is compiled once, with this lane type's instructions, and not copied into the caller: what is rare
+    /// must not make every loop longer.
+    fn out_of_line<F: Rare>(function: F) -> F::Output;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
     ///
     /// # Safety
@@ -292,6 +302,10 @@ macro_rules! portable {
             fn sum(self) -> $real {
                 self.0.iter().sum()
             }
+            #[inline(never)]
+            fn out_of_line<F: Rare>(function: F) -> F::Output {
+                function.call()
+            }
             #[inline(always)]
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                 // SAFETY: the caller promises valid indices and records of at least 4 numbers.
@@ -319,7 +333,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($name:ident, $real:ty, $count:expr, $raw:ty,
+        ($name:ident, $features:literal, $real:ty, $count:expr, $raw:ty,
          $set1:path, $loadu:path, $storeu:path, $fma:path, $sqrt:path, $max:path, $zero:path) => {
             #[derive(Clone, Copy)]
             pub struct $name(pub(super) $raw);
@@ -392,6 +406,15 @@ mod x86 {
                     unsafe { sum::$name(self) }
                 }
                 #[inline(always)]
+                fn out_of_line<F: Rare>(function: F) -> F::Output {
+                    #[target_feature(enable = $features)]
+                    #[inline(never)]
+                    fn call<F: Rare>(function: F) -> F::Output {
+                        function.call()
+                    }
+                    unsafe { call(function) }
+                }
+                #[inline(always)]
                 unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                     unsafe { gather4::$name(records, stride, index) }.map(Self)
                 }
@@ -405,6 +428,7 @@ mod x86 {
 
     vector!(
         Avx2F64,
+        "avx2,fma",
         f64,
         4,
         __m256d,
@@ -418,6 +442,7 @@ mod x86 {
     );
     vector!(
         Avx2F32,
+        "avx2,fma",
         f32,
         8,
         __m256,
@@ -431,6 +456,7 @@ mod x86 {
     );
     vector!(
         Avx512F64,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f64,
         8,
         __m512d,
@@ -444,6 +470,7 @@ mod x86 {
     );
     vector!(
         Avx512F32,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f32,
         16,
         __m512,

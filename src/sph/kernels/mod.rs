@@ -20,7 +20,7 @@ pub use wendland_c4::WendlandC4;
 pub use wendland_c6::WendlandC6;
 
 pub use crate::config::scene::KernelName;
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{Lanes, Rare, Real};
 use candle_core::{Result, Tensor};
 
 /// The shape of a kernel, as a function of q = d/h alone.
@@ -162,6 +162,23 @@ pub(crate) fn number<L: Lanes>(value: f64) -> L {
     L::splat(L::Real::of(value))
 }
 
+/// A kernel that is not the usual one, at some q.
+struct Other<L> {
+    shape: KernelName,
+    q: L,
+    inverse: L,
+    dimension: L,
+}
+
+impl<L: Lanes> Rare for Other<L> {
+    type Output = (L, L, L);
+
+    #[inline(always)]
+    fn call(self) -> (L, L, L) {
+        with_shape!(self.shape, K => K::shape(self.q, self.inverse, self.dimension))
+    }
+}
+
 impl<L: Lanes> KernelLanes<L> {
     /// W, F and G from one distance; what the caller drops is not computed.
     #[inline(always)]
@@ -169,7 +186,13 @@ impl<L: Lanes> KernelLanes<L> {
         // At d = 0, which only self pairs and padding have, q is 0 and 1/q large but finite.
         let r2 = r2 * (self.inverse_h * self.inverse_h);
         let inverse = (r2 + number(1e-30)).inverse_sqrt();
-        let (w, f, g) = with_shape!(self.shape, K => K::shape(r2 * inverse, inverse, self.dimension));
+        let q = r2 * inverse;
+        let (w, f, g) = match self.shape {
+            KernelName::QuinticSpline => QuinticSpline::shape(q, inverse, self.dimension),
+            KernelName::WendlandC2 => WendlandC2::shape(q, inverse, self.dimension),
+            // Seven shapes in every loop would make all of them slower, and the compiler too; a call costs these a little.
+            shape => L::out_of_line(Other { shape, q, inverse, dimension: self.dimension }),
+        };
         (self.w * w, self.f * f, self.g * g)
     }
 
