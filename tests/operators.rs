@@ -113,12 +113,12 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         Box::new(move |t| apply2(rates::Rates(Chain::new(s.clone())), &t[0], &t[1])),
         Box::new(move |t| rates::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
-    let (s, s2) = (step.clone(), step.clone());
+    let (s, s2, primitives) = (step.clone(), step.clone(), primitives.clone());
     add(
         "assemble",
         &[&moved, &rates],
         Box::new(move |t| apply2(assemble::Assemble(Chain::new(s.clone())), &t[0], &t[1])),
-        Box::new(move |t| assemble::composed(&s2, &t[0], &t[1])),
+        Box::new(move |t| assemble::composed(&s2, &t[0], &primitives, &t[1])),
     );
     let (of_fused, of_composed) = (interpolation.clone(), interpolation);
     let (t1, t2) = (taken.clone(), taken);

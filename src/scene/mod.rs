@@ -5,9 +5,12 @@
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod dam_break;
 pub mod exact;
+pub mod falling_block;
 pub mod figures;
 pub mod heated_channel;
+pub mod hydrostatic_tank;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
@@ -15,6 +18,7 @@ pub mod particle_fields;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 mod surface;
+mod tank;
 pub mod taylor_green;
 pub mod verification;
 
@@ -60,6 +64,9 @@ impl<R: Real> Scene<R> {
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
             Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
             Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
+            Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
+            Family::FallingBlock => falling_block::build(config),
+            Family::HydrostaticTank => hydrostatic_tank::build(config),
         })
     }
 

@@ -8,7 +8,7 @@ use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
+use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
@@ -162,6 +162,7 @@ impl RandomScene {
                 beta: 1.1,
                 sound_speed,
                 smoothing_length: options.smoothing * DX,
+                every_pair: false,
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
@@ -178,6 +179,7 @@ impl RandomScene {
             }),
             consistent: None,
             fixed: None,
+            standard: Standard::default(),
             scratch: Scratch::default(),
         })
     }
@@ -217,6 +219,7 @@ impl Options {
             transport: self.transport,
             heat: self.heat,
             mass: self.mass,
+            density: false,
             consistent: false,
         }
     }

@@ -82,7 +82,7 @@ impl<R: Real> Forward<'_, R> {
             let set = |row: usize, value: R| unsafe { self.state.set(row * n + i, value) };
             let mut x = R::default();
             for k in 0..D {
-                let given = if k == 0 { R::of(geometry.model.body_force.at(known(1).f64())) } else { R::default() };
+                let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
                 let velocity = known(l.velocity() + k) + dt * (acceleration[k] + given);
                 let moved = known(k) + dt * (velocity + shift[k]);
                 let moved = super::super::operators::drift::wrapped(&geometry.model.domain, k, moved);

@@ -123,7 +123,7 @@ impl<R: Sweeps> Operator<2> for Assemble<R> {
 }
 
 /// The same from ordinary candle ops: the oracle.
-pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, rates: &Tensor) -> Result<Tensor> {
+pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let mut rows = vec![moved.narrow(0, 0, 2 * l.dimension)?, rates.narrow(0, 0, l.rate_temperature())?];
     if let Some(heat) = &model.heat {
@@ -135,6 +135,9 @@ pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, rates: &Tensor) -> Resu
     }
     if l.mass {
         rows.push(moved.narrow(0, l.moved_mass(), 1)?);
+    }
+    if l.density {
+        rows.push(primitives.narrow(0, 0, 1)?);
     }
     Tensor::cat(&rows, 0)
 }

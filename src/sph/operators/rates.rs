@@ -15,12 +15,14 @@ use crate::numerics::candle::{read, Operator};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
+use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::{
-    conduction, dot, with_laws, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums,
+    conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
+    Sums, TransportVelocity,
 };
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Masses, PairCache, RowGeometry};
-use crate::sph::operators::{composed, density};
+use crate::sph::operators::{composed, density, evolution};
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -185,7 +187,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
             // SAFETY (all writes): each fluid row writes its own particle.
             unsafe {
                 for d in 0..D {
-                    let given = if d == 0 { R::of(model.body_force.at(record[1].f64())) } else { R::default() };
+                    let given = R::of(model.body_force.along(d, record[1].f64()));
                     self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
                     if W::TRANSPORT {
                         self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
@@ -402,7 +404,7 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             for k in 0..d {
                 let a = self.rates_bar[k * n + i];
                 bar[k] = a * inverse_mass;
-                let given = if k == 0 { R::of(model.body_force.at(self.moved[n + i].f64())) } else { R::default() };
+                let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
                 power += a * (self.rates[k * n + i] - given);
                 if l.transport {
                     let b = self.rates_bar[(d + k) * n + i];
@@ -511,7 +513,27 @@ pub fn composed<R: Real>(
         mass: mass.clone(),
     };
     let mut sums = PairTensors::default();
-    with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    let given = model.body_force.vector(&moved.narrow(0, 0, d)?)?;
+    if let Flux::Riemann(law) = &model.standard.flux {
+        let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
+        let velocity = moved.narrow(0, l.velocity(), d)?;
+        let around = Surroundings { pairs, state, given: &given, normals: &normals, velocity: &velocity };
+        PairTensors::add(&mut sums.force, law.force(&around, &fields, model.viscosity)?)?;
+        if l.transport {
+            TransportVelocity::spread(pairs, &fields, &mut sums)?;
+        }
+        if l.heat {
+            Conduction.composed(pairs, &fields, &mut sums)?;
+        }
+        if let Some(artificial) = model.artificial_viscosity {
+            artificial.composed(pairs, &fields, &mut sums)?;
+        }
+    } else {
+        with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    }
+    if let Flux::Delta(_, diffusion) = &model.standard.flux {
+        PairTensors::add(&mut sums.force, diffusion.composed(pairs, &fields)?)?;
+    }
     if let Some(common) = &sums.common {
         PairTensors::add(&mut sums.force, common.broadcast_mul(&fields.weight)?.sum(2)?)?;
     }
@@ -519,8 +541,7 @@ pub fn composed<R: Real>(
     let only_fluid = pairs.is_fluid.clone();
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
     let pair_forces = per_mass(sums.force.map_or_else(nothing, Ok)?)?;
-    let given = model.body_force.composed(&moved.narrow(0, 1, 1)?)?.mul(&only_fluid)?;
-    let acceleration = Tensor::cat(&[(pair_forces.narrow(0, 0, 1)? + given)?, pair_forces.narrow(0, 1, d - 1)?], 0)?;
+    let acceleration = (pair_forces + given.broadcast_mul(&only_fluid)?)?;
     let mut rates = vec![acceleration];
     if let Some(spread) = sums.spread {
         rates.push(per_mass(spread.affine(model.equation_of_state.at_vacuum(), 0.0)?)?);

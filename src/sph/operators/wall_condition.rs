@@ -10,7 +10,9 @@
 //!   puts the isotherm where the wall is instead of half a spacing behind it.
 //!
 //! eps = 2.2e-16 (f64's machine epsilon, in f32 too: the sums it guards have the same size there).
-//! Their eq. 27 adds (g - a_wall).sum(rho r W); the scenes here have no body force across a wall.
+//! A body force across walls, which gravity is, adds g.sum_j rho_j r_ij W_ij to the sum of pressures (their eq. 27). Where
+//! the flow slips along the walls, `<u> + 2 n n.(u_wall - <u>)` with the wall's normal n: only what crosses the wall turns
+//! around. In Riemann problems walls keep their own density, see [`crate::sph::laws::riemann`].
 //!
 //! Adjoint: wall rows compute D = cotangents of their weighted sums; fluid rows gather them from the walls
 //! that they reach.
@@ -20,7 +22,10 @@ use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::{Flux, Slip};
 use crate::sph::operators::composed;
+use crate::sph::operators::evolution;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{
     gather_fields, pack_positions, splat_fields, stride, Fields, Masses, PairCache, RowGeometry,
@@ -609,11 +614,34 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
     let average = |x: &Tensor| pairs.other(x)?.broadcast_mul(&w)?.sum(2)?.broadcast_mul(&inverse);
 
     let state = model.equation_of_state;
-    let pressure = average(&state.pressure_composed(density)?)?;
-    let mut rows = vec![choose(density, &state.density_composed(&pressure)?)?];
-    rows.push(choose(&velocity, &(velocity.affine(2.0, 0.0)? - average(&velocity)?)?)?);
+    let mut pressure = average(&state.pressure_composed(density)?)?;
+    if let BodyForce::Gravity(_) = model.body_force {
+        let given = pairs.own(&model.body_force.vector(&moved.narrow(0, 0, d)?)?)?;
+        let depth = given.mul(&pairs.difference)?.sum_keepdim(0)?.mul(&pairs.other(density)?)?.mul(&w)?;
+        pressure = (pressure + depth.sum(2)?.mul(&inverse)?)?;
+    }
+    let of_wall = match (model.standard.flux, l.density) {
+        (Flux::Riemann(_), true) => moved.narrow(0, l.moved_density(), 1)?,
+        (Flux::Riemann(_), false) => density.ones_like()?.affine(state.reference_density, 0.0)?,
+        _ => state.density_composed(&pressure)?,
+    };
+    let mut rows = vec![choose(density, &of_wall)?];
+    let normals = match model.standard.slip {
+        Slip::Free => Some(evolution::normals(step, moved)?),
+        Slip::None => None,
+    };
+    // What a wall's particle shows of a vector field.
+    let mirrored = |own: &Tensor| match &normals {
+        None => own.affine(2.0, 0.0)? - average(own)?,
+        Some(n) => {
+            let mean = average(own)?;
+            let across = (own - &mean)?.mul(n)?.sum_keepdim(0)?.affine(2.0, 0.0)?;
+            mean + n.broadcast_mul(&across)?
+        }
+    };
+    rows.push(choose(&velocity, &mirrored(&velocity)?)?);
     if let Some(shift) = shift {
-        rows.push(choose(&shift, &(shift.affine(2.0, 0.0)? - average(&shift)?)?)?);
+        rows.push(choose(&shift, &mirrored(&shift)?)?);
     }
     if let Some(heat) = &model.heat {
         let constant = composed::per_particle(heat.wall_constant.clone(), moved)?;
