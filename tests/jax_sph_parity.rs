@@ -120,7 +120,7 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
         for ((name, values), (_, shaken)) in ours.iter().zip(fields(case, &twin, &before[1])) {
             let mut theirs = field(&reference, name, case.n, values.len())
                 .ok_or_else(|| format!("{name} is missing after {steps} steps"))?;
-            if name == "drhodt" && matches!(model.standard.flux, Flux::Delta(..)) {
+            if *name == "drhodt" && matches!(model.standard.flux, Flux::Delta(..)) {
                 // JAX-SPH diffuses density into walls too, and drops it when their pressure gives them another one.
                 let rate = theirs[0].iter_mut().zip(&model.tags).zip(&values[0]);
                 rate.filter(|((_, tag), _)| **tag != tag::FLUID).for_each(|((theirs, _), ours)| *theirs = *ours);
@@ -128,7 +128,7 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
             let scale = theirs.iter().flatten().fold(0.0f64, |m, x| m.max(x.abs()));
             let difference = largest(case, name, values, &theirs);
             let mut rounding = ROUNDING_MARGIN * largest(case, name, values, &shaken);
-            if name == "p" {
+            if *name == "p" {
                 rounding += ROUNDING_MARGIN * rounded_pressure(&model);
             }
             let relative = if difference > 0.0 { difference / scale } else { 0.0 };

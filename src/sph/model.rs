@@ -212,13 +212,9 @@ impl<R: Real> Model<R> {
     /// Whether every operator of its step has a fused kernel. The others run from candle's operators, whatever kernels are
     /// asked for.
     pub fn is_fused(&self) -> bool {
-        self.consistent.is_some()
-            || self.fixed.is_some()
-            || !(self.layout.density
-                || self.standard.flux != Flux::Pair
-                || self.standard.slip == Slip::Free
-                || matches!(self.body_force, BodyForce::Gravity(_))
-                || self.artificial_viscosity.is_some_and(|law| law.every_pair))
+        let Standard { renormalises, flux, slip, .. } = &self.standard;
+        let standard = !renormalises && *flux == Flux::Pair && *slip == Slip::None;
+        standard || self.consistent.is_some() || self.fixed.is_some()
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == crate::particles::tag::FLUID

@@ -13,7 +13,7 @@ use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
-use crate::numerics::candle::{apply1, apply2, read};
+use crate::numerics::candle::{apply1, apply2, apply3, read};
 use crate::numerics::lanes::Real;
 use crate::particles::Neighbourhood;
 use candle_core::{DType, Device, Tensor};
@@ -132,7 +132,7 @@ impl<R: Sweeps> Solver<R> {
             moved: rows(l.moved_rows()),
             density: rows(1),
             kept: PairCache::default(),
-            primitives: Vec::new(),
+            primitives: rows(if l.density { l.primitive_rows() } else { 0 }),
             rates: rows(l.rate_rows()),
             model,
             state: snapshot.state.clone(),
@@ -426,13 +426,18 @@ impl<R: Sweeps> Execution for Solver<R> {
         let updated = self.neighbourhood.update(&self.model.reach(), &self.moved);
         updated.map_err(|source| RunError::Neighbours { step, source })
     }
-    fn density(&mut self, _: f64, _: &()) -> Result<(), RunError> {
-        R::density(&self.step_now(), &self.moved, &mut self.kept, false, &mut self.density);
+    fn density(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
+        let step = self.step_now();
+        match self.model.layout.density {
+            true => R::evolution(&step, dt, &self.moved, &mut self.kept, false, &mut self.density),
+            false => R::density(&step, &self.moved, &mut self.kept, false, &mut self.density),
+        }
         Ok(())
     }
     fn wall_condition(&mut self, _: &(), _: &()) -> Result<(), RunError> {
         let step = self.step_now();
-        let primitives = self.shows_primitives.then_some(self.primitives.as_mut_slice());
+        let shows = self.shows_primitives || self.model.layout.density;
+        let primitives = shows.then_some(self.primitives.as_mut_slice());
         R::primitives(&step, &self.moved, &self.density, &mut self.kept, primitives);
         Ok(())
     }
@@ -441,7 +446,7 @@ impl<R: Sweeps> Execution for Solver<R> {
         Ok(())
     }
     fn assemble(&mut self, _: &(), _: &(), _: &()) -> Result<(), RunError> {
-        R::assemble(&self.step_now(), &self.moved, &self.rates, &mut self.state);
+        R::assemble(&self.step_now(), &self.moved, &self.primitives, &self.rates, &mut self.state);
         Ok(())
     }
 }
@@ -612,8 +617,13 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
     fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
         self.run.update_list(moved)
     }
-    fn density(&mut self, _: f64, moved: &Tensor) -> Result<Tensor, RunError> {
-        apply1(density::Density(self.chain()), moved).map_err(self.failed())
+    fn density(&mut self, dt: f64, moved: &Tensor) -> Result<Tensor, RunError> {
+        let chain = self.chain();
+        match chain.step.model.layout.density {
+            true => apply1(evolution::Evolution(chain, dt), moved),
+            false => apply1(density::Density(chain), moved),
+        }
+        .map_err(self.failed())
     }
     fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
         let chain = self.chain();
@@ -623,9 +633,14 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
         let chain = self.chain();
         apply2(rates::Rates(chain.clone()), &chain.shared(moved), primitives).map_err(self.failed())
     }
-    fn assemble(&mut self, moved: &Tensor, _: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
+    fn assemble(&mut self, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
         let chain = self.chain();
-        apply2(assemble::Assemble(chain.clone()), &chain.shared(moved), rates).map_err(self.failed())
+        let moved = chain.shared(moved);
+        match chain.step.model.layout.density {
+            true => apply3(assemble::AssembleEvolved(chain), &moved, primitives, rates),
+            false => apply2(assemble::Assemble(chain), &moved, rates),
+        }
+        .map_err(self.failed())
     }
 }
 

@@ -26,6 +26,8 @@ pub struct Options {
     /// Smoothing length in spacings.
     pub smoothing: f64,
     pub artificial_viscosity: bool,
+    /// The density evolves, gravity pulls, and artificial viscosity acts on every pair.
+    pub density: bool,
     pub seed: u64,
 }
 
@@ -42,6 +44,7 @@ impl Options {
             kernel: KernelName::QuinticSpline,
             smoothing: 1.0,
             artificial_viscosity: false,
+            density: false,
             seed: 0,
         }
     }
@@ -119,6 +122,9 @@ impl RandomScene {
             if layout.mass {
                 state[layout.state_mass() * n + i] = options.typical_mass() * (1.0 + 0.1 * normal.next());
             }
+            if layout.density {
+                state[layout.state_density() * n + i] = 1.2 * (1.0 + 0.02 * normal.next());
+            }
         }
         let size = std::array::from_fn(|k| cells[k] as f64 * DX);
         Self {
@@ -129,7 +135,10 @@ impl RandomScene {
             wall_factor: factor,
             size,
             open_everywhere: false,
-            body_force: BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            body_force: match options.density {
+                true => BodyForce::Gravity([0.7, -2.3, 1.1]),
+                false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            },
         }
     }
 
@@ -162,7 +171,7 @@ impl RandomScene {
                 beta: 1.1,
                 sound_speed,
                 smoothing_length: options.smoothing * DX,
-                every_pair: false,
+                every_pair: options.density,
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
@@ -219,7 +228,7 @@ impl Options {
             transport: self.transport,
             heat: self.heat,
             mass: self.mass,
-            density: false,
+            density: self.density,
             consistent: false,
         }
     }

@@ -35,15 +35,16 @@ pub struct Constants<L> {
     quadratic: L,
     length: L,
     guard: L,
+    every_pair: bool,
 }
 
 /// What both passes need of a pair.
 struct Approach<L> {
-    /// mu, 0 for pairs that part.
+    /// mu, 0 for pairs that it does not act on.
     mu: L,
     /// alpha c - beta mu.
     strength: L,
-    /// 1/(r^2 + 0.01 h^2), 0 for pairs that part.
+    /// 1/(r^2 + 0.01 h^2), likewise.
     inverse: L,
     /// 2/(rho_i + rho_j).
     inverse_density: L,
@@ -58,7 +59,10 @@ impl<L: Lanes> Constants<L> {
         }
         let number = |x: f64| L::splat(L::Real::of(x));
         let inverse = number(1.0) / (pair.square + self.guard);
-        let inverse = closing.select_less(L::zero(), inverse, L::zero());
+        let inverse = match self.every_pair {
+            true => pair.fluid.apply(inverse),
+            false => closing.select_less(L::zero(), inverse, L::zero()),
+        };
         let mu = self.length * closing * inverse;
         Approach {
             mu,
@@ -80,6 +84,7 @@ impl PairLaw for ArtificialViscosity {
             quadratic: number(self.beta),
             length: number(self.smoothing_length),
             guard: number(GUARD * self.smoothing_length * self.smoothing_length),
+            every_pair: self.every_pair,
         }
     }
 

@@ -28,6 +28,7 @@ pub use velocity_diffusion::VelocityDiffusion;
 pub use viscosity::Viscosity;
 
 use super::operators::composed::Pairs;
+use super::operators::pairs::Mask;
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
 
@@ -78,6 +79,8 @@ pub struct Pair<'a, L, const D: usize> {
     pub slope: L,
     /// c = (V_i^2 + V_j^2) F, what [`Sums::common`] is multiplied with.
     pub weight: L,
+    /// Lanes where both are fluid.
+    pub fluid: Mask<L>,
 }
 
 /// Sums of particle i over its pairs.

@@ -143,7 +143,8 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
         let from = i * list.capacity;
         let zero = [L::zero(); D];
         let mut sums = Sums { common: zero, force: zero, spread: zero, warmth: L::zero() };
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+        let fluids = list.fluid_count[i] as usize;
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F is kept for every pair of the list, 0 in the padding.
             let (other, slope) = unsafe {
                 let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
@@ -152,7 +153,8 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
             let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let weight = b.volume.mul_add(b.volume, volume2) * slope;
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
             sums.common = zero;
             self.laws.add(&prepared, &pair, &mut sums);
             for d in 0..D {
@@ -295,7 +297,8 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let (zero, none) = ([L::zero(); D], L::zero());
         let mut bar =
             SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+        let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F and G are kept for every pair of the list, 0 in the padding.
             let (other, other_bar, slope, curvature) = unsafe {
                 (
@@ -310,7 +313,8 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
             let volumes2 = b.volume.mul_add(b.volume, volume2);
             let weight = volumes2 * slope;
             let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
             let mut pair_bar = PairBar { scalar: none, by_difference: zero, by_slope: none };
             self.laws.adjoint(&prepared, &pair, &bars, &mut pair_bar, &mut bar);
             bar.volume = (slope * pair_bar.scalar).mul_add(two * a.volume, bar.volume);
