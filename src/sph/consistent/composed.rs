@@ -423,7 +423,7 @@ pub fn advance<R: Real>(
     let filled = around.wall_values(&known, &p)?;
     let slopes = gradient(&around.fit(&factors[PRESSURE], PRESSURE, &filled)?)?;
     // Advance.
-    let given = model.body_force.composed(&known.narrow(0, 1, 1)?, d)?;
+    let given = model.body_force.vector(&position)?;
     let (mut velocities, mut rates) = (Vec::new(), Vec::new());
     // What the last step's prediction is now.
     let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {
