@@ -1,6 +1,7 @@
 //! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
 
 use super::files::{self, VERSION};
+use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::Problem;
 use crate::report::memory::peak_memory_bytes;
@@ -80,6 +81,19 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     if let Some(height) = profile {
         plot_profile(folder, scene, finished.end, height)?;
     }
+    let mut pictures = String::new();
+    if loaded.config.scene == Family::Custom {
+        let end = finished.end;
+        let title = format!("t = {:.4}", end.time);
+        let speed = ("flow", "speed |u| (scene units)", title.as_str());
+        files::plot_scene(folder, speed, end, &files::speeds(end), scene.spacing)?;
+        pictures.push_str(", flow.png");
+        if let Some(temperature) = &end.temperature {
+            let what = ("temperature", "temperature T (scene units)", title.as_str());
+            files::plot_scene(folder, what, end, temperature, scene.spacing)?;
+            pictures.push_str(", temperature.png");
+        }
+    }
     files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
     println!("time                {:.6}", found.time);
     if !rests {
@@ -112,7 +126,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         (None, None) => {}
     }
     println!(
-        "files in {}: summary.json, history.csv{}{}, state.h5{}",
+        "files in {}: summary.json, history.csv{}{pictures}{}, state.h5{}",
         folder.display(),
         if rests { "" } else { ", kinetic_energy.png" },
         if profile.is_some() { ", profile.png" } else { "" },

@@ -4,6 +4,7 @@
 //! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
+use crate::config::custom::{Initial, Region, ShapeEntry};
 use crate::config::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +13,17 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     pub scene: Family,
+    /// Scenes of one's own: the box, the shapes in it, and what the fluid begins with.
+    pub region: Region,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub shapes: Vec<ShapeEntry>,
+    pub initial: Initial,
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
     pub heat: Heat,
+    pub tank: Tank,
+    pub water: Water,
     pub fluid: Fluid,
     pub wall: Wall,
     pub time: Time,
@@ -46,6 +54,13 @@ pub enum Family {
     LidDrivenCavity3d,
     Slab,
     IsothermalChannel,
+    DamBreak,
+    #[serde(rename = "dam-break-3d")]
+    DamBreak3d,
+    FallingBlock,
+    HydrostaticTank,
+    /// A box and shapes, from the configuration alone.
+    Custom,
 }
 
 impl Family {
@@ -63,7 +78,17 @@ impl Family {
             Self::LidDrivenCavity3d => "lid-driven-cavity-3d",
             Self::Slab => "slab",
             Self::IsothermalChannel => "isothermal-channel",
+            Self::DamBreak => "dam-break",
+            Self::DamBreak3d => "dam-break-3d",
+            Self::FallingBlock => "falling-block",
+            Self::HydrostaticTank => "hydrostatic-tank",
+            Self::Custom => "custom",
         }
+    }
+
+    /// Whether it is water in a tank, with a free surface.
+    pub fn has_surface(self) -> bool {
+        matches!(self, Self::DamBreak | Self::DamBreak3d | Self::FallingBlock | Self::HydrostaticTank)
     }
 
     /// Whether there is something to optimise.
@@ -89,16 +114,26 @@ pub enum KernelName {
     /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
     #[default]
     QuinticSpline,
+    /// Cubic spline (Monaghan and Lattanzio 1985): reaches 2 h.
+    CubicSpline,
     /// Wendland's C2 function (Wendland 1995; Dehnen and Aly 2012): reaches 2 h.
     WendlandC2,
+    /// Wendland's C4 function: reaches 2 h.
+    WendlandC4,
+    /// Wendland's C6 function: reaches 2 h.
+    WendlandC6,
+    /// Gaussian (Gingold and Monaghan 1977), cut off at 3 h.
+    Gaussian,
+    /// Super-Gaussian (Monaghan 1992), negative in its outer part, cut off at 3 h.
+    SuperGaussian,
 }
 
 impl KernelName {
     /// Radius beyond which the kernel is zero, in smoothing lengths.
     pub fn support(self) -> f64 {
         match self {
-            Self::QuinticSpline => 3.0,
-            Self::WendlandC2 => 2.0,
+            Self::QuinticSpline | Self::Gaussian | Self::SuperGaussian => 3.0,
+            Self::CubicSpline | Self::WendlandC2 | Self::WendlandC4 | Self::WendlandC6 => 2.0,
         }
     }
 }
@@ -152,6 +187,31 @@ pub enum UpperWall {
     Adiabatic,
 }
 
+/// A box with walls all around.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tank {
+    /// Inside, along x.
+    pub length: f64,
+    /// Inside, along y.
+    pub height: f64,
+    /// Along z, which is periodic.
+    pub depth: f64,
+}
+
+/// The water in the tank at the start: a block.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Water {
+    pub length: f64,
+    pub height: f64,
+    /// Its lower corner, from that of the tank.
+    pub x: f64,
+    pub y: f64,
+    /// Downwards.
+    pub speed: f64,
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fluid {
@@ -160,6 +220,8 @@ pub struct Fluid {
     pub viscosity: f64,
     /// Acceleration along x; reverse Poiseuille flow: its size.
     pub body_force: f64,
+    /// Acceleration of water in a tank: x, y, z.
+    pub gravity: [f64; 3],
     /// Where it acts: everywhere in the fluid, or only above the undeformed wall (as JAX-SPH).
     pub body_force_region: BodyForceRegion,
     /// What is the same for every wall: the body force, the flow rate, or the power that drives the flow.
@@ -182,6 +244,24 @@ pub struct Fluid {
     pub transport_velocity: f64,
     /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
     pub artificial_viscosity: f64,
+    /// Which pairs it acts on.
+    pub artificial_viscosity_pairs: ViscousPairs,
+    /// Tait's exponent: p = rho0 c^2/exponent ((rho/rho0)^exponent - 1).
+    pub equation_of_state_exponent: f64,
+    /// Standard formulation: where the density comes from.
+    pub density_equation: DensityEquation,
+    /// Whether an evolved density is renormalised in each step.
+    pub density_renormalisation: bool,
+    /// Standard formulation: what flows between two particles.
+    pub flux: FluxName,
+    /// delta of delta-SPH.
+    pub density_diffusion: f64,
+    /// Whose gradients it has.
+    pub density_gradient: DensityGradientName,
+    /// alpha of delta-SPH.
+    pub velocity_diffusion: f64,
+    /// eta of the Riemann solver's dissipation limiter.
+    pub riemann_limiter: f64,
     /// Which equations are solved.
     pub formulation: Formulation,
     /// Consistent formulation: whether particles move with the flow.
@@ -203,6 +283,59 @@ pub enum Formulation {
     Consistent,
     /// Density summation and pair forces with a background pressure, as JAX-SPH.
     Standard,
+}
+
+/// Pairs that an artificial viscosity acts on: see [`crate::sph::laws::artificial_viscosity`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ViscousPairs {
+    /// Those that approach each other (Monaghan 1992).
+    #[default]
+    Approaching,
+    /// All pairs of fluid, as JAX-SPH.
+    All,
+}
+
+/// Where the density comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityEquation {
+    /// A sum over the neighbours.
+    #[default]
+    Summation,
+    /// Continuity: needs no neighbours beyond a free surface. See [`crate::sph::operators::evolution`].
+    Evolution,
+}
+
+/// What flows between two particles: see [`crate::sph::laws::Flux`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum FluxName {
+    /// Mean pressure and shear stress.
+    #[default]
+    Pair,
+    /// With diffusion of density and velocity.
+    Delta,
+    /// From the Riemann problem between them.
+    Riemann,
+}
+
+/// Gradients in the diffusion of density: see [`crate::sph::laws::density_diffusion`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityGradientName {
+    #[default]
+    Renormalised,
+    JaxSph,
+}
+
+/// What walls do to a flow along them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlipName {
+    #[default]
+    NoSlip,
+    FreeSlip,
 }
 
 /// What becomes of the particles as the fluid flows.
@@ -277,6 +410,8 @@ pub struct Wall {
     pub hot_isotherm: HotIsotherm,
     /// Particle mass in a deformed column: scaled with the column's area, or constant (as JAX-SPH).
     pub mass: MassConvention,
+    /// Standard formulation: whether the flow has the wall's velocity beside it.
+    pub slip: SlipName,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -307,12 +442,25 @@ pub struct Time {
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
     pub diffusion_number: f64,
+    /// How the consistent formulation's particles are advanced over a step.
+    pub integrator: IntegratorName,
     /// Initial flow: at rest, or the developed parabolic profile (steady in half the time).
     pub start: Start,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
     pub jitter: f64,
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
+}
+
+/// The step of the consistent formulation's moving particles: see [`crate::sph::consistent::advance`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum IntegratorName {
+    /// First order in time; of velocity and pressure each knows the other's newest.
+    #[default]
+    SymplecticEuler,
+    /// Velocity Verlet: second order, one evaluation a step as well.
+    Verlet,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -623,12 +771,25 @@ impl Default for Heat {
     }
 }
 
+impl Default for Tank {
+    fn default() -> Self {
+        Self { length: 5.36, height: 2.0, depth: 0.4 }
+    }
+}
+
+impl Default for Water {
+    fn default() -> Self {
+        Self { length: 2.0, height: 1.0, x: 0.0, y: 0.0, speed: 0.0 }
+    }
+}
+
 impl Default for Fluid {
     fn default() -> Self {
         Self {
             density: 1.0,
             viscosity: 0.01,
             body_force: 2.3,
+            gravity: [0.0, -1.0, 0.0],
             body_force_region: BodyForceRegion::Fluid,
             drive: DriveName::BodyForce,
             flow_rate: None,
@@ -641,6 +802,15 @@ impl Default for Fluid {
             background_pressure_factor: 0.05,
             transport_velocity: 0.0,
             artificial_viscosity: 0.0,
+            artificial_viscosity_pairs: ViscousPairs::Approaching,
+            equation_of_state_exponent: 1.0,
+            density_equation: DensityEquation::Summation,
+            density_renormalisation: false,
+            flux: FluxName::Pair,
+            density_diffusion: 0.1,
+            density_gradient: DensityGradientName::Renormalised,
+            velocity_diffusion: 0.01,
+            riemann_limiter: 3.0,
             formulation: Formulation::Consistent,
             motion: Motion::Moving,
             shift: ShiftName::Chain,
@@ -652,7 +822,12 @@ impl Default for Fluid {
 
 impl Default for Wall {
     fn default() -> Self {
-        Self { hot_temperature: 1.23, hot_isotherm: HotIsotherm::Surface, mass: MassConvention::ColumnArea }
+        Self {
+            hot_temperature: 1.23,
+            hot_isotherm: HotIsotherm::Surface,
+            mass: MassConvention::ColumnArea,
+            slip: SlipName::NoSlip,
+        }
     }
 }
 
@@ -663,6 +838,7 @@ impl Default for Time {
             steps: None,
             cfl: 1.5,
             diffusion_number: 0.25,
+            integrator: IntegratorName::SymplecticEuler,
             start: Start::Developed,
             jitter: 0.05,
             skin: 0.2,

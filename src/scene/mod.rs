@@ -6,18 +6,24 @@ pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
 pub mod couette;
+pub mod custom;
+pub mod dam_break;
 pub mod exact;
+pub mod falling_block;
 pub mod figures;
 pub mod heated_channel;
+pub mod hydrostatic_tank;
 pub mod isothermal_channel;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod plausible;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 pub mod slab;
 mod surface;
+mod tank;
 pub mod taylor_green;
 pub mod verification;
 
@@ -70,6 +76,10 @@ impl<R: Real> Scene<R> {
             }
             Family::Slab => slab::Slab::from_config(config).build(),
             Family::IsothermalChannel => isothermal_channel::IsothermalChannel::from_config(config).build(),
+            Family::Custom => custom::build(config)?,
+            Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
+            Family::FallingBlock => falling_block::build(config),
+            Family::HydrostaticTank => hydrostatic_tank::build(config),
         })
     }
 

@@ -8,7 +8,7 @@ use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
-use hydrograd::sph::model::{Heat, Layout, Materials, Model, Scratch};
+use hydrograd::sph::model::{Heat, Layout, Materials, Model, Scratch, Standard};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
@@ -28,6 +28,8 @@ pub struct Options {
     pub artificial_viscosity: bool,
     /// Conductivities and capacities of particles; needs heat, and no transport velocity.
     pub materials: bool,
+    /// The density evolves, gravity pulls, and artificial viscosity acts on every pair.
+    pub density: bool,
     pub seed: u64,
 }
 
@@ -45,6 +47,7 @@ impl Options {
             smoothing: 1.0,
             artificial_viscosity: false,
             materials: false,
+            density: false,
             seed: 0,
         }
     }
@@ -81,6 +84,7 @@ pub struct RandomScene {
     /// Heat conduction everywhere: no inlet, no outlet.
     pub open_everywhere: bool,
     pub body_force: BodyForce,
+    pub walls_slide: bool,
 }
 
 impl RandomScene {
@@ -125,6 +129,9 @@ impl RandomScene {
             if layout.mass {
                 state[layout.state_mass() * n + i] = options.typical_mass() * (1.0 + 0.1 * normal.next());
             }
+            if layout.density {
+                state[layout.state_density() * n + i] = 1.2 * (1.0 + 0.02 * normal.next());
+            }
         }
         let size = std::array::from_fn(|k| cells[k] as f64 * DX);
         Self {
@@ -138,7 +145,11 @@ impl RandomScene {
             capacity: (0..n).map(|i| [1.0, 0.2, 3.0][i % 3]).collect(),
             size,
             open_everywhere: false,
-            body_force: BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            body_force: match options.density || options.seed % 5 == 2 {
+                true => BodyForce::Gravity([0.7, -2.3, 1.1]),
+                false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            },
+            walls_slide: options.seed % 3 == 1,
         }
     }
 
@@ -171,9 +182,11 @@ impl RandomScene {
                 beta: 1.1,
                 sound_speed,
                 smoothing_length: options.smoothing * DX,
+                every_pair: options.density,
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
+            walls_slide: self.walls_slide,
             drive: None,
             wall_heat_until: None,
             heat: options.heat.then(|| Heat {
@@ -191,6 +204,7 @@ impl RandomScene {
             }),
             consistent: None,
             fixed: None,
+            standard: Standard::default(),
             scratch: Scratch::default(),
         })
     }
@@ -232,7 +246,9 @@ impl Options {
             transport: self.transport,
             heat: self.heat,
             mass: self.mass,
+            density: self.density,
             consistent: false,
+            rates: false,
         }
     }
     fn typical_mass(&self) -> f64 {
