@@ -20,14 +20,14 @@ impl Config {
         self.fluid.sound_speed_factor * self.fluid.reference_velocity
     }
 
-    /// alpha = conductivity / (density * heat_capacity).
+    /// alpha = conductivity / (density * heat_capacity); of verification flows the largest that there is, in their own units.
     pub fn thermal_diffusivity(&self) -> f64 {
-        self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
-    }
-
-    /// The isothermal channel's thermal diffusivity.
-    pub fn channel_diffusivity(&self) -> f64 {
-        1.0 / (self.flow.reynolds * self.heat.prandtl)
+        match self.scene {
+            // The lower half's is 1.
+            Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
+            Family::IsothermalChannel => 1.0 / (self.flow.reynolds * self.heat.prandtl),
+            _ => self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity),
+        }
     }
 
     /// Kinematic viscosity nu = viscosity / density.
@@ -110,9 +110,8 @@ impl Config {
         let diffusivity = match self.scene {
             _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
-            // The lower half's is 1.
-            Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
-            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.channel_diffusivity()),
+            Family::Slab => self.thermal_diffusivity(),
+            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.thermal_diffusivity()),
             Family::Custom if self.initial.temperature.is_some() => {
                 (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
             }

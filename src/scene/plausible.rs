@@ -162,6 +162,8 @@ impl Findings {
 fn kinematic(config: &Config) -> f64 {
     match config.scene {
         Family::HeatedChannel | Family::Custom => config.kinematic_viscosity(),
+        // At rest; its model has this one.
+        Family::Slab => 1.0,
         _ => 1.0 / config.flow.reynolds,
     }
 }
