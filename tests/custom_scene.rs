@@ -136,7 +136,8 @@ fn a_body_force_is_a_vector() {
         let solver = end(&scene, 20);
         for (k, g) in [0.3, -0.2, 0.1][..d].iter().enumerate() {
             let worst = solver.row(d + k).iter().fold(0.0, |most: f64, u| most.max((u - g * t).abs()));
-            assert!(worst < 1e-12, "direction {k} of {d}: {worst:e}");
+            // The pressure forces of the lattice cancel up to rounding.
+            assert!(worst < 1e-10, "direction {k} of {d}: {worst:e}");
         }
     }
 }
@@ -202,8 +203,8 @@ fn wrong_files_are_one_clear_error() {
         ("[initial]\nvelocity = [1]", &["initial.velocity = [1] has 1 components", "2 numbers or formulas"]),
         ("[initial]\ntemperature = true", &["mine.toml", "a number or a formula"]),
         (
-            "[initial]\ntemperature = \"1/(y - 0.0125)\"",
-            &["initial.temperature is inf at x = 0.0125, y = 0.0125", "line 3"],
+            "[initial]\ntemperature = \"ln(y - 0.2)\"",
+            &["initial.temperature is NaN at x = 0.0125, y = 0.01", "line 3"],
         ),
         ("[region]\nsize = [1.0]", &["region.size = [1.0]", "two or three lengths"]),
         ("[region]\nsize = [1.0, 0.51]", &["does not divide region.size[1] = 0.51", "region.size[1] = 0.5"]),
