@@ -76,14 +76,15 @@
 //! use hydrograd::sph::dynamics::Sph;
 //! use hydrograd::sph::kernels::Kernel;
 //! use hydrograd::sph::laws::{body_force::BodyForce, equation_of_state::EquationOfState};
-//! use hydrograd::sph::model::{Layout, Model, Scratch};
+//! use hydrograd::sph::model::{Layout, Model, Scratch, Standard};
 //! use hydrograd::sph::solver::{Snapshot, Solver};
 //! use std::sync::Arc;
 //!
 //! # fn main() -> anyhow::Result<()> {
 //! // A periodic box of water with a shear wave, by Wendland's kernel.
 //! let (side, dx) = (16, 1.0 / 16.0);
-//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false, consistent: false, rates: false };
+//! let layout =
+//!     Layout { dimension: 2, transport: false, heat: false, mass: false, density: false, consistent: false, rates: false };
 //! let model = Arc::new(Model {
 //!     domain: Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] },
 //!     layout,
@@ -108,6 +109,7 @@
 //!     drive: None,
 //!     heat: None,
 //!     wall_heat_until: None,
+//!     standard: Standard::default(),
 //!     scratch: Scratch::default(),
 //! });
 //! let n = model.particles();

@@ -548,7 +548,7 @@ fn numbers_of_the_flows() {
     refuses(
         "taylor-green",
         "resolution.dx=0.25",
-        &["too coarse", "2 (3 + time.skin)", "try: --set resolution.dx=0.142857"],
+        &["too coarse", "2 (2.4 + time.skin)", "try: --set resolution.dx=0.166666"],
     );
     refuses("poiseuille", "resolution.dx=0.2", &["too coarse", "six spacings"]);
     refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);
@@ -571,4 +571,34 @@ fn scenes_without_a_design() {
         }
     }
     case.refuses(&["optimize", "taylor-green", "--epochs", "3", "--start", "sine"], &["taylor-green has no design"]);
+}
+
+#[test]
+fn methods_and_tanks_that_do_not_fit() {
+    let case = Case::new(&[]);
+    let refuses = |scene: &str, sets: &[&str], parts: &[&str]| {
+        let mut arguments = vec!["simulate", scene, "--out", "out"];
+        sets.iter().for_each(|set| arguments.extend(["--set", set]));
+        case.refuses(&arguments, parts)
+    };
+    let evolves = "fluid.density_equation=evolution";
+    refuses("poiseuille", &["fluid.formulation=consistent", evolves], &["density_equation", "standard formulation"]);
+    refuses("poiseuille", &["fluid.density_renormalisation=true"], &["summed", &format!("try: --set {evolves}")]);
+    refuses("poiseuille", &["fluid.density_gradient=jax-sph"], &["without diffusion of density", "fluid.flux=delta"]);
+    refuses("taylor-green", &["fluid.flux=riemann"], &["fluid.transport_velocity", "Riemann", "transport_velocity=0"]);
+    refuses("poiseuille", &["fluid.equation_of_state_exponent=1.5"], &["= 1.5 is no whole number", "1 ... 20"]);
+    refuses("poiseuille", &["fluid.artificial_viscosity_pairs=all"], &["without an artificial viscosity"]);
+    refuses("poiseuille", &["fluid.flux=delat"], &["delat", "delta"]);
+    refuses("dam-break", &["fluid.formulation=consistent"], &["free surface", "formulation=standard"]);
+    refuses(
+        "dam-break",
+        &["resolution.dx=0.03"],
+        &["does not divide tank.length = 5.36", "try: --set tank.length=5.37"],
+    );
+    refuses("dam-break", &["water.height=2.4"], &["reaches out of the tank", "tank.height"]);
+    refuses("dam-break", &["fluid.gravity=[0.0, -1.0, 0.5]"], &["no acceleration of this tank", "the last one 0"]);
+    refuses("dam-break-3d", &["tank.depth=0.2"], &["tank.depth = 0.2 is too short", "skin"]);
+    refuses("hydrostatic-tank", &["fluid.gravity=[0.0, 1.0, 0.0]"], &["downwards"]);
+    refuses("falling-block", &["water.x=0.8"], &["reaches out of the tank"]);
+    refuses("falling-block", &["tank.height=0.2"], &["tank.height = 0.2 is too small", "six spacings"]);
 }

@@ -7,7 +7,7 @@ use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::shape::Shape;
-use hydrograd::numerics::candle::{apply1, apply2};
+use hydrograd::numerics::candle::{apply1, apply2, apply3};
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::Scene;
@@ -18,7 +18,7 @@ use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::model::Model;
 use hydrograd::sph::operators::composed::Pairs;
 use hydrograd::sph::operators::interpolation::Interpolation;
-use hydrograd::sph::operators::{assemble, density, drift, rates, wall_condition};
+use hydrograd::sph::operators::{assemble, density, drift, evolution, rates, wall_condition};
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
@@ -69,7 +69,11 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
     let state = tensor(&scene.state::<R>(), n);
     let moved = apply1(drift::Drift(model.clone(), model.dt), &state).unwrap();
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
-    let density = apply1(density::Density(Chain::new(step.clone())), &moved).unwrap();
+    let (evolves, dt) = (model.layout.density, model.dt);
+    let density = match evolves {
+        true => apply1(evolution::Evolution(Chain::new(step.clone()), dt), &moved).unwrap(),
+        false => apply1(density::Density(Chain::new(step.clone())), &moved).unwrap(),
+    };
     let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
     let rates = apply2(rates::Rates(Chain::new(step.clone())), &moved, &primitives).unwrap();
     let targets = targets(&model, scene);
@@ -84,7 +88,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         let seen = (name == "wall condition").then(|| supported.clone());
         all.push(Operator { name, inputs, fused, composed, seen });
     };
-    let (m, dt) = (model.clone(), model.dt);
+    let m = model.clone();
     let m2 = model.clone();
     add(
         "drift",
@@ -93,12 +97,20 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         Box::new(move |t| drift::composed(&m2, dt, &t[0])),
     );
     let (s, s2) = (step.clone(), step.clone());
-    add(
-        "density",
-        &[&moved],
-        Box::new(move |t| apply1(density::Density(Chain::new(s.clone())), &t[0])),
-        Box::new(move |t| density::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0])),
-    );
+    match evolves {
+        true => add(
+            "evolution",
+            &[&moved],
+            Box::new(move |t| apply1(evolution::Evolution(Chain::new(s.clone()), dt), &t[0])),
+            Box::new(move |t| evolution::composed(&s2, &Pairs::new(&s2, &t[0])?, dt, &t[0])),
+        ),
+        false => add(
+            "density",
+            &[&moved],
+            Box::new(move |t| apply1(density::Density(Chain::new(s.clone())), &t[0])),
+            Box::new(move |t| density::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0])),
+        ),
+    }
     let (s, s2) = (step.clone(), step.clone());
     add(
         "wall condition",
@@ -114,12 +126,23 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         Box::new(move |t| rates::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
-    add(
-        "assemble",
-        &[&moved, &rates],
-        Box::new(move |t| apply2(assemble::Assemble(Chain::new(s.clone())), &t[0], &t[1])),
-        Box::new(move |t| assemble::composed(&s2, &t[0], &t[1])),
-    );
+    match evolves {
+        true => add(
+            "assemble",
+            &[&moved, &primitives, &rates],
+            Box::new(move |t| apply3(assemble::AssembleEvolved(Chain::new(s.clone())), &t[0], &t[1], &t[2])),
+            Box::new(move |t| assemble::composed(&s2, &t[0], &t[1], &t[2])),
+        ),
+        false => {
+            let primitives = primitives.clone();
+            add(
+                "assemble",
+                &[&moved, &rates],
+                Box::new(move |t| apply2(assemble::Assemble(Chain::new(s.clone())), &t[0], &t[1])),
+                Box::new(move |t| assemble::composed(&s2, &t[0], &primitives, &t[1])),
+            )
+        }
+    }
     let (of_fused, of_composed) = (interpolation.clone(), interpolation);
     let (t1, t2) = (taken.clone(), taken);
     add(
@@ -234,8 +257,14 @@ fn scenes() -> Vec<Options> {
             kernel,
             smoothing: if on(5) { 2.8 / kernel.support() } else { 1.0 },
             artificial_viscosity: on(5),
+            density: false,
             seed: k,
         });
+    }
+    // Densities that evolve, each law and each wall with them.
+    for k in 0..16 {
+        let plain = all[(k * 5 + 8) % 64];
+        all.push(Options { density: true, artificial_viscosity: k % 2 == 0, seed: 64 + k as u64, ..plain });
     }
     // A process that tries another instruction set takes a few of them.
     let stride = std::env::var(STRIDE).map_or(1, |s| s.parse().unwrap());

@@ -94,6 +94,26 @@ pub const SCENES: &[BuiltIn] = &[
         text: include_str!("../../data/scenes/lid-driven-cavity.toml"),
     },
     BuiltIn {
+        name: "dam-break",
+        description: "2D column of water that collapses in a tank, with a free surface (no design)",
+        text: include_str!("../../data/scenes/dam-break.toml"),
+    },
+    BuiltIn {
+        name: "dam-break-3d",
+        description: "the same in 3D, periodic across (no design)",
+        text: include_str!("../../data/scenes/dam-break-3d.toml"),
+    },
+    BuiltIn {
+        name: "falling-block",
+        description: "2D block of water that falls into an empty tank (no design)",
+        text: include_str!("../../data/scenes/falling-block.toml"),
+    },
+    BuiltIn {
+        name: "hydrostatic-tank",
+        description: "2D still water under gravity, against its exact pressure (no design)",
+        text: include_str!("../../data/scenes/hydrostatic-tank.toml"),
+    },
+    BuiltIn {
         name: "custom",
         description: "a box, walls of any shape, forces and heat of your own, all from the file (no design)",
         text: include_str!("../../data/scenes/custom.toml"),

@@ -62,7 +62,7 @@ impl Config {
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
-            Family::TaylorGreen3d => 3,
+            Family::TaylorGreen3d | Family::DamBreak3d => 3,
             Family::Custom => self.region.size.len(),
             _ => 2,
         }
@@ -96,12 +96,14 @@ impl Config {
     }
 
     /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
-    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re and no heat. Fixed particles take no larger cfl
+    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re and no heat. Under gravity g the first is no more than
+    /// cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2). Fixed particles take no larger cfl
     /// than 0.144 c / u where the plane channel's fastest flow u is faster than 0.12 c.
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
         let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
+            _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
             Family::Custom if self.initial.temperature.is_some() => {
                 (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
@@ -116,8 +118,14 @@ impl Config {
             Motion::Fixed if mach > 0.12 => 1.2 * 0.12 / mach,
             _ => f64::INFINITY,
         };
+        let gravity = self.fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let falling = match self.scene.has_surface() {
+            true => self.time.cfl * (dx / gravity).sqrt(),
+            false => f64::INFINITY,
+        };
         TimeStepLimits {
-            acoustic: self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity),
+            acoustic: (self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity))
+                .min(falling),
             diffusive: self.time.diffusion_number * dx * dx / diffusivity,
             force: match self.scene {
                 Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),
@@ -218,10 +226,12 @@ mod tests {
     fn artificial_viscosity_limits_the_step() {
         let mut config = Family::TaylorGreen.defaults();
         config.fluid.artificial_viscosity = 4.0;
+        config.resolution.smoothing_length = 1.0;
         // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
         let mut config = Family::TaylorGreen3d.defaults();
         config.fluid.artificial_viscosity = 1.0;
+        config.resolution.smoothing_length = 1.0;
         let dx = config.resolution.dx;
         assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");
     }

@@ -21,6 +21,8 @@ pub struct Config {
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
+    pub tank: Tank,
+    pub water: Water,
     pub fluid: Fluid,
     pub wall: Wall,
     pub time: Time,
@@ -44,6 +46,11 @@ pub enum Family {
     Poiseuille,
     ReversePoiseuille,
     LidDrivenCavity,
+    DamBreak,
+    #[serde(rename = "dam-break-3d")]
+    DamBreak3d,
+    FallingBlock,
+    HydrostaticTank,
     /// A box and shapes, from the configuration alone.
     Custom,
 }
@@ -58,8 +65,17 @@ impl Family {
             Self::Poiseuille => "poiseuille",
             Self::ReversePoiseuille => "reverse-poiseuille",
             Self::LidDrivenCavity => "lid-driven-cavity",
+            Self::DamBreak => "dam-break",
+            Self::DamBreak3d => "dam-break-3d",
+            Self::FallingBlock => "falling-block",
+            Self::HydrostaticTank => "hydrostatic-tank",
             Self::Custom => "custom",
         }
+    }
+
+    /// Whether it is water in a tank, with a free surface.
+    pub fn has_surface(self) -> bool {
+        matches!(self, Self::DamBreak | Self::DamBreak3d | Self::FallingBlock | Self::HydrostaticTank)
     }
 
     /// Whether there is something to optimise.
@@ -135,6 +151,31 @@ pub struct Flow {
     pub reynolds: f64,
 }
 
+/// A box with walls all around.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tank {
+    /// Inside, along x.
+    pub length: f64,
+    /// Inside, along y.
+    pub height: f64,
+    /// Along z, which is periodic.
+    pub depth: f64,
+}
+
+/// The water in the tank at the start: a block.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Water {
+    pub length: f64,
+    pub height: f64,
+    /// Its lower corner, from that of the tank.
+    pub x: f64,
+    pub y: f64,
+    /// Downwards.
+    pub speed: f64,
+}
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fluid {
@@ -143,6 +184,8 @@ pub struct Fluid {
     pub viscosity: f64,
     /// Acceleration along x; reverse Poiseuille flow: its size.
     pub body_force: f64,
+    /// Acceleration of water in a tank: x, y, z.
+    pub gravity: [f64; 3],
     /// Where it acts: everywhere in the fluid, or only above the undeformed wall (as JAX-SPH).
     pub body_force_region: BodyForceRegion,
     /// What is the same for every wall: the body force, the flow rate, or the power that drives the flow.
@@ -165,6 +208,24 @@ pub struct Fluid {
     pub transport_velocity: f64,
     /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
     pub artificial_viscosity: f64,
+    /// Which pairs it acts on.
+    pub artificial_viscosity_pairs: ViscousPairs,
+    /// Tait's exponent: p = rho0 c^2/exponent ((rho/rho0)^exponent - 1).
+    pub equation_of_state_exponent: f64,
+    /// Standard formulation: where the density comes from.
+    pub density_equation: DensityEquation,
+    /// Whether an evolved density is renormalised in each step.
+    pub density_renormalisation: bool,
+    /// Standard formulation: what flows between two particles.
+    pub flux: FluxName,
+    /// delta of delta-SPH.
+    pub density_diffusion: f64,
+    /// Whose gradients it has.
+    pub density_gradient: DensityGradientName,
+    /// alpha of delta-SPH.
+    pub velocity_diffusion: f64,
+    /// eta of the Riemann solver's dissipation limiter.
+    pub riemann_limiter: f64,
     /// Which equations are solved.
     pub formulation: Formulation,
     /// Consistent formulation: whether particles move with the flow.
@@ -186,6 +247,59 @@ pub enum Formulation {
     Consistent,
     /// Density summation and pair forces with a background pressure, as JAX-SPH.
     Standard,
+}
+
+/// Pairs that an artificial viscosity acts on: see [`crate::sph::laws::artificial_viscosity`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum ViscousPairs {
+    /// Those that approach each other (Monaghan 1992).
+    #[default]
+    Approaching,
+    /// All pairs of fluid, as JAX-SPH.
+    All,
+}
+
+/// Where the density comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityEquation {
+    /// A sum over the neighbours.
+    #[default]
+    Summation,
+    /// Continuity: needs no neighbours beyond a free surface. See [`crate::sph::operators::evolution`].
+    Evolution,
+}
+
+/// What flows between two particles: see [`crate::sph::laws::Flux`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum FluxName {
+    /// Mean pressure and shear stress.
+    #[default]
+    Pair,
+    /// With diffusion of density and velocity.
+    Delta,
+    /// From the Riemann problem between them.
+    Riemann,
+}
+
+/// Gradients in the diffusion of density: see [`crate::sph::laws::density_diffusion`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityGradientName {
+    #[default]
+    Renormalised,
+    JaxSph,
+}
+
+/// What walls do to a flow along them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlipName {
+    #[default]
+    NoSlip,
+    FreeSlip,
 }
 
 /// What becomes of the particles as the fluid flows.
@@ -260,6 +374,8 @@ pub struct Wall {
     pub hot_isotherm: HotIsotherm,
     /// Particle mass in a deformed column: scaled with the column's area, or constant (as JAX-SPH).
     pub mass: MassConvention,
+    /// Standard formulation: whether the flow has the wall's velocity beside it.
+    pub slip: SlipName,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -613,12 +729,25 @@ impl Default for Flow {
     }
 }
 
+impl Default for Tank {
+    fn default() -> Self {
+        Self { length: 5.36, height: 2.0, depth: 0.4 }
+    }
+}
+
+impl Default for Water {
+    fn default() -> Self {
+        Self { length: 2.0, height: 1.0, x: 0.0, y: 0.0, speed: 0.0 }
+    }
+}
+
 impl Default for Fluid {
     fn default() -> Self {
         Self {
             density: 1.0,
             viscosity: 0.01,
             body_force: 2.3,
+            gravity: [0.0, -1.0, 0.0],
             body_force_region: BodyForceRegion::Fluid,
             drive: DriveName::BodyForce,
             flow_rate: None,
@@ -631,6 +760,15 @@ impl Default for Fluid {
             background_pressure_factor: 0.05,
             transport_velocity: 0.0,
             artificial_viscosity: 0.0,
+            artificial_viscosity_pairs: ViscousPairs::Approaching,
+            equation_of_state_exponent: 1.0,
+            density_equation: DensityEquation::Summation,
+            density_renormalisation: false,
+            flux: FluxName::Pair,
+            density_diffusion: 0.1,
+            density_gradient: DensityGradientName::Renormalised,
+            velocity_diffusion: 0.01,
+            riemann_limiter: 3.0,
             formulation: Formulation::Consistent,
             motion: Motion::Moving,
             shift: ShiftName::Chain,
@@ -642,7 +780,12 @@ impl Default for Fluid {
 
 impl Default for Wall {
     fn default() -> Self {
-        Self { hot_temperature: 1.23, hot_isotherm: HotIsotherm::Surface, mass: MassConvention::ColumnArea }
+        Self {
+            hot_temperature: 1.23,
+            hot_isotherm: HotIsotherm::Surface,
+            mass: MassConvention::ColumnArea,
+            slip: SlipName::NoSlip,
+        }
     }
 }
 

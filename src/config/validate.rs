@@ -5,8 +5,8 @@ use crate::config::custom::ShapeEntry;
 use crate::config::formula::Formula;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, DynamicsName, Family, Formulation, GradientMode, IntegratorName,
-    KernelName, Motion, ObjectiveKind, Precision, ShiftName, Trust,
+    BodyForceRegion, Config, DensityEquation, DesignWalls, DriveName, DynamicsName, Family, FluxName, Formulation,
+    GradientMode, IntegratorName, KernelName, Motion, ObjectiveKind, Precision, ShiftName, Trust,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
@@ -69,8 +69,12 @@ impl Schema for Config {
             return self.check_steps();
         }
         if self.scene != Family::HeatedChannel {
-            self.check_box()?;
+            match self.scene.has_surface() {
+                true => self.check_tank()?,
+                false => self.check_box()?,
+            }
             self.check_flow()?;
+            self.check_methods()?;
             return self.check_steps();
         }
         self.check_spacing()?;
@@ -98,6 +102,8 @@ fn numbers(config: &Config) -> Vec<Number> {
         resolution,
         channel,
         flow,
+        tank,
+        water,
         fluid,
         wall,
         time,
@@ -123,6 +129,14 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("channel.inlet_length", channel.inlet_length, NotNegative),
         ("channel.outlet_length", channel.outlet_length, NotNegative),
         ("flow.reynolds", flow.reynolds, Positive),
+        ("tank.length", tank.length, Positive),
+        ("tank.height", tank.height, Positive),
+        ("tank.depth", tank.depth, Positive),
+        ("water.length", water.length, Positive),
+        ("water.height", water.height, Positive),
+        ("water.x", water.x, NotNegative),
+        ("water.y", water.y, NotNegative),
+        ("water.speed", water.speed, Finite),
         ("fluid.density", fluid.density, Positive),
         ("fluid.viscosity", fluid.viscosity, Positive),
         ("fluid.body_force", fluid.body_force, NotNegative),
@@ -136,6 +150,10 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("fluid.background_pressure_factor", fluid.background_pressure_factor, Within(0.0, 1.0)),
         ("fluid.transport_velocity", fluid.transport_velocity, Within(0.0, 1.0)),
         ("fluid.artificial_viscosity", fluid.artificial_viscosity, Within(0.0, 10.0)),
+        ("fluid.equation_of_state_exponent", fluid.equation_of_state_exponent, Within(1.0, 20.0)),
+        ("fluid.density_diffusion", fluid.density_diffusion, Within(0.0, 1.0)),
+        ("fluid.velocity_diffusion", fluid.velocity_diffusion, Within(0.0, 10.0)),
+        ("fluid.riemann_limiter", fluid.riemann_limiter, Within(0.0, 1000.0)),
         ("fluid.shift_strength", fluid.shift_strength, Within(0.0, 10.0)),
         ("fluid.pressure_diffusion", fluid.pressure_diffusion, Within(0.0, 1.0)),
         ("wall.hot_temperature", wall.hot_temperature, Finite),
@@ -218,6 +236,140 @@ impl Config {
                 .key("fluid.shift")
                 .allowed("isotropic or none, or scene heated-channel")
                 .advice("fluid.shift=isotropic"));
+        }
+        Ok(())
+    }
+
+    /// Methods of the standard formulation that fit together.
+    fn check_methods(&self) -> Result<(), BadInput> {
+        let (fluid, wall, usual) = (&self.fluid, &self.wall, Self::default());
+        let exponent = fluid.equation_of_state_exponent;
+        if exponent.fract() != 0.0 {
+            return Err(BadInput::new(format!("fluid.equation_of_state_exponent = {exponent} is no whole number"))
+                .key("fluid.equation_of_state_exponent")
+                .allowed("1 ... 20, whole numbers")
+                .advice("fluid.equation_of_state_exponent=7 for water"));
+        }
+        let (evolves, delta) = (fluid.density_equation == DensityEquation::Evolution, fluid.flux == FluxName::Delta);
+        let riemann = fluid.flux == FluxName::Riemann;
+        let without = |key: &'static str, problem: &str, advice: &str| {
+            Err(BadInput::new(format!("{key} {problem}")).key(key).allowed("its default there").advice(advice))
+        };
+        if fluid.formulation == Formulation::Consistent {
+            let others = [
+                ("fluid.density_equation", evolves),
+                ("fluid.flux", fluid.flux != usual.fluid.flux),
+                ("fluid.equation_of_state_exponent", exponent != usual.fluid.equation_of_state_exponent),
+                ("wall.slip", wall.slip != usual.wall.slip),
+            ];
+            if let Some((key, _)) = others.into_iter().find(|(_, given)| *given) {
+                let advice = "fluid.formulation=standard, or leave it out";
+                return without(key, "is a setting of the standard formulation", advice);
+            }
+        }
+        if fluid.density_renormalisation && !evolves {
+            let problem = "= true with a density that is summed";
+            return without("fluid.density_renormalisation", problem, "fluid.density_equation=evolution");
+        }
+        if !delta && fluid.density_gradient != usual.fluid.density_gradient {
+            return without("fluid.density_gradient", "without diffusion of density", "fluid.flux=delta");
+        }
+        if riemann && fluid.transport_velocity != 0.0 {
+            let advice = "fluid.transport_velocity=0, or fluid.flux=pair";
+            return without(
+                "fluid.transport_velocity",
+                "with Riemann problems, whose states have no such stress",
+                advice,
+            );
+        }
+        if fluid.artificial_viscosity == 0.0
+            && fluid.artificial_viscosity_pairs != usual.fluid.artificial_viscosity_pairs
+        {
+            let advice = "fluid.artificial_viscosity=0.1, or leave it out";
+            return without("fluid.artificial_viscosity_pairs", "without an artificial viscosity", advice);
+        }
+        Ok(())
+    }
+
+    /// A tank whose walls and water stand on the lattice.
+    fn check_tank(&self) -> Result<(), BadInput> {
+        let (dx, tank, water) = (self.resolution.dx, &self.tank, &self.water);
+        let (deep, block) = (self.dimension() == 3, self.scene == Family::FallingBlock);
+        let still = self.scene == Family::HydrostaticTank;
+        let particles = tank.length / dx * tank.height / dx * if deep { tank.depth / dx } else { 1.0 };
+        if particles > MAX_PARTICLES {
+            return Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .key("resolution.dx")
+                .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
+        }
+        let extents = [
+            ("tank.length", tank.length, true),
+            ("tank.height", tank.height, true),
+            ("tank.depth", tank.depth, deep),
+            ("water.length", water.length, !still),
+            ("water.height", water.height, true),
+            ("water.x", water.x, block),
+            ("water.y", water.y, block),
+        ];
+        for (key, extent, _) in extents.into_iter().filter(|(_, _, has)| *has) {
+            let count = (extent / dx).round();
+            if (extent / dx - count).abs() > WHOLE {
+                return Err(BadInput::new(format!("resolution.dx = {dx} does not divide {key} = {extent}"))
+                    .key(key)
+                    .allowed("whole numbers of spacings")
+                    .advice(format!("{key}={}", (1e9 * count * dx).round() / 1e9)));
+            }
+        }
+        let (support, rows) = (self.support(), self.fluid_rows());
+        for (key, extent) in [("tank.length", tank.length), ("tank.height", tank.height)] {
+            if extent < rows * dx * (1.0 - WHOLE) {
+                return Err(BadInput::new(format!("{key} = {extent} is too small"))
+                    .key(key)
+                    .allowed(format!("at least {}: no particle sees two walls", spacings(rows)))
+                    .advice("a smaller resolution.dx"));
+            }
+        }
+        let shortest = 2.0 * (support + self.time.skin) * dx;
+        if deep && tank.depth < shortest {
+            return Err(BadInput::new(format!("tank.depth = {} is too short", tank.depth))
+                .key("tank.depth")
+                .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
+                .advice("a smaller resolution.dx"));
+        }
+        let (length, x, y) = (
+            if still { tank.length } else { water.length },
+            if block { water.x } else { 0.0 },
+            if block { water.y } else { 0.0 },
+        );
+        let slack = WHOLE * dx;
+        for (key, from, extent, key_of_tank, most) in [
+            ("water.length", x, length, "tank.length", tank.length),
+            ("water.height", y, water.height, "tank.height", tank.height),
+        ] {
+            if from + extent > most + slack {
+                return Err(BadInput::new(format!("{key} = {extent} reaches out of the tank"))
+                    .key(key)
+                    .allowed(format!("up to {}, {key_of_tank} less where the water begins", most - from))
+                    .advice(format!("a larger {key_of_tank}")));
+            }
+        }
+        let gravity = self.fluid.gravity;
+        let flat = !deep && gravity[2] != 0.0;
+        if flat || gravity.iter().any(|g| !g.is_finite()) || (still && (gravity[0] != 0.0 || gravity[1] >= 0.0)) {
+            return Err(BadInput::new(format!("fluid.gravity = {gravity:?} is no acceleration of this tank"))
+                .key("fluid.gravity")
+                .allowed(match still {
+                    true => "downwards: [0, less than 0, 0]",
+                    false if deep => "three finite numbers",
+                    false => "three finite numbers, the last one 0",
+                })
+                .advice("fluid.gravity=[0.0, -1.0, 0.0]"));
+        }
+        if self.fluid.formulation == Formulation::Consistent {
+            return Err(BadInput::new("fluid.formulation = consistent with a free surface")
+                .key("fluid.formulation")
+                .allowed("standard: the consistent formulation's fits have no condition there")
+                .advice("fluid.formulation=standard"));
         }
         Ok(())
     }
@@ -489,7 +641,7 @@ impl Config {
         if count < fewest {
             let rule = match walls {
                 true => spacings(fewest),
-                false => format!("2 ({support} + time.skin) spacings"),
+                false => format!("2 ({} + time.skin) spacings", (support * 1e6).round() / 1e6),
             };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))

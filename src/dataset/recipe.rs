@@ -99,6 +99,9 @@ impl Recipe {
             Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
             Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
             Family::Custom => ([4, 2, 2], 147, 0, 0),
+            // Their blocks differ by time.jitter: without gravity water with a free surface does not relax.
+            Family::DamBreak => ([4, 2, 2], 401, 0, 0),
+            Family::DamBreak3d | Family::FallingBlock | Family::HydrostaticTank => ([4, 2, 2], 101, 0, 0),
         };
         Self {
             trajectories,
@@ -139,6 +142,11 @@ impl Recipe {
                 .allowed("0")
                 .advice(format!("skip={}", self.skip + self.relax)));
         }
+        if config.scene.has_surface() && self.relax > 0 {
+            return Err(bad("relax", format!("relax = {}: water with a free surface does not relax", self.relax))
+                .allowed("0")
+                .advice("time.jitter=0.1"));
+        }
         if !config.scene.has_design() && self.walls != Walls::default() {
             let scene = config.scene.name();
             let option = if self.walls == Walls::File { "walls-file" } else { "walls" };
@@ -171,9 +179,15 @@ impl Recipe {
     pub fn pace(&self, config: &Config) -> Pace {
         let limits = config.time_step_limits();
         let courant = match config.scene {
-            Family::HeatedChannel | Family::Poiseuille | Family::Custom => 0.25,
+            Family::HeatedChannel
+            | Family::Poiseuille
+            | Family::Custom
+            | Family::FallingBlock
+            | Family::HydrostaticTank => 0.25,
             // LagrangeBench's: 4e-4 at a spacing of 0.02, 5e-4 at 0.025.
             Family::TaylorGreen | Family::ReversePoiseuille | Family::LidDrivenCavity => 0.22,
+            // 3e-4 at a spacing of 0.02.
+            Family::DamBreak | Family::DamBreak3d => 0.233,
             // 5e-3 at a spacing of 2 pi/20.
             Family::TaylorGreen3d => 0.175,
         };

@@ -5,7 +5,7 @@ use super::recipe::{Job, Recipe};
 use super::record::Enclosure;
 use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, DensityEquation, Family, FluxName, SlipName};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
 use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
@@ -220,17 +220,22 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
     let heated = config.scene.has_design();
     let serde_json::Value::Object(other) = json!({
         "case": config.scene.name(),
-        "solver": "SPH",
-        "density_evolution": false,
+        "solver": match fluid.flux {
+            FluxName::Pair => "SPH",
+            FluxName::Delta => "DELTA",
+            FluxName::Riemann => "RIE",
+        },
+        "density_evolution": fluid.density_equation == DensityEquation::Evolution,
         "is_bc_trick": true,
-        "free_slip": false,
-        "artificial_alpha": 0.0,
-        "viscosity": if heated || config.scene == Family::Custom { fluid.viscosity } else { 1.0 / config.flow.reynolds },
+        "free_slip": config.wall.slip == SlipName::FreeSlip,
+        "artificial_alpha": fluid.artificial_viscosity,
+        "viscosity": if heated || config.scene == Family::Custom || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
             Family::HeatedChannel | Family::ReversePoiseuille => fluid.body_force,
             Family::Poiseuille => 8.0 / config.flow.reynolds,
             Family::Custom => config.acceleration(),
+            scene if scene.has_surface() => fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             _ => 0.0,
         },
         "t_end": pace.reference * (recipe.every * (recipe.frames - 1)) as f64,

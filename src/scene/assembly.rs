@@ -2,7 +2,9 @@
 
 use super::surface::{Settings, Surface};
 use super::{Exact, Scene};
-use crate::config::scene::{Config, KernelName};
+use crate::config::scene::{
+    Config, DensityEquation, DensityGradientName, FluxName, KernelName, SlipName, ViscousPairs,
+};
 use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
@@ -10,8 +12,10 @@ use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::laws::ArtificialViscosity;
-use crate::sph::model::{Heat, Layout, Model, Scratch};
+use crate::sph::laws::{
+    ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
+};
+use crate::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use crate::sph::solver::Snapshot;
 use std::sync::Arc;
 
@@ -39,6 +43,8 @@ pub struct Numerics {
     pub transport_velocity: f64,
     /// alpha of [`ArtificialViscosity`]; 0 switches it off.
     pub artificial_viscosity: f64,
+    /// Of the standard formulation.
+    pub method: Method,
     /// Of the consistent formulation; none: the standard one.
     pub consistent: Option<Settings>,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
@@ -46,6 +52,62 @@ pub struct Numerics {
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
     pub seed: u64,
+}
+
+/// Choices of the standard formulation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Method {
+    pub density: DensityEquation,
+    pub renormalises: bool,
+    pub flux: FluxName,
+    /// delta and alpha of delta-SPH.
+    pub diffusion: [f64; 2],
+    pub gradient: DensityGradientName,
+    /// eta of the Riemann problem's limiter.
+    pub limiter: f64,
+    pub slip: SlipName,
+    /// Tait's.
+    pub exponent: i32,
+    pub viscous: ViscousPairs,
+}
+
+impl Default for Method {
+    fn default() -> Self {
+        Self::from_config(&Config::default())
+    }
+}
+
+impl Method {
+    fn from_config(config: &Config) -> Self {
+        let fluid = &config.fluid;
+        Self {
+            density: fluid.density_equation,
+            renormalises: fluid.density_renormalisation,
+            flux: fluid.flux,
+            diffusion: [fluid.density_diffusion, fluid.velocity_diffusion],
+            gradient: fluid.density_gradient,
+            limiter: fluid.riemann_limiter,
+            slip: config.wall.slip,
+            exponent: fluid.equation_of_state_exponent as i32,
+            viscous: fluid.artificial_viscosity_pairs,
+        }
+    }
+
+    fn flux(&self, sound_speed: f64, smoothing_length: f64, reference_density: f64) -> Flux {
+        let gradient = match self.gradient {
+            DensityGradientName::Renormalised => DensityGradient::Renormalised,
+            DensityGradientName::JaxSph => DensityGradient::JaxSph,
+        };
+        let [delta, alpha] = self.diffusion;
+        match self.flux {
+            FluxName::Pair => Flux::Pair,
+            FluxName::Delta => Flux::Delta(
+                DensityDiffusion { strength: delta, sound_speed, smoothing_length, gradient },
+                VelocityDiffusion { strength: alpha, sound_speed, smoothing_length, reference_density },
+            ),
+            FluxName::Riemann => Flux::Riemann(Riemann { sound_speed, limiter: self.limiter }),
+        }
+    }
 }
 
 impl Default for Numerics {
@@ -62,6 +124,7 @@ impl Default for Numerics {
             background_pressure_factor: 0.0,
             transport_velocity: 1.0,
             artificial_viscosity: 0.0,
+            method: Method::default(),
             consistent: None,
             jitter: 0.0,
             skin: 0.2,
@@ -85,6 +148,7 @@ impl Numerics {
             background_pressure_factor: config.fluid.background_pressure_factor,
             transport_velocity: config.fluid.transport_velocity,
             artificial_viscosity: config.fluid.artificial_viscosity,
+            method: Method::from_config(config),
             consistent: Settings::from_config(config),
             jitter: config.time.jitter,
             skin: config.time.skin,
@@ -118,6 +182,8 @@ pub(super) struct Lattice {
     pub periodic: [bool; 3],
     /// The box, if it is not cells times the spacing to the bit.
     pub size: Option<[f64; 3]>,
+    /// Cells that have a particle, where not all do: numbered as if all had.
+    pub occupied: Option<Vec<usize>>,
     /// Coordinate of a row's first particle: (row + 1/2 - before) spacing + corner.
     pub before: [f64; 3],
     pub corner: [f64; 3],
@@ -127,16 +193,52 @@ impl Lattice {
     /// Without walls, periodic everywhere, its corner at 0.
     pub fn new(dimension: usize, spacing: f64, cells: [usize; 3]) -> Self {
         let (wall_rows, periodic, before, corner) = ([0; 3], [true; 3], [0.0; 3], [0.0; 3]);
-        Self { dimension, spacing, cells, wall_rows, periodic, size: None, before, corner }
+        Self { dimension, spacing, cells, wall_rows, periodic, size: None, occupied: None, before, corner }
     }
 
     pub fn particles(&self) -> usize {
-        self.cells[..self.dimension].iter().product()
+        let cells = || self.cells[..self.dimension].iter().product();
+        self.occupied.as_ref().map_or_else(cells, Vec::len)
+    }
+
+    /// Leaves only the particles of walls, and of fluid whose cell's first row behind the walls is in a block.
+    pub fn with_block(mut self, first: [usize; 3], behind: [usize; 3]) -> Self {
+        let is_in = |rows: [usize; 3]| {
+            (0..self.dimension).all(|d| (first[d]..behind[d]).contains(&rows[d].wrapping_sub(self.wall_rows[d])))
+        };
+        let occupied = (0..self.particles()).filter(|&i| self.is_wall(i) || is_in(self.rows(i))).collect();
+        self.occupied = Some(occupied);
+        self
+    }
+
+    /// Unit normals of the walls at their particles, into the fluid, `[D, N]`, 0 for fluid: from a particle to the nearest
+    /// place of the box between the walls. A `lid`'s are its plane's, wherever it has moved.
+    fn normals(&self, lid: bool) -> Vec<f64> {
+        let (n, half) = (self.particles(), 0.5);
+        let mut normals = vec![0.0; self.dimension * n];
+        for i in (0..n).filter(|&i| self.is_wall(i)) {
+            let rows = self.rows(i);
+            let mut normal: [f64; 3] = std::array::from_fn(|d| {
+                if d >= self.dimension || self.wall_rows[d] == 0 {
+                    return 0.0;
+                }
+                let (low, high) = (self.wall_rows[d] as f64, (self.cells[d] - self.wall_rows[d]) as f64);
+                let at = rows[d] as f64 + half;
+                at.clamp(low, high) - at
+            });
+            if lid && self.is_above(i, 1) {
+                normal = [0.0, -1.0, 0.0];
+            }
+            let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+            (0..self.dimension).for_each(|d| normals[d * n + i] = normal[d] / length);
+        }
+        normals
     }
 
     /// Its row along each direction.
     pub fn rows(&self, i: usize) -> [usize; 3] {
         let cells = self.cells;
+        let i = self.occupied.as_ref().map_or(i, |occupied| occupied[i]);
         [i % cells[0], i / cells[0] % cells[1], i / (cells[0] * cells[1])]
     }
 
@@ -231,6 +333,9 @@ impl<R: Real> Parts<R> {
             for d in 0..l.dimension {
                 base[(l.velocity() + d) * n + i] = u[d];
             }
+            if l.density {
+                base[l.state_density() * n + i] = self.density;
+            }
         }
         Assembled { model, base }
     }
@@ -243,6 +348,7 @@ impl<R: Real> Parts<R> {
             transport: numerics.transport_velocity > 0.0,
             heat: self.heat.is_some(),
             mass: self.own_mass,
+            density: numerics.method.density == DensityEquation::Evolution,
             consistent: false,
             rates: false,
         };
@@ -257,7 +363,21 @@ impl<R: Real> Parts<R> {
         let dt = numerics.step(dx, self.velocity, self.viscosity / density);
         let smoothing_length = numerics.smoothing_length * dx;
         let alpha = numerics.artificial_viscosity;
-        let artificial = ArtificialViscosity { alpha, beta: 0.0, sound_speed, smoothing_length };
+        let artificial = ArtificialViscosity {
+            alpha,
+            beta: 0.0,
+            sound_speed,
+            smoothing_length,
+            every_pair: numerics.method.viscous == ViscousPairs::All,
+        };
+        let method = numerics.method;
+        let slip = match method.slip {
+            SlipName::NoSlip => Slip::None,
+            SlipName::FreeSlip => Slip::Free,
+        };
+        let flux = method.flux(sound_speed, smoothing_length, density);
+        let normals =
+            Standard::<R>::asks_for_normals(&flux, slip).then(|| lattice.normals(lid).into_iter().map(R::of).collect());
         Model {
             domain: lattice.domain(),
             layout,
@@ -268,9 +388,9 @@ impl<R: Real> Parts<R> {
             mass: (0..lattice.dimension).fold(density, |mass, _| mass * dx),
             equation_of_state: EquationOfState {
                 reference_density: density,
-                reference_pressure: pressure,
+                reference_pressure: pressure / method.exponent as f64,
                 background_pressure: numerics.background_pressure_factor * pressure,
-                gamma: 1,
+                gamma: method.exponent,
             },
             viscosity: self.viscosity,
             artificial_viscosity: (alpha > 0.0).then_some(artificial),
@@ -283,6 +403,7 @@ impl<R: Real> Parts<R> {
             wall_heat_until: None,
             consistent: None,
             fixed: None,
+            standard: Standard { renormalises: method.renormalises, flux, slip, normals },
             scratch: Scratch::default(),
         }
     }
@@ -363,7 +484,8 @@ mod tests {
     fn configured_kernels_and_laws_reach_every_scene() {
         for built_in in SCENES {
             let usual = scene(built_in.name, &[STANDARD]);
-            assert_eq!((usual.name, usual.model.artificial_viscosity), (built_in.name, None));
+            assert_eq!(usual.name, built_in.name);
+            assert_eq!(usual.model.artificial_viscosity.is_some(), built_in.name.starts_with("dam-break"));
             assert_eq!(usual.model.kernel.smoothing_length, usual.spacing);
             let sets = ["resolution.kernel=\"wendland-c2\"", "resolution.smoothing_length=1.5"];
             let other = scene(built_in.name, &[STANDARD, sets[0], sets[1], "fluid.artificial_viscosity=0.1"]);
@@ -380,7 +502,7 @@ mod tests {
     fn walls_are_as_thick_as_the_kernel_needs() {
         let wide = ["resolution.smoothing_length=1.3"];
         let particles = |name: &str| scene(name, &wide).model.particles();
-        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58));
+        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58 + 4 * 50));
         assert_eq!(scene("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
         // A particle half a spacing from the wall sees four rows too; and there are 250 points on the walls' surfaces.
         assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);

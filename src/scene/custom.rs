@@ -233,7 +233,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
         density: fluid.density,
         velocity: fluid.reference_velocity,
         viscosity: fluid.viscosity,
-        body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Vector(acceleration) },
+        body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Gravity(acceleration) },
         drive: None,
         lid: 0.0,
         own_mass: false,

@@ -10,7 +10,7 @@ use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
 use crate::config::scene::{
-    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, Motion, Search, Start, Trust,
+    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, IntegratorName, Motion, Search, Start, Trust,
 };
 use crate::config::schema::Schema;
 use crate::design::shape;
@@ -256,8 +256,9 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
     }
     let given = merged.clone();
-    // Scenes of one's own have no other formulation.
-    if config.fluid.formulation == Formulation::Standard && config.scene != Family::Custom {
+    // Scenes whose own formulation it is have its defaults already.
+    let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;
+    if chosen && config.fluid.formulation == Formulation::Standard {
         standard_defaults(&mut merged, &config);
         config = merged.read();
     }
@@ -309,7 +310,9 @@ fn standard_defaults(merged: &mut Merged, config: &Config) {
     };
     let smoothing = config.resolution.smoothing_length;
     set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, Value::from(1.0));
-    set("time.integrator", config.time.integrator == usual.time.integrator, Value::from("symplectic-euler"));
+    if usual.time.integrator != IntegratorName::SymplecticEuler {
+        set("time.integrator", config.time.integrator == usual.time.integrator, Value::from("symplectic-euler"));
+    }
     if config.scene.has_design() {
         set("time.cfl", config.time.cfl == usual.time.cfl, Value::from(2.0));
         set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, Value::from(5.0));

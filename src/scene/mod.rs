@@ -6,9 +6,12 @@ pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
 pub mod custom;
+pub mod dam_break;
 pub mod exact;
+pub mod falling_block;
 pub mod figures;
 pub mod heated_channel;
+pub mod hydrostatic_tank;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
@@ -17,6 +20,7 @@ pub mod plausible;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 mod surface;
+mod tank;
 pub mod taylor_green;
 pub mod verification;
 
@@ -63,6 +67,9 @@ impl<R: Real> Scene<R> {
             Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
             Family::Custom => custom::build(config)?,
             Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
+            Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
+            Family::FallingBlock => falling_block::build(config),
+            Family::HydrostaticTank => hydrostatic_tank::build(config),
         })
     }
 

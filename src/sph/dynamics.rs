@@ -15,7 +15,6 @@ use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
 use crate::config::scene::Kernels;
 use crate::numerics::blocks::Block;
-use crate::numerics::candle::read;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::particles::NeighbourList;
@@ -62,19 +61,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         if self.kernels == Kernels::Fused {
             return run.advance();
         }
-        // The composed operators exist on the graph only: run them there and drop the graph.
-        let failed = RunError::tensor(run.step);
-        let snapshot = run.snapshot();
-        let mut tape = TensorSolver::restore(self.model.clone(), &snapshot, self.kernels)?;
-        let state = tape.advance(&self.tensor(&snapshot)?)?;
-        read(&state.contiguous().map_err(&failed)?, |s: &[R]| {
-            run.state.copy_from_slice(s);
-            Ok(())
-        })
-        .map_err(&failed)?;
-        run.neighbourhood = tape.neighbourhood;
-        run.step += 1;
-        Ok(())
+        run.advance_composed()
     }
     fn step(&self, run: &Solver<R>) -> usize {
         run.step

@@ -10,7 +10,7 @@ use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::laws::ArtificialViscosity;
+use crate::sph::laws::{ArtificialViscosity, Flux, Slip};
 use crate::sph::operators::pairs::PairCache;
 use std::sync::Arc;
 
@@ -24,6 +24,8 @@ pub struct Layout {
     pub transport: bool,
     pub heat: bool,
     pub mass: bool,
+    /// Whether the density evolves: then it is a row of the state; else it is summed anew in each step.
+    pub density: bool,
     /// The state of the consistent formulation, and of fixed particles: position D, velocity D, pressure, (temperature).
     pub consistent: bool,
     /// Of the consistent formulation, behind these: the last step's acceleration D, (rate of temperature).
@@ -42,11 +44,11 @@ impl Layout {
         }
     }
 
-    /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass).
+    /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass), (density).
     pub fn state_rows(&self) -> usize {
         match self.consistent {
             true => self.last_rates() + self.rates as usize * (self.d() + self.heat as usize),
-            false => self.state_mass() + self.mass as usize,
+            false => self.state_density() + self.density as usize,
         }
     }
     /// Fields of the consistent formulation: velocity D, pressure, (temperature).
@@ -82,11 +84,14 @@ impl Layout {
     pub fn state_mass(&self) -> usize {
         self.temperature() + 2 * self.heat as usize
     }
+    pub fn state_density(&self) -> usize {
+        self.state_mass() + self.mass as usize
+    }
 
     /// Moved state, after the drift: position D, velocity D, (transport velocity - velocity D),
-    /// (temperature before, temperature after), (mass).
+    /// (temperature before, temperature after), (mass), (density before).
     pub fn moved_rows(&self) -> usize {
-        self.moved_mass() + self.mass as usize
+        self.moved_density() + self.density as usize
     }
     pub fn moved_shift(&self) -> usize {
         2 * self.d()
@@ -99,6 +104,9 @@ impl Layout {
     }
     pub fn moved_mass(&self) -> usize {
         self.moved_old_temperature() + 2 * self.heat as usize
+    }
+    pub fn moved_density(&self) -> usize {
+        self.moved_mass() + self.mass as usize
     }
 
     /// Primitives, walls included: density, velocity D, (transport velocity - velocity D), (temperature).
@@ -145,6 +153,25 @@ pub struct Heat<R> {
     pub wall_factor: Vec<R>,
 }
 
+/// Which of the standard formulation's methods a scene takes, besides the rows that its [`Layout`] has. The default: pair
+/// forces between walls that nothing slips along.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Standard<R> {
+    /// Whether an evolved density is renormalised in each step, see [`crate::sph::operators::renormalisation`].
+    pub renormalises: bool,
+    pub flux: Flux,
+    pub slip: Slip,
+    /// Unit normals of the walls, from the wall into the fluid, `[D, N]`, 0 for fluid; none where nothing asks for them.
+    pub normals: Option<Vec<R>>,
+}
+
+impl<R> Standard<R> {
+    /// Whether a flux or a boundary condition reads the walls' normals.
+    pub fn asks_for_normals(flux: &Flux, slip: Slip) -> bool {
+        slip == Slip::Free || matches!(flux, Flux::Riemann(_))
+    }
+}
+
 /// Everything about a scene that does not change while it runs.
 #[derive(Debug)]
 pub struct Model<R> {
@@ -172,6 +199,8 @@ pub struct Model<R> {
     pub heat: Option<Heat<R>>,
     /// Up to which x the walls' heat is summed for an objective, where one asks for it.
     pub wall_heat_until: Option<f64>,
+    /// The methods of the standard formulation.
+    pub standard: Standard<R>,
     /// What the consistent formulation needs; none in the standard one.
     pub consistent: Option<Consistent<R>>,
     /// Particles that do not move; then nothing else of the model's laws is asked.
@@ -187,6 +216,13 @@ impl<R: Real> Model<R> {
     /// Who the particles are, and how far they see.
     pub fn reach(&self) -> Reach<'_> {
         Reach { tags: &self.tags, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin }
+    }
+    /// Whether every operator of its step has a fused kernel. The others run from candle's operators, whatever kernels are
+    /// asked for.
+    pub fn is_fused(&self) -> bool {
+        let Standard { renormalises, flux, slip, .. } = &self.standard;
+        let standard = !renormalises && *flux == Flux::Pair && *slip == Slip::None;
+        standard || self.consistent.is_some() || self.fixed.is_some()
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == crate::particles::tag::FLUID

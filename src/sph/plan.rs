@@ -12,7 +12,7 @@ use crate::particles::Neighbourhood;
 use crate::report::table::Table;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::laws::{with_laws, PairLaw};
+use crate::sph::laws::{with_laws, Flux, PairLaw};
 use crate::sph::operators::pairs::stride;
 use crate::sph::operators::rates::record_fields;
 use crate::sph::Sweeps;
@@ -242,6 +242,7 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
         optional(l.transport, vector("transport acceleration")),
         optional(l.heat, ["temperature", "temperature rate"].map(String::from).to_vec()),
         optional(l.mass, one("mass")),
+        optional(l.density, one("density")),
     ];
     let moved = [
         vector("position"),
@@ -249,6 +250,7 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
         optional(l.transport, vector("transport shift")),
         optional(l.heat, ["temperature before", "temperature"].map(String::from).to_vec()),
         optional(l.mass, one("mass")),
+        optional(l.density, one("density before")),
         vec![],
     ];
     let primitives = [
@@ -256,6 +258,7 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
         vector("velocity"),
         optional(l.transport, vector("transport shift")),
         optional(l.heat, one("temperature")),
+        vec![],
         vec![],
         vec![],
     ];
@@ -266,8 +269,9 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
         vec![],
         vec![],
         vec![],
+        vec![],
     ];
-    let density = [one("density"), vec![], vec![], vec![], vec![], vec![]];
+    let density = [one("density"), vec![], vec![], vec![], vec![], vec![], vec![]];
     [("state", state), ("moved", moved), ("density", density), ("primitives", primitives), ("rates", rates)]
         .into_iter()
         .map(|(name, rows)| {
@@ -370,6 +374,8 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
     let words = |parts: &[(bool, &str)]| -> Vec<String> {
         parts.iter().filter(|(wanted, _)| *wanted).map(|(_, text)| text.to_string()).collect()
     };
+    // Velocity and volume besides the position.
+    let evolved = if l.density { d + 1 } else { 0 };
     let mut all = vec![
         Operator {
             name: "drift",
@@ -397,12 +403,12 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
         },
         Operator {
             name: "density",
-            does: vec!["summation".into()],
+            does: density(model),
             rows: list.fluid_rows.len(),
             pairs: fluid_pairs,
-            bytes_read: row(d + l.mass as usize) + 4 * fluid_pairs,
+            bytes_read: row(evolved + d + l.mass as usize) + 4 * fluid_pairs,
             bytes_written: row(1),
-            bytes_gathered: d * number * fluid_pairs,
+            bytes_gathered: (evolved + d) * number * fluid_pairs,
         },
     ];
     // Averaged over the fluid: velocity, [shift], pressure, [temperature].
@@ -413,6 +419,7 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
         does: words(&[
             (true, "copy of the fluid's fields"),
             (extrapolates, "walls: pressure, density and velocity from the fluid (Adami 2012)"),
+            (extrapolates && matches!(model.body_force, BodyForce::Gravity(_)), "walls: pressure of the depth"),
             (extrapolates && l.transport, "walls: transport shift"),
             (extrapolates && l.heat, "walls: temperature"),
         ]),
@@ -444,10 +451,34 @@ fn operators<R: Sweeps>(model: &Model<R>, list: &crate::particles::NeighbourList
     all
 }
 
+/// Where the density comes from.
+fn density<R: Sweeps>(model: &Model<R>) -> Vec<String> {
+    if !model.layout.density {
+        return vec!["summation".into()];
+    }
+    let mut does = vec![match model.standard.flux {
+        Flux::Riemann(_) => "evolution by Riemann problems",
+        _ => "evolution by continuity",
+    }];
+    if matches!(model.standard.flux, Flux::Delta(..)) {
+        does.push("diffusion of density");
+    }
+    if model.standard.renormalises {
+        does.push("renormalisation");
+    }
+    does.into_iter().map(String::from).collect()
+}
+
 /// The laws of the pair pass, and what acts on each particle alone.
 fn laws<R: Sweeps>(model: &Model<R>) -> Vec<String> {
     let mut names = Vec::new();
-    with_laws!(model, |laws, _D| laws.name(&mut names));
+    match model.standard.flux {
+        Flux::Riemann(_) => names.extend(["pressure and viscosity by Riemann problems"]),
+        _ => with_laws!(model, |laws, _D| laws.name(&mut names)),
+    }
+    if matches!(model.standard.flux, Flux::Delta(..)) {
+        names.push("diffusion of velocity");
+    }
     if model.body_force != BodyForce::None {
         names.push("body force");
     }
@@ -489,6 +520,10 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
             format!("rows of {} wall particles", particles.walls_without_row),
             "no fluid can reach them before the next list",
         ));
+    }
+    if !model.is_fused() {
+        let why = "delta-SPH, Riemann problems, free slip and renormalisation are composed of candle's operators";
+        all.push(dropped("fused kernels", why));
     }
     all.push(dropped("self pairs", "their share of the density is a constant, and of all else zero"));
     all

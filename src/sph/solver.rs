@@ -8,12 +8,12 @@ use super::laws::conduction;
 use super::model::{Layout, Model};
 use super::operators::composed::Pairs;
 use super::operators::pairs::PairCache;
-use super::operators::{assemble, density, drift, rates, wall_condition};
+use super::operators::{assemble, density, drift, evolution, rates, wall_condition};
 use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
-use crate::numerics::candle::{apply1, apply2, read};
+use crate::numerics::candle::{apply1, apply2, apply3, read};
 use crate::numerics::lanes::Real;
 use crate::particles::Neighbourhood;
 use candle_core::{DType, Device, Tensor};
@@ -132,7 +132,7 @@ impl<R: Sweeps> Solver<R> {
             moved: rows(l.moved_rows()),
             density: rows(1),
             kept: PairCache::default(),
-            primitives: Vec::new(),
+            primitives: rows(if l.density { l.primitive_rows() } else { 0 }),
             rates: rows(l.rate_rows()),
             model,
             state: snapshot.state.clone(),
@@ -168,11 +168,54 @@ impl<R: Sweeps> Solver<R> {
             let mut force = None;
             self.with_geometry(|run, geometry, state| force = run.buffers.advance(geometry, state));
             self.drive = force;
+        } else if !self.model.is_fused() {
+            return self.advance_composed();
         } else {
             let dt = self.model.dt;
             step::advance(self, dt, &())?;
         }
         self.step += 1;
+        Ok(())
+    }
+
+    /// One time step by candle's operators: they exist on the graph only, which is dropped.
+    ///
+    /// # Errors
+    /// As for [`Self::advance`]; tensor errors.
+    pub fn advance_composed(&mut self) -> Result<(), RunError> {
+        let failed = RunError::tensor(self.step);
+        let (mut tape, state) = self.composed()?;
+        let state = tape.advance(&state)?;
+        read(&state.contiguous().map_err(&failed)?, |s: &[R]| {
+            self.state.copy_from_slice(s);
+            Ok(())
+        })
+        .map_err(&failed)?;
+        self.neighbourhood = tape.neighbourhood;
+        self.step += 1;
+        Ok(())
+    }
+
+    /// This state for candle's operators.
+    fn composed(&self) -> Result<(TensorSolver<R>, Tensor), RunError> {
+        let shape = (self.model.layout.state_rows(), self.model.particles());
+        let state = Tensor::from_slice(&self.state, shape, &Device::Cpu).map_err(RunError::tensor(self.step))?;
+        let neighbourhood = self.neighbourhood.clone();
+        Ok((TensorSolver::new(self.model.clone(), neighbourhood, self.step, Kernels::Composed), state))
+    }
+
+    /// [`Self::look`] by candle's operators.
+    fn look_composed(&mut self) -> Result<(), RunError> {
+        let failed = RunError::tensor(self.step);
+        let (tape, state) = self.composed()?;
+        let (moved, primitives) = tape.look(&state)?;
+        for (to, from) in [(&mut self.moved, moved), (&mut self.primitives, primitives)] {
+            read(&from.contiguous().map_err(&failed)?, |from: &[R]| {
+                to.copy_from_slice(from);
+                Ok(())
+            })
+            .map_err(&failed)?;
+        }
         Ok(())
     }
 
@@ -201,6 +244,11 @@ impl<R: Sweeps> Solver<R> {
             return self.look_fixed();
         }
         self.primitives.resize(self.model.layout.primitive_rows() * self.model.particles(), R::default());
+        if !self.model.is_fused() {
+            // Tensors of these shapes were there in the step before: this fails no more than that.
+            let _ = self.look_composed();
+            return;
+        }
         self.shows_primitives = true;
         // On buffers nothing fails but the list, which stays as it is.
         let _ = step::look(self, &());
@@ -318,6 +366,7 @@ impl<R: Sweeps> Solver<R> {
                         true => "rate of temperature",
                         false => "acceleration",
                     },
+                    _ if l.density && row == l.state_density() => "density",
                     _ if row < l.temperature() => "acceleration",
                     _ => "temperature",
                 };
@@ -383,13 +432,18 @@ impl<R: Sweeps> Execution for Solver<R> {
         let updated = self.neighbourhood.update(&self.model.reach(), &self.moved);
         updated.map_err(|source| RunError::Neighbours { step, source })
     }
-    fn density(&mut self, _: &()) -> Result<(), RunError> {
-        R::density(&self.step_now(), &self.moved, &mut self.kept, false, &mut self.density);
+    fn density(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
+        let step = self.step_now();
+        match self.model.layout.density {
+            true => R::evolution(&step, dt, &self.moved, &mut self.kept, false, &mut self.density),
+            false => R::density(&step, &self.moved, &mut self.kept, false, &mut self.density),
+        }
         Ok(())
     }
     fn wall_condition(&mut self, _: &(), _: &()) -> Result<(), RunError> {
         let step = self.step_now();
-        let primitives = self.shows_primitives.then_some(self.primitives.as_mut_slice());
+        let shows = self.shows_primitives || self.model.layout.density;
+        let primitives = shows.then_some(self.primitives.as_mut_slice());
         R::primitives(&step, &self.moved, &self.density, &mut self.kept, primitives);
         Ok(())
     }
@@ -397,8 +451,8 @@ impl<R: Sweeps> Execution for Solver<R> {
         R::rates(&self.step_now(), &self.moved, &self.kept, &mut self.rates);
         Ok(())
     }
-    fn assemble(&mut self, _: &(), _: &()) -> Result<(), RunError> {
-        R::assemble(&self.step_now(), &self.moved, &self.rates, &mut self.state);
+    fn assemble(&mut self, _: &(), _: &(), _: &()) -> Result<(), RunError> {
+        R::assemble(&self.step_now(), &self.moved, &self.primitives, &self.rates, &mut self.state);
         Ok(())
     }
 }
@@ -415,6 +469,7 @@ pub struct TensorSolver<R> {
 impl<R: Sweeps> TensorSolver<R> {
     /// At a step, with a list.
     pub fn new(model: Arc<Model<R>>, neighbourhood: Neighbourhood<R>, step: usize, kernels: Kernels) -> Self {
+        let kernels = if model.is_fused() { kernels } else { Kernels::Composed };
         Self { model, neighbourhood, step, kernels, tables: Tables::default() }
     }
 
@@ -572,8 +627,13 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
     fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
         self.run.update_list(moved)
     }
-    fn density(&mut self, moved: &Tensor) -> Result<Tensor, RunError> {
-        apply1(density::Density(self.chain()), moved).map_err(self.failed())
+    fn density(&mut self, dt: f64, moved: &Tensor) -> Result<Tensor, RunError> {
+        let chain = self.chain();
+        match chain.step.model.layout.density {
+            true => apply1(evolution::Evolution(chain, dt), moved),
+            false => apply1(density::Density(chain), moved),
+        }
+        .map_err(self.failed())
     }
     fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
         let chain = self.chain();
@@ -583,9 +643,14 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
         let chain = self.chain();
         apply2(rates::Rates(chain.clone()), &chain.shared(moved), primitives).map_err(self.failed())
     }
-    fn assemble(&mut self, moved: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
+    fn assemble(&mut self, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
         let chain = self.chain();
-        apply2(assemble::Assemble(chain.clone()), &chain.shared(moved), rates).map_err(self.failed())
+        let moved = chain.shared(moved);
+        match chain.step.model.layout.density {
+            true => apply3(assemble::AssembleEvolved(chain), &moved, primitives, rates),
+            false => apply2(assemble::Assemble(chain), &moved, rates),
+        }
+        .map_err(self.failed())
     }
 }
 
@@ -623,10 +688,14 @@ impl<R: Sweeps> Execution for Composed<'_, R> {
     fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
         self.run.update_list(moved)
     }
-    fn density(&mut self, moved: &Tensor) -> Result<Tensor, RunError> {
+    fn density(&mut self, dt: f64, moved: &Tensor) -> Result<Tensor, RunError> {
         let failed = self.failed();
         let (step, pairs) = self.pairs(moved)?;
-        density::composed(step, pairs, moved).map_err(failed)
+        match step.model.layout.density {
+            true => evolution::composed(step, pairs, dt, moved),
+            false => density::composed(step, pairs, moved),
+        }
+        .map_err(failed)
     }
     fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
         let failed = self.failed();
@@ -638,9 +707,9 @@ impl<R: Sweeps> Execution for Composed<'_, R> {
         let (step, pairs) = self.pairs(moved)?;
         rates::composed(step, pairs, moved, primitives).map_err(failed)
     }
-    fn assemble(&mut self, moved: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
+    fn assemble(&mut self, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
         let failed = self.failed();
         let (step, _) = self.pairs(moved)?;
-        assemble::composed(step, moved, rates).map_err(failed)
+        assemble::composed(step, moved, primitives, rates).map_err(failed)
     }
 }

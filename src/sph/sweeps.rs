@@ -9,7 +9,7 @@ use super::model::Model;
 use crate::particles::{NeighbourList, Search};
 use crate::sph::consistent::{advance, continuity, operators as consistent, Blocks, Geometry, Kept};
 use crate::sph::operators::pairs::PairCache;
-use crate::sph::operators::{assemble, density, drift, rates, wall_condition};
+use crate::sph::operators::{assemble, density, drift, evolution, rates, wall_condition};
 
 macro_rules! sweeps {
     ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
@@ -32,7 +32,7 @@ macro_rules! sweeps {
 sweeps! {
     fn drift(model: &Model<Self>, dt: f64, state: &[Self], moved: &mut [Self]) = drift::forward;
     fn drift_bar(model: &Model<Self>, dt: f64, moved_bar: &[Self], state_bar: &mut [Self]) = drift::backward;
-    fn assemble(step: &Step<Self>, moved: &[Self], rates: &[Self], state: &mut [Self]) = assemble::forward;
+    fn assemble(step: &Step<Self>, moved: &[Self], primitives: &[Self], rates: &[Self], state: &mut [Self]) = assemble::forward;
     fn assemble_bar(
         step: &Step<Self>,
         moved: &[Self],
@@ -49,6 +49,23 @@ sweeps! {
         density_bar: &[Self],
         moved_bar: &mut [Self],
     ) = density::backward;
+    fn evolution(
+        step: &Step<Self>,
+        dt: f64,
+        moved: &[Self],
+        kept: &mut PairCache<Self>,
+        differentiate: bool,
+        density: &mut [Self],
+    ) = evolution::forward;
+    fn evolution_bar(
+        step: &Step<Self>,
+        dt: f64,
+        moved: &[Self],
+        kept: &PairCache<Self>,
+        density: &[Self],
+        density_bar: &[Self],
+        moved_bar: &mut [Self],
+    ) = evolution::backward;
     fn primitives(
         step: &Step<Self>,
         moved: &[Self],

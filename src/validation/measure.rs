@@ -47,6 +47,12 @@ pub enum Measure {
     Outflow,
     /// Largest relative error of the outflowing heat over four walls that are not flat.
     Shapes,
+    /// Largest error of the pressure of still water at the end, over that at the bottom.
+    HydrostaticPressure,
+    /// Fastest particle of still water over the last quarter of the run, over (g H)^(1/2).
+    Rest,
+    /// Mean relative error of the front of a collapsing column of water at the experiment's times.
+    Front,
     /// 1 - cosine between the gradient of the outflowing heat over a flat wall and that of finite elements, the two nodes at each
     /// end of the hot section summed: kernels smear its edge between them.
     Gradient,
@@ -75,6 +81,8 @@ impl Measure {
                 let exact = table.column("Q")[0];
                 Ok(Found { error: (outflow(scene, progress)? / exact - 1.0).abs(), curves: vec![] })
             }
+            Self::HydrostaticPressure | Self::Rest => self.still_water(loaded, scene, progress),
+            Self::Front => front(loaded, scene, progress),
             Self::Shapes => shapes::<R>(loaded, progress),
             Self::Gradient => gradient::<R>(loaded, progress),
         }
@@ -86,6 +94,9 @@ impl Measure {
             Self::Velocity | Self::Profile => ("y", "velocity"),
             Self::KineticEnergy => ("time", "mean kinetic energy"),
             Self::CentreLines => ("place on the line", "velocity"),
+            Self::HydrostaticPressure => ("pressure / (density g H)", "y / H"),
+            Self::Rest => ("time", "fastest particle / (g H)^(1/2)"),
+            Self::Front => ("t (2 g / a)^(1/2)", "front / a"),
             Self::Outflow | Self::Shapes => ("wall", "outflowing heat Q"),
             Self::Gradient => ("x", "1000 dQ / d offset"),
         }
@@ -123,6 +134,77 @@ impl Measure {
         }
         Ok(Found { error, curves })
     }
+}
+
+impl Measure {
+    fn still_water<R: Sweeps>(
+        self,
+        loaded: &Loaded,
+        scene: &Scene<R>,
+        progress: &mut dyn FnMut(f64),
+    ) -> anyhow::Result<Found> {
+        let config = &loaded.config;
+        let (height, gravity, density) = (config.water.height, -config.fluid.gravity[1], config.fluid.density);
+        let (n, l) = (scene.model.particles(), scene.model.layout);
+        let fluid: Vec<usize> = (0..n).filter(|&i| scene.model.is_fluid(i)).collect();
+        let mut speeds = Vec::new();
+        let mut solver = watched(scene, progress, &mut |solver| {
+            if solver.step.is_multiple_of(20) {
+                let square = |i: usize| {
+                    (0..l.dimension).map(|d| solver.state[(l.velocity() + d) * n + i].f64().powi(2)).sum::<f64>()
+                };
+                let fastest =
+                    fluid.iter().map(|&i| square(i)).fold(0.0_f64, |most, x| if x <= most { most } else { x });
+                speeds.push((solver.step as f64 * scene.model.dt, (fastest / (gravity * height)).sqrt()));
+            }
+        })?;
+        if self == Self::Rest {
+            let end = speeds.last().map_or(0.0, |last| last.0);
+            let late = speeds.iter().filter(|(time, _)| *time >= 0.75 * end).map(|point| point.1);
+            let error = late.fold(0.0_f64, |most, x| if x <= most { most } else { x });
+            return Ok(Found { error, curves: vec![Curve { name: "hydrograd".into(), points: speeds }] });
+        }
+        solver.look();
+        let (mut error, mut points) = (0.0_f64, Vec::new());
+        for &i in &fluid {
+            let y = solver.state[n + i].f64();
+            let pressure =
+                scene.model.equation_of_state.pressure(solver.primitives[i]).f64() / (density * gravity * height);
+            let off = (pressure - (1.0 - y / height)).abs();
+            error = if off <= error { error } else { off };
+            points.push((pressure, y / height));
+        }
+        let exact = vec![(1.0, 0.0), (0.0, 1.0)];
+        let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "exact".into(), points: exact }];
+        Ok(Found { error, curves })
+    }
+}
+
+fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let config = &loaded.config;
+    let (width, gravity) = (config.water.length, -config.fluid.gravity[1]);
+    let n = scene.model.particles();
+    let mut points = Vec::new();
+    watched(scene, progress, &mut |solver| {
+        let fluid = (0..n).filter(|&i| scene.model.is_fluid(i));
+        let front = fluid.map(|i| solver.state[i].f64()).fold(f64::NEG_INFINITY, f64::max) + 0.5 * scene.spacing;
+        let time = solver.step as f64 * scene.model.dt;
+        points.push((time * (2.0 * gravity / width).sqrt(), front / width));
+    })?;
+    let table = reference::dam_break_front();
+    let (t, z): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    let end = t.last().copied().unwrap_or_default();
+    let seen: Vec<(f64, f64)> =
+        table.column("T").into_iter().zip(table.column("Z")).filter(|(time, _)| *time <= end).collect();
+    if seen.is_empty() {
+        bail!("the run ends before the experiment's first time");
+    }
+    let error = seen.iter().map(|(time, exact)| (reference::between(&t, &z, *time) / exact - 1.0).abs()).sum::<f64>();
+    let curves = vec![
+        Curve { name: "hydrograd".into(), points },
+        Curve { name: "Martin and Moyce (1952)".into(), points: seen.clone() },
+    ];
+    Ok(Found { error: error / seen.len() as f64, curves })
 }
 
 /// Runs a scene to its end.

@@ -39,6 +39,11 @@ pub fn lid_driven_cavity() -> Table {
     Table::of(include_str!("../../data/reference/lid-driven-cavity.csv"))
 }
 
+/// `T`, `Z`: Martin and Moyce (1952).
+pub fn dam_break_front() -> Table {
+    Table::of(include_str!("../../data/reference/dam-break-front.csv"))
+}
+
 /// `shape`, `A`, `Q`, `o0` ... `o24` at H = 0.2: finite elements.
 pub fn heated_channel() -> Table {
     Table::of(include_str!("../../data/reference/fem-shapes-H0.2.csv"))

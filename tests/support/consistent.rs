@@ -11,7 +11,7 @@ use hydrograd::sph::consistent::{Consistent, Shift};
 use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
+use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::Sweeps;
 use std::f64::consts::TAU;
@@ -88,7 +88,15 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
     let sound_speed = 10.0 * velocity;
     Arc::new(Model {
         domain: Domain { dimension, size: [per_side as f64 * DX; 3], periodic: [true; 3] },
-        layout: Layout { dimension, transport: false, heat, mass: false, consistent: true, rates: false },
+        layout: Layout {
+            dimension,
+            transport: false,
+            heat,
+            mass: false,
+            density: false,
+            consistent: true,
+            rates: false,
+        },
         kernel: Kernel::new(KernelName::QuinticSpline, dimension, 0.8 * DX),
         tags: vec![tag::FLUID; n],
         skin: 0.2 * DX,
@@ -130,6 +138,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
             dummies: vec![],
             quadrature: vec![one; n],
         }),
+        standard: Standard::default(),
         scratch: Scratch::default(),
     })
 }

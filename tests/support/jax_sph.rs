@@ -5,7 +5,10 @@ use hydrograd::particles::{tag, Domain};
 use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
+use hydrograd::sph::laws::{
+    ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
+};
+use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -54,6 +57,8 @@ pub struct Case {
     pub heat: bool,
     pub reference_temperature: f64,
     pub size: Vec<f64>,
+    /// Of the walls, `[D, N]`, where the case has them.
+    normals: Option<Vec<f64>>,
     config: Value,
     dx: f64,
     dt: f64,
@@ -69,12 +74,9 @@ impl Case {
         let (solver, case) = (&config["solver"], &config["case"]);
         let refuse = |wrong: bool, why: &str| if wrong { Err(why.to_string()) } else { Ok(()) };
         let name = solver["name"].as_str().unwrap_or("");
-        refuse(name != "SPH", &format!("solver {name}"))?;
-        refuse(solver["density_evolution"].as_bool() != Some(false), "density evolution")?;
-        refuse(solver["artificial_alpha"].as_f64() != Some(0.0), "artificial viscosity")?;
-        refuse(solver["free_slip"].as_bool() == Some(true), "free slip")?;
+        refuse(!["SPH", "DELTA", "RIE"].contains(&name), &format!("solver {name}"))?;
         let kernel = config["kernel"]["name"].as_str().unwrap_or("");
-        refuse(kernel != "QSK", &format!("kernel {kernel}"))?;
+        refuse(!["QSK", "WC2K"].contains(&kernel), &format!("kernel {kernel}"))?;
         let gamma = config["eos"]["gamma"].as_f64().unwrap_or(0.0);
         refuse(config["eos"]["name"] != "Tait", "equation of state")?;
         refuse(gamma < 1.0 || gamma.fract() != 0.0, "gamma")?;
@@ -86,13 +88,19 @@ impl Case {
         let walls = tags.iter().any(|&t| t != tag::FLUID);
         refuse(walls && solver["is_bc_trick"].as_bool() != Some(true), "walls without extrapolation")?;
         let family = case["name"].as_str().unwrap_or("");
-        let known = ["ht", "pf", "cf", "tgv", "rpf", "ldc"].contains(&family);
+        let known = ["ht", "pf", "cf", "tgv", "rpf", "ldc", "cw", "db"].contains(&family);
         refuse(!known && case["g_ext_magnitude"].as_f64() != Some(0.0), &format!("body force of case {family}"))?;
+        // With the Riemann solver JAX-SPH's pressure is 100 u_ref^2 (rho - rho_ref): Tait's with gamma = 1, if the rest is 1.
+        let linear =
+            [("rho_ref", 1.0), ("c_ref_factor", 10.0)].iter().all(|&(key, one)| case[key].as_f64() == Some(one));
+        refuse(name == "RIE" && !(linear && gamma == 1.0), "equation of state of the Riemann solver")?;
+        let normals = field(group, "nw", tags.len(), case["dim"].as_u64().unwrap() as usize).map(|rows| rows.concat());
         let size = group.attr("box_size").unwrap().read_raw::<f64>().unwrap();
         Ok(Self {
             dimension: case["dim"].as_u64().unwrap() as usize,
             n: tags.len(),
             tags,
+            normals,
             transport: solver["tvf"].as_f64().unwrap(),
             heat: solver["heat_conduction"].as_bool().unwrap(),
             reference_temperature: case["T_ref"].as_f64().unwrap(),
@@ -118,9 +126,45 @@ impl Case {
                 let height = case["special"]["H"].as_f64().unwrap_or(1.0);
                 BodyForce::Band { strength, from: rows, to: height + rows }
             }
+            "cw" | "db" => BodyForce::Gravity([0.0, -strength, 0.0]),
             "rpf" => BodyForce::Reversing { strength, turn: 1.0 },
             _ => BodyForce::None,
         }
+    }
+
+    fn kernel(&self) -> KernelName {
+        match self.config["kernel"]["name"].as_str().unwrap() {
+            "WC2K" => KernelName::WendlandC2,
+            _ => KernelName::QuinticSpline,
+        }
+    }
+
+    fn flux(&self, smoothing_length: f64) -> Flux {
+        let (solver, case) = (&self.config["solver"], &self.config["case"]);
+        let (of, sound_speed) = (|key: &str| solver[key].as_f64().unwrap(), case["c_ref"].as_f64().unwrap());
+        match solver["name"].as_str().unwrap() {
+            "DELTA" => Flux::Delta(
+                DensityDiffusion {
+                    strength: of("diff_delta"),
+                    sound_speed,
+                    smoothing_length,
+                    gradient: DensityGradient::JaxSph,
+                },
+                VelocityDiffusion {
+                    strength: of("diff_alpha"),
+                    sound_speed,
+                    smoothing_length,
+                    reference_density: case["rho_ref"].as_f64().unwrap(),
+                },
+            ),
+            "RIE" => Flux::Riemann(Riemann { sound_speed, limiter: of("eta_limiter") }),
+            _ => Flux::Pair,
+        }
+    }
+
+    /// Whether the case sets the walls' pressure to 0 at the end of a step, when it has been used.
+    pub fn forgets_wall_pressure(&self) -> bool {
+        matches!(self.config["case"]["name"].as_str(), Some("cw" | "db"))
     }
 
     /// `everything`: compute the transport acceleration even where the scene does not use it, and carry the masses.
@@ -132,6 +176,7 @@ impl Case {
             domain.size[k] = self.size[k];
             domain.periodic[k] = true;
         }
+        let alpha = self.config["solver"]["artificial_alpha"].as_f64().unwrap();
         let h = self.dx * self.config["kernel"]["h_factor"].as_f64().unwrap();
         let heat = self.heat.then(|| {
             let strip = self.config["solver"]["n_walls"].as_f64().unwrap() * self.dx;
@@ -157,10 +202,11 @@ impl Case {
                 transport: everything || self.transport != 0.0,
                 heat: self.heat,
                 mass: everything,
+                density: self.config["solver"]["density_evolution"].as_bool().unwrap(),
                 consistent: false,
                 rates: false,
             },
-            kernel: Kernel::new(KernelName::QuinticSpline, d, h),
+            kernel: Kernel::new(self.kernel(), d, h),
             tags: self.tags.clone(),
             skin: 0.2 * self.dx,
             dt: self.dt,
@@ -172,7 +218,14 @@ impl Case {
                 gamma: eos["gamma"].as_f64().unwrap() as i32,
             },
             viscosity: self.eta,
-            artificial_viscosity: None,
+            artificial_viscosity: (alpha > 0.0).then_some(ArtificialViscosity {
+                alpha,
+                beta: 0.0,
+                // 10 u_ref with a u_ref of 1 whatever the case's is, and the spacing for h: theirs.
+                sound_speed: 10.0,
+                smoothing_length: self.dx,
+                every_pair: true,
+            }),
             transport: self.transport,
             body_force: self.body_force(),
             walls_slide: false,
@@ -181,6 +234,12 @@ impl Case {
             heat,
             consistent: None,
             fixed: None,
+            standard: Standard {
+                renormalises: self.config["solver"]["density_renormalize"].as_bool().unwrap(),
+                flux: self.flux(h),
+                slip: if self.config["solver"]["free_slip"].as_bool().unwrap() { Slip::Free } else { Slip::None },
+                normals: self.normals.clone(),
+            },
             scratch: Scratch::default(),
         }
     }
@@ -207,6 +266,9 @@ impl Case {
         }
         if layout.mass {
             put(layout.state_mass(), vec![vec![self.mass; n]]);
+        }
+        if layout.density {
+            put(layout.state_density(), field(group, "rho", n, 1).expect("rho"));
         }
         state
     }

@@ -8,7 +8,7 @@ use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch};
+use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
@@ -26,6 +26,8 @@ pub struct Options {
     /// Smoothing length in spacings.
     pub smoothing: f64,
     pub artificial_viscosity: bool,
+    /// The density evolves, gravity pulls, and artificial viscosity acts on every pair.
+    pub density: bool,
     pub seed: u64,
 }
 
@@ -42,6 +44,7 @@ impl Options {
             kernel: KernelName::QuinticSpline,
             smoothing: 1.0,
             artificial_viscosity: false,
+            density: false,
             seed: 0,
         }
     }
@@ -120,6 +123,9 @@ impl RandomScene {
             if layout.mass {
                 state[layout.state_mass() * n + i] = options.typical_mass() * (1.0 + 0.1 * normal.next());
             }
+            if layout.density {
+                state[layout.state_density() * n + i] = 1.2 * (1.0 + 0.02 * normal.next());
+            }
         }
         let size = std::array::from_fn(|k| cells[k] as f64 * DX);
         Self {
@@ -130,9 +136,9 @@ impl RandomScene {
             wall_factor: factor,
             size,
             open_everywhere: false,
-            body_force: match options.seed % 5 {
-                2 => BodyForce::Vector([2.3, -1.1, 0.7]),
-                _ => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
+            body_force: match options.density || options.seed % 5 == 2 {
+                true => BodyForce::Gravity([0.7, -2.3, 1.1]),
+                false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
             },
             walls_slide: options.seed % 3 == 1,
         }
@@ -167,6 +173,7 @@ impl RandomScene {
                 beta: 1.1,
                 sound_speed,
                 smoothing_length: options.smoothing * DX,
+                every_pair: options.density,
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
@@ -184,6 +191,7 @@ impl RandomScene {
             }),
             consistent: None,
             fixed: None,
+            standard: Standard::default(),
             scratch: Scratch::default(),
         })
     }
@@ -223,6 +231,7 @@ impl Options {
             transport: self.transport,
             heat: self.heat,
             mass: self.mass,
+            density: self.density,
             consistent: false,
             rates: false,
         }

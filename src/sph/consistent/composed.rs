@@ -423,11 +423,12 @@ pub fn advance<R: Real>(
     let filled = around.wall_values(&known, &p)?;
     let slopes = gradient(&around.fit(&factors[PRESSURE], PRESSURE, &filled)?)?;
     // Advance.
-    let given = model.body_force.composed(&known.narrow(0, 1, 1)?, d)?;
+    let given = model.body_force.vector(&position)?;
     let (mut velocities, mut rates) = (Vec::new(), Vec::new());
     // What the last step's prediction is now.
     let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {
-        field + (rate - known.narrow(0, l.last_rates() + row, 1)?)?.affine(0.5 * times.before, 0.0)?
+        let gap = (rate - known.narrow(0, l.last_rates() + row, 1)?)?.mul(&around.fluid)?;
+        field + gap.affine(0.5 * times.before, 0.0)?
     };
     for a in 0..d {
         let mut rate = (carried(&fits[a])? + spread(&fits[a])?.affine(consistent.viscosity, 0.0)?)?;

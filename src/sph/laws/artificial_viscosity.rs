@@ -4,6 +4,9 @@
 //! mu_ij = h (v_ij . r_ij)/(r_ij^2 + 0.01 h^2) where particles approach (v_ij . r_ij < 0), else 0; rho_ij the mean density,
 //! c the reference sound speed. Antisymmetric in i and j, so momentum is conserved. alpha = 0.01 ... 0.1 is usual for
 //! free-surface flow; beta, for strong shocks, is 2 alpha there and 0 here unless it is asked for.
+//!
+//! With `every_pair` it acts on pairs that part too, and not on walls' particles, as in JAX-SPH: a viscosity, where the other
+//! only resists compression.
 
 use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::{Lanes, Real};
@@ -21,6 +24,8 @@ pub struct ArtificialViscosity {
     pub sound_speed: f64,
     /// h.
     pub smoothing_length: f64,
+    /// Fluid pairs that part too, and no walls.
+    pub every_pair: bool,
 }
 
 /// alpha c, beta, h and the guard in lanes.
@@ -30,15 +35,16 @@ pub struct Constants<L> {
     quadratic: L,
     length: L,
     guard: L,
+    every_pair: bool,
 }
 
 /// What both passes need of a pair.
 struct Approach<L> {
-    /// mu, 0 for pairs that part.
+    /// mu, 0 for pairs that it does not act on.
     mu: L,
     /// alpha c - beta mu.
     strength: L,
-    /// 1/(r^2 + 0.01 h^2), 0 for pairs that part.
+    /// 1/(r^2 + 0.01 h^2), likewise.
     inverse: L,
     /// 2/(rho_i + rho_j).
     inverse_density: L,
@@ -53,7 +59,10 @@ impl<L: Lanes> Constants<L> {
         }
         let number = |x: f64| L::splat(L::Real::of(x));
         let inverse = number(1.0) / (pair.square + self.guard);
-        let inverse = closing.select_less(L::zero(), inverse, L::zero());
+        let inverse = match self.every_pair {
+            true => pair.fluid.apply(inverse),
+            false => closing.select_less(L::zero(), inverse, L::zero()),
+        };
         let mu = self.length * closing * inverse;
         Approach {
             mu,
@@ -75,6 +84,7 @@ impl PairLaw for ArtificialViscosity {
             quadratic: number(self.beta),
             length: number(self.smoothing_length),
             guard: number(GUARD * self.smoothing_length * self.smoothing_length),
+            every_pair: self.every_pair,
         }
     }
 
@@ -126,10 +136,13 @@ impl PairLaw for ArtificialViscosity {
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
         let velocity = (pairs.own(&fields.velocity)? - pairs.other(&fields.velocity)?)?;
         let closing = velocity.mul(&pairs.difference)?.sum_keepdim(0)?;
-        let approaching = below(&closing, 0.0)?;
+        let acts = match self.every_pair {
+            true => pairs.other(&pairs.is_fluid)?,
+            false => below(&closing, 0.0)?,
+        };
         let h = self.smoothing_length;
         let square = pairs.difference.sqr()?.sum_keepdim(0)?.affine(1.0, GUARD * h * h)?;
-        let mu = closing.mul(&approaching)?.affine(h, 0.0)?.div(&square)?;
+        let mu = closing.mul(&acts)?.affine(h, 0.0)?.div(&square)?;
         let strength = mu.affine(-self.beta, self.alpha * self.sound_speed)?;
         let densities = (pairs.own(&fields.density)? + pairs.other(&fields.density)?)?.affine(0.5, 0.0)?;
         let masses = pairs.own(&fields.mass)?.mul(&pairs.other(&fields.mass)?)?;

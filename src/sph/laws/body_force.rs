@@ -3,7 +3,7 @@
 use crate::sph::operators::composed::{above, below};
 use candle_core::{Result, Tensor};
 
-/// An acceleration, along x unless it is a vector, by place. It is piecewise constant, so its derivative is zero.
+/// An acceleration by place, along x but for gravity. It is piecewise constant, so its derivative is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BodyForce {
     None,
@@ -20,8 +20,9 @@ pub enum BodyForce {
         strength: f64,
         turn: f64,
     },
-    /// The same everywhere in the fluid, in any direction.
-    Vector([f64; 3]),
+    /// The same everywhere, in any direction, and felt across walls: their pressure balances it (Adami, Hu and Adams 2012,
+    /// eq. 27).
+    Gravity([f64; 3]),
 }
 
 impl BodyForce {
@@ -30,17 +31,26 @@ impl BodyForce {
         match *self {
             Self::None => 0.0,
             Self::Uniform(strength) | Self::Band { strength, .. } | Self::Reversing { strength, .. } => strength,
-            Self::Vector(g) => g.iter().map(|g| g * g).sum::<f64>().sqrt(),
+            Self::Gravity(g) => g.iter().map(|g| g * g).sum::<f64>().sqrt(),
         }
     }
 
-    /// Acceleration along direction `d` of fluid at height y.
+    /// Acceleration in direction `d` of fluid at height y.
     #[inline(always)]
     pub fn along(&self, d: usize, y: f64) -> f64 {
         match *self {
-            Self::Vector(g) => g[d],
+            Self::Gravity(g) => g[d],
             _ if d > 0 => 0.0,
+            _ => self.at(y),
+        }
+    }
+
+    /// Acceleration along x of fluid at height y.
+    #[inline(always)]
+    pub fn at(&self, y: f64) -> f64 {
+        match *self {
             Self::None => 0.0,
+            Self::Gravity(g) => g[0],
             Self::Uniform(g) => g,
             Self::Band { strength, from, to } => {
                 if y > from && y < to {
@@ -59,22 +69,29 @@ impl BodyForce {
         }
     }
 
-    /// The same of heights `[1, N]`, in `dimension` directions: `[D, N]`. Piecewise constant, so without derivative.
+    /// The same of heights `[1, N]`. Piecewise constant, so without derivative.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn composed(&self, y: &Tensor, dimension: usize) -> Result<Tensor> {
-        let x = match *self {
-            Self::None => y.zeros_like()?,
-            Self::Uniform(g) | Self::Vector([g, ..]) => y.detach().affine(0.0, g)?,
-            Self::Band { strength, from, to } => above(y, from)?.mul(&below(y, to)?)?.affine(strength, 0.0)?,
-            Self::Reversing { strength, turn } => above(y, turn)?.affine(-2.0 * strength, strength)?,
-        };
-        let mut all = vec![x];
-        for d in 1..dimension {
-            let g = if let Self::Vector(g) = *self { g[d] } else { 0.0 };
-            all.push(y.detach().affine(0.0, g)?);
+    pub fn composed(&self, y: &Tensor) -> Result<Tensor> {
+        match *self {
+            Self::None => y.zeros_like(),
+            Self::Uniform(g) | Self::Gravity([g, ..]) => y.detach().affine(0.0, g),
+            Self::Band { strength, from, to } => above(y, from)?.mul(&below(y, to)?)?.affine(strength, 0.0),
+            Self::Reversing { strength, turn } => above(y, turn)?.affine(-2.0 * strength, strength),
         }
-        Tensor::cat(&all, 0)
+    }
+
+    /// All its components at positions `[D, N]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn vector(&self, position: &Tensor) -> Result<Tensor> {
+        let along = |d: usize| match *self {
+            Self::Gravity(g) => position.narrow(0, d, 1)?.detach().affine(0.0, g[d]),
+            _ if d == 0 => self.composed(&position.narrow(0, 1, 1)?),
+            _ => position.narrow(0, d, 1)?.zeros_like(),
+        };
+        Tensor::cat(&(0..position.dim(0)?).map(along).collect::<Result<Vec<_>>>()?, 0)
     }
 }

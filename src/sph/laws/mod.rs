@@ -8,21 +8,51 @@
 pub mod artificial_viscosity;
 pub mod body_force;
 pub mod conduction;
+pub mod continuity;
+pub mod density_diffusion;
 pub mod drive;
 pub mod equation_of_state;
 pub mod pressure;
+pub mod riemann;
 pub mod transport_velocity;
+pub mod velocity_diffusion;
 pub mod viscosity;
 
 pub use artificial_viscosity::ArtificialViscosity;
 pub use conduction::Conduction;
+pub use density_diffusion::{DensityDiffusion, DensityGradient};
 pub use pressure::Pressure;
+pub use riemann::Riemann;
 pub use transport_velocity::TransportVelocity;
+pub use velocity_diffusion::VelocityDiffusion;
 pub use viscosity::Viscosity;
 
 use super::operators::composed::Pairs;
+use super::operators::pairs::Mask;
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
+
+/// What flows between two particles.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Flux {
+    /// Mean pressure and shear stress (Adami, Hu and Adams 2013).
+    #[default]
+    Pair,
+    /// The same with diffusion of density and velocity: delta-SPH (Marrone et al. 2011).
+    Delta(DensityDiffusion, VelocityDiffusion),
+    /// The state between the two that a Riemann problem has (Zhang, Hu and Adams 2017).
+    Riemann(Riemann),
+}
+
+/// What walls do to a flow along them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Slip {
+    /// It has their velocity.
+    #[default]
+    None,
+    /// Nothing: it keeps its own.
+    Free,
+}
 
 /// One particle of a pair.
 #[derive(Clone, Copy)]
@@ -49,6 +79,8 @@ pub struct Pair<'a, L, const D: usize> {
     pub slope: L,
     /// c = (V_i^2 + V_j^2) F, what [`Sums::common`] is multiplied with.
     pub weight: L,
+    /// Lanes where both are fluid.
+    pub fluid: Mask<L>,
 }
 
 /// Sums of particle i over its pairs.

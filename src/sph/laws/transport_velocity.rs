@@ -11,6 +11,16 @@ use candle_core::{Result, Tensor};
 #[derive(Debug, Clone, Copy)]
 pub struct TransportVelocity;
 
+impl TransportVelocity {
+    /// The background pressure's share alone.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn spread(pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
+        PairTensors::add(&mut sums.spread, pairs.difference.broadcast_mul(&fields.weight)?.sum(2)?)
+    }
+}
+
 impl PairLaw for TransportVelocity {
     const TRANSPORT: bool = true;
     type Own<L: Lanes, const D: usize> = ();
@@ -59,7 +69,7 @@ impl PairLaw for TransportVelocity {
         let own = pairs.own(&fields.velocity)?.broadcast_mul(&along(pairs.own(&w)?)?)?;
         let other = pairs.other(&fields.velocity)?.broadcast_mul(&along(pairs.other(&w)?)?)?;
         PairTensors::add(&mut sums.common, (own + other)?)?;
-        PairTensors::add(&mut sums.spread, pairs.difference.broadcast_mul(&fields.weight)?.sum(2)?)
+        Self::spread(pairs, fields, sums)
     }
 
     fn name(&self, names: &mut Vec<&'static str>) {

@@ -17,9 +17,13 @@ use std::sync::Arc;
 /// moved `[M, N]`, rates `[A, N]` -> state `[F, N]`.
 pub struct Assemble<R: Sweeps>(pub Arc<Chain<R>>);
 
+/// moved `[M, N]`, primitives `[C, N]`, rates `[A, N]` -> state `[F, N]`, of a density that evolves.
+pub struct AssembleEvolved<R: Sweeps>(pub Arc<Chain<R>>);
+
 struct Forward<'a, R> {
     model: &'a Model<R>,
     moved: &'a [R],
+    primitives: &'a [R],
     rates: &'a [R],
     state: Shared<'a, R>,
 }
@@ -49,13 +53,16 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
         if l.mass {
             to(l.state_mass()).copy_from_slice(moved(l.moved_mass()));
         }
+        if l.density {
+            to(l.state_density()).copy_from_slice(&self.primitives[rows]);
+        }
     }
 }
 
-/// The forward pass, on plain numbers.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], rates: &[R], state: &mut [R]) {
+/// The forward pass, on plain numbers; `primitives` are read where the density evolves.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], rates: &[R], state: &mut [R]) {
     let model = &*step.model;
-    run_rows(&Forward { model, moved, rates, state: Shared::new(state) }, model.particles());
+    run_rows(&Forward { model, moved, primitives, rates, state: Shared::new(state) }, model.particles());
 }
 
 struct Backward<'a, R> {
@@ -109,7 +116,7 @@ impl<R: Sweeps> Operator<2> for Assemble<R> {
         let step = &self.0.step;
         let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
         let mut state = vec![R::default(); rows * n];
-        R::assemble(step, moved, rates, &mut state);
+        R::assemble(step, moved, &[], rates, &mut state);
         Ok((state, (rows, n).into()))
     }
 
@@ -122,8 +129,32 @@ impl<R: Sweeps> Operator<2> for Assemble<R> {
     }
 }
 
+impl<R: Sweeps> Operator<3> for AssembleEvolved<R> {
+    type Real = R;
+    const NAME: &'static str = "assemble evolved";
+
+    fn forward(&self, [moved, primitives, rates]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
+        let mut state = vec![R::default(); rows * n];
+        R::assemble(step, moved, primitives, rates, &mut state);
+        Ok((state, (rows, n).into()))
+    }
+
+    fn adjoint(&self, [moved, ..]: [&[R]; 3], _: &[R], bar: &[R], _: [bool; 3]) -> Result<[Option<Vec<R>>; 3]> {
+        let step = &self.0.step;
+        let (l, n) = (step.model.layout, step.model.particles());
+        let mut moved_bar = self.0.moved_bar();
+        let mut rates_bar = vec![R::default(); l.rate_rows() * n];
+        R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
+        let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
+        primitives_bar[..n].copy_from_slice(&bar[l.state_density() * n..][..n]);
+        Ok([self.0.pass_on(moved_bar), Some(primitives_bar), Some(rates_bar)])
+    }
+}
+
 /// The same from ordinary candle ops: the oracle.
-pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, rates: &Tensor) -> Result<Tensor> {
+pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let mut rows = vec![moved.narrow(0, 0, 2 * l.dimension)?, rates.narrow(0, 0, l.rate_temperature())?];
     if let Some(heat) = &model.heat {
@@ -135,6 +166,9 @@ pub fn composed<R: Real>(step: &Step<R>, moved: &Tensor, rates: &Tensor) -> Resu
     }
     if l.mass {
         rows.push(moved.narrow(0, l.moved_mass(), 1)?);
+    }
+    if l.density {
+        rows.push(primitives.narrow(0, 0, 1)?);
     }
     Tensor::cat(&rows, 0)
 }

@@ -117,7 +117,7 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, di
     }
 }
 
-/// [`PairCache`]'s pairs for an operator that is used without the density in front of it.
+/// [`PairCache`]'s pairs for an operator that is used without the density in front of it, summed or evolved.
 pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
     if !kept.has_pairs {
         let mut density = step.model.scratch.buffers.buffer(step.model.particles());

@@ -87,6 +87,9 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
         if l.mass {
             to(l.moved_mass()).copy_from_slice(from(l.state_mass()));
         }
+        if l.density {
+            to(l.moved_density()).copy_from_slice(from(l.state_density()));
+        }
     }
 }
 
@@ -152,6 +155,9 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
         if l.mass {
             to(l.state_mass()).copy_from_slice(from(l.moved_mass()));
         }
+        if l.density {
+            to(l.state_density()).copy_from_slice(from(l.moved_density()));
+        }
     }
 }
 
@@ -204,6 +210,9 @@ pub fn composed<R: Real>(model: &Model<R>, dt: f64, state: &Tensor) -> Result<Te
     }
     if l.mass {
         rows.push(state.narrow(0, l.state_mass(), 1)?);
+    }
+    if l.density {
+        rows.push(state.narrow(0, l.state_density(), 1)?);
     }
     Tensor::cat(&rows, 0)
 }

@@ -75,6 +75,15 @@ impl<L: Lanes> Mask<L> {
     }
 }
 
+impl<L: Lanes> Mask<L> {
+    /// The same vector's lanes up to the entry `end` only.
+    #[inline(always)]
+    pub fn up_to(&self, at: usize, end: usize) -> Self {
+        let whole = self.whole && at + L::COUNT <= end;
+        Self { end: L::splat(L::Real::of(end as f64)), whole, ..*self }
+    }
+}
+
 /// The vectors of row i: where their particle numbers stand, and their mask.
 #[inline(always)]
 pub fn row<L: Lanes>(list: &NeighbourList, i: usize) -> Vectors<'_, L> {

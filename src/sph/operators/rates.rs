@@ -15,12 +15,14 @@ use crate::numerics::candle::{read, Operator};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
+use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::{
-    conduction, dot, with_laws, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums,
+    conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
+    Sums, TransportVelocity,
 };
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Masses, PairCache, RowGeometry};
-use crate::sph::operators::{composed, density};
+use crate::sph::operators::{composed, density, evolution};
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -141,7 +143,8 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
         let from = i * list.capacity;
         let zero = [L::zero(); D];
         let mut sums = Sums { common: zero, force: zero, spread: zero, warmth: L::zero() };
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+        let fluids = list.fluid_count[i] as usize;
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F is kept for every pair of the list, 0 in the padding.
             let (other, slope) = unsafe {
                 let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
@@ -150,7 +153,8 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
             let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let weight = b.volume.mul_add(b.volume, volume2) * slope;
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
             sums.common = zero;
             self.laws.add(&prepared, &pair, &mut sums);
             for d in 0..D {
@@ -293,7 +297,8 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let (zero, none) = ([L::zero(); D], L::zero());
         let mut bar =
             SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
+        let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
             // SAFETY: `row` gives valid particle numbers; F and G are kept for every pair of the list, 0 in the padding.
             let (other, other_bar, slope, curvature) = unsafe {
                 (
@@ -308,7 +313,8 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
             let volumes2 = b.volume.mul_add(b.volume, volume2);
             let weight = volumes2 * slope;
             let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight };
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
             let mut pair_bar = PairBar { scalar: none, by_difference: zero, by_slope: none };
             self.laws.adjoint(&prepared, &pair, &bars, &mut pair_bar, &mut bar);
             bar.volume = (slope * pair_bar.scalar).mul_add(two * a.volume, bar.volume);
@@ -511,7 +517,27 @@ pub fn composed<R: Real>(
         mass: mass.clone(),
     };
     let mut sums = PairTensors::default();
-    with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    let given = model.body_force.vector(&moved.narrow(0, 0, d)?)?;
+    if let Flux::Riemann(law) = &model.standard.flux {
+        let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
+        let velocity = moved.narrow(0, l.velocity(), d)?;
+        let around = Surroundings { pairs, state, given: &given, normals: &normals, velocity: &velocity };
+        PairTensors::add(&mut sums.force, law.force(&around, &fields, model.viscosity)?)?;
+        if l.transport {
+            TransportVelocity::spread(pairs, &fields, &mut sums)?;
+        }
+        if l.heat {
+            Conduction.composed(pairs, &fields, &mut sums)?;
+        }
+        if let Some(artificial) = model.artificial_viscosity {
+            artificial.composed(pairs, &fields, &mut sums)?;
+        }
+    } else {
+        with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    }
+    if let Flux::Delta(_, diffusion) = &model.standard.flux {
+        PairTensors::add(&mut sums.force, diffusion.composed(pairs, &fields)?)?;
+    }
     if let Some(common) = &sums.common {
         PairTensors::add(&mut sums.force, common.broadcast_mul(&fields.weight)?.sum(2)?)?;
     }
@@ -519,8 +545,7 @@ pub fn composed<R: Real>(
     let only_fluid = pairs.is_fluid.clone();
     let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
     let pair_forces = per_mass(sums.force.map_or_else(nothing, Ok)?)?;
-    let given = model.body_force.composed(&moved.narrow(0, 1, 1)?, d)?.broadcast_mul(&only_fluid)?;
-    let acceleration = (pair_forces + given)?;
+    let acceleration = (pair_forces + given.broadcast_mul(&only_fluid)?)?;
     let mut rates = vec![acceleration];
     if let Some(spread) = sums.spread {
         rates.push(per_mass(spread.affine(model.equation_of_state.at_vacuum(), 0.0)?)?);

@@ -10,7 +10,9 @@
 //!   puts the isotherm where the wall is instead of half a spacing behind it.
 //!
 //! eps = 2.2e-16 (f64's machine epsilon, in f32 too: the sums it guards have the same size there).
-//! Their eq. 27 adds (g - a_wall).sum(rho r W); the scenes here have no body force across a wall.
+//! A body force across walls, which gravity is, adds g.sum_j rho_j r_ij W_ij to the sum of pressures (their eq. 27). Where
+//! the flow slips along the walls, `<u> + 2 n n.(u_wall - <u>)` with the wall's normal n: only what crosses the wall turns
+//! around. In Riemann problems walls keep their own density, see [`crate::sph::laws::riemann`].
 //!
 //! Adjoint: wall rows compute D = cotangents of their weighted sums; fluid rows gather them from the walls
 //! that they reach.
@@ -20,7 +22,10 @@ use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::{Flux, Slip};
 use crate::sph::operators::composed;
+use crate::sph::operators::evolution;
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{
     gather_fields, pack_positions, splat_fields, stride, Fields, Masses, PairCache, RowGeometry,
@@ -86,6 +91,25 @@ fn averaged<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, 
     fields
 }
 
+/// A body force that is felt across walls.
+#[inline(always)]
+fn across_walls<R: Real, L: Lanes<Real = R>>(step: &Step<R>) -> Option<[L; 3]> {
+    match step.model.body_force {
+        BodyForce::Gravity([x, y, z]) => Some([L::splat(R::of(x)), L::splat(R::of(y)), L::splat(R::of(z))]),
+        _ => None,
+    }
+}
+
+/// rho_j g . r for r from fluid j to a wall, and p_j with it.
+#[inline(always)]
+fn lifted<L: Lanes, const D: usize>(gravity: &[L; 3], r: &[L; D], there: &Fields<L>, pressure: L) -> L {
+    let mut along = L::zero();
+    for d in 0..D {
+        along = gravity[d].mul_add(r[d], along);
+    }
+    there[(D + 1) / 4][(D + 1) % 4].mul_add(along, pressure)
+}
+
 /// Sums of W and of W times the fields over a wall particle's row. `records` are those of the step, of fluid at least.
 #[inline(always)]
 fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, const HEAT: bool>(
@@ -97,15 +121,19 @@ fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool,
     i: usize,
 ) -> (L, Averages<L, D>) {
     let here = splat_fields::<L>(&position[4 * i..4 * i + 4], 4);
+    let gravity = across_walls::<R, L>(step);
     let mut weight = L::zero();
     let mut sums = Averages::<L, D>::all(L::zero());
     for (index, mask) in pairs::row::<L>(&step.list, i) {
         // SAFETY: `row` gives COUNT valid particle numbers, of fluid, whose records are packed.
         let there = unsafe { gather_fields::<L>(records, record_fields(D, TRANSPORT, HEAT), index) };
-        let (_, r2) = geometry.difference::<true>(&here[0], &there[0]);
+        let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
         let w = mask.apply(kernel.value(r2));
         weight += w;
-        let fields = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+        let mut fields = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+        if let Some(gravity) = &gravity {
+            fields.pressure = lifted::<L, D>(gravity, &dr, &there, fields.pressure);
+        }
         for d in 0..D {
             sums.velocity[d] = w.mul_add(fields.velocity[d], sums.velocity[d]);
             sums.shift[d] = w.mul_add(fields.shift[d], sums.shift[d]);
@@ -395,12 +423,22 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             // The wall particle's position: e_ij = weight_bar + sum_q sums_bar_q x_q(j), r_bar = sum_j e_ij F r_ij.
             let here = splat_fields::<L>(&kept.position[4 * i..4 * i + 4], 4);
             let by_field = sums_bar.map(|bar| L::splat(bar));
+            let gravity = across_walls::<R, L>(step);
             let mut sum = [L::zero(); D];
             for (index, mask) in pairs::row::<L>(list, i) {
                 // SAFETY: as in the forward pass.
                 let there = unsafe { gather_fields::<L>(records, fields, index) };
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
-                let x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+                let mut x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
+                if let Some(gravity) = &gravity {
+                    x.pressure = lifted::<L, D>(gravity, &dr, &there, x.pressure);
+                    // d(rho_j g.r)/dr = rho_j g.
+                    let density = there[(D + 1) / 4][(D + 1) % 4];
+                    let share = mask.apply(kernel.value(r2)) * by_field.pressure * density;
+                    for d in 0..D {
+                        sum[d] = share.mul_add(gravity[d], sum[d]);
+                    }
+                }
                 let mut e = by_field.pressure.mul_add(x.pressure, L::splat(weight_bar));
                 e = by_field.temperature.mul_add(x.temperature, e);
                 for d in 0..D {
@@ -455,6 +493,9 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             let here = splat_fields::<L>(&kept.position[4 * j..4 * j + 4], 4);
             let mut sums = Averages::<L, D>::all(L::zero());
             let mut position = [L::zero(); D];
+            let gravity = across_walls::<R, L>(step);
+            // Of rho_j, by the force across walls.
+            let mut depth = L::zero();
             for (index, mask) in pairs::part::<L>(list, j, from, to) {
                 // SAFETY: `part` gives COUNT valid particle numbers. Fluid ones among them are masked; their records of
                 // cotangents are zero.
@@ -466,7 +507,22 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there);
                 let (w, f, _) = kernel.all(r2);
                 let w = mask.apply(w);
-                let mut e = get(at).mul_add(x.pressure, get(0));
+                let mut pressure = x.pressure;
+                if let Some(gravity) = &gravity {
+                    // From here to the wall: the other way round than dr.
+                    let mut along = L::zero();
+                    for d in 0..D {
+                        along = along - gravity[d] * dr[d];
+                    }
+                    let density = own[(D + 1) / 4][(D + 1) % 4];
+                    pressure = density.mul_add(along, pressure);
+                    let share = w * get(at);
+                    depth = share.mul_add(along, depth);
+                    for d in 0..D {
+                        position[d] = position[d] - share * density * gravity[d];
+                    }
+                }
+                let mut e = get(at).mul_add(pressure, get(0));
                 sums.pressure = w.mul_add(get(at), sums.pressure);
                 for d in 0..D {
                     e = get(1 + d).mul_add(x.velocity[d], e);
@@ -499,7 +555,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     add(l.moved_old_temperature(), sums.temperature.sum());
                 }
                 let slope = model.equation_of_state.slope(record[D + 1]);
-                self.density_bar.add(j, sums.pressure.sum() * slope);
+                self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
             }
         }
     }
@@ -609,11 +665,34 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
     let average = |x: &Tensor| pairs.other(x)?.broadcast_mul(&w)?.sum(2)?.broadcast_mul(&inverse);
 
     let state = model.equation_of_state;
-    let pressure = average(&state.pressure_composed(density)?)?;
-    let mut rows = vec![choose(density, &state.density_composed(&pressure)?)?];
-    rows.push(choose(&velocity, &(velocity.affine(2.0, 0.0)? - average(&velocity)?)?)?);
+    let mut pressure = average(&state.pressure_composed(density)?)?;
+    if let BodyForce::Gravity(_) = model.body_force {
+        let given = pairs.own(&model.body_force.vector(&moved.narrow(0, 0, d)?)?)?;
+        let depth = given.mul(&pairs.difference)?.sum_keepdim(0)?.mul(&pairs.other(density)?)?.mul(&w)?;
+        pressure = (pressure + depth.sum(2)?.mul(&inverse)?)?;
+    }
+    let of_wall = match (model.standard.flux, l.density) {
+        (Flux::Riemann(_), true) => moved.narrow(0, l.moved_density(), 1)?,
+        (Flux::Riemann(_), false) => density.ones_like()?.affine(state.reference_density, 0.0)?,
+        _ => state.density_composed(&pressure)?,
+    };
+    let mut rows = vec![choose(density, &of_wall)?];
+    let normals = match model.standard.slip {
+        Slip::Free => Some(evolution::normals(step, moved)?),
+        Slip::None => None,
+    };
+    // What a wall's particle shows of a vector field.
+    let mirrored = |own: &Tensor| match &normals {
+        None => own.affine(2.0, 0.0)? - average(own)?,
+        Some(n) => {
+            let mean = average(own)?;
+            let across = (own - &mean)?.mul(n)?.sum_keepdim(0)?.affine(2.0, 0.0)?;
+            mean + n.broadcast_mul(&across)?
+        }
+    };
+    rows.push(choose(&velocity, &mirrored(&velocity)?)?);
     if let Some(shift) = shift {
-        rows.push(choose(&shift, &(shift.affine(2.0, 0.0)? - average(&shift)?)?)?);
+        rows.push(choose(&shift, &mirrored(&shift)?)?);
     }
     if let Some(heat) = &model.heat {
         let constant = composed::per_particle(heat.wall_constant.clone(), moved)?;

@@ -1,0 +1,42 @@
+//! Continuity: the rate of an evolved density.
+//!
+//! drho_i/dt = rho_i sum_j V_j (u_i - u_j) . grad_i W_ij, V_j = m_j/rho_j, over fluid and wall particles (Adami, Hu and
+//! Adams 2013, eq. 5 differentiated; JAX-SPH's `rho_evol_fn`). Other than a sum over neighbours it needs none beyond a free
+//! surface.
+
+use crate::sph::operators::composed::Pairs;
+use candle_core::{Result, Tensor};
+
+/// What rates of density are computed from, of all particles.
+pub struct Flowing<'a> {
+    pub pairs: &'a Pairs,
+    /// `[1, N]`.
+    pub density: &'a Tensor,
+    /// V = m/rho, `[1, N]`.
+    pub volume: &'a Tensor,
+    /// `[D, N]`; of walls their own.
+    pub velocity: &'a Tensor,
+    /// F = W'(d)/d, `[1, N, K]`.
+    pub slope: &'a Tensor,
+}
+
+impl Flowing<'_> {
+    /// V_j F, `[1, N, K]`.
+    pub fn weight(&self) -> Result<Tensor> {
+        self.pairs.other(self.volume)?.mul(self.slope)
+    }
+
+    /// (u_i - u_j) . r_ij, `[1, N, K]`.
+    pub fn parting(&self) -> Result<Tensor> {
+        let velocity = (self.pairs.own(self.velocity)? - self.pairs.other(self.velocity)?)?;
+        velocity.mul(&self.pairs.difference)?.sum_keepdim(0)
+    }
+}
+
+/// drho/dt, `[1, N]`, from candle's operators.
+///
+/// # Errors
+/// Tensor errors.
+pub fn composed(flowing: &Flowing) -> Result<Tensor> {
+    flowing.weight()?.mul(&flowing.parting()?)?.sum(2)?.mul(flowing.density)
+}

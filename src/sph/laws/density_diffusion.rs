@@ -1,0 +1,130 @@
+//! Diffusion of the density: what delta-SPH adds to continuity.
+//!
+//! drho_i/dt gains delta h c sum_j V_j psi_ij . grad_i W_ij over fluid j,
+//! psi_ij = -2 (rho_j - rho_i) r_ij/r_ij^2 - g_i - g_j (Antuono, Colagrossi, Marrone and Molteni 2010, eq. 5; Marrone et al.
+//! 2011, eq. 4), g_i = A_i^-1 sum_j V_j (rho_j - rho_i) grad_i W_ij the density's gradient, renormalised by
+//! A_i = -sum_j V_j r_ij (x) grad_i W_ij, so that nothing is diffused where the density is linear: still water stays as it is.
+
+use super::continuity::Flowing;
+use crate::sph::operators::composed::{above, Pairs};
+use candle_core::{Result, Tensor};
+
+/// Where A's determinant (1 amid particles, 1/2 at a flat surface) is less than this, a particle has too few neighbours for a
+/// gradient and takes none.
+const LEAST_DETERMINANT: f64 = 0.05;
+
+/// Whose gradients psi has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DensityGradient {
+    #[default]
+    Renormalised,
+    /// JAX-SPH's: instead of g_j the sum g'_j = -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the neighbours'
+    /// matrices and the opposite sign, and no guard. To compare states.
+    JaxSph,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DensityDiffusion {
+    /// delta: 0.1 is usual.
+    pub strength: f64,
+    /// c.
+    pub sound_speed: f64,
+    /// h.
+    pub smoothing_length: f64,
+    pub gradient: DensityGradient,
+}
+
+/// The symmetric matrix of each particle, by its rows: `[D D, N]`.
+struct Matrices {
+    dimension: usize,
+    rows: Tensor,
+}
+
+impl Matrices {
+    /// -sum_j V_j F r_ij (x) r_ij.
+    fn of(flowing: &Flowing) -> Result<Self> {
+        let r = &flowing.pairs.difference;
+        let (d, weight) = (r.dim(0)?, flowing.weight()?.neg()?);
+        let mut rows = Vec::new();
+        for a in 0..d {
+            rows.push(r.broadcast_mul(&r.narrow(0, a, 1)?.mul(&weight)?)?.sum(2)?);
+        }
+        Ok(Self { dimension: d, rows: Tensor::cat(&rows, 0)? })
+    }
+
+    fn entry(&self, a: usize, b: usize) -> Result<Tensor> {
+        self.rows.narrow(0, a * self.dimension + b, 1)
+    }
+
+    /// Their inverse by cofactors; 0 where the determinant is not above `least`, if that is given.
+    fn inverse(&self, least: Option<f64>) -> Result<Self> {
+        let (d, m) = (self.dimension, |a: usize, b: usize| self.entry(a % self.dimension, b % self.dimension));
+        let mut cofactors = Vec::new();
+        for a in 0..d {
+            for b in 0..d {
+                // Indices go round, which gives the sign in 3D; the matrix is symmetric, so is its adjugate.
+                cofactors.push(match d {
+                    2 if a == b => m(a + 1, b + 1)?,
+                    2 => m(a, b)?.neg()?,
+                    _ => (m(a + 1, b + 1)?.mul(&m(a + 2, b + 2)?)? - m(a + 1, b + 2)?.mul(&m(a + 2, b + 1)?)?)?,
+                });
+            }
+        }
+        let mut determinant = m(0, 0)?.mul(&cofactors[0])?;
+        for b in 1..d {
+            determinant = (determinant + m(0, b)?.mul(&cofactors[b])?)?;
+        }
+        let mut rows = Tensor::cat(&cofactors, 0)?;
+        if let Some(least) = least {
+            let good = above(&determinant, least)?;
+            // 1 where there is none: nothing is divided by nothing.
+            determinant = (determinant.mul(&good)? + good.affine(-1.0, 1.0)?)?;
+            rows = rows.broadcast_mul(&good)?;
+        }
+        Ok(Self { dimension: d, rows: rows.broadcast_div(&determinant)? })
+    }
+
+    /// Each times its own vector: `[D, N]` of `[D, N]`, or `[D, N, K]` of `[D, N, K]` with the matrices of the neighbours.
+    fn apply(&self, vector: &Tensor, pairs: Option<&Pairs>) -> Result<Tensor> {
+        let rows = |a: usize| self.rows.narrow(0, a * self.dimension, self.dimension);
+        let row = |a: usize| match pairs {
+            Some(pairs) => pairs.other(&rows(a)?)?.mul(vector)?.sum_keepdim(0),
+            None => rows(a)?.mul(vector)?.sum_keepdim(0),
+        };
+        Tensor::cat(&(0..self.dimension).map(row).collect::<Result<Vec<_>>>()?, 0)
+    }
+}
+
+impl DensityDiffusion {
+    /// What drho/dt gains, `[1, N]`, from candle's operators.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn composed(&self, flowing: &Flowing, among_walls: impl FnOnce() -> Result<Tensor>) -> Result<Tensor> {
+        let (pairs, r) = (flowing.pairs, &flowing.pairs.difference);
+        let weight = flowing.weight()?;
+        // rho_j - rho_i.
+        let rise = (pairs.other(flowing.density)? - pairs.own(flowing.density)?)?;
+        let climb = r.broadcast_mul(&rise.mul(&weight)?)?.sum(2)?;
+        let mut matrices = Matrices::of(flowing)?;
+        let (own, other) = match self.gradient {
+            DensityGradient::Renormalised => {
+                let gradient = matrices.inverse(Some(LEAST_DETERMINANT))?.apply(&climb, None)?;
+                (gradient.clone(), gradient)
+            }
+            DensityGradient::JaxSph => {
+                // Its walls have the pairs among walls too, which no list of ours has.
+                matrices.rows = (matrices.rows + among_walls()?)?;
+                let inverse = matrices.inverse(None)?;
+                let along = r.broadcast_mul(&rise.mul(flowing.slope)?)?;
+                let other = inverse.apply(&along, Some(pairs))?.sum(2)?.broadcast_mul(flowing.volume)?.neg()?;
+                (inverse.apply(&climb, None)?, other)
+            }
+        };
+        let gradients = (pairs.own(&own)? + pairs.other(&other)?)?.mul(r)?.sum_keepdim(0)?;
+        let psi = (rise.affine(-2.0, 0.0)? - gradients)?;
+        let fluid = pairs.other(&pairs.is_fluid)?;
+        let sum = weight.mul(&psi)?.mul(&fluid)?.sum(2)?;
+        sum.affine(self.strength * self.smoothing_length * self.sound_speed, 0.0)
+    }
+}
