@@ -42,7 +42,8 @@ fn built_in(name: &str, sets: &[&str]) -> Scene<f64> {
     Scene::from_config(&Config::load(Some(name), None, &sets).unwrap().config).unwrap()
 }
 
-/// The same numbers to the bit as the scene that is compiled in.
+/// The same particles to the bit as those of the scene that is compiled in. Its walls do not feel the force, ours do
+/// (Adami, Hu and Adams 2012, eq. 27): along a plane wall that cancels, but for where their particles stand.
 #[test]
 fn a_plane_channel_is_the_built_in_one() {
     let theirs = built_in("poiseuille", &["resolution.dx=0.0625", "flow.reynolds=0.0125", "time.steps=40"]);
@@ -53,8 +54,9 @@ fn a_plane_channel_is_the_built_in_one() {
     assert_eq!(ours.start.state, theirs.start.state);
     assert_eq!(ours.corner, theirs.corner);
     let (ours, theirs) = (end(&ours, 40), end(&theirs, 40));
-    assert!(ours.row(2).iter().fold(0.0, |most: f64, u| most.max(*u)) > 1e-3, "nothing moves");
-    assert_eq!(ours.state, theirs.state);
+    let fastest = theirs.row(2).iter().fold(0.0, |most: f64, u| most.max(*u));
+    let apart = ours.row(2).iter().zip(theirs.row(2)).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+    assert!(fastest > 1e-3 && apart < 1e-3 * fastest, "{apart:e} of {fastest}");
 }
 
 /// A lid that slides where it is, and one whose particles move and come in again.
