@@ -245,7 +245,8 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
 }
 
 fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
-    let wall = |d: usize| -scene.corner[d];
+    // Walls are as thick on both sides of the unit square.
+    let wall = |d: usize| 0.5 * (scene.model.domain.size[d] - 1.0);
     let every = (scene.steps / 4 / SAMPLES).max(1);
     let (mut u, mut v, mut count) = (vec![0.0; PLACES], vec![0.0; PLACES], 0.0);
     let mut missing = 0;
