@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
@@ -86,6 +86,50 @@ def accuracy():
                       f"imbalance {100 * s['energy_imbalance']:+.2f} %")
     header = ["H", "dx", "Q", "against FEM", "u_max", "against FEM", "flow rate", "against FEM", "outlet T", "wall heat flux", "imbalance"]
     return "\n".join([table(header, rows), "", "The same at dx = 0.02, H = 0.2 with other conventions:", "", *others])
+
+
+def validation():
+    """Every scene with a known answer: the finest run of each case."""
+    rows = load(run("validate", "validate", allow_failure=True) or os.path.join(OUT, "validate"), "validation.json")["rows"]
+    out = []
+    for k, row in enumerate(rows):
+        if k + 1 == len(rows) or rows[k + 1]["case"] != row["case"]:
+            error = lambda key: "-" if row[key] is None else f"{row[key]:.1e}"
+            order = "" if row["order"] is None else f"{row['order']:.1f}"
+            out.append([row["case"], row["quantity"], row["reference"], f"{row['dx']:.3g}", error("error"), error("error_f32"), order, f"{row['tolerance']:.1e}", f"{row['seconds']:.0f}"])
+    return table(["case", "error of", "against", "dx", "f64", "f32", "order", "asked", "seconds"], out)
+
+
+def switches():
+    """Taylor-Green, 50 x 50, to t = 1: what each choice costs and what it is worth."""
+    standard = dict(fluid__formulation="standard")
+    variants = [
+        ("default", {}),
+        ("time.integrator symplectic-euler", dict(time__integrator="symplectic-euler")),
+        ("resolution.smoothing_length 1", dict(resolution__smoothing_length=1)),
+        ("resolution.kernel wendland-c2, smoothing_length 1.3", dict(resolution__kernel="wendland-c2", resolution__smoothing_length=1.3)),
+        ("fluid.pressure_diffusion 0.05", dict(fluid__pressure_diffusion=0.05)),
+        ("fluid.pressure_diffusion 0.2", dict(fluid__pressure_diffusion=0.2)),
+        ("fluid.shift_strength 0.5", dict(fluid__shift_strength=0.5)),
+        ("fluid.shift none", dict(fluid__shift="none")),
+        ("fluid.sound_speed_factor 20", dict(fluid__sound_speed_factor=20)),
+        ("time.cfl 0.5", dict(time__cfl=0.5)),
+        ("time.jitter 0 (an exact lattice)", dict(time__jitter=0)),
+        ("run.precision f32", dict(run__precision="f32")),
+        ("standard", standard),
+        ("standard, fluid.transport_velocity 0", {**standard, "fluid__transport_velocity": 0}),
+        ("standard, fluid.artificial_viscosity 0.1", {**standard, "fluid__artificial_viscosity": 0.1}),
+    ]
+    rows = []
+    for label, values in variants:
+        folder = run("switches", "simulate", "taylor-green", *sets(output__frames=0, time__end=1, run__threads=1, **values), allow_failure=True)
+        s = load(folder) if folder else None
+        if s is None:
+            rows.append([label, "diverged", "", ""])
+            continue
+        # The mean square of the exact velocity is half the square of its amplitude.
+        rows.append([label, f"{math.sqrt(2) * s['velocity_error']:.4f}", f"{1e9 * s['wall_seconds'] / s['steps'] / s['particles']:.0f}", f"{s['wall_seconds']:.2f}"])
+    return table(["", "relative L2 error at t = 1", "ns per particle and step", "seconds"], rows)
 
 
 def gradient_of(name, *arguments):
@@ -357,7 +401,7 @@ def inverse():
     """Initial velocities of the vortices, and viscosity and conductivity of a channel."""
     rows = []
     for steps in (50, 100, 200):
-        s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps)))
+        s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps, fluid__formulation="standard")))
         rows.append([f"velocities, {s['unknowns']} unknowns, {steps} steps", f"{s['distance_before']:.4f} -> {s['distance']:.6f}",
                      f"{100 * s['velocity_error']:.1f} %", s["epochs"], f"{s['seconds']:.1f}"])
     data = run("seen", "generate", "heated-channel", "--trajectories", "1/1/1", "--frames", "12", *sets(time__start="rest"))
@@ -370,7 +414,7 @@ def inverse():
 
 
 surrogate_figures = {"surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 
 

@@ -30,6 +30,7 @@
 //! | [`scene`] | one scene type, and the families that build it |
 //! | [`dataset`] | trajectories for training |
 //! | [`inverse`] | what a flow began with, or is made of, from what was seen |
+//! | [`validation`] | scenes against their exact solutions and independent references |
 //! | [`surrogate`] | networks, models, training, evaluation |
 //! | [`cli`] | one file per command: parses, calls, prints |
 //!
@@ -82,7 +83,8 @@
 //! # fn main() -> anyhow::Result<()> {
 //! // A periodic box of water with a shear wave, by Wendland's kernel.
 //! let (side, dx) = (16, 1.0 / 16.0);
-//! let layout = Layout { dimension: 2, transport: false, heat: false, mass: false, density: false, consistent: false };
+//! let layout =
+//!     Layout { dimension: 2, transport: false, heat: false, mass: false, density: false, consistent: false, rates: false };
 //! let model = Arc::new(Model {
 //!     domain: Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] },
 //!     layout,
@@ -103,6 +105,7 @@
 //!     fixed: None,
 //!     transport: 0.0,
 //!     body_force: BodyForce::None,
+//!     walls_slide: false,
 //!     drive: None,
 //!     heat: None,
 //!     wall_heat_until: None,
@@ -202,3 +205,4 @@ pub mod report;
 pub mod scene;
 pub mod sph;
 pub mod surrogate;
+pub mod validation;

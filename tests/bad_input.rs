@@ -230,7 +230,13 @@ fn support_of_the_kernel() {
     let standard = [STANDARD, wide, "channel.wall_rows=4"];
     refuses_sets(&standard, &["channel.wall_rows = 4", "5 <= channel.wall_rows"]);
     refuses_sets(&[wide, "channel.height=0.16"], &["channel.height = 0.16", "9 spacings", "0.18"]);
-    refuses_sets(&["resolution.kernel=wendland"], &["wendland", "quintic-spline, wendland-c2", "try: `wendland-c2`"]);
+    refuses_sets(
+        &["resolution.kernel=wendland"],
+        &["wendland", "wendland-c2", "wendland-c6", "super-gaussian", "try: `wendland-c2`"],
+    );
+    let negative = "resolution.kernel=super-gaussian";
+    refuses_sets(&[negative], &["super-gaussian", "positive weights", "try: resolution.kernel=gaussian"]);
+    refuses_sets(&[STANDARD, negative, "channel.wall_rows=3"], &["super-gaussian", "with walls", "without walls"]);
     let case = Case::new(&[]);
     let run = ["simulate", "taylor-green", "--set", "resolution.dx=0.125", "--set", wide];
     case.refuses(&run, &["too coarse", "2 (4.5 + time.skin) spacings"]);
@@ -542,7 +548,7 @@ fn numbers_of_the_flows() {
     refuses(
         "taylor-green",
         "resolution.dx=0.25",
-        &["too coarse", "2 (3 + time.skin)", "try: --set resolution.dx=0.142857"],
+        &["too coarse", "2 (2.4 + time.skin)", "try: --set resolution.dx=0.166666"],
     );
     refuses("poiseuille", "resolution.dx=0.2", &["too coarse", "six spacings"]);
     refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);

@@ -218,17 +218,20 @@ fn accuracy_gives_points_and_draws_those_of_others() {
     assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
     let points = std::fs::read_to_string(at.join("out/accuracy.json")).unwrap();
     let points: Vec<Value> = serde_json::from_str(&points).unwrap();
-    // Two spacings in two types; a quarter of the error at half the spacing, in both.
-    assert_eq!(points.len(), 4);
-    for precision in ["f64", "f32"] {
-        let of = |dx: f64| points.iter().find(|p| p["precision"] == precision && p["dx"] == dx).unwrap();
+    // Two formulations at two spacings in two types; a quarter of the error at half the spacing, in all.
+    assert_eq!(points.len(), 8);
+    for (code, precision) in ["consistent", "standard"].into_iter().flat_map(|code| [(code, "f64"), (code, "f32")]) {
+        let code = format!("hydrograd, {code}");
+        let of = |dx: f64| {
+            points.iter().find(|p| p["code"] == code && p["precision"] == precision && p["dx"] == dx).unwrap()
+        };
         let error = |dx: f64| of(dx)["error"].as_f64().unwrap();
         assert!((3.0..5.0).contains(&(error(0.1) / error(0.05))), "{points:?}");
-        assert!(of(0.1)["stable"] == true && of(0.1)["code"] == "hydrograd");
+        assert!(of(0.1)["stable"] == true);
     }
     // The other code is in the picture's legend; the scenes that the filter dropped have no picture.
     let picture = std::fs::read_to_string(at.join("out/accuracy-poiseuille.svg")).unwrap();
-    assert!(picture.contains("another f64") && picture.contains("hydrograd f32"));
+    assert!(picture.contains("another f64") && picture.contains("hydrograd, standard f32"));
     assert!(!at.join("out/accuracy-taylor-green.svg").exists());
 }
 

@@ -14,12 +14,12 @@ use hydrograd::scene::Scene;
 use hydrograd::sph::consistent::blocks::width;
 use hydrograd::sph::consistent::derivatives::{NO_FLUX, VELOCITY};
 use hydrograd::sph::consistent::stencil::{monomials, quadratic};
-use hydrograd::sph::consistent::{Blocks, Geometry, Kept, Shift};
+use hydrograd::sph::consistent::{Blocks, Geometry, Kept, Shift, TimeSteps};
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::model::Model;
 use hydrograd::sph::solver::Solver;
 use hydrograd::sph::Sweeps;
-use support::consistent::{box_model, channel, isotropic, noisy_channel, numbers, vortices, Case, DX};
+use support::consistent::{box_model, channel, isotropic, noisy_channel, numbers, verlet, vortices, Case, DX};
 use support::final_sum::{FinalSum, Summed};
 
 /// Every kind of scene: boxes in two and three dimensions with and without heat, and the channel with every shift.
@@ -30,6 +30,10 @@ fn cases<R: Sweeps>() -> Vec<Case<R>> {
         vortices(2, true, Shift::None),
         vortices(3, false, isotropic()),
         vortices(3, true, isotropic()),
+        verlet(2, false),
+        verlet(3, true),
+        noisy_channel(&["time.integrator=verlet", "time.cfl=1"]),
+        noisy_channel(&["time.integrator=verlet", "time.cfl=1", "fluid.drive=flow-rate"]),
         noisy_channel(&[]),
         noisy_channel(&["fluid.shift=isotropic"]),
         noisy_channel(&["fluid.shift=rows"]),
@@ -137,7 +141,7 @@ fn derivatives<R: Sweeps>(model: &Model<R>, known: &[f64]) -> Vec<(usize, Vec<Ve
     let consistent = model.consistent.as_ref().unwrap();
     let mut blocks = Blocks::default();
     R::tables(&mut blocks, &list, &consistent.surface);
-    let geometry = Geometry { model, consistent, blocks: &blocks };
+    let geometry = Geometry { model, consistent, blocks: &blocks, times: TimeSteps::of(model, 0) };
     let (mut kept, mut found) = (Kept::default(), Vec::new());
     R::derivatives(&geometry, &mut kept, &known, &mut found);
     let (d, fields, lanes) = (model.layout.dimension, model.layout.fields(), width::<R>());

@@ -148,7 +148,9 @@ fn points_of_accuracy_fall_with_the_spacing() {
     for (k, point) in points.iter().enumerate() {
         assert!(point.stable && point.seconds > 0.0, "{point:?}");
         // The next of the same scene and precision is finer.
-        let next = points[k + 1..].iter().find(|p| p.scene == point.scene && p.precision == point.precision);
+        let next = points[k + 1..]
+            .iter()
+            .find(|p| p.scene == point.scene && p.precision == point.precision && p.code == point.code);
         if let Some(next) = next {
             assert!(next.dx < point.dx && next.error < point.error, "{next:?} is no better than {point:?}");
         }

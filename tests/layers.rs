@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up.
-const LAYERS: [&str; 14] = [
+const LAYERS: [&str; 15] = [
     "error",
     "numerics",
     "io",
@@ -17,6 +17,7 @@ const LAYERS: [&str; 14] = [
     "scene",
     "dataset",
     "inverse",
+    "validation",
     "surrogate",
     "cli",
 ];

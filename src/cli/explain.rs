@@ -40,6 +40,7 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
 fn limit(config: &Config) -> String {
     let limits = config.time_step_limits();
     let which = match limits.acoustic <= limits.diffusive {
+        _ if limits.force < limits.acoustic.min(limits.diffusive) => "the body force".to_string(),
         true => {
             format!("sound (time.cfl = {}; heat and viscosity would allow {:.3e})", config.time.cfl, limits.diffusive)
         }

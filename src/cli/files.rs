@@ -72,14 +72,53 @@ pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &Partic
 
 /// `flow.png` and `.svg`: particles coloured by speed, panel by panel.
 pub fn plot_flow(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
-    let speed = |fields: &ParticleFields| -> Vec<f64> {
-        let n = fields.tag.len();
-        let square = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
-        (0..n).map(|i| square(i).sqrt()).collect()
-    };
-    let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speed(fields)).collect();
+    let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speeds(fields)).collect();
     let fastest = speeds.iter().flatten().copied().fold(1e-6, f64::max);
     plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speeds, (0.0, fastest))
+}
+
+/// `NAME.png` and `.svg` of any scene: particles coloured by values `[N]`, as far as they reach; of a scene in three dimensions
+/// those whose height z is that of the middle, to half a spacing.
+pub fn plot_scene(
+    folder: &Path,
+    (name, label, title): (&str, &str, &str),
+    fields: &ParticleFields,
+    values: &[f64],
+    dx: f64,
+) -> anyhow::Result<()> {
+    let n = fields.tag.len();
+    let row = |d: usize| &fields.position[d * n..(d + 1) * n];
+    let ends = |d: usize| row(d).iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
+    let shown: Vec<usize> = match fields.dimension {
+        2 => (0..n).collect(),
+        _ => {
+            let (low, high) = ends(2);
+            let middle = 0.5 * (low + high);
+            // Of an even number of layers the upper one of the middle two.
+            (0..n).filter(|&i| (-0.25 * dx..0.75 * dx).contains(&(row(2)[i] - middle))).collect()
+        }
+    };
+    let position: Vec<f64> = (0..2).flat_map(|d| shown.iter().map(move |&i| row(d)[i])).collect();
+    let tag: Vec<u8> = shown.iter().map(|&i| fields.tag[i]).collect();
+    let shown: Vec<f64> = shown.iter().map(|&i| values[i]).collect();
+    let of_fluid =
+        shown.iter().zip(&tag).filter(|(_, tag)| **tag == crate::particles::tag::FLUID).map(|(value, _)| *value);
+    let (low, high) = of_fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+    let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0) * 1e-6) };
+    let panel = TemperaturePanel { title, position: &position, temperature: &shown, tag: &tag, diameter: dx };
+    let wide = |d: usize| {
+        let (low, high) = ends(d);
+        (low - 0.5 * dx, high + 0.5 * dx)
+    };
+    colored_particles(&folder.join(name), label, &[panel], range, wide(0), wide(1))?;
+    Ok(())
+}
+
+/// Of every particle.
+pub fn speeds(fields: &ParticleFields) -> Vec<f64> {
+    let n = fields.tag.len();
+    let square = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
+    (0..n).map(|i| square(i).sqrt()).collect()
 }
 
 /// `NAME.png` and `.svg`: particles coloured by values `[N]` of each panel.

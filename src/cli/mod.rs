@@ -22,6 +22,7 @@ mod simulate;
 mod simulate_report;
 mod study;
 mod train;
+mod validate;
 mod verify;
 
 pub use guard::{guarded, install_panic_hook};
@@ -43,6 +44,7 @@ pub enum Command {
     #[command(visible_alias = "optimise")]
     Optimize(optimize::OptimizeArguments),
     Verify(verify::VerifyArguments),
+    Validate(validate::ValidateArguments),
     CheckGradient(check_gradient::CheckGradientArguments),
     Recover(recover::RecoverArguments),
     Calibrate(calibrate::CalibrateArguments),
@@ -67,6 +69,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::Verify(arguments) => verify::run(arguments),
+        Command::Validate(arguments) => validate::run(arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
         Command::Recover(arguments) => recover::run(arguments.load()?, arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),

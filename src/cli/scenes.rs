@@ -1,15 +1,32 @@
-//! `hydrograd scenes`: lists the built-in scenes, or prints one as TOML.
+//! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or says what a file would build.
 
 use super::arguments::check_preset;
+use super::arguments::CommonArguments;
+use super::files;
+use super::prepare::use_threads;
+use crate::adjoint::Dynamics;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
 use crate::config::scene::Config;
+use crate::config::scene::Precision;
 use crate::error::Error;
-use clap::Args;
+use crate::io::atomic::prepare_output_folder;
+use crate::report::memory::peak_memory_bytes;
+use crate::report::table::Table;
+use crate::scene::load::Loaded;
+use crate::scene::particle_fields::ParticleFields;
+use crate::scene::plausible::Findings;
+use crate::scene::Scene;
+use crate::sph::dynamics::Sph;
+use crate::sph::Sweeps;
+use clap::{Args, Subcommand};
 use std::io::Write;
+use std::path::Path;
+use std::time::Instant;
 
-/// List the built-in scenes and presets, or print a scene as TOML.
+/// List the built-in scenes and presets, print a scene as TOML, or check a file of your own.
 #[derive(Debug, Clone, Args)]
+#[command(args_conflicts_with_subcommands = true)]
 #[command(after_long_help = "\
 Examples:
   hydrograd scenes
@@ -17,8 +34,14 @@ Examples:
   hydrograd scenes heated-channel > my.toml
       every key with its meaning, unit and range, to change and run
   hydrograd scenes heated-channel --preset report
-      the same with a preset's values")]
+      the same with a preset's values
+  hydrograd scenes custom > mine.toml
+      a box and shapes of your own
+  hydrograd scenes check mine.toml
+      what it would build and cost, and what looks implausible")]
 pub struct ScenesArguments {
+    #[command(subcommand)]
+    pub command: Option<ScenesCommand>,
     /// Scene to print.
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
@@ -27,7 +50,28 @@ pub struct ScenesArguments {
     pub preset: Option<String>,
 }
 
+#[derive(Debug, Clone, Subcommand)]
+pub enum ScenesCommand {
+    Check(CheckArguments),
+}
+
+/// Say what a scene would build (particles, time step, memory, run time), draw it, and warn of implausible numbers.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd scenes check mine.toml
+      particles, time step by each criterion, memory, run time, warnings, and a picture
+  hydrograd scenes check mine.toml --set resolution.dx=0.01 --out runs/finer
+      the same at another spacing")]
+pub struct CheckArguments {
+    #[command(flatten)]
+    pub common: CommonArguments,
+}
+
 pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
+    if let Some(ScenesCommand::Check(arguments)) = &arguments.command {
+        return check(&arguments.common);
+    }
     let text = match &arguments.scene {
         None => list(),
         Some(name) => {
@@ -42,6 +86,91 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
         // The reader has seen enough: `hydrograd scenes heated-channel | head`.
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         result => Ok(result?),
+    }
+}
+
+fn check(common: &CommonArguments) -> anyhow::Result<()> {
+    let loaded = common.load(None, vec![], vec![])?;
+    let folder = common.folder(None, "check", &loaded)?;
+    use_threads(loaded.config.run.threads);
+    match loaded.config.run.precision {
+        Precision::F32 => report::<f32>(&loaded, &folder),
+        Precision::F64 => report::<f64>(&loaded, &folder),
+    }
+}
+
+/// At least this many steps are timed, and at least so many seconds, unless the run is shorter.
+const BURST: (usize, f64) = (5, 0.5);
+
+fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let scene = Scene::<R>::from_config(config)?;
+    let findings = Findings::of(config, &scene)?;
+    let (steps, dt) = (config.steps(), config.time_step());
+    println!(
+        "{}: scene {}, {} dimensions, dx {}",
+        loaded.source,
+        config.scene.name(),
+        config.dimension(),
+        scene.spacing
+    );
+    let kinds: Vec<String> = findings.particles.iter().map(|(name, count)| format!("{count} {name}")).collect();
+    println!("particles           {} in all: {}", scene.model.particles(), kinds.join(", "));
+    let across = [("narrowest passage", findings.narrowest), ("thinnest wall between fluid", findings.thinnest)];
+    for (what, count) in across {
+        if let Some(count) = count {
+            println!("{what:<27} {count} particles");
+        }
+    }
+    println!(
+        "fastest flow        {:.4} expected, {} as reference, sound {:.4}",
+        findings.speed,
+        config.fluid.reference_velocity,
+        scene.sound_speed()
+    );
+    println!("\ntime step {dt:.4e}, {steps} steps to t = {:.4}; {} rules", config.duration(), findings.rules());
+    let mut table = Table::new(["criterion", "allows", "by"]);
+    for criterion in &findings.criteria {
+        table.row([criterion.name.to_string(), format!("{:.4e}", criterion.dt), criterion.formula.to_string()]);
+    }
+    print!("{table}");
+    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    let mut run = dynamics.start(&scene.start)?;
+    prepare_output_folder(folder)?;
+    let start = ParticleFields::of(&mut run);
+    let (label, values) = match &start.temperature {
+        Some(temperature) => ("temperature T (scene units)", temperature.clone()),
+        None => ("speed |u| (scene units)", files::speeds(&start)),
+    };
+    files::plot_scene(folder, ("particles", label, "start"), &start, &values, scene.spacing)?;
+    let clock = Instant::now();
+    let (least, seconds) = BURST;
+    let mut done = 0;
+    let mut failed = None;
+    while failed.is_none() && done < steps && (done < least || clock.elapsed().as_secs_f64() < seconds) {
+        failed = dynamics.advance(&mut run).and_then(|()| dynamics.check(&run)).err();
+        done += 1;
+    }
+    let each = clock.elapsed().as_secs_f64() / done as f64;
+    println!("\nmemory              {:.0} MB at the peak", peak_memory_bytes() as f64 / 1e6);
+    println!("run time            about {}, from {done} steps of {:.3} ms", duration(each * steps as f64), 1e3 * each);
+    println!("picture             {}", folder.join("particles.png").display());
+    let mut warnings = findings.warnings;
+    warnings.extend(failed.map(|error| format!("the first {done} steps fail already: {error}")));
+    match warnings.len() {
+        0 => println!("\nnothing looks implausible"),
+        count => println!("\n{count} to look at:"),
+    }
+    warnings.iter().for_each(|warning| println!("  - {warning}"));
+    Ok(())
+}
+
+/// `12 s`, `3.4 min`, `5.6 h`.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 100.0 => format!("{s:.1} s"),
+        s if s < 6000.0 => format!("{:.1} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
     }
 }
 

@@ -1,6 +1,7 @@
 //! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
 
 use super::files::{self, VERSION};
+use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::Problem;
 use crate::report::memory::peak_memory_bytes;
@@ -78,6 +79,19 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         plot_profile(folder, scene, finished.end, height)?;
     }
     let profile = profile.is_some();
+    let mut pictures = String::new();
+    if loaded.config.scene == Family::Custom {
+        let end = finished.end;
+        let title = format!("t = {:.4}", end.time);
+        let speed = ("flow", "speed |u| (scene units)", title.as_str());
+        files::plot_scene(folder, speed, end, &files::speeds(end), scene.spacing)?;
+        pictures.push_str(", flow.png");
+        if let Some(temperature) = &end.temperature {
+            let what = ("temperature", "temperature T (scene units)", title.as_str());
+            files::plot_scene(folder, what, end, temperature, scene.spacing)?;
+            pictures.push_str(", temperature.png");
+        }
+    }
     files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
     println!("time                {:.6}", found.time);
     println!(
@@ -94,7 +108,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         None => println!("velocity error      unknown: this flow has no closed form"),
     }
     println!(
-        "files in {}: summary.json, history.csv, kinetic_energy.png{}, state.h5{}",
+        "files in {}: summary.json, history.csv, kinetic_energy.png{pictures}{}, state.h5{}",
         folder.display(),
         if profile { ", profile.png" } else { "" },
         finished.pictures

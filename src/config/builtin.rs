@@ -113,6 +113,11 @@ pub const SCENES: &[BuiltIn] = &[
         description: "2D still water under gravity, against its exact pressure (no design)",
         text: include_str!("../../data/scenes/hydrostatic-tank.toml"),
     },
+    BuiltIn {
+        name: "custom",
+        description: "a box, walls of any shape, forces and heat of your own, all from the file (no design)",
+        text: include_str!("../../data/scenes/custom.toml"),
+    },
 ];
 
 /// Sets of keys laid over a scene with `--preset`.

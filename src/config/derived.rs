@@ -7,7 +7,12 @@ use crate::config::scene::{Config, DriveName, Family, Formulation, Motion};
 pub struct TimeStepLimits {
     pub acoustic: f64,
     pub diffusive: f64,
+    /// What the body force allows in a scene of one's own; infinite elsewhere.
+    pub force: f64,
 }
+
+/// dt <= 0.25 sqrt(dx / |g|) (Monaghan 1992, sec. 11; Morris, Fox and Zhu 1997, eq. 19).
+const FORCE_NUMBER: f64 = 0.25;
 
 impl Config {
     /// c = sound_speed_factor * reference_velocity.
@@ -56,10 +61,10 @@ impl Config {
 
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
-        if matches!(self.scene, Family::TaylorGreen3d | Family::DamBreak3d) {
-            3
-        } else {
-            2
+        match self.scene {
+            Family::TaylorGreen3d | Family::DamBreak3d => 3,
+            Family::Custom => self.region.size.len(),
+            _ => 2,
         }
     }
 
@@ -100,6 +105,10 @@ impl Config {
         let diffusivity = match self.scene {
             _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            Family::Custom if self.initial.temperature.is_some() => {
+                (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
+            }
+            Family::Custom => self.kinematic_viscosity() + artificial,
             _ => 1.0 / self.flow.reynolds + artificial,
         };
         // Steps of fixed particles carry sound with the flow explicitly, and the faster that is the smaller they must be:
@@ -118,13 +127,22 @@ impl Config {
             acoustic: (self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity))
                 .min(falling),
             diffusive: self.time.diffusion_number * dx * dx / diffusivity,
+            force: match self.scene {
+                Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),
+                _ => f64::INFINITY,
+            },
         }
     }
 
-    /// The largest time step: the smaller of the two limits.
+    /// The largest time step: the smallest of the limits.
     pub fn time_step_limit(&self) -> f64 {
         let limits = self.time_step_limits();
-        limits.acoustic.min(limits.diffusive)
+        limits.acoustic.min(limits.diffusive).min(limits.force)
+    }
+
+    /// Size of the body force per mass in a scene of one's own.
+    pub fn acceleration(&self) -> f64 {
+        self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()
     }
 
     /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.
@@ -208,10 +226,12 @@ mod tests {
     fn artificial_viscosity_limits_the_step() {
         let mut config = Family::TaylorGreen.defaults();
         config.fluid.artificial_viscosity = 4.0;
+        config.resolution.smoothing_length = 1.0;
         // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
         let mut config = Family::TaylorGreen3d.defaults();
         config.fluid.artificial_viscosity = 1.0;
+        config.resolution.smoothing_length = 1.0;
         let dx = config.resolution.dx;
         assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");
     }

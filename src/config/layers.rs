@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use toml_edit::{Document, DocumentMut, Item, Value};
 
-use crate::config::schema::{description, flatten, known_keys, values, Schema};
+use crate::config::schema::{description, flatten, known_keys, value_of, values, Schema};
 use crate::config::suggest;
 use crate::error::BadInput;
 
@@ -239,8 +239,8 @@ impl Merged {
 
 /// An entry, if it is a value at the path of a key (serde would also read a section from an array, by position).
 fn entry(known: &[String], path: String, item: &Item, place: String) -> Result<Entry, BadInput> {
-    match item.as_value() {
-        Some(value) if known.contains(&path) => Ok(Entry { path, value: value.clone(), place }),
+    match value_of(item) {
+        Some(value) if known.contains(&path) => Ok(Entry { path, value, place }),
         _ => Err(BadInput::new(format!("`{path}` is a section, not a value"))
             .place(place)
             .allowed(format!("[{path}] with one line per key"))),

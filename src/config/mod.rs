@@ -1,7 +1,9 @@
 //! Configuration: what a run or a training is, as read from TOML and `key=value`.
 pub mod builtin;
+pub mod custom;
 pub mod derived;
 pub mod difference;
+pub mod formula;
 pub mod layers;
 pub mod memory_size;
 pub mod provenance;

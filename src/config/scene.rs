@@ -4,6 +4,7 @@
 //! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
+use crate::config::custom::{Initial, Region, ShapeEntry};
 use crate::config::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +13,11 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     pub scene: Family,
+    /// Scenes of one's own: the box, the shapes in it, and what the fluid begins with.
+    pub region: Region,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub shapes: Vec<ShapeEntry>,
+    pub initial: Initial,
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
@@ -45,6 +51,8 @@ pub enum Family {
     DamBreak3d,
     FallingBlock,
     HydrostaticTank,
+    /// A box and shapes, from the configuration alone.
+    Custom,
 }
 
 impl Family {
@@ -61,6 +69,7 @@ impl Family {
             Self::DamBreak3d => "dam-break-3d",
             Self::FallingBlock => "falling-block",
             Self::HydrostaticTank => "hydrostatic-tank",
+            Self::Custom => "custom",
         }
     }
 
@@ -92,16 +101,26 @@ pub enum KernelName {
     /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
     #[default]
     QuinticSpline,
+    /// Cubic spline (Monaghan and Lattanzio 1985): reaches 2 h.
+    CubicSpline,
     /// Wendland's C2 function (Wendland 1995; Dehnen and Aly 2012): reaches 2 h.
     WendlandC2,
+    /// Wendland's C4 function: reaches 2 h.
+    WendlandC4,
+    /// Wendland's C6 function: reaches 2 h.
+    WendlandC6,
+    /// Gaussian (Gingold and Monaghan 1977), cut off at 3 h.
+    Gaussian,
+    /// Super-Gaussian (Monaghan 1992), negative in its outer part, cut off at 3 h.
+    SuperGaussian,
 }
 
 impl KernelName {
     /// Radius beyond which the kernel is zero, in smoothing lengths.
     pub fn support(self) -> f64 {
         match self {
-            Self::QuinticSpline => 3.0,
-            Self::WendlandC2 => 2.0,
+            Self::QuinticSpline | Self::Gaussian | Self::SuperGaussian => 3.0,
+            Self::CubicSpline | Self::WendlandC2 | Self::WendlandC4 | Self::WendlandC6 => 2.0,
         }
     }
 }
@@ -387,12 +406,25 @@ pub struct Time {
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
     pub diffusion_number: f64,
+    /// How the consistent formulation's particles are advanced over a step.
+    pub integrator: IntegratorName,
     /// Initial flow: at rest, or the developed parabolic profile (steady in half the time).
     pub start: Start,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
     pub jitter: f64,
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
+}
+
+/// The step of the consistent formulation's moving particles: see [`crate::sph::consistent::advance`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum IntegratorName {
+    /// First order in time; of velocity and pressure each knows the other's newest.
+    #[default]
+    SymplecticEuler,
+    /// Velocity Verlet: second order, one evaluation a step as well.
+    Verlet,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -764,6 +796,7 @@ impl Default for Time {
             steps: None,
             cfl: 1.5,
             diffusion_number: 0.25,
+            integrator: IntegratorName::SymplecticEuler,
             start: Start::Developed,
             jitter: 0.05,
             skin: 0.2,

@@ -79,7 +79,15 @@ pub fn values<S: Schema>(config: &S) -> Vec<(String, Value)> {
     let text = toml::to_string(config).expect("a configuration is representable in TOML");
     let document: DocumentMut = text.parse().expect("toml writes valid TOML");
     let found = flatten(document.as_table()).into_iter();
-    found.filter_map(|(path, item)| Some((path, item.as_value()?.clone()))).collect()
+    found.filter_map(|(path, item)| Some((path, value_of(item)?))).collect()
+}
+
+/// The value of an item: of `[[key]]` sections an array of inline tables.
+pub(crate) fn value_of(item: &Item) -> Option<Value> {
+    match item {
+        Item::ArrayOfTables(tables) => Some(Value::Array(tables.clone().into_array())),
+        _ => item.as_value().cloned(),
+    }
 }
 
 /// Every key of a kind of configuration, as `key` or `section.key`.

@@ -1,16 +1,17 @@
 //! Scenes for the loader: the range of every number, and the conditions that link them.
 
 use crate::config::builtin::SCENES;
+use crate::config::custom::ShapeEntry;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
     BodyForceRegion, Config, DensityEquation, DesignWalls, DriveName, DynamicsName, Family, FluxName, Formulation,
-    GradientMode, Motion, ObjectiveKind, Precision, ShiftName, Trust,
+    GradientMode, IntegratorName, KernelName, Motion, ObjectiveKind, Precision, ShiftName, Trust,
 };
 use crate::config::schema::{Alternative, Schema};
 use crate::error::BadInput;
 
 /// More particles than this are a slip in `resolution.dx` rather than a wish.
-const MAX_PARTICLES: f64 = 1e8;
+pub(super) const MAX_PARTICLES: f64 = 1e8;
 
 /// More steps than this are a slip in `time.*` rather than a wish.
 const MAX_STEPS: f64 = 1e9;
@@ -35,6 +36,9 @@ impl Schema for Config {
     fn complete() -> Self {
         let mut config = Self::default();
         config.time.steps = Some(1);
+        config.shapes = vec![ShapeEntry::complete()];
+        (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
+        config.initial.temperature = Some(1.0.into());
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);
@@ -57,6 +61,12 @@ impl Schema for Config {
     }
 
     fn check_together(&self) -> Result<(), BadInput> {
+        self.check_kernel()?;
+        if self.scene == Family::Custom {
+            self.check_custom()?;
+            self.check_flow()?;
+            return self.check_steps();
+        }
         if self.scene != Family::HeatedChannel {
             match self.scene.has_surface() {
                 true => self.check_tank()?,
@@ -85,6 +95,9 @@ fn numbers(config: &Config) -> Vec<Number> {
     use Range::{Above, Finite, NotNegative, Positive, Within};
     let Config {
         scene: _,
+        region,
+        shapes: _,
+        initial: _,
         resolution,
         channel,
         flow,
@@ -103,6 +116,8 @@ fn numbers(config: &Config) -> Vec<Number> {
     // The other scenes have no such key: they choose for themselves.
     let least_rows = if config.scene == Family::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
+        ("region.inlet_until", region.inlet_until.unwrap_or(0.0), NotNegative),
+        ("region.outlet_from", region.outlet_from.unwrap_or(0.0), NotNegative),
         ("resolution.dx", resolution.dx, Positive),
         ("resolution.smoothing_length", resolution.smoothing_length, Within(0.5, 3.0)),
         ("channel.length", channel.length, Positive),
@@ -178,6 +193,27 @@ impl Config {
     /// Fluid rows needed between the walls: one support radius from each, so that no particle's sums reach both.
     fn fluid_rows(&self) -> f64 {
         2.0 * self.support()
+    }
+
+    /// A kernel that is negative somewhere belongs where nothing divides by a part of its sum (see
+    /// [`crate::sph::kernels::super_gaussian`]).
+    fn check_kernel(&self) -> Result<(), BadInput> {
+        let periodic = match self.scene {
+            Family::Custom => !self.has_walls(),
+            _ => matches!(self.scene, Family::TaylorGreen | Family::TaylorGreen3d | Family::ReversePoiseuille),
+        };
+        let place = match (periodic, self.fluid.formulation) {
+            (_, Formulation::Consistent) => "in the consistent formulation, whose fits need positive weights",
+            (false, Formulation::Standard) => "with walls, whose averages over the fluid divide by its sum",
+            (true, Formulation::Standard) => return Ok(()),
+        };
+        if self.resolution.kernel != KernelName::SuperGaussian {
+            return Ok(());
+        }
+        Err(BadInput::new(format!("resolution.kernel = super-gaussian {place}: it is negative in its outer part"))
+            .key("resolution.kernel")
+            .allowed("another kernel; super-gaussian in the standard formulation of a scene without walls")
+            .advice("resolution.kernel=gaussian"))
     }
 
     /// What only the heated channel has.
@@ -431,6 +467,14 @@ impl Config {
                 .allowed("moving; fixed with fluid.formulation = consistent")
                 .advice("fluid.formulation=consistent, or fluid.motion=moving"));
         }
+        if self.time.integrator == IntegratorName::Verlet && (fixed || self.fluid.formulation == Formulation::Standard)
+        {
+            let whose = if fixed { "particles that do not move" } else { "the standard formulation" };
+            return Err(BadInput::new(format!("time.integrator = verlet with {whose}"))
+                .key("time.integrator")
+                .allowed("symplectic-euler; verlet for moving particles of the consistent formulation")
+                .advice("time.integrator=symplectic-euler"));
+        }
         if fixed && self.fluid.body_force_region != BodyForceRegion::Fluid {
             return Err(BadInput::new("fluid.body_force_region = original-channel with particles that do not move")
                 .key("fluid.body_force_region")
@@ -446,14 +490,14 @@ impl Config {
             return Ok(());
         }
         let (fluid, wall) = (&self.fluid, &self.wall);
-        let usual = Self::default();
+        let usual = self.usual().0;
         let others = [
             (
                 "fluid.background_pressure_factor",
                 fluid.background_pressure_factor != usual.fluid.background_pressure_factor,
             ),
-            ("fluid.transport_velocity", fluid.transport_velocity != 0.0),
-            ("fluid.artificial_viscosity", fluid.artificial_viscosity != 0.0),
+            ("fluid.transport_velocity", fluid.transport_velocity != usual.fluid.transport_velocity),
+            ("fluid.artificial_viscosity", fluid.artificial_viscosity != usual.fluid.artificial_viscosity),
             ("wall.hot_isotherm", wall.hot_isotherm != usual.wall.hot_isotherm),
             ("wall.mass", wall.mass != usual.wall.mass),
         ];
@@ -596,7 +640,7 @@ impl Config {
         if count < fewest {
             let rule = match walls {
                 true => spacings(fewest),
-                false => format!("2 ({support} + time.skin) spacings"),
+                false => format!("2 ({} + time.skin) spacings", (support * 1e6).round() / 1e6),
             };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
@@ -703,7 +747,7 @@ fn spacings(count: f64) -> String {
     }
 }
 
-fn is_whole(count: f64) -> bool {
+pub(super) fn is_whole(count: f64) -> bool {
     count.round() >= 1.0 && (count - count.round()).abs() <= WHOLE
 }
 

@@ -98,6 +98,7 @@ impl Recipe {
             Family::Poiseuille => ([4, 2, 2], 147, 0, 0),
             Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
             Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
+            Family::Custom => ([4, 2, 2], 147, 0, 0),
             // Their blocks differ by time.jitter: without gravity water with a free surface does not relax.
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
             Family::DamBreak3d | Family::FallingBlock | Family::HydrostaticTank => ([4, 2, 2], 101, 0, 0),
@@ -178,7 +179,11 @@ impl Recipe {
     pub fn pace(&self, config: &Config) -> Pace {
         let limits = config.time_step_limits();
         let courant = match config.scene {
-            Family::HeatedChannel | Family::Poiseuille | Family::FallingBlock | Family::HydrostaticTank => 0.25,
+            Family::HeatedChannel
+            | Family::Poiseuille
+            | Family::Custom
+            | Family::FallingBlock
+            | Family::HydrostaticTank => 0.25,
             // LagrangeBench's: 4e-4 at a spacing of 0.02, 5e-4 at 0.025.
             Family::TaylorGreen | Family::ReversePoiseuille | Family::LidDrivenCavity => 0.22,
             // 3e-4 at a spacing of 0.02.

@@ -229,11 +229,12 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
         "is_bc_trick": true,
         "free_slip": config.wall.slip == SlipName::FreeSlip,
         "artificial_alpha": fluid.artificial_viscosity,
-        "viscosity": if heated || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
+        "viscosity": if heated || config.scene == Family::Custom || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
             Family::HeatedChannel | Family::ReversePoiseuille => fluid.body_force,
             Family::Poiseuille => 8.0 / config.flow.reynolds,
+            Family::Custom => config.acceleration(),
             scene if scene.has_surface() => fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             _ => 0.0,
         },

@@ -39,6 +39,18 @@ pub trait Real:
 /// The most lanes of any [`Lanes`].
 pub const WIDEST: usize = 16;
 
+/// Added to a whole number, this leaves that number plus the exponent's bias in the low bits of the sum: the exponent of
+/// its power of two, once shifted to its place.
+const EXPONENT_F64: f64 = (3u64 << 51) as f64 + 1023.0;
+const EXPONENT_F32: f32 = (3u32 << 22) as f32 + 127.0;
+
+/// What [`Lanes::out_of_line`] calls.
+pub trait Rare {
+    type Output;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn call(self) -> Self::Output;
+}
+
 /// A few [`Real`]s that are computed on together.
 pub trait Lanes:
     Copy
@@ -96,6 +108,8 @@ pub trait Lanes:
     /// max(self, 0).
     fn positive(self) -> Self;
     fn round(self) -> Self;
+    /// 2^self of lanes that are whole numbers whose power is neither infinite nor subnormal.
+    fn power_of_two(self) -> Self;
     /// Lane by lane: `if self < limit { below } else { above }`.
     fn select_less(self, limit: Self, below: Self, above: Self) -> Self;
     /// Bit `lane` is set where `self < limit`.
@@ -114,6 +128,9 @@ pub trait Lanes:
     }
     /// Sum of the lanes.
     fn sum(self) -> Self::Real;
+    /// Calls a function that is compiled once, with this lane type's instructions, and not copied into the caller: what is rare
+    /// must not make every loop longer.
+    fn out_of_line<F: Rare>(function: F) -> F::Output;
     /// `fields[q][lane] = records[index[lane] * stride + q]` for q = 0..4.
     ///
     /// # Safety
@@ -178,7 +195,7 @@ macro_rules! operators {
 }
 
 macro_rules! portable {
-    ($name:ident, $real:ty, $count:expr) => {
+    ($name:ident, $real:ty, $count:expr, $exponent:expr) => {
         #[derive(Clone, Copy)]
         pub struct $name([$real; $count]);
         impl $name {
@@ -270,6 +287,10 @@ macro_rules! portable {
                 Self(self.0.map(|a| a.round_ties_even()))
             }
             #[inline(always)]
+            fn power_of_two(self) -> Self {
+                Self(self.0.map(|a| <$real>::from_bits((a + $exponent).to_bits() << (<$real>::MANTISSA_DIGITS - 1))))
+            }
+            #[inline(always)]
             fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
                 Self(std::array::from_fn(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
             }
@@ -280,6 +301,10 @@ macro_rules! portable {
             #[inline(always)]
             fn sum(self) -> $real {
                 self.0.iter().sum()
+            }
+            #[inline(never)]
+            fn out_of_line<F: Rare>(function: F) -> F::Output {
+                function.call()
             }
             #[inline(always)]
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
@@ -297,10 +322,10 @@ macro_rules! portable {
     };
 }
 
-portable!(SingleF64, f64, 1);
-portable!(SingleF32, f32, 1);
-portable!(PortableF64, f64, 4);
-portable!(PortableF32, f32, 8);
+portable!(SingleF64, f64, 1, EXPONENT_F64);
+portable!(SingleF32, f32, 1, EXPONENT_F32);
+portable!(PortableF64, f64, 4, EXPONENT_F64);
+portable!(PortableF32, f32, 8, EXPONENT_F32);
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -308,7 +333,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     macro_rules! vector {
-        ($name:ident, $real:ty, $count:expr, $raw:ty,
+        ($name:ident, $features:literal, $real:ty, $count:expr, $raw:ty,
          $set1:path, $loadu:path, $storeu:path, $fma:path, $sqrt:path, $max:path, $zero:path) => {
             #[derive(Clone, Copy)]
             pub struct $name(pub(super) $raw);
@@ -361,6 +386,10 @@ mod x86 {
                     Self(unsafe { round::$name(self.0) })
                 }
                 #[inline(always)]
+                fn power_of_two(self) -> Self {
+                    Self(unsafe { power_of_two::$name(self.0) })
+                }
+                #[inline(always)]
                 fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
                     Self(unsafe { select_less::$name(self.0, limit.0, below.0, above.0) })
                 }
@@ -377,6 +406,15 @@ mod x86 {
                     unsafe { sum::$name(self) }
                 }
                 #[inline(always)]
+                fn out_of_line<F: Rare>(function: F) -> F::Output {
+                    #[target_feature(enable = $features)]
+                    #[inline(never)]
+                    fn call<F: Rare>(function: F) -> F::Output {
+                        function.call()
+                    }
+                    unsafe { call(function) }
+                }
+                #[inline(always)]
                 unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                     unsafe { gather4::$name(records, stride, index) }.map(Self)
                 }
@@ -390,6 +428,7 @@ mod x86 {
 
     vector!(
         Avx2F64,
+        "avx2,fma",
         f64,
         4,
         __m256d,
@@ -403,6 +442,7 @@ mod x86 {
     );
     vector!(
         Avx2F32,
+        "avx2,fma",
         f32,
         8,
         __m256,
@@ -416,6 +456,7 @@ mod x86 {
     );
     vector!(
         Avx512F64,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f64,
         8,
         __m512d,
@@ -429,6 +470,7 @@ mod x86 {
     );
     vector!(
         Avx512F32,
+        "avx512f,avx512vl,avx512dq,avx2,fma",
         f32,
         16,
         __m512,
@@ -467,6 +509,47 @@ mod x86 {
         #[inline(always)]
         pub unsafe fn Avx512F32(a: __m512) -> __m512 {
             unsafe { _mm512_roundscale_ps::<NEAREST>(a) }
+        }
+    }
+
+    #[allow(non_snake_case)]
+    mod power_of_two {
+        use super::*;
+        #[inline(always)]
+        pub unsafe fn Avx2F64(a: __m256d) -> __m256d {
+            unsafe {
+                _mm256_castsi256_pd(_mm256_slli_epi64::<52>(_mm256_castpd_si256(_mm256_add_pd(
+                    a,
+                    _mm256_set1_pd(EXPONENT_F64),
+                ))))
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx2F32(a: __m256) -> __m256 {
+            unsafe {
+                _mm256_castsi256_ps(_mm256_slli_epi32::<23>(_mm256_castps_si256(_mm256_add_ps(
+                    a,
+                    _mm256_set1_ps(EXPONENT_F32),
+                ))))
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F64(a: __m512d) -> __m512d {
+            unsafe {
+                _mm512_castsi512_pd(_mm512_slli_epi64::<52>(_mm512_castpd_si512(_mm512_add_pd(
+                    a,
+                    _mm512_set1_pd(EXPONENT_F64),
+                ))))
+            }
+        }
+        #[inline(always)]
+        pub unsafe fn Avx512F32(a: __m512) -> __m512 {
+            unsafe {
+                _mm512_castsi512_ps(_mm512_slli_epi32::<23>(_mm512_castps_si512(_mm512_add_ps(
+                    a,
+                    _mm512_set1_ps(EXPONENT_F32),
+                ))))
+            }
         }
     }
 

@@ -1,6 +1,7 @@
 //! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, the bridge to candle.
 pub mod blocks;
 pub mod candle;
+pub mod exponential;
 pub mod lanes;
 pub mod pool;
 pub mod random;

@@ -1,14 +1,10 @@
 //! Run time against error: scenes with a known answer over spacing, time step and precision.
 
-use super::assembly::Numerics;
-use super::poiseuille::Poiseuille;
-use super::taylor_green::TaylorGreen;
 use super::Scene;
 use crate::adjoint::run::run;
 use crate::adjoint::RunError;
-use crate::config::scene::{Config, Kernels, Precision};
+use crate::config::scene::{Config, Family, Kernels, Precision};
 use crate::design::diagnostics::Measurement;
-use crate::error::Error;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use serde::Serialize;
@@ -25,6 +21,8 @@ const POISEUILLE_END: f64 = 0.2;
 /// One run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AccuracyPoint {
+    /// The program and the formulation.
+    pub code: String,
     pub scene: &'static str,
     /// Particle spacing.
     pub dx: f64,
@@ -45,16 +43,16 @@ pub struct AccuracyPoint {
 }
 
 /// One run to do.
-enum Run {
-    TaylorGreen(TaylorGreen),
-    Poiseuille(Poiseuille),
-    HeatedChannel(Box<Config>),
+struct Run {
+    /// Whose it is.
+    code: String,
+    config: Config,
 }
 
 /// Runs everything; `progress` is told the share done, by predicted work.
 ///
 /// Taylor-Green 2D over particles per side and CFL, Poiseuille over rows and diffusion number, the heated channel over
-/// spacing and CFL, each in f64 and f32. `quick`: coarse ones only.
+/// spacing and CFL, each in both formulations (the channel with fixed particles too), in f64 and f32. `quick`: coarse ones only.
 pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<AccuracyPoint>> {
     let runs = runs(quick)?;
     let total: f64 = runs.iter().map(|run| 2.0 * run.work()).sum();
@@ -75,83 +73,88 @@ pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<
 
 fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
     let mut runs = Vec::new();
+    let mut add = |scene: &str, how: &str, sets: &[String]| -> anyhow::Result<()> {
+        // The way to solve, and what it sets.
+        let own: &[&str] = match how {
+            "fixed" => &["fluid.motion=fixed"],
+            "standard" => &["fluid.formulation=standard"],
+            _ => &["fluid.formulation=consistent"],
+        };
+        let sets: Vec<String> = own.iter().map(|set| set.to_string()).chain(sets.iter().cloned()).collect();
+        let config = Config::load(Some(scene), None, &sets)?.config;
+        runs.push(Run { code: format!("hydrograd, {how}"), config });
+        Ok(())
+    };
     let sides: &[usize] = if quick { &[20, 32, 50] } else { &[20, 32, 50, 64, 100] };
-    let courant: &[f64] = if quick { &[1.0] } else { &[0.25, 1.0, 2.0] };
-    for &per_side in sides {
-        for &cfl in courant {
-            let mut scene = TaylorGreen { per_side, ..Default::default() };
-            scene.numerics.cfl = cfl;
-            runs.push(Run::TaylorGreen(scene));
+    for (how, courant) in [("consistent", &[0.25, 1.0][..]), ("standard", &[0.25, 1.0, 2.0])] {
+        for per_side in sides {
+            for cfl in if quick { &[1.0] } else { courant } {
+                let end = half_life(Family::TaylorGreen.defaults().flow.reynolds);
+                let dx = 1.0 / *per_side as f64;
+                let sets = [format!("resolution.dx={dx}"), format!("time.cfl={cfl}"), format!("time.end={end}")];
+                add("taylor-green", how, &sets)?;
+            }
         }
     }
     let rows: &[usize] = if quick { &[10, 20] } else { &[10, 20, 30, 40, 60] };
     let diffusion: &[f64] = if quick { &[0.25] } else { &[0.0625, 0.25] };
-    for &rows in rows {
-        for &diffusion_number in diffusion {
-            let mut scene = Poiseuille { rows, ..Default::default() };
-            scene.numerics.diffusion_number = diffusion_number;
-            runs.push(Run::Poiseuille(scene));
+    for how in ["consistent", "standard"] {
+        for rows in rows {
+            for number in diffusion {
+                let end = POISEUILLE_END * Family::Poiseuille.defaults().flow.reynolds;
+                let dx = 1.0 / *rows as f64;
+                let sets = [
+                    format!("resolution.dx={dx}"),
+                    format!("time.diffusion_number={number}"),
+                    format!("time.end={end}"),
+                ];
+                add("poiseuille", how, &sets)?;
+            }
         }
     }
     let spacings: &[f64] = if quick { &[0.02] } else { &[0.02, 0.01] };
-    let courant: &[f64] = if quick { &[1.5] } else { &[0.25, 1.0, 1.5] };
-    for dx in spacings {
-        for cfl in courant {
-            let sets =
-                [format!("resolution.dx={dx}"), format!("time.cfl={cfl}"), format!("time.end={HEATED_CHANNEL_END}")];
-            runs.push(Run::HeatedChannel(Box::new(Config::load(Some("heated-channel"), None, &sets)?.config)));
+    for (how, courant) in
+        [("consistent", &[0.25, 1.0, 1.5][..]), ("fixed", &[0.6, 1.2]), ("standard", &[0.5, 1.0, 2.0])]
+    {
+        for dx in spacings {
+            for cfl in if quick { &courant[courant.len() - 1..] } else { courant } {
+                let sets = [
+                    format!("resolution.dx={dx}"),
+                    format!("time.cfl={cfl}"),
+                    format!("time.end={HEATED_CHANNEL_END}"),
+                ];
+                add("heated-channel", how, &sets)?;
+            }
         }
     }
     Ok(runs)
 }
 
-impl TaylorGreen {
-    /// When the exact amplitude of the plane vortices is half of what it was.
-    pub fn half_life(&self) -> f64 {
-        LN_2 * self.reynolds / (8.0 * PI * PI)
-    }
-}
-
-/// Steps of at most `limit` that end exactly at `end`.
-fn even_steps(end: f64, limit: f64) -> (usize, f64) {
-    let steps = (end / limit - 1e-9).ceil().max(1.0);
-    (steps as usize, end / steps)
+/// When the exact amplitude of the plane vortices is half of what it was.
+pub fn half_life(reynolds: f64) -> f64 {
+    LN_2 * reynolds / (8.0 * PI * PI)
 }
 
 impl Run {
-    /// The scene; the flows' with a time step that divides the run.
-    fn scene<R: Sweeps>(&self) -> Result<Scene<R>, Error> {
-        Ok(match self {
-            Self::TaylorGreen(scene) => {
-                let (steps, dt) = even_steps(scene.half_life(), scene.time_step());
-                let numerics = Numerics { time_step: Some(dt), steps, ..scene.numerics };
-                TaylorGreen { numerics, ..*scene }.build()
-            }
-            Self::Poiseuille(scene) => {
-                let (steps, dt) = even_steps(POISEUILLE_END * scene.reynolds, scene.time_step());
-                let numerics = Numerics { time_step: Some(dt), steps, ..scene.numerics };
-                Poiseuille { numerics, ..*scene }.build()
-            }
-            Self::HeatedChannel(config) => Scene::from_config(config)?,
-        })
-    }
-
-    /// Particles times steps.
+    /// Particles times steps, about.
     fn work(&self) -> f64 {
-        match self {
-            Self::HeatedChannel(config) => (config.columns() * config.rows() * config.steps()) as f64,
-            _ => self.scene::<f64>().map_or(0.0, |scene| (scene.model.particles() * scene.steps) as f64),
-        }
+        let config = &self.config;
+        let particles = match config.scene.has_design() {
+            true => (config.columns() * config.rows()) as f64,
+            false => config.resolution.dx.powi(-(config.dimension() as i32)),
+        };
+        particles * config.steps() as f64
     }
 
     fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<AccuracyPoint> {
-        let scene = self.scene::<R>()?;
+        let scene = Scene::<R>::from_config(&self.config)?;
         let dt = scene.model.dt;
         let clock = Instant::now();
         let found = error(&scene);
         let seconds = clock.elapsed().as_secs_f64();
         let error = found.or_else(diverged)?;
         Ok(AccuracyPoint {
+            code: self.code.clone(),
             scene: scene.name,
             dx: scene.spacing,
             cfl: dt * (scene.sound_speed() + scene.reference_velocity) / scene.spacing,
@@ -197,13 +200,16 @@ mod tests {
     #[test]
     fn a_diverged_run_is_reported() {
         // Ten times beyond the limit of stability.
-        let mut scene = TaylorGreen { per_side: 10, ..Default::default() };
-        scene.numerics = Numerics { cfl: 20.0, diffusion_number: 100.0, ..scene.numerics };
-        let point = Run::TaylorGreen(scene).point::<f64>(Precision::F64).unwrap();
+        let run = |sets: &[&str]| {
+            let sets: Vec<String> = ["resolution.dx=0.1"].iter().chain(sets).map(|set| set.to_string()).collect();
+            let config = Config::load(Some("taylor-green"), None, &sets).unwrap().config;
+            Run { code: "ours".into(), config }.point::<f64>(Precision::F64).unwrap()
+        };
+        let end = format!("time.end={}", half_life(100.0));
+        let point = run(&[&end, "fluid.formulation=standard", "time.cfl=4", "fluid.sound_speed_factor=1"]);
         assert!(!point.stable, "{point:?}");
         assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
-        scene.numerics.cfl = 1.0;
-        let stable = Run::TaylorGreen(scene).point::<f64>(Precision::F64).unwrap();
+        let stable = run(&[&end]);
         assert!(stable.stable && stable.cfl <= 1.0 && stable.cfl > 0.98, "{stable:?}");
         assert!((stable.steps as f64 * stable.time_step - 0.8779).abs() < 1e-4);
     }
@@ -212,7 +218,7 @@ mod tests {
     fn error_of_the_heated_channel_is_that_of_q() {
         let sets = ["time.end=0.3".to_string(), "objective.window=0.05".into()];
         let config = Config::load(None, None, &sets).unwrap().config;
-        let point = Run::HeatedChannel(Box::new(config)).point::<f32>(Precision::F32).unwrap();
+        let point = Run { code: "ours".into(), config }.point::<f32>(Precision::F32).unwrap();
         // Far from steady: the outflow has just begun to warm.
         assert!(point.stable && point.error.unwrap() > 0.1, "{point:?}");
         // Fluid and two rows of dummy particles in each wall; on the walls' surfaces vertices, hot points and such without a

@@ -250,8 +250,15 @@ impl Lattice {
         self.rows(i)[d] + self.wall_rows[d] >= self.cells[d]
     }
 
-    fn is_wall(&self, i: usize) -> bool {
+    pub fn is_wall(&self, i: usize) -> bool {
         (0..self.dimension).any(|d| self.is_below(i, d) || self.is_above(i, d))
+    }
+
+    /// Where a particle of the lattice stands.
+    pub fn place(&self, i: usize) -> [f64; 3] {
+        let rows = self.rows(i);
+        let place = |d: usize| (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
+        std::array::from_fn(|d| if d < self.dimension { place(d) } else { 0.0 })
     }
 
     /// The box; lengths of directions that there are not are 1.
@@ -269,9 +276,9 @@ impl Lattice {
         let mut positions = vec![0.0; self.dimension * n];
         let mut normal = Normal::new(stream(seed, "jitter"));
         for i in 0..n {
-            let rows = self.rows(i);
+            let place = self.place(i);
             for d in 0..self.dimension {
-                let mut x = (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
+                let mut x = place[d];
                 if !self.is_wall(i) {
                     x += jitter * self.spacing * normal.next();
                 }
@@ -343,6 +350,7 @@ impl<R: Real> Parts<R> {
             mass: self.own_mass,
             density: numerics.method.density == DensityEquation::Evolution,
             consistent: false,
+            rates: false,
         };
         let lid = self.lid != 0.0;
         let tag_of = |i: usize| match lattice.is_wall(i) {
@@ -389,6 +397,7 @@ impl<R: Real> Parts<R> {
             // Independent of the time step: the strength that dt at CFL 0.25 gives.
             transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,
+            walls_slide: false,
             drive: self.drive,
             heat: self.heat.take(),
             wall_heat_until: None,
@@ -400,11 +409,26 @@ impl<R: Real> Parts<R> {
     }
 
     /// The scene without a design.
-    pub fn build(mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
+    pub fn build(self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
+        self.build_with_pressure(velocity, |_| 0.0)
+    }
+
+    /// The same with a pressure at the start, which the standard formulation has no use for.
+    pub fn build_with_pressure(
+        mut self,
+        velocity: impl Fn([f64; 3]) -> [f64; 3],
+        pressure: impl Fn([f64; 3]) -> f64,
+    ) -> Scene<R> {
         let mut assembled = self.assemble(velocity);
         if let Some(settings) = self.numerics.consistent {
             let surface = Surface::of_lattice(&self.lattice, self.lid);
             assembled = assembled.with_surface(&surface, &self.numerics, self.lattice.spacing, self.velocity, settings);
+            let Assembled { model, base } = &mut assembled;
+            let (n, l) = (model.particles(), model.layout);
+            for i in (0..n).filter(|&i| model.is_fluid(i)) {
+                let place = std::array::from_fn(|d| if d < l.dimension { base[d * n + i] } else { 0.0 });
+                base[l.pressure() * n + i] = pressure(place);
+            }
         }
         let Assembled { model, base } = assembled;
         let start = Snapshot::first(&model, rounded(&model, &base));
@@ -428,7 +452,7 @@ impl<R: Real> Parts<R> {
 }
 
 /// A state in R. Rounded to f32, a place just below the box's end is the end itself: it becomes the beginning.
-fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
+pub(super) fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
     let (n, domain) = (model.particles(), &model.domain);
     let place = |(k, &x): (usize, &f64)| {
         let (d, x) = (k / n, R::of(x));
@@ -478,7 +502,7 @@ mod tests {
     fn walls_are_as_thick_as_the_kernel_needs() {
         let wide = ["resolution.smoothing_length=1.3"];
         let particles = |name: &str| scene(name, &wide).model.particles();
-        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58));
+        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58 + 4 * 50));
         assert_eq!(scene("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
         // A particle half a spacing from the wall sees four rows too; and there are 250 points on the walls' surfaces.
         assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);

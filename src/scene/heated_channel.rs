@@ -287,7 +287,15 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
     let (n, inner) = (fixed.particles(), fixed.fluid_particles());
     let flat = vec![0.0; columns];
     let base = fixed.state(&flat, &flat, &|y| start_velocity(config, [0.0, y, 0.0])[0]);
-    let layout = Layout { dimension: 2, transport: false, heat: true, mass: false, density: false, consistent: true };
+    let layout = Layout {
+        dimension: 2,
+        transport: false,
+        heat: true,
+        mass: false,
+        density: false,
+        consistent: true,
+        rates: false,
+    };
     let mut tags = vec![tag::FLUID; inner];
     tags.extend((0..2 * columns).map(|k| match fixed.channel.hot_share()[k % columns] {
         share if k < columns && share > 0.5 => tag::HOT_SURFACE,

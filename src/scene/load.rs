@@ -10,7 +10,7 @@ use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::provenance;
 use crate::config::scene::{
-    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, Motion, Search, Start, Trust,
+    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, IntegratorName, Motion, Search, Start, Trust,
 };
 use crate::config::schema::Schema;
 use crate::design::shape;
@@ -256,11 +256,14 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
     }
     let given = merged.clone();
+    // Scenes whose own formulation it is have its defaults already.
+    let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;
+    if chosen && config.fluid.formulation == Formulation::Standard {
+        standard_defaults(&mut merged, &config);
+        config = merged.read();
+    }
     if config.scene == Family::HeatedChannel {
-        if config.fluid.formulation == Formulation::Standard {
-            standard_defaults(&mut merged, &config);
-            config = merged.read();
-        } else if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
+        if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
             merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
             config = merged.read();
         }
@@ -286,28 +289,34 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone(), given })
 }
 
-/// The wall's shape, which configurations know nothing of.
+/// What configurations know nothing of: the wall's shape, and what shapes and formulas come to at every particle.
 fn check_shape(config: &Config) -> Result<(), BadInput> {
-    match config.scene.has_design() {
-        true => Shape::from_config(config).map(|_| ()),
-        false => Ok(()),
+    match config.scene {
+        Family::HeatedChannel => Shape::from_config(config).map(|_| ()),
+        Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
+        _ => Ok(()),
     }
 }
 
 /// The standard formulation's own defaults, for keys that nobody gave.
 fn standard_defaults(merged: &mut Merged, config: &Config) {
-    let usual = Config::default();
+    let (usual, _) = config.usual();
     let place = "fluid.formulation = standard";
-    let mut set = |key: &str, is_usual: bool, value: f64| {
+    let mut set = |key: &str, is_usual: bool, value: Value| {
         // A preset's value, or a run's own, may be the other formulation's default.
         if is_usual && !merged.places().contains_key(key) {
-            merged.set(key, Value::from(value), place);
+            merged.set(key, value, place);
         }
     };
     let smoothing = config.resolution.smoothing_length;
-    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, 1.0);
-    set("time.cfl", config.time.cfl == usual.time.cfl, 2.0);
-    set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, 5.0);
+    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, Value::from(1.0));
+    if usual.time.integrator != IntegratorName::SymplecticEuler {
+        set("time.integrator", config.time.integrator == usual.time.integrator, Value::from("symplectic-euler"));
+    }
+    if config.scene.has_design() {
+        set("time.cfl", config.time.cfl == usual.time.cfl, Value::from(2.0));
+        set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, Value::from(5.0));
+    }
 }
 
 /// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more

@@ -5,6 +5,7 @@
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod custom;
 pub mod dam_break;
 pub mod exact;
 pub mod falling_block;
@@ -15,6 +16,7 @@ pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod plausible;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
 mod surface;
@@ -63,6 +65,7 @@ impl<R: Real> Scene<R> {
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
             Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
+            Family::Custom => custom::build(config)?,
             Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
             Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
             Family::FallingBlock => falling_block::build(config),

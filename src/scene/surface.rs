@@ -2,7 +2,7 @@
 //! particles behind it, and the state gets a pressure.
 
 use super::assembly::{Assembled, Lattice, Numerics};
-use crate::config::scene::{Config, Formulation, ShiftName};
+use crate::config::scene::{Config, Formulation, IntegratorName, ShiftName};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
 use crate::sph::consistent::derivatives::{NO_FLUX, PRESSURE, TEMPERATURE, VELOCITY};
@@ -66,6 +66,7 @@ pub struct Settings {
     pub shift: ShiftName,
     pub strength: f64,
     pub delta: f64,
+    pub integrator: IntegratorName,
 }
 
 impl Settings {
@@ -75,6 +76,7 @@ impl Settings {
             shift: config.fluid.shift,
             strength: config.fluid.shift_strength,
             delta: config.fluid.pressure_diffusion,
+            integrator: config.time.integrator,
         })
     }
 }
@@ -159,7 +161,13 @@ impl<R: Real> Assembled<R> {
         let Assembled { mut model, base } = self;
         let (old, l) = (model.particles(), model.layout);
         let d = l.dimension;
-        let layout = Layout { transport: false, mass: false, consistent: true, ..l };
+        let layout = Layout {
+            transport: false,
+            mass: false,
+            consistent: true,
+            rates: settings.integrator == IntegratorName::Verlet,
+            ..l
+        };
         let n = old + surface.points.len();
         let mut state = vec![0.0; layout.state_rows() * n];
         for i in 0..old {

@@ -28,6 +28,8 @@ pub struct Layout {
     pub density: bool,
     /// The state of the consistent formulation, and of fixed particles: position D, velocity D, pressure, (temperature).
     pub consistent: bool,
+    /// Of the consistent formulation, behind these: the last step's acceleration D, (rate of temperature).
+    pub rates: bool,
 }
 
 impl Layout {
@@ -45,7 +47,7 @@ impl Layout {
     /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass), (density).
     pub fn state_rows(&self) -> usize {
         match self.consistent {
-            true => self.d() + self.fields(),
+            true => self.last_rates() + self.rates as usize * (self.d() + self.heat as usize),
             false => self.state_density() + self.density as usize,
         }
     }
@@ -53,7 +55,11 @@ impl Layout {
     pub fn fields(&self) -> usize {
         self.d() + 1 + self.heat as usize
     }
-    /// Of the consistent formulation's state.
+    /// Of the consistent formulation's state: where the last step's rates begin.
+    pub fn last_rates(&self) -> usize {
+        self.d() + self.fields()
+    }
+    /// Likewise.
     pub fn pressure(&self) -> usize {
         2 * self.d()
     }
@@ -186,6 +192,8 @@ pub struct Model<R> {
     /// Strength of the transport velocity (0: off).
     pub transport: f64,
     pub body_force: BodyForce,
+    /// Walls with a velocity stay where they are, like a belt or a turning roll; else their particles move with it.
+    pub walls_slide: bool,
     /// What drives the flow besides, in the consistent formulation; fixed particles have their own.
     pub drive: Option<Drive>,
     pub heat: Option<Heat<R>>,

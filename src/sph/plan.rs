@@ -224,8 +224,15 @@ fn fields<R: Sweeps>(model: &Model<R>) -> Vec<Field> {
     let optional = |wanted: bool, names: Vec<String>| if wanted { names } else { vec![] };
     let one = |name: &str| vec![name.to_string()];
     if l.consistent {
-        let rows =
-            [vector("position"), vector("velocity"), one("pressure"), optional(l.heat, one("temperature"))].concat();
+        let rows = [
+            vector("position"),
+            vector("velocity"),
+            one("pressure"),
+            optional(l.heat, one("temperature")),
+            optional(l.rates, vector("acceleration")),
+            optional(l.rates && l.heat, one("temperature rate")),
+        ]
+        .concat();
         return vec![Field { name: "state", bytes: rows.len() * model.particles() * std::mem::size_of::<R>(), rows }];
     }
     let state = [

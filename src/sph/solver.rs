@@ -2,7 +2,7 @@
 
 use super::chain::{Chain, Step};
 use super::consistent::operators::{self, Buffers, Shown};
-use super::consistent::{composed, Blocks, Geometry};
+use super::consistent::{composed, Blocks, Geometry, TimeSteps};
 use super::fixed::{Fixed, FixedStep, Work};
 use super::laws::conduction;
 use super::model::{Layout, Model};
@@ -221,11 +221,12 @@ impl<R: Sweeps> Solver<R> {
 
     /// Runs something of the consistent formulation at the present list.
     fn with_geometry(&mut self, go: impl FnOnce(&mut Consistent<R>, &Geometry<'_, R>, &mut [R])) {
-        let Self { model, neighbourhood, state, consistent, .. } = self;
+        let Self { model, neighbourhood, state, consistent, step, .. } = self;
         if let (Some(run), Some(consistent)) = (consistent, &model.consistent) {
             run.tables.update(model, neighbourhood);
             let blocks = run.tables.blocks.clone();
-            go(run, &Geometry { model, consistent, blocks: &blocks }, state);
+            let times = TimeSteps::of(model, *step);
+            go(run, &Geometry { model, consistent, blocks: &blocks, times }, state);
         }
     }
 
@@ -309,7 +310,8 @@ impl<R: Sweeps> Solver<R> {
         }
         match (&self.consistent, &self.model.consistent) {
             (Some(run), Some(consistent)) => {
-                let geometry = Geometry { model: &self.model, consistent, blocks: &run.tables.blocks };
+                let times = TimeSteps::of(&self.model, self.step);
+                let geometry = Geometry { model: &self.model, consistent, blocks: &run.tables.blocks, times };
                 operators::heating(&geometry, &run.buffers.known, &run.buffers.derivatives, &run.masses, until)
             }
             _ => conduction::wall_flux(&self.step_now(), &self.moved, &self.primitives, until),
@@ -360,6 +362,10 @@ impl<R: Sweeps> Solver<R> {
                     _ if row < l.velocity() => "position",
                     _ if row < 2 * l.dimension => "velocity",
                     _ if l.consistent && row == l.pressure() => "pressure",
+                    _ if l.consistent && row >= l.last_rates() => match row - l.last_rates() == l.dimension {
+                        true => "rate of temperature",
+                        false => "acceleration",
+                    },
                     _ if l.density && row == l.state_density() => "density",
                     _ if row < l.temperature() => "acceleration",
                     _ => "temperature",
@@ -506,7 +512,7 @@ impl<R: Sweeps> TensorSolver<R> {
             self.tables.update(&self.model, &self.neighbourhood);
             let next = match self.kernels {
                 Kernels::Fused => operators::advance(&self.chain(), state),
-                Kernels::Composed => composed::advance(&self.model, &self.neighbourhood.list, state),
+                Kernels::Composed => composed::advance(&self.model, &self.neighbourhood.list, self.times(), state),
             };
             let next = next.map_err(RunError::tensor(self.step))?;
             self.step += 1;
@@ -524,7 +530,11 @@ impl<R: Sweeps> TensorSolver<R> {
     }
 
     fn chain(&self) -> Arc<operators::Chain<R>> {
-        operators::Chain::new(self.model.clone(), self.tables.blocks.clone())
+        operators::Chain::new(self.model.clone(), self.tables.blocks.clone(), self.times())
+    }
+
+    fn times(&self) -> TimeSteps {
+        TimeSteps::of(&self.model, self.step)
     }
 
     /// A state of the consistent formulation, or of fixed particles, as it is, on the graph.

@@ -31,7 +31,9 @@ pub struct Case<R> {
 
 impl<R: Sweeps> Case<R> {
     pub fn snapshot(&self, state: &[f64]) -> Snapshot<R> {
-        Snapshot::first(&self.model, state.iter().map(|&x| R::of(x)).collect())
+        let first = Snapshot::first(&self.model, state.iter().map(|&x| R::of(x)).collect());
+        // The first step of all has no rates behind it.
+        Snapshot { step: self.model.layout.rates as usize, ..first }
     }
 
     /// The state so many plain steps behind another.
@@ -86,7 +88,15 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
     let sound_speed = 10.0 * velocity;
     Arc::new(Model {
         domain: Domain { dimension, size: [per_side as f64 * DX; 3], periodic: [true; 3] },
-        layout: Layout { dimension, transport: false, heat, mass: false, density: false, consistent: true },
+        layout: Layout {
+            dimension,
+            transport: false,
+            heat,
+            mass: false,
+            density: false,
+            consistent: true,
+            rates: false,
+        },
         kernel: Kernel::new(KernelName::QuinticSpline, dimension, 0.8 * DX),
         tags: vec![tag::FLUID; n],
         skin: 0.2 * DX,
@@ -102,6 +112,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
         artificial_viscosity: None,
         transport: 0.0,
         body_force: BodyForce::None,
+        walls_slide: false,
         drive: None,
         wall_heat_until: None,
         heat: heat.then(|| Heat {
@@ -166,6 +177,17 @@ pub fn vortices<R: Sweeps>(dimension: usize, heat: bool, shift: Shift) -> Case<R
     Case { name, model, state }
 }
 
+/// A box whose step is velocity Verlet's.
+pub fn verlet<R: Sweeps>(dimension: usize, heat: bool) -> Case<R> {
+    let case = vortices::<R>(dimension, heat, isotropic());
+    let mut model = Arc::into_inner(case.model).unwrap();
+    model.layout.rates = true;
+    let mut state = case.state;
+    let mut normal = Normal::new(stream(dimension as u64, "rates"));
+    state.resize_with(model.layout.state_rows() * model.particles(), || normal.next());
+    Case { name: format!("{}, verlet", case.name), model: Arc::new(model), state }
+}
+
 /// The heated channel of the defaults over a curved wall, with settings.
 pub fn channel<R: Sweeps>(sets: &[&str]) -> (Config, Problem<R>) {
     let curved = ["design.shape=sine", "design.amplitude=0.015"];
@@ -190,6 +212,7 @@ pub fn noisy_channel<R: Sweeps>(sets: &[&str]) -> Case<R> {
         state[i] = state[i].rem_euclid(config.channel.length);
         state[l.pressure() * n + i] = 0.3 * normal.next();
         state[l.temperature() * n + i] = 0.1 * normal.next();
+        (l.last_rates()..l.state_rows()).for_each(|row| state[row * n + i] = normal.next());
     }
     Case { name: format!("channel {sets:?}"), model: problem.model.clone(), state }
 }

@@ -78,6 +78,7 @@ pub struct RandomScene {
     /// Heat conduction everywhere: no inlet, no outlet.
     pub open_everywhere: bool,
     pub body_force: BodyForce,
+    pub walls_slide: bool,
 }
 
 impl RandomScene {
@@ -135,10 +136,11 @@ impl RandomScene {
             wall_factor: factor,
             size,
             open_everywhere: false,
-            body_force: match options.density {
+            body_force: match options.density || options.seed % 5 == 2 {
                 true => BodyForce::Gravity([0.7, -2.3, 1.1]),
                 false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
             },
+            walls_slide: options.seed % 3 == 1,
         }
     }
 
@@ -175,6 +177,7 @@ impl RandomScene {
             }),
             transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
+            walls_slide: self.walls_slide,
             drive: None,
             wall_heat_until: None,
             heat: options.heat.then(|| Heat {
@@ -230,6 +233,7 @@ impl Options {
             mass: self.mass,
             density: self.density,
             consistent: false,
+            rates: false,
         }
     }
     fn typical_mass(&self) -> f64 {

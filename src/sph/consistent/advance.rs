@@ -6,8 +6,17 @@
 //!   r += dt (u + w)                             with the new u
 //! ```
 //!
-//! with the gradient of the new pressure (symplectic in velocity and pressure). Fluid that is in the inlet then has the inlet's
-//! temperature. What walls have stays; the pressure and temperature of dummy particles are nobody's state: 0.
+//! with the gradient of the new pressure (symplectic in velocity and pressure). Or, with the rates a, T' of the last step in the
+//! state (`time.integrator = "verlet"`: velocity Verlet, Swope et al. 1982, with the velocity that the rates need predicted),
+//!
+//! ```text
+//!   u_now = u + dt_before/2 (a - a_before)      u is what the last step predicted, u_before + dt_before a_before
+//!   r += dt (u_now + dt/2 a + w)
+//!   u = u_now + dt a,                           and likewise T
+//! ```
+//!
+//! of second order in time at the same cost; there is no step before the first: dt_before = 0. Fluid that is in the inlet then
+//! has the inlet's temperature. What walls have stays; the pressure and temperature of dummy particles are nobody's state: 0.
 
 use super::blocks::Place;
 use super::derivatives::rows;
@@ -73,7 +82,8 @@ impl<R: Real> Forward<'_, R> {
     fn places<const D: usize>(&self, places: Range<usize>) {
         let geometry = &self.geometry;
         let (n, l) = (geometry.model.particles(), geometry.model.layout);
-        let dt = R::of(geometry.model.dt);
+        let dt = R::of(geometry.times.now);
+        let (half, half_before) = (R::of(0.5 * geometry.times.now), R::of(0.5 * geometry.times.before));
         for place in places {
             let i = geometry.blocks.fluid.members[place] as usize;
             let known = |row: usize| self.known[row * n + i];
@@ -83,8 +93,19 @@ impl<R: Real> Forward<'_, R> {
             let mut x = R::default();
             for k in 0..D {
                 let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
-                let velocity = known(l.velocity() + k) + dt * (acceleration[k] + given);
-                let moved = known(k) + dt * (velocity + shift[k]);
+                let rate = acceleration[k] + given;
+                let (velocity, mean) = match l.rates {
+                    true => {
+                        set(l.last_rates() + k, rate);
+                        let now = known(l.velocity() + k) + half_before * (rate - known(l.last_rates() + k));
+                        (now + dt * rate, now + half * rate)
+                    }
+                    false => {
+                        let velocity = known(l.velocity() + k) + dt * rate;
+                        (velocity, velocity)
+                    }
+                };
+                let moved = known(k) + dt * (mean + shift[k]);
                 let moved = super::super::operators::drift::wrapped(&geometry.model.domain, k, moved);
                 set(l.velocity() + k, velocity);
                 set(k, moved);
@@ -95,8 +116,18 @@ impl<R: Real> Forward<'_, R> {
             set(l.pressure(), self.gradient[Place::of::<R>(place, const { rows(D, 1) }).row(const { monomials(D) })]);
             if l.heat {
                 let open = conduction::conducts(geometry.model, known(0));
-                let after = if open { known(l.temperature()) + dt * warming } else { known(l.temperature()) };
                 let reset = conduction::is_inlet(geometry.model, x);
+                let mut after = known(l.temperature());
+                if open {
+                    after += dt * warming;
+                }
+                if l.rates {
+                    let row = l.last_rates() + const { D };
+                    if open {
+                        after += half_before * (warming - known(row));
+                    }
+                    set(row, if open && !reset { warming } else { R::default() });
+                }
                 set(l.temperature(), if reset { R::default() } else { after });
             }
         }
@@ -147,7 +178,8 @@ impl<R: Real> Backward<'_, R> {
         let (n, l) = (model.particles(), model.layout);
         let fields = l.fields();
         let q = const { monomials(D) };
-        let dt = R::of(model.dt);
+        let dt = R::of(geometry.times.now);
+        let (half, half_before) = (R::of(0.5 * geometry.times.now), R::of(0.5 * geometry.times.before));
         let scale = R::of(1.0 / consistent.spacing);
         let viscosity = R::of(consistent.viscosity) * scale * scale;
         let diffusivity = R::of(consistent.diffusivity) * scale * scale;
@@ -182,7 +214,12 @@ impl<R: Real> Backward<'_, R> {
                 shift_bar[k] += dt * place_bar;
                 let velocity_bar = bar(l.velocity() + k) + dt * place_bar;
                 add(l.velocity() + k, velocity_bar);
-                let rate_bar = dt * velocity_bar;
+                let mut rate_bar = dt * velocity_bar;
+                if l.rates {
+                    // The place has dt a / 2 of the velocity's dt a.
+                    rate_bar += bar(l.last_rates() + k) + half_before * velocity_bar - dt * half * place_bar;
+                    add(l.last_rates() + k, -(half_before * velocity_bar));
+                }
                 carry(k, rate_bar, &mut shift_bar);
                 for a in 0..D {
                     derivative(k * q + super::stencil::quadratic(D, a, a), viscosity * rate_bar);
@@ -196,7 +233,15 @@ impl<R: Real> Backward<'_, R> {
                 let after_bar = if reset { R::default() } else { bar(l.temperature()) };
                 add(l.temperature(), after_bar);
                 if conduction::conducts(model, self.known[i]) {
-                    let rate_bar = dt * after_bar;
+                    let mut rate_bar = dt * after_bar;
+                    if l.rates {
+                        let row = l.last_rates() + const { D };
+                        rate_bar += half_before * after_bar;
+                        if !reset {
+                            rate_bar += bar(row);
+                        }
+                        add(row, -(half_before * after_bar));
+                    }
                     carry(D + 1, rate_bar, &mut shift_bar);
                     for a in 0..D {
                         derivative((D + 1) * q + super::stencil::quadratic(D, a, a), diffusivity * rate_bar);

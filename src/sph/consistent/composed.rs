@@ -4,7 +4,7 @@ use super::derivatives::{kind, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::operators::Shown;
 use super::shift::{Chain, Isotropic};
 use super::stencil::{at, monomials as monomials_of, packed, quadratic};
-use super::{Consistent, Shift};
+use super::{Consistent, Shift, TimeSteps};
 use crate::numerics::lanes::Real;
 use crate::particles::NeighbourList;
 use crate::sph::chain::Step;
@@ -331,7 +331,8 @@ fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
     let l = around.model.layout;
     let (places, fields) =
         (state.narrow(0, 0, l.pressure())?, state.narrow(0, l.pressure(), l.fields() - l.dimension)?);
-    Tensor::cat(&[places, around.wall_values(state, &fields)?], 0)
+    let behind = state.narrow(0, l.last_rates(), l.state_rows() - l.last_rates())?;
+    Tensor::cat(&[places, around.wall_values(state, &fields)?, behind], 0)
 }
 
 /// [`super::operators::look`].
@@ -364,9 +365,14 @@ pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &T
 ///
 /// # Errors
 /// Tensor errors.
-pub fn advance<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<Tensor> {
+pub fn advance<R: Real>(
+    model: &Arc<Model<R>>,
+    list: &Arc<NeighbourList>,
+    times: TimeSteps,
+    state: &Tensor,
+) -> Result<Tensor> {
     let l = model.layout;
-    let (d, fields, dt) = (l.dimension, l.fields(), model.dt);
+    let (d, fields, dt) = (l.dimension, l.fields(), times.now);
     let position = state.narrow(0, 0, d)?;
     let around = Around::new(model, list, state)?;
     let consistent = around.consistent;
@@ -417,19 +423,29 @@ pub fn advance<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state:
     let filled = around.wall_values(&known, &p)?;
     let slopes = gradient(&around.fit(&factors[PRESSURE], PRESSURE, &filled)?)?;
     // Advance.
-    let given = model.body_force.composed(&known.narrow(0, 1, 1)?)?;
-    let mut velocities = Vec::new();
+    let given = model.body_force.vector(&position)?;
+    let (mut velocities, mut rates) = (Vec::new(), Vec::new());
+    // What the last step's prediction is now.
+    let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {
+        let gap = (rate - known.narrow(0, l.last_rates() + row, 1)?)?.mul(&around.fluid)?;
+        field + gap.affine(0.5 * times.before, 0.0)?
+    };
     for a in 0..d {
         let mut rate = (carried(&fits[a])? + spread(&fits[a])?.affine(consistent.viscosity, 0.0)?)?;
         rate = (rate - slopes.narrow(0, a, 1)?.affine(1.0 / density, 0.0)?)?;
-        if a == 0 {
-            rate = (rate + &given)?;
-        }
+        rate = (rate + given.narrow(0, a, 1)?)?;
         let rate = rate.mul(&around.fluid)?;
-        velocities.push((known.narrow(0, l.velocity() + a, 1)? + rate.affine(dt, 0.0)?)?);
+        let before = known.narrow(0, l.velocity() + a, 1)?;
+        let now = if l.rates { corrected(&before, &rate, a)? } else { before };
+        velocities.push((now + rate.affine(dt, 0.0)?)?);
+        rates.push(rate);
     }
     let velocity = Tensor::cat(&velocities, 0)?;
-    let drift = (&velocity + &w)?.broadcast_mul(&around.fluid)?;
+    let mut mean = velocity.clone();
+    if l.rates {
+        mean = (mean - Tensor::cat(&rates, 0)?.affine(0.5 * dt, 0.0)?)?;
+    }
+    let drift = (&mean + &w)?.broadcast_mul(&around.fluid)?;
     let moved = (&position + drift.affine(dt, 0.0)?)?;
     let wrapped = (0..d).map(|k| model.domain.wrapped_of(k, &moved.narrow(0, k, 1)?)).collect::<Result<Vec<_>>>()?;
     let is_fluid = around.fluid.broadcast_as((d, model.particles()))?;
@@ -445,10 +461,21 @@ pub fn advance<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state:
         let t = known.narrow(0, l.temperature(), 1)?;
         let open = conduction::conducts_composed(model, &known.narrow(0, 0, 1)?)?.mul(&around.fluid)?;
         let rate = (carried(&fits[d + 1])? + spread(&fits[d + 1])?.affine(consistent.diffusivity, 0.0)?)?;
-        let after = (t + rate.mul(&open)?.affine(dt, 0.0)?)?;
+        let rate = rate.mul(&open)?;
+        let mut after = (&t + rate.affine(dt, 0.0)?)?;
+        if l.rates {
+            let correction = (corrected(&t, &rate, d)? - &t)?;
+            after = (after + correction.mul(&open)?)?;
+        }
         let inlet = below(&moved.narrow(0, 0, 1)?, heat.inlet_below)?.mul(&around.fluid)?;
-        rows.push(after.mul(&inlet.affine(-1.0, 1.0)?)?.mul(&kept)?);
+        let stays = inlet.affine(-1.0, 1.0)?;
+        rows.push(after.mul(&stays)?.mul(&kept)?);
+        rates.push(rate.mul(&stays)?);
+    }
+    if l.rates {
+        let stays = known.narrow(0, l.last_rates(), rates.len())?.broadcast_mul(&walls.mul(&kept)?)?;
+        rows.push((Tensor::cat(&rates, 0)? + stays)?);
     }
     let after = Tensor::cat(&rows, 0)?;
-    super::drive::composed(model, &around.fluid, &around.masses(state)?, &after)
+    super::drive::composed(model, dt, &around.fluid, &around.masses(state)?, &after)
 }

@@ -280,7 +280,7 @@ pub fn forward<R: Real>(
         }};
     }
     sizes!(d, go);
-    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(model.dt));
+    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut mean = 0.0;
     pressure.fill(R::default());
@@ -324,7 +324,7 @@ pub fn backward<R: Real>(
         mean += pressure_bar[fluid.members[place] as usize].f64();
     }
     let mean = R::of(mean / fluid.places.max(1) as f64);
-    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(model.dt));
+    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut bar = buffers.buffer(fluid.members.len());
     bar.fill(R::default());

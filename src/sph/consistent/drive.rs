@@ -15,7 +15,8 @@ fn fluid<R: Real>(model: &Model<R>) -> impl Iterator<Item = usize> + '_ {
 }
 
 /// The kick of a state's velocities before it.
-fn found<R: Real>(model: &Model<R>, masses: &[R], u: &[R]) -> Kick {
+fn found<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], u: &[R]) -> Kick {
+    let model = geometry.model;
     let Some(drive) = model.drive else { return Kick::default() };
     let (mut momentum, mut mass) = (0.0, 0.0);
     for i in fluid(model) {
@@ -23,21 +24,22 @@ fn found<R: Real>(model: &Model<R>, masses: &[R], u: &[R]) -> Kick {
         mass += m;
         momentum += m * u[i].f64();
     }
-    drive.kick(model.dt, momentum, mass)
+    drive.kick(geometry.times.now, momentum, mass)
 }
 
 /// Kicks a state `[F, N]`, in place; the acceleration of it. `masses` `[N]` as [`super::operators::masses`] gives them.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], state: &mut [R]) -> f64 {
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
-    let kick = found(model, masses, &state[l.velocity() * n..]).kick;
+    let dt = geometry.times.now;
+    let kick = found(geometry, masses, &state[l.velocity() * n..]).kick;
     for i in fluid(model) {
         state[l.velocity() * n + i] += R::of(kick);
-        state[i] = wrapped(&model.domain, 0, state[i] + R::of(model.dt * kick));
+        state[i] = wrapped(&model.domain, 0, state[i] + R::of(dt * kick));
         if l.heat && conduction::is_inlet(model, state[i]) {
             state[l.temperature() * n + i] = R::default();
         }
     }
-    kick / model.dt
+    kick / dt
 }
 
 /// The adjoint: cotangent of the state behind the kick -> of that before it, in place, and of the masses.
@@ -51,8 +53,8 @@ pub fn backward<R: Real>(
 ) {
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
     let at = l.velocity() * n;
-    let found = found(model, masses, &before[at..]);
-    let kick_bar: f64 = fluid(model).map(|i| bar[at + i].f64() + model.dt * bar[i].f64()).sum();
+    let found = found(geometry, masses, &before[at..]);
+    let kick_bar: f64 = fluid(model).map(|i| bar[at + i].f64() + geometry.times.now * bar[i].f64()).sum();
     let (by_momentum, by_mass) = (R::of(kick_bar * found.by_momentum), R::of(kick_bar * found.by_mass));
     for i in fluid(model) {
         bar[at + i] += masses[i] * by_momentum;
@@ -67,15 +69,15 @@ pub fn backward<R: Real>(
 ///
 /// # Errors
 /// Tensor errors.
-pub fn composed<R: Real>(model: &Model<R>, fluid: &Tensor, masses: &Tensor, state: &Tensor) -> Result<Tensor> {
+pub fn composed<R: Real>(model: &Model<R>, dt: f64, fluid: &Tensor, masses: &Tensor, state: &Tensor) -> Result<Tensor> {
     let Some(drive) = model.drive else { return Ok(state.clone()) };
     let l = model.layout;
     let u = state.narrow(0, l.velocity(), 1)?;
     let sum = |f: &Tensor| f.sum_keepdim(1);
-    let kick = drive.composed(model.dt, &sum(&masses.mul(&u)?)?, &sum(masses)?)?;
+    let kick = drive.composed(dt, &sum(&masses.mul(&u)?)?, &sum(masses)?)?;
     let kick = fluid.broadcast_mul(&kick)?;
     let x = state.narrow(0, 0, 1)?;
-    let moved = model.domain.wrapped_of(0, &(&x + kick.affine(model.dt, 0.0)?)?)?;
+    let moved = model.domain.wrapped_of(0, &(&x + kick.affine(dt, 0.0)?)?)?;
     let still = fluid.affine(-1.0, 1.0)?;
     let moved = (moved.mul(fluid)? + x.mul(&still)?)?;
     let mut rows = vec![moved.clone(), state.narrow(0, 1, l.velocity() - 1)?, (u + kick)?];
@@ -86,6 +88,7 @@ pub fn composed<R: Real>(model: &Model<R>, fluid: &Tensor, masses: &Tensor, stat
             rows.push(state.narrow(0, behind, l.temperature() - behind)?);
             let inlet = below(&moved, heat.inlet_below)?.mul(fluid)?;
             rows.push(state.narrow(0, l.temperature(), 1)?.mul(&inlet.affine(-1.0, 1.0)?)?);
+            rows.push(state.narrow(0, l.last_rates(), l.state_rows() - l.last_rates())?);
         }
     }
     Tensor::cat(&rows, 0)

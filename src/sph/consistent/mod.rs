@@ -16,7 +16,7 @@
 //!   gradient       of the new p                                                                  [derivatives]
 //!   advance        u += dt (-grad p / rho + nu lap u + g + w.grad u)
 //!                  T += dt (alpha lap T + w.grad T)
-//!                  r += dt (u + w)                                                               [advance]
+//!                  r += dt (u + w)                           or of second order in time            [advance]
 //!   drive          where the flow rate or the power is given: the kick that holds it                [drive]
 //! ```
 //!
@@ -73,6 +73,21 @@ pub struct Geometry<'a, R> {
     pub model: &'a Model<R>,
     pub consistent: &'a Consistent<R>,
     pub blocks: &'a Blocks,
+    pub times: TimeSteps,
+}
+
+/// The time step, and the one before it: 0 where there is none.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeSteps {
+    pub now: f64,
+    pub before: f64,
+}
+
+impl TimeSteps {
+    /// Those of a model's step number `step`.
+    pub fn of<R>(model: &Model<R>, step: usize) -> Self {
+        Self { now: model.dt, before: if step == 0 { 0.0 } else { model.dt } }
+    }
 }
 
 impl<R: crate::numerics::lanes::Real> Consistent<R> {

@@ -4,7 +4,7 @@ use super::blocks::{width, Blocks, Place};
 use super::derivatives::rows;
 use super::drive;
 use super::stencil::monomials;
-use super::{Geometry, Kept};
+use super::{Geometry, Kept, TimeSteps};
 use crate::numerics::candle::{apply1, apply2, apply3, Operator};
 use crate::numerics::lanes::Real;
 use crate::sph::laws::conduction;
@@ -18,18 +18,21 @@ use std::sync::{Arc, Mutex, MutexGuard};
 pub struct Chain<R: Real> {
     pub model: Arc<Model<R>>,
     pub blocks: Arc<Blocks>,
+    times: TimeSteps,
     kept: Mutex<Kept<R>>,
 }
 
 impl<R: Real> Chain<R> {
-    pub fn new(model: Arc<Model<R>>, blocks: Arc<Blocks>) -> Arc<Self> {
+    pub fn new(model: Arc<Model<R>>, blocks: Arc<Blocks>, times: TimeSteps) -> Arc<Self> {
         let kept = Mutex::new(model.scratch.fits.take().unwrap_or_default());
-        Arc::new(Self { model, blocks, kept })
+        Arc::new(Self { model, blocks, times, kept })
     }
 
     fn geometry(&self) -> Result<Geometry<'_, R>> {
         match &self.model.consistent {
-            Some(consistent) => Ok(Geometry { model: &self.model, consistent, blocks: &self.blocks }),
+            Some(consistent) => {
+                Ok(Geometry { model: &self.model, consistent, blocks: &self.blocks, times: self.times })
+            }
             None => candle_core::bail!("an operator of the consistent formulation in a scene without it"),
         }
     }
@@ -412,22 +415,22 @@ impl<R: Sweeps> Buffers<R> {
 pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     // Positions and mirror images are read while values are written.
-    let (places, fields) = known.split_at_mut(l.pressure() * n);
+    let (places, fields) = known[..l.last_rates() * n].split_at_mut(l.pressure() * n);
     super::wall_values::fill(geometry, places, fields, kept, true);
 }
 
 /// Its adjoint, in place: cotangent of `known` -> of the state.
 pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
-    let (places_bar, fields_bar) = bar.split_at_mut(l.pressure() * n);
-    let (places, fields) = known.split_at(l.pressure() * n);
+    let (places_bar, fields_bar) = bar[..l.last_rates() * n].split_at_mut(l.pressure() * n);
+    let (places, fields) = known[..l.last_rates() * n].split_at(l.pressure() * n);
     super::wall_values::backward(geometry, places, fields, kept, true, fields_bar, places_bar);
 }
 
 /// [`super::derivatives`] of all fields, and the shift behind them.
 pub fn derivatives<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], derivatives: &mut Vec<R>) {
-    let from = geometry.model.layout.dimension * geometry.model.particles();
-    super::derivatives::forward(geometry, known, &known[from..], kept, derivatives);
+    let (n, l) = (geometry.model.particles(), geometry.model.layout);
+    super::derivatives::forward(geometry, known, &known[l.dimension * n..l.last_rates() * n], kept, derivatives);
     super::shift::forward(geometry, known, kept, derivatives);
 }
 
@@ -441,8 +444,8 @@ pub fn derivatives_bar<R: Real>(
     known_bar: &mut [R],
 ) {
     super::shift::backward(geometry, known, kept, bar, known_bar);
-    let from = geometry.model.layout.dimension * geometry.model.particles();
-    let (position_bar, fields_bar) = known_bar.split_at_mut(from);
+    let (n, l) = (geometry.model.particles(), geometry.model.layout);
+    let (position_bar, fields_bar) = known_bar[..l.last_rates() * n].split_at_mut(l.dimension * n);
     super::derivatives::backward(geometry, kept, derivatives, bar, position_bar, fields_bar);
 }
 

@@ -3,43 +3,55 @@
 //! What the operators need besides W is F = W'(d)/d and, for adjoints, G = F'(d)/d. A new kernel is a file with a
 //! [`SmoothingKernel`] and an arm in [`Kernel`].
 
+pub mod cubic_spline;
+pub mod gaussian;
 pub mod quintic_spline;
+pub mod super_gaussian;
 pub mod wendland_c2;
+pub mod wendland_c4;
+pub mod wendland_c6;
 
+pub use cubic_spline::CubicSpline;
+pub use gaussian::Gaussian;
 pub use quintic_spline::QuinticSpline;
+pub use super_gaussian::SuperGaussian;
 pub use wendland_c2::WendlandC2;
+pub use wendland_c4::WendlandC4;
+pub use wendland_c6::WendlandC6;
 
 pub use crate::config::scene::KernelName;
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{Lanes, Rare, Real};
 use candle_core::{Result, Tensor};
 
 /// The shape of a kernel, as a function of q = d/h alone.
 pub trait SmoothingKernel: Copy {
     /// Support radius in h: w(q) = 0 from there on. The same as [`KernelName::support`], which configurations are checked by.
     const SUPPORT: f64;
-    /// w(0).
-    const AT_ZERO: f64;
     /// What F and G of [`Self::shape`] are to be multiplied with: a factor that all their terms share.
     const SLOPE: f64;
+
+    /// w(0).
+    fn at_zero(dimension: usize) -> f64;
 
     /// sigma: W integrates to 1.
     fn sigma(dimension: usize, smoothing_length: f64) -> f64;
 
-    /// w, and over [`Self::SLOPE`] w'/q and (w'/q)'/q; `inverse` is 1/q. At q = 0, which only self pairs and padding have,
-    /// all must be finite.
-    fn shape<L: Lanes>(q: L, inverse: L) -> (L, L, L);
+    /// w, and over [`Self::SLOPE`] w'/q and (w'/q)'/q; `inverse` is 1/q, `dimension` the number of
+    /// dimensions. At q = 0, which only self pairs and padding have, all must be finite.
+    fn shape<L: Lanes>(q: L, inverse: L, dimension: L) -> (L, L, L);
 
     /// w and w'/q of a tensor of q > 0, from candle's operators.
     ///
     /// # Errors
     /// Tensor errors.
-    fn composed(q: &Tensor) -> Result<(Tensor, Tensor)>;
+    fn composed(q: &Tensor, dimension: usize) -> Result<(Tensor, Tensor)>;
 }
 
 /// A kernel of a smoothing length h in a number of dimensions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Kernel {
     pub shape: KernelName,
+    pub dimension: usize,
     pub smoothing_length: f64,
     pub sigma: f64,
 }
@@ -56,6 +68,26 @@ macro_rules! with_shape {
                 type $kernel = WendlandC2;
                 $go
             }
+            KernelName::CubicSpline => {
+                type $kernel = CubicSpline;
+                $go
+            }
+            KernelName::WendlandC4 => {
+                type $kernel = WendlandC4;
+                $go
+            }
+            KernelName::WendlandC6 => {
+                type $kernel = WendlandC6;
+                $go
+            }
+            KernelName::Gaussian => {
+                type $kernel = Gaussian;
+                $go
+            }
+            KernelName::SuperGaussian => {
+                type $kernel = SuperGaussian;
+                $go
+            }
         }
     };
 }
@@ -63,7 +95,8 @@ macro_rules! with_shape {
 impl Kernel {
     /// A shape in `dimension` dimensions (1, 2 or 3) with smoothing length h.
     pub fn new(shape: KernelName, dimension: usize, smoothing_length: f64) -> Self {
-        Self { shape, smoothing_length, sigma: with_shape!(shape, K => K::sigma(dimension, smoothing_length)) }
+        let sigma = with_shape!(shape, K => K::sigma(dimension, smoothing_length));
+        Self { shape, dimension, smoothing_length, sigma }
     }
 
     /// The support radius.
@@ -73,7 +106,7 @@ impl Kernel {
 
     /// W(0): a particle's own share of its density sum.
     pub fn at_zero(&self) -> f64 {
-        with_shape!(self.shape, K => K::AT_ZERO) * self.sigma
+        with_shape!(self.shape, K => K::at_zero(self.dimension)) * self.sigma
     }
 
     /// The constants in lanes.
@@ -83,6 +116,7 @@ impl Kernel {
         let slope = with_shape!(self.shape, K => K::SLOPE) * self.sigma;
         KernelLanes {
             shape: self.shape,
+            dimension: number(self.dimension as f64),
             inverse_h: L::splat(L::Real::of(1.0 / h)),
             w: L::splat(L::Real::of(self.sigma)),
             f: L::splat(L::Real::of(slope / (h * h))),
@@ -106,7 +140,7 @@ impl Kernel {
     pub fn composed(&self, distance: &Tensor) -> Result<(Tensor, Tensor)> {
         let h = self.smoothing_length;
         let q = distance.affine(1.0 / h, 0.0)?;
-        let (w, slope) = with_shape!(self.shape, K => K::composed(&q))?;
+        let (w, slope) = with_shape!(self.shape, K => K::composed(&q, self.dimension))?;
         Ok((w.affine(self.sigma, 0.0)?, slope.affine(self.sigma / (h * h), 0.0)?))
     }
 }
@@ -115,6 +149,7 @@ impl Kernel {
 #[derive(Clone, Copy)]
 pub struct KernelLanes<L> {
     shape: KernelName,
+    dimension: L,
     inverse_h: L,
     w: L,
     f: L,
@@ -127,6 +162,23 @@ pub(crate) fn number<L: Lanes>(value: f64) -> L {
     L::splat(L::Real::of(value))
 }
 
+/// A kernel that is not the usual one, at some q.
+struct Other<L> {
+    shape: KernelName,
+    q: L,
+    inverse: L,
+    dimension: L,
+}
+
+impl<L: Lanes> Rare for Other<L> {
+    type Output = (L, L, L);
+
+    #[inline(always)]
+    fn call(self) -> (L, L, L) {
+        with_shape!(self.shape, K => K::shape(self.q, self.inverse, self.dimension))
+    }
+}
+
 impl<L: Lanes> KernelLanes<L> {
     /// W, F and G from one distance; what the caller drops is not computed.
     #[inline(always)]
@@ -134,7 +186,13 @@ impl<L: Lanes> KernelLanes<L> {
         // At d = 0, which only self pairs and padding have, q is 0 and 1/q large but finite.
         let r2 = r2 * (self.inverse_h * self.inverse_h);
         let inverse = (r2 + number(1e-30)).inverse_sqrt();
-        let (w, f, g) = with_shape!(self.shape, K => K::shape(r2 * inverse, inverse));
+        let q = r2 * inverse;
+        let (w, f, g) = match self.shape {
+            KernelName::QuinticSpline => QuinticSpline::shape(q, inverse, self.dimension),
+            KernelName::WendlandC2 => WendlandC2::shape(q, inverse, self.dimension),
+            // Seven shapes in every loop would make all of them slower, and the compiler too; a call costs these a little.
+            shape => L::out_of_line(Other { shape, q, inverse, dimension: self.dimension }),
+        };
         (self.w * w, self.f * f, self.g * g)
     }
 

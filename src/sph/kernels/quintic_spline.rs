@@ -16,8 +16,11 @@ pub struct QuinticSpline;
 
 impl SmoothingKernel for QuinticSpline {
     const SUPPORT: f64 = 3.0;
-    const AT_ZERO: f64 = 66.0;
     const SLOPE: f64 = -5.0;
+
+    fn at_zero(_: usize) -> f64 {
+        66.0
+    }
 
     fn sigma(dimension: usize, h: f64) -> f64 {
         match dimension {
@@ -28,7 +31,7 @@ impl SmoothingKernel for QuinticSpline {
     }
 
     #[inline(always)]
-    fn shape<L: Lanes>(q: L, inverse: L) -> (L, L, L) {
+    fn shape<L: Lanes>(q: L, inverse: L, _: L) -> (L, L, L) {
         let one = number::<L>(1.0);
         let q3 = (number::<L>(3.0) - q).positive();
         let q2 = (number::<L>(2.0) - q).positive();
@@ -45,7 +48,7 @@ impl SmoothingKernel for QuinticSpline {
         (w, q.select_less(one, inner_f, outer_f), q.select_less(one, inner_g, outer_g))
     }
 
-    fn composed(q: &Tensor) -> Result<(Tensor, Tensor)> {
+    fn composed(q: &Tensor, _: usize) -> Result<(Tensor, Tensor)> {
         let term = |from: f64| -> Result<(Tensor, Tensor)> {
             let a = q.affine(-1.0, from)?.relu()?;
             let fourth = a.sqr()?.sqr()?;

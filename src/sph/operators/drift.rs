@@ -9,6 +9,7 @@ use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::Domain;
 use crate::sph::model::Model;
+use crate::sph::operators::composed::per_particle;
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -66,6 +67,9 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
                     position[i] = r[i] + step * velocity[i];
                 }
             }
+            for i in stays(model, rows.clone()) {
+                position[i] = r[i];
+            }
             if model.domain.periodic[d] {
                 for x in position.iter_mut() {
                     *x = wrapped(&model.domain, d, *x);
@@ -87,6 +91,13 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
             to(l.moved_density()).copy_from_slice(from(l.state_density()));
         }
     }
+}
+
+/// Those of some particles that do not move with their velocity, counted from the first of them.
+fn stays<R: Real>(model: &Model<R>, rows: Range<usize>) -> impl Iterator<Item = usize> + use<'_, R> {
+    let first = rows.start;
+    let rows = if model.walls_slide { rows } else { 0..0 };
+    rows.filter(|&i| !model.is_fluid(i)).map(move |i| i - first)
 }
 
 /// The forward pass, on plain numbers.
@@ -124,6 +135,13 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
                 for i in 0..count {
                     b[i] = shift * (w[i] + step * r[i]);
                 }
+                for i in stays(model, rows.clone()) {
+                    b[i] = shift * w[i];
+                }
+            }
+            for i in stays(model, rows.clone()) {
+                velocity[i] = u[i];
+                acceleration[i] = step * u[i];
             }
         }
         if l.heat {
@@ -177,6 +195,10 @@ pub fn composed<R: Real>(model: &Model<R>, dt: f64, state: &Tensor) -> Result<Te
         let shift = state.narrow(0, l.transport_acceleration(), d)?.affine(model.transport * 0.5 * model.dt, 0.0)?;
         drift = (drift + &shift)?;
         rows.push(shift);
+    }
+    if model.walls_slide {
+        let fluid = (0..model.particles()).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
+        drift = drift.broadcast_mul(&per_particle(fluid, state)?)?;
     }
     let position = (state.narrow(0, 0, d)? + drift.affine(dt, 0.0)?)?;
     let wrapped = (0..d).map(|k| model.domain.wrapped_of(k, &position.narrow(0, k, 1)?)).collect::<Result<Vec<_>>>()?;

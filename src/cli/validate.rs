@@ -1,0 +1,201 @@
+//! `hydrograd validate`: every scene with a known answer, run and compared with it.
+
+use super::arguments::check_writable;
+use super::files::VERSION;
+use super::prepare::{share_out, use_threads, workers};
+use crate::error::{BadInput, Error};
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::csv::{write_table, Cell};
+use crate::report::plots::compare;
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::validation::cases::{self, Case};
+use crate::validation::{Row, Validated};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Run every scene with a known answer and compare: error, order, tolerance, pass or fail.
+///
+/// Each case is run at its resolutions in double and in single precision, against an exact solution or an independent
+/// reference that comes with the program (data/reference).
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd validate --quick
+      coarse resolutions only: under two minutes
+  hydrograd validate --filter taylor-green --out runs/taylor-green
+      all cases whose name has `taylor-green` in it, at every resolution
+  hydrograd validate --list
+      what there is")]
+pub struct ValidateArguments {
+    /// Only resolutions that take little time.
+    #[arg(long)]
+    pub quick: bool,
+    /// Only cases with this in their name.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub filter: String,
+    /// Print the cases and what they are compared with, and run none.
+    #[arg(long)]
+    pub list: bool,
+    /// Folder for validation.csv, validation.json and the pictures.
+    #[arg(long, value_name = "DIR", default_value = "runs/validate")]
+    pub out: PathBuf,
+    /// Cases at a time, each on one thread; 0 for every core.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+}
+
+/// Parts of a case in the progress bar.
+const PARTS: f64 = 100.0;
+
+pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
+    let mut chosen = cases::all();
+    let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();
+    chosen.retain(|case| case.name.contains(&arguments.filter));
+    if arguments.quick {
+        chosen.retain(|case| case.levels.iter().any(|level| level.is_quick));
+    }
+    if chosen.is_empty() {
+        return Err(BadInput::new("no case has a name with this in it")
+            .place(format!("--filter {}", arguments.filter))
+            .allowed(names.join(", "))
+            .into());
+    }
+    if arguments.list {
+        println!("{}", list(&chosen).to_text());
+        return Ok(());
+    }
+    check_writable(&arguments.out)?;
+    use_threads(1);
+    let bar = Progress::new(chosen.len() as u64 * PARTS as u64, "validate");
+    let found = share_out(workers(arguments.threads, chosen.len()), &chosen, |case| {
+        let mut seen = 0;
+        let found = case.run(arguments.quick, &mut |share| {
+            let now = (share * PARTS) as u64;
+            if now > seen {
+                bar.done(now - seen);
+                seen = now;
+            }
+        });
+        bar.done(PARTS as u64 - seen);
+        found
+    })?;
+    bar.finish();
+    let rows: Vec<&Row> = found.iter().flat_map(|found| &found.rows).collect();
+    prepare_output_folder(&arguments.out)?;
+    write(&arguments.out, &rows)?;
+    let pictures = draw(&arguments.out, &found)?;
+    println!("{}", table(&rows).to_text());
+    for row in rows.iter().filter(|row| row.failure.is_some()) {
+        println!("{}, dx {}: {}", row.case, row.dx, row.failure.as_deref().unwrap_or_default());
+    }
+    println!("files in {}: validation.csv, validation.json, {}", arguments.out.display(), pictures.join(", "));
+    let failed: Vec<&&Row> = rows.iter().filter(|row| !row.passed).collect();
+    if let Some(row) = failed.first() {
+        let first = format!("{} at dx {}", row.case, row.dx);
+        return Err(Error::run(
+            format!("{} of {} rows FAILED, the first: {first}", failed.len(), rows.len()),
+            format!("the pictures in {}, and --filter {} for this case alone", arguments.out.display(), row.case),
+        )
+        .into());
+    }
+    println!("PASSED: all {} rows, in double and single precision", rows.len());
+    Ok(())
+}
+
+fn list(cases: &[Case]) -> Table {
+    let mut table = Table::new(["case", "scene", "quantity", "reference", "resolutions (quick)"]);
+    for case in cases {
+        let quick = case.levels.iter().filter(|level| level.is_quick).count();
+        let levels = format!("{} ({quick})", case.levels.len());
+        table.row([case.name, case.scene, case.quantity, case.reference, &levels]);
+    }
+    table
+}
+
+fn number(value: Option<f64>) -> String {
+    value.map_or("-".into(), |value| format!("{value:.2e}"))
+}
+
+fn table(rows: &[&Row]) -> Table {
+    let mut table = Table::new(["case", "quantity", "dx", "N", "error", "in f32", "order", "tolerance", "seconds", ""]);
+    for row in rows {
+        table.row([
+            row.case.to_string(),
+            row.quantity.to_string(),
+            format!("{:.4}", row.dx),
+            row.particles.to_string(),
+            number(row.error),
+            number(row.error_f32),
+            row.order.map_or(String::new(), |order| format!("{order:.1}")),
+            format!("{:.1e}", row.tolerance),
+            format!("{:.1}", row.seconds),
+            if row.passed { "pass" } else { "FAIL" }.into(),
+        ]);
+    }
+    table
+}
+
+fn write(folder: &Path, rows: &[&Row]) -> anyhow::Result<()> {
+    let header = [
+        "case",
+        "quantity",
+        "reference",
+        "dx",
+        "particles",
+        "steps",
+        "error",
+        "error_f32",
+        "order",
+        "tolerance",
+        "seconds",
+        "seconds_f32",
+        "passed",
+    ];
+    let cell = |value: Option<f64>| Cell::from(value.unwrap_or(f64::NAN));
+    let cells = |row: &&Row| {
+        vec![
+            Cell::from(row.case),
+            Cell::from(row.quantity),
+            Cell::from(row.reference),
+            Cell::from(row.dx),
+            Cell::from(row.particles),
+            Cell::from(row.steps),
+            cell(row.error),
+            cell(row.error_f32),
+            cell(row.order),
+            Cell::from(row.tolerance),
+            Cell::from(row.seconds),
+            Cell::from(row.seconds_f32),
+            Cell::from(row.passed.to_string().as_str()),
+        ]
+    };
+    write_table(&folder.join("validation.csv"), &header, &rows.iter().map(cells).collect::<Vec<_>>())?;
+    let text = serde_json::to_string_pretty(&json!({ "version": VERSION, "rows": rows }))? + "\n";
+    Ok(write_bytes_atomically(&folder.join("validation.json"), text.as_bytes())?)
+}
+
+/// A picture of each case that has curves, and one of error over spacing; their names.
+fn draw(folder: &Path, found: &[Validated]) -> anyhow::Result<Vec<String>> {
+    let mut names = Vec::new();
+    for one in found.iter().filter(|one| !one.curves.is_empty()) {
+        let series: Vec<_> = one.curves.iter().map(|curve| (curve.name.clone(), curve.points.clone())).collect();
+        let (x, y) = one.case.measure.axes();
+        compare(&folder.join(one.case.name), one.case.name, x, y, &series, false, false)?;
+        names.push(format!("{}.png", one.case.name));
+    }
+    let errors = |one: &Validated| {
+        one.rows
+            .iter()
+            .filter_map(|row| Some((row.dx, row.error?)))
+            .filter(|(_, error)| *error > 0.0)
+            .collect::<Vec<_>>()
+    };
+    let series: Vec<_> = found.iter().map(|one| (one.case.name.to_string(), errors(one))).collect();
+    if series.iter().any(|(_, points)| !points.is_empty()) {
+        compare(&folder.join("errors"), "Errors", "particle spacing", "error", &series, true, true)?;
+        names.push("errors.png".into());
+    }
+    Ok(names)
+}

@@ -1,0 +1,335 @@
+//! Scenes of one's own: a box, the shapes in it, what the fluid begins with.
+
+use crate::config::formula::Formula;
+use crate::config::scene::{Config, Formulation};
+use crate::error::BadInput;
+use serde::{Deserialize, Serialize};
+
+/// The box.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Region {
+    /// Lengths along x, y (and z): as many as there are dimensions. The corner is at 0.
+    pub size: Vec<f64>,
+    /// Whether what leaves at one side comes in at the other; a side that is not periodic is a wall.
+    pub periodic: Vec<bool>,
+    /// Body force per mass.
+    pub acceleration: Vec<f64>,
+    /// Fluid at x below this is reset to `fluid.inlet_temperature`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inlet_until: Option<f64>,
+    /// Fluid at x above this does not conduct.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outlet_from: Option<f64>,
+}
+
+impl Default for Region {
+    fn default() -> Self {
+        Self {
+            size: vec![1.0, 0.4],
+            periodic: vec![true, false],
+            acceleration: vec![0.0, 0.0],
+            inlet_until: None,
+            outlet_from: None,
+        }
+    }
+}
+
+/// What the fluid begins with.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Initial {
+    /// Components of the velocity; none: at rest.
+    pub velocity: Vec<Formula>,
+    /// None: the scene has no heat.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature: Option<Formula>,
+}
+
+/// A part of space, and what fills it. Of two shapes that overlap the later one counts.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ShapeEntry {
+    pub kind: Kind,
+    pub fill: Fill,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lower: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub upper: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub centre: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radius: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<Axis>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub points: Option<Vec<[f64; 2]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thickness: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub positive: Option<Formula>,
+    /// Of a wall: what its surface moves with. None: at rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity: Option<Vec<Formula>>,
+    /// Of a wall. None: no heat flows through it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature: Option<Formula>,
+}
+
+/// Kinds of shapes, each with keys of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Between two corners: `lower`, `upper`.
+    #[default]
+    Box,
+    /// `centre`, `radius`; a ball in three dimensions.
+    Disc,
+    /// Three dimensions: `centre`, `radius`, along `axis` from end to end.
+    Cylinder,
+    /// Within half a `thickness` of the line through `points` (x, y); along all of z.
+    Polyline,
+    /// Inside the closed line through `points` (x, y); along all of z.
+    Polygon,
+    /// Where a formula is above 0: `positive`.
+    Where,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Fill {
+    #[default]
+    Wall,
+    Fluid,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Axis {
+    X,
+    Y,
+    #[default]
+    Z,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Box => "box",
+            Self::Disc => "disc",
+            Self::Cylinder => "cylinder",
+            Self::Polyline => "polyline",
+            Self::Polygon => "polygon",
+            Self::Where => "where",
+        }
+    }
+
+    /// Keys that a shape of this kind must have.
+    fn keys(self) -> &'static [&'static str] {
+        match self {
+            Self::Box => &["lower", "upper"],
+            Self::Disc => &["centre", "radius"],
+            Self::Cylinder => &["centre", "radius", "axis"],
+            Self::Polyline => &["points", "thickness"],
+            Self::Polygon => &["points"],
+            Self::Where => &["positive"],
+        }
+    }
+}
+
+impl ShapeEntry {
+    /// One with every key, for the list of keys.
+    pub fn complete() -> Self {
+        Self {
+            lower: Some(vec![]),
+            upper: Some(vec![]),
+            centre: Some(vec![]),
+            radius: Some(1.0),
+            axis: Some(Axis::Z),
+            points: Some(vec![]),
+            thickness: Some(1.0),
+            positive: Some(1.0.into()),
+            velocity: Some(vec![]),
+            temperature: Some(1.0.into()),
+            ..Self::default()
+        }
+    }
+
+    /// The first thing wrong with shape number `place`.
+    fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
+        let key = |name: &str| format!("shapes[{place}].{name}");
+        let bad = |name: &str, problem: String| BadInput::new(format!("{}: {problem}", key(name))).key(key(name));
+        let kind = self.kind;
+        let given = [
+            ("lower", self.lower.is_some()),
+            ("upper", self.upper.is_some()),
+            ("centre", self.centre.is_some()),
+            ("radius", self.radius.is_some()),
+            ("axis", self.axis.is_some()),
+            ("points", self.points.is_some()),
+            ("thickness", self.thickness.is_some()),
+            ("positive", self.positive.is_some()),
+        ];
+        let allowed = format!("a {} has {}", kind.name(), kind.keys().join(", "));
+        for (name, is_given) in given {
+            let wanted = kind.keys().contains(&name);
+            if wanted != is_given {
+                let problem = if wanted { "is missing" } else { "has no meaning here" };
+                return Err(bad(name, format!("{problem} (kind = {})", kind.name())).allowed(allowed));
+            }
+        }
+        if kind == Kind::Cylinder && dimension == 2 {
+            return Err(bad("kind", "a cylinder in two dimensions".into()).allowed("disc").advice("kind = \"disc\""));
+        }
+        let vectors = [("lower", &self.lower), ("upper", &self.upper), ("centre", &self.centre)];
+        for (name, vector) in vectors {
+            let Some(vector) = vector else { continue };
+            if vector.len() != dimension || vector.iter().any(|x| !x.is_finite()) {
+                return Err(bad(name, format!("{vector:?}")).allowed(format!("{dimension} finite numbers")));
+            }
+        }
+        for (name, length) in [("radius", self.radius), ("thickness", self.thickness)] {
+            if let Some(length) = length.filter(|length| !(*length > 0.0 && length.is_finite())) {
+                return Err(bad(name, format!("{length}")).allowed("a length above 0"));
+            }
+        }
+        if let (Some(lower), Some(upper)) = (&self.lower, &self.upper) {
+            if lower.iter().zip(upper).any(|(low, high)| low >= high) {
+                return Err(bad("upper", format!("{upper:?} with lower = {lower:?}"))
+                    .allowed("upper above lower in each direction"));
+            }
+        }
+        let least = if kind == Kind::Polygon { 3 } else { 2 };
+        if let Some(points) = self
+            .points
+            .as_ref()
+            .filter(|points| points.len() < least || points.iter().flatten().any(|x| !x.is_finite()))
+        {
+            return Err(bad("points", format!("{points:?}")).allowed(format!("at least {least} points [x, y]")));
+        }
+        if let Some(formula) = &self.positive {
+            formula.function(&key("positive"), dimension)?;
+        }
+        let is_wall = self.fill == Fill::Wall;
+        if let Some(velocity) = &self.velocity {
+            if !is_wall {
+                return Err(bad("velocity", "of fluid".into()).allowed("initial.velocity for the fluid's"));
+            }
+            check_vector(&key("velocity"), velocity, dimension)?;
+        }
+        if let Some(temperature) = &self.temperature {
+            if !is_wall {
+                return Err(bad("temperature", "of fluid".into()).allowed("initial.temperature for the fluid's"));
+            }
+            if !has_heat {
+                return Err(bad("temperature", "in a scene without heat".into())
+                    .allowed("with initial.temperature, which gives the scene its heat")
+                    .advice("initial.temperature=1.0"));
+            }
+            temperature.function(&key("temperature"), dimension)?;
+        }
+        Ok(())
+    }
+}
+
+/// Formulas of a vector.
+fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
+    if vector.len() != dimension {
+        let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
+        return Err(BadInput::new(format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
+            .key(key)
+            .allowed(format!("{dimension} numbers or formulas, as region.size")));
+    }
+    for (d, formula) in vector.iter().enumerate() {
+        formula.function(&format!("{key}[{d}]"), dimension)?;
+    }
+    Ok(())
+}
+
+impl Config {
+    /// Whether anything in a scene of one's own is a wall.
+    pub fn has_walls(&self) -> bool {
+        self.region.periodic.contains(&false) || self.shapes.iter().any(|shape| shape.fill == Fill::Wall)
+    }
+
+    /// A scene of one's own: lengths of vectors, whole numbers of spacings, shapes, formulas.
+    pub(super) fn check_custom(&self) -> Result<(), BadInput> {
+        let (region, initial) = (&self.region, &self.initial);
+        let bad = |key: &str, problem: String| BadInput::new(format!("{key} = {problem}")).key(key);
+        if !(2..=3).contains(&region.size.len()) || region.size.iter().any(|x| !(*x > 0.0 && x.is_finite())) {
+            return Err(bad("region.size", format!("{:?}", region.size)).allowed("two or three lengths above 0"));
+        }
+        let d = region.size.len();
+        let other = |key: &str, length: usize, shown: String| match length == d {
+            true => Ok(()),
+            false => Err(bad(key, shown).allowed(format!("{d} entries, as region.size"))),
+        };
+        other("region.periodic", region.periodic.len(), format!("{:?}", region.periodic))?;
+        other("region.acceleration", region.acceleration.len(), format!("{:?}", region.acceleration))?;
+        if region.acceleration.iter().any(|x| !x.is_finite()) {
+            return Err(bad("region.acceleration", format!("{:?}", region.acceleration)).allowed("finite numbers"));
+        }
+        self.check_cells()?;
+        let has_heat = initial.temperature.is_some();
+        if !initial.velocity.is_empty() {
+            check_vector("initial.velocity", &initial.velocity, d)?;
+        }
+        if let Some(temperature) = &initial.temperature {
+            temperature.function("initial.temperature", d)?;
+        }
+        for (key, x) in [("region.inlet_until", region.inlet_until), ("region.outlet_from", region.outlet_from)] {
+            let Some(x) = x else { continue };
+            if !has_heat {
+                return Err(bad(key, format!("{x} in a scene without heat")).allowed("with initial.temperature"));
+            }
+            if !(0.0..=region.size[0]).contains(&x) {
+                return Err(bad(key, format!("{x}")).allowed(format!("0 ... {}, region.size[0]", region.size[0])));
+            }
+        }
+        if let (Some(inlet), Some(outlet)) = (region.inlet_until, region.outlet_from) {
+            if inlet >= outlet {
+                return Err(bad("region.outlet_from", format!("{outlet}"))
+                    .allowed(format!("above region.inlet_until = {inlet}")));
+            }
+        }
+        for (place, shape) in self.shapes.iter().enumerate() {
+            shape.check(place, d, has_heat)?;
+        }
+        if self.fluid.formulation == Formulation::Consistent {
+            return Err(BadInput::new("fluid.formulation = consistent in a scene of one's own")
+                .key("fluid.formulation")
+                .allowed("standard: points on the surface of any shape are not made yet")
+                .advice("fluid.formulation=standard, or the scene heated-channel"));
+        }
+        Ok(())
+    }
+
+    /// dx divides the box, which is large enough and not too large.
+    fn check_cells(&self) -> Result<(), BadInput> {
+        let (region, dx) = (&self.region, self.resolution.dx);
+        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
+        let particles: f64 = region.size.iter().map(|x| x / dx).product();
+        if particles > super::validate::MAX_PARTICLES {
+            return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+                .allowed(format!("at most {:.0e} particles", super::validate::MAX_PARTICLES)));
+        }
+        let support = self.support();
+        for (k, (size, periodic)) in region.size.iter().zip(&region.periodic).enumerate() {
+            let key = format!("region.size[{k}]");
+            let count = (size / dx).round();
+            if !super::validate::is_whole(size / dx) {
+                return Err(bad(format!("resolution.dx = {dx} does not divide {key} = {size}"))
+                    .allowed("a whole number of spacings along each side")
+                    .advice(format!("{key} = {}", count.max(1.0) * dx)));
+            }
+            // Periodic images: a particle may see each neighbour once only.
+            let fewest = if *periodic { 2.0 * (support + self.time.skin) } else { 1.0 };
+            if count < fewest {
+                return Err(bad(format!("resolution.dx = {dx} is too coarse for {key} = {size}"))
+                    .allowed(format!("at least {fewest:.1} spacings along a periodic side"))
+                    .advice(format!("resolution.dx={}", size / fewest.ceil())));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,175 @@
+//! Numbers that depend on the place: expressions of x, y and z in a configuration, read by the crate exmex.
+
+use crate::error::BadInput;
+use exmex::{Express, FlatEx};
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
+
+/// What formulas are made of, for messages.
+pub const ALLOWED: &str =
+    "a number, or a formula in quotes: x, y, z, + - * / ^ ( ), PI, abs(), sqrt(), sin(), exp(), tanh(), \
+                           signum(), min(a, b), max(a, b) and the like";
+
+/// An expression of x, y, z, or a number. A minus in front belongs to what follows it: -x^2 is (-x)^2.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Formula(pub String);
+
+/// A formula that has been read.
+#[derive(Debug, Clone)]
+pub struct Function {
+    expression: FlatEx<f64>,
+    /// 0, 1, 2 for x, y, z, in the order of the expression's variables.
+    variables: Vec<usize>,
+}
+
+impl Formula {
+    /// Reads it; `key` is its own, such as `shapes[2].temperature`.
+    ///
+    /// # Errors
+    /// No expression, or one of something else than x, y, z (z in three dimensions only).
+    pub fn function(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
+        let bad =
+            |problem: String| BadInput::new(format!("{key} = \"{}\": {problem}", self.0)).key(key).allowed(ALLOWED);
+        let expression = exmex::parse::<f64>(&self.0).map_err(|error| bad(error.to_string()))?;
+        let names = &["x", "y", "z"][..dimension];
+        let place = |name: &String| names.iter().position(|known| known == name).ok_or_else(|| name.clone());
+        let variables = expression.var_names().iter().map(place).collect::<Result<Vec<_>, _>>();
+        let variables = variables.map_err(|name| {
+            let has = format!("`{name}` is unknown; a place in {dimension} dimensions has {}", names.join(", "));
+            bad(has)
+        })?;
+        Ok(Function { expression, variables })
+    }
+}
+
+impl Function {
+    /// Its value at a place; not a number where it has none.
+    pub fn at(&self, place: [f64; 3]) -> f64 {
+        let values: Vec<f64> = self.variables.iter().map(|&d| place[d]).collect();
+        self.expression.eval(&values).unwrap_or(f64::NAN)
+    }
+}
+
+impl From<f64> for Formula {
+    fn from(value: f64) -> Self {
+        Self(value.to_string())
+    }
+}
+
+impl Serialize for Formula {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        match self.0.parse::<f64>() {
+            Ok(number) if number.to_string() == self.0 => to.serialize_f64(number),
+            _ => to.serialize_str(&self.0),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Formula {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Reads;
+        impl Visitor<'_> for Reads {
+            type Value = Formula;
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a number or a formula in quotes")
+            }
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Formula, E> {
+                Ok(value.into())
+            }
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Formula, E> {
+                Ok((value as f64).into())
+            }
+            fn visit_u64<E: Error>(self, value: u64) -> Result<Formula, E> {
+                Ok((value as f64).into())
+            }
+            fn visit_str<E: Error>(self, value: &str) -> Result<Formula, E> {
+                Ok(Formula(value.to_string()))
+            }
+        }
+        from.deserialize_any(Reads)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn value(text: &str, place: [f64; 3]) -> f64 {
+        Formula(text.into()).function("key", 3).unwrap_or_else(|bad| panic!("{bad}")).at(place)
+    }
+
+    #[test]
+    fn formulas_are_what_they_look_like() {
+        let p = [0.5, -2.0, 3.0];
+        for (text, expected) in [
+            ("3", 3.0),
+            ("-1.5e-3", -1.5e-3),
+            ("x", 0.5),
+            ("z - y - x", 4.5),
+            ("z/x/2*y", -6.0),
+            ("2 + 3*x^2", 2.75),
+            ("1.5*y*(1 - y)", -9.0),
+            ("sin(PI*x)", 1.0),
+            ("max(0, min(x, z))", 0.5),
+            ("exp(-((x-0.5)^2 + y^2))", (-4.0f64).exp()),
+            ("1 + (signum(y) + 1)/2", 1.0),
+            ("0 - x^2", -0.25),
+        ] {
+            assert!((value(text, p) - expected).abs() < 1e-14, "{text}: {} is not {expected}", value(text, p));
+        }
+        // As the page says.
+        assert_eq!(value("-x^2", p), 0.25);
+        assert!(value("sqrt(y)", p).is_nan() && value("1/(x - 0.5)", p).is_infinite());
+    }
+
+    #[test]
+    fn what_is_no_formula_is_an_error_that_shows_it() {
+        for text in
+            ["", "1 +", "sni(x)", "(x", "x)", "2 x", "a*x", "x = 3", "t", "x;y", "\"", "1,2", "sin()", "max(1,2,3)"]
+        {
+            let bad = Formula(text.into()).function("initial.velocity[1]", 2).map(|_| ()).expect_err(text);
+            let message = bad.to_string();
+            assert!(message.starts_with(&format!("initial.velocity[1] = \"{text}\"")), "{message}");
+            assert!(message.contains("allowed: a number, or a formula"), "{message}");
+            assert!(bad.is_about("initial.velocity[1]"));
+        }
+        let flat = Formula("z".into()).function("k", 2).unwrap_err().to_string();
+        assert!(flat.contains("`z` is unknown; a place in 2 dimensions has x, y"), "{flat}");
+    }
+
+    /// Whatever is typed, the reader may refuse it but must not fall over.
+    #[test]
+    fn no_text_panics() {
+        let parts =
+            ["x", "y", "(", ")", "+", "-", "*", "/", "^", "sin", "max", ",", "1", ".", "e", "PI", " ", "é", "{", "}"];
+        let mut seed = 1_u64;
+        let mut read = 0;
+        for _ in 0..20_000 {
+            let mut text = String::new();
+            for _ in 0..seed % 9 {
+                seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                text.push_str(parts[(seed >> 33) as usize % parts.len()]);
+            }
+            seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407) ^ (seed >> 17);
+            if let Ok(function) = Formula(text).function("k", 3) {
+                function.at([0.1, 0.2, 0.3]);
+                read += 1;
+            }
+        }
+        assert!(read > 100, "only {read} of them are formulas");
+    }
+
+    #[test]
+    fn numbers_stay_numbers() {
+        #[derive(Serialize, Deserialize, PartialEq, Debug)]
+        struct Holder {
+            a: Vec<Formula>,
+        }
+        let holder: Holder = toml::from_str("a = [1, 0.25, \"x\", \"0.10\"]").unwrap();
+        let text = toml::to_string(&holder).unwrap();
+        assert_eq!(text.trim(), "a = [1.0, 0.25, \"x\", \"0.10\"]");
+        assert_eq!(toml::from_str::<Holder>(&text).unwrap(), holder);
+        assert!(toml::from_str::<Holder>("a = [true]").unwrap_err().to_string().contains("a number or a formula"));
+    }
+}

@@ -1,0 +1,266 @@
+//! A scene of one's own: a box, shapes in it, and what moves and heats the fluid, all from the configuration.
+//!
+//! The corner of the fluid's box is at 0; sides that are not periodic are closed by as many rows of dummy particles as the
+//! kernel reaches. Every particle stands in the middle of a lattice cell, and is fluid or wall by the last shape that holds it.
+//! Walls with a velocity stay where they are ([`crate::sph::model::Model::walls_slide`]).
+
+use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::{Exact, Scene};
+use crate::config::custom::{Axis, Fill, Kind, ShapeEntry};
+use crate::config::formula::{Formula, Function};
+use crate::config::scene::{Config, HotIsotherm};
+use crate::error::BadInput;
+use crate::numerics::lanes::Real;
+use crate::particles::tag;
+use crate::sph::laws::body_force::BodyForce;
+use crate::sph::model::Heat;
+use crate::sph::solver::Snapshot;
+use std::sync::Arc;
+
+/// A shape with its formulas read.
+struct Shape<'a> {
+    entry: &'a ShapeEntry,
+    positive: Option<Function>,
+    velocity: Vec<Function>,
+    temperature: Option<Function>,
+}
+
+impl<'a> Shape<'a> {
+    fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
+        let key = |name: &str| format!("shapes[{place}].{name}");
+        let one = |name: &str, formula: &Option<Formula>| {
+            formula.as_ref().map(|formula| formula.function(&key(name), dimension)).transpose()
+        };
+        Ok(Self {
+            entry,
+            positive: one("positive", &entry.positive)?,
+            velocity: functions(&key("velocity"), entry.velocity.as_deref().unwrap_or_default(), dimension)?,
+            temperature: one("temperature", &entry.temperature)?,
+        })
+    }
+
+    /// Whether a place is inside, without periodic images.
+    fn contains(&self, p: [f64; 3], dimension: usize) -> bool {
+        let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = self.entry;
+        // Checked configurations have what their kind needs.
+        let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
+        let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
+        let points = points.as_deref().unwrap_or_default();
+        match kind {
+            Kind::Box => (0..dimension).all(|d| lower[d] <= p[d] && p[d] < upper[d]),
+            Kind::Disc => (0..dimension).map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius,
+            Kind::Cylinder => {
+                let along = match axis.unwrap_or_default() {
+                    Axis::X => 0,
+                    Axis::Y => 1,
+                    Axis::Z => 2,
+                };
+                let across = (0..dimension).filter(|&d| d != along);
+                across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius
+            }
+            Kind::Polyline => {
+                let half = 0.5 * thickness.unwrap_or_default();
+                points.windows(2).any(|ends| distance([p[0], p[1]], ends[0], ends[1]) < half)
+            }
+            Kind::Polygon => is_inside([p[0], p[1]], points),
+            Kind::Where => self.positive.as_ref().is_some_and(|positive| positive.at(p) > 0.0),
+        }
+    }
+}
+
+/// From a point to the line between two others.
+fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let (along, to) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let square = along[0] * along[0] + along[1] * along[1];
+    let part = if square > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
+    (to[0] - part * along[0]).hypot(to[1] - part * along[1])
+}
+
+/// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
+fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
+    let mut inside = false;
+    let mut from = points[points.len() - 1];
+    for &to in points {
+        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
+            inside = !inside;
+        }
+        from = to;
+    }
+    inside
+}
+
+fn functions(key: &str, formulas: &[Formula], dimension: usize) -> Result<Vec<Function>, BadInput> {
+    formulas.iter().enumerate().map(|(d, formula)| formula.function(&format!("{key}[{d}]"), dimension)).collect()
+}
+
+/// The value of a formula at a particle, which must be a number.
+fn value(function: &Function, key: impl Fn() -> String, p: [f64; 3]) -> Result<f64, BadInput> {
+    let value = function.at(p);
+    if value.is_finite() {
+        return Ok(value);
+    }
+    let key = key();
+    Err(BadInput::new(format!("{key} is {value} at x = {}, y = {}, z = {}", p[0], p[1], p[2]))
+        .key(key)
+        .allowed("a formula that is a finite number at every particle that it is for"))
+}
+
+/// Which particles of the lattice are what.
+pub(super) struct Geometry {
+    pub lattice: Lattice,
+    /// Of each particle the shape that it belongs to, if it is in one.
+    pub shape: Vec<Option<usize>>,
+    pub is_wall: Vec<bool>,
+}
+
+impl Geometry {
+    /// Of a checked configuration.
+    ///
+    /// # Errors
+    /// Shapes that leave no fluid, or that no particle is in.
+    pub fn of(config: &Config) -> Result<Self, BadInput> {
+        let d = config.dimension();
+        let shapes = shapes(config)?;
+        let lattice = lattice(config);
+        let size = &config.region.size;
+        // A shape that reaches through a periodic side is seen from the other one.
+        let images: Vec<[f64; 3]> = (0..27)
+            .map(|k| [k % 3, k / 3 % 3, k / 9])
+            .filter(|image| (0..3).all(|e| image[e] == 1 || e < d && config.region.periodic[e]))
+            .map(|image| std::array::from_fn(|e| if e < d { (image[e] as f64 - 1.0) * size[e] } else { 0.0 }))
+            .collect();
+        let holds = |shape: &Shape, p: [f64; 3]| {
+            let has_images = shape.entry.kind != Kind::Where;
+            let images = if has_images { &images[..] } else { &[[0.0; 3]] };
+            images.iter().any(|image| shape.contains(std::array::from_fn(|e| p[e] + image[e]), d))
+        };
+        let n = lattice.particles();
+        let mut shape = vec![None; n];
+        let mut is_wall = vec![false; n];
+        for i in 0..n {
+            let p = lattice.place(i);
+            shape[i] = shapes.iter().rposition(|shape| holds(shape, p));
+            is_wall[i] = match shape[i] {
+                Some(k) if !lattice.is_wall(i) => shapes[k].entry.fill == Fill::Wall,
+                _ => lattice.is_wall(i),
+            };
+        }
+        for k in 0..shapes.len() {
+            if !shape.contains(&Some(k)) {
+                let key = format!("shapes[{k}]");
+                return Err(BadInput::new(format!("{key} holds no particle"))
+                    .key(key)
+                    .allowed("shapes that hold the middle of at least one cell that no later shape has")
+                    .advice("a smaller resolution.dx, or another place"));
+            }
+        }
+        if !is_wall.contains(&false) {
+            return Err(BadInput::new("the shapes leave no fluid").key("shapes").allowed("some fluid in the box"));
+        }
+        Ok(Self { lattice, shape, is_wall })
+    }
+}
+
+fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
+    let d = config.dimension();
+    config.shapes.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, d)).collect()
+}
+
+fn lattice(config: &Config) -> Lattice {
+    let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
+    let rows = Numerics::from_config(config).wall_rows;
+    let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
+    let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize + 2 * walls[e] } else { 1 };
+    Lattice {
+        wall_rows: walls,
+        periodic: std::array::from_fn(|e| e < d && region.periodic[e]),
+        corner: walls.map(|rows| 0.0 - rows as f64 * dx),
+        ..Lattice::new(d, dx, std::array::from_fn(count))
+    }
+}
+
+/// The scene of a checked configuration.
+///
+/// # Errors
+/// Formulas that are no number somewhere, shapes that hold nothing.
+pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
+    let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
+    let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
+    let (shapes, n) = (shapes(config)?, lattice.particles());
+    let initial = functions("initial.velocity", &config.initial.velocity, d)?;
+    let warmth = config.initial.temperature.as_ref();
+    let warmth = warmth.map(|formula| formula.function("initial.temperature", d)).transpose()?;
+    let reference = fluid.inlet_temperature;
+    // Walls: their velocity, and T_wall = constant + factor <T>.
+    let mut of_wall = vec![[0.0; 3]; n];
+    let (mut constant, mut factor) = (vec![R::default(); n], vec![R::of(1.0); n]);
+    let mut tags = vec![tag::FLUID; n];
+    for i in (0..n).filter(|&i| is_wall[i]) {
+        tags[i] = tag::WALL;
+        let Some(k) = shape[i] else { continue };
+        let p = lattice.place(i);
+        if let Some(temperature) = &shapes[k].temperature {
+            let excess = value(temperature, || format!("shapes[{k}].temperature"), p)? - reference;
+            let (a, b) = match config.wall.hot_isotherm {
+                HotIsotherm::Surface => (2.0 * excess, -1.0),
+                HotIsotherm::Dummy => (excess, 0.0),
+            };
+            (constant[i], factor[i], tags[i]) = (R::of(a), R::of(b), tag::HOT_WALL);
+        }
+        for (e, velocity) in shapes[k].velocity.iter().enumerate() {
+            of_wall[i][e] = value(velocity, || format!("shapes[{k}].velocity[{e}]"), p)?;
+        }
+        if of_wall[i] != [0.0; 3] {
+            tags[i] = tag::MOVING_WALL;
+        }
+    }
+    let heat = warmth.as_ref().map(|_| Heat {
+        conductivity: fluid.conductivity,
+        capacity: fluid.heat_capacity,
+        reference,
+        // No particle is outside of the box.
+        inlet_below: region.inlet_until.unwrap_or(-region.size[0]),
+        outlet_above: region.outlet_from.unwrap_or(2.0 * region.size[0]),
+        wall_constant: constant,
+        wall_factor: factor,
+    });
+    let mut acceleration = [0.0; 3];
+    acceleration[..d].copy_from_slice(&region.acceleration);
+    let mut parts = Parts {
+        name: config.scene.name(),
+        lattice,
+        numerics: Numerics::from_config(config),
+        density: fluid.density,
+        velocity: fluid.reference_velocity,
+        viscosity: fluid.viscosity,
+        body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Gravity(acceleration) },
+        drive: None,
+        lid: 0.0,
+        own_mass: false,
+        heat,
+        exact: Exact::Unknown,
+    };
+    let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);
+    (model.tags, model.walls_slide) = (tags, true);
+    let l = model.layout;
+    for i in 0..n {
+        let place = parts.lattice.place(i);
+        if is_wall[i] {
+            // Not where a fluid particle would have been put at random.
+            for e in 0..d {
+                base[e * n + i] = place[e];
+                base[(l.velocity() + e) * n + i] = of_wall[i][e];
+            }
+            continue;
+        }
+        let p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
+        for (e, velocity) in initial.iter().enumerate() {
+            base[(l.velocity() + e) * n + i] = value(velocity, || format!("initial.velocity[{e}]"), p)?;
+        }
+        if let Some(warmth) = &warmth {
+            base[l.temperature() * n + i] = value(warmth, || "initial.temperature".into(), p)? - reference;
+        }
+    }
+    let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
+    Ok(parts.scene(Arc::new(model), start))
+}

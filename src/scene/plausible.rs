@@ -1,0 +1,395 @@
+//! What a configuration would build, and what looks implausible about it: estimates from its numbers and its lattice, before
+//! anything is run.
+
+use super::custom::Geometry;
+use super::Scene;
+use crate::config::custom::Kind;
+use crate::config::scene::{Config, Family};
+use crate::error::BadInput;
+use crate::numerics::lanes::Real;
+use crate::particles::tag;
+
+/// A limit of the time step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Criterion {
+    pub name: &'static str,
+    /// As in the configuration's comments.
+    pub formula: &'static str,
+    pub dt: f64,
+}
+
+/// What would be built.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Findings {
+    /// Kinds of particles that there are, and how many.
+    pub particles: Vec<(&'static str, usize)>,
+    /// The smallest rules.
+    pub criteria: Vec<Criterion>,
+    /// Fastest flow that is to be expected, as far as numbers and geometry tell.
+    pub speed: f64,
+    /// Particles across the narrowest passage between walls.
+    pub narrowest: Option<usize>,
+    /// Particles across the thinnest wall with fluid on both sides.
+    pub thinnest: Option<usize>,
+    pub warnings: Vec<String>,
+}
+
+/// More viscous or thermal diffusion lengths per spacing than this are not resolved.
+const CELL_NUMBER: f64 = 10.0;
+/// The fluid's own weight may compress it by this.
+const COMPRESSION: f64 = 0.02;
+/// A reference velocity that is so many times the expected one makes the steps that many times too small.
+const TOO_CAREFUL: f64 = 10.0;
+
+impl Findings {
+    /// Of a scene and the configuration that it was built from.
+    ///
+    /// # Errors
+    /// As for [`Scene::from_config`].
+    pub fn of<R: Real>(config: &Config, scene: &Scene<R>) -> Result<Self, BadInput> {
+        let grid = match config.scene {
+            Family::Custom => Some(Grid::of(config)?),
+            _ => None,
+        };
+        let speed = speed(config, scene, grid.as_ref());
+        let mut findings = Self {
+            particles: particles(&scene.model.tags),
+            criteria: criteria(config, scene.model.heat.is_some()),
+            speed,
+            narrowest: grid.as_ref().and_then(|grid| grid.narrowest(false)),
+            thinnest: grid.as_ref().and_then(|grid| grid.narrowest(true)),
+            warnings: vec![],
+        };
+        findings.warnings = findings.implausible(config, scene.model.heat.is_some());
+        Ok(findings)
+    }
+
+    /// The criterion with the smallest time step.
+    pub fn rules(&self) -> &'static str {
+        let smallest = self.criteria.iter().min_by(|a, b| a.dt.total_cmp(&b.dt));
+        smallest.map_or("none", |criterion| criterion.name)
+    }
+
+    fn implausible(&self, config: &Config, has_heat: bool) -> Vec<String> {
+        let mut all = Vec::new();
+        let (fluid, dx, u, c) = (&config.fluid, config.resolution.dx, self.speed, config.sound_speed());
+        let reference = fluid.reference_velocity;
+        let own = matches!(config.scene, Family::Custom | Family::HeatedChannel);
+        if own && u > reference * (1.0 + 1e-9) {
+            all.push(format!(
+                "the flow may become as fast as {u:.3}, a Mach number of {:.2}, and fluid.reference_velocity is {reference}: density \
+                 would change by {:.1} %; try fluid.reference_velocity={:.2} (smaller steps) or a smaller force",
+                u / c,
+                100.0 * (u / c).powi(2),
+                u
+            ));
+        }
+        if own && u > 0.0 && reference > TOO_CAREFUL * u {
+            all.push(format!(
+                "fluid.reference_velocity = {reference} is {:.0} times the fastest flow that is to be expected ({u:.3}): steps are \
+                 as many times smaller than need be",
+                reference / u
+            ));
+        }
+        let diffusivities = [
+            ("Reynolds", kinematic(config), "fluid.viscosity"),
+            ("Peclet", if has_heat { config.thermal_diffusivity() } else { f64::INFINITY }, "fluid.conductivity"),
+        ];
+        for (name, diffusivity, key) in diffusivities {
+            let cell = u * dx / diffusivity;
+            if cell > CELL_NUMBER {
+                all.push(format!(
+                    "the cell {name} number u dx / {} is {cell:.0}: layers at walls are thinner than a particle; try \
+                     resolution.dx={:.2e}, or a larger {key}",
+                    if name == "Reynolds" { "nu" } else { "alpha" },
+                    CELL_NUMBER * diffusivity / u
+                ));
+            }
+        }
+        let support = config.support();
+        if let Some(narrowest) = self.narrowest.filter(|&count| (count as f64) < 2.0 * support) {
+            all.push(format!(
+                "the narrowest passage is {narrowest} particles wide: below {:.0} a particle's sums reach both walls, and the flow \
+                 is not resolved; try resolution.dx={:.2e}",
+                2.0 * support,
+                dx * narrowest as f64 / (2.0 * support)
+            ));
+        }
+        let lines = config.shapes.iter().filter(|shape| shape.kind == Kind::Polyline);
+        let lines = lines.filter_map(|shape| shape.thickness).map(|thickness| thickness / dx);
+        let thinnest = self.thinnest.map(|count| count as f64).into_iter().chain(lines).reduce(f64::min);
+        if let Some(thinnest) = thinnest.filter(|&count| count < support * (1.0 - 1e-9)) {
+            all.push(format!(
+                "the thinnest wall is {thinnest:.1} particles thick, and the kernel reaches {support:.1}: fluid on one side sees the \
+                 fluid on the other; make it thicker, or dx smaller"
+            ));
+        }
+        if config.scene == Family::Custom {
+            let region = &config.region;
+            for (d, g) in region.acceleration.iter().enumerate().filter(|&(d, _)| !region.periodic[d]) {
+                let compression = g.abs() * region.size[d] / (c * c);
+                if compression > COMPRESSION {
+                    all.push(format!(
+                        "region.acceleration[{d}] = {g} compresses the fluid by {:.0} % over region.size[{d}]; try a larger \
+                         fluid.reference_velocity or fluid.sound_speed_factor",
+                        100.0 * compression
+                    ));
+                }
+            }
+            if fluid.background_pressure_factor == 0.0 && config.has_walls() {
+                all.push(
+                    "without a background pressure particles behind obstacles may leave holes; try \
+                     fluid.background_pressure_factor=0.05"
+                        .into(),
+                );
+            }
+            let crossing = region.size[0] / u;
+            if u > 0.0 && config.duration() < crossing && region.periodic[0] && region.acceleration[0] != 0.0 {
+                all.push(format!(
+                    "the run ends at {:.3}, before the flow has crossed the box once ({crossing:.3})",
+                    config.duration()
+                ));
+            }
+        }
+        if config.steps() > 2_000_000 {
+            all.push(format!("{} steps are many: rounding and patience have limits", config.steps()));
+        }
+        all
+    }
+}
+
+/// nu of a scene.
+fn kinematic(config: &Config) -> f64 {
+    match config.scene {
+        Family::HeatedChannel | Family::Custom => config.kinematic_viscosity(),
+        _ => 1.0 / config.flow.reynolds,
+    }
+}
+
+fn particles(tags: &[u8]) -> Vec<(&'static str, usize)> {
+    let kinds = [
+        (tag::FLUID, "fluid"),
+        (tag::WALL, "wall at rest"),
+        (tag::MOVING_WALL, "moving wall"),
+        (tag::HOT_WALL, "wall of set temperature"),
+        (tag::SURFACE, "point on a wall's surface"),
+        (tag::HOT_SURFACE, "point of set temperature"),
+    ];
+    let count = |kind: u8| tags.iter().filter(|&&tag| tag == kind).count();
+    kinds.into_iter().map(|(kind, name)| (name, count(kind))).filter(|(_, count)| *count > 0).collect()
+}
+
+fn criteria(config: &Config, has_heat: bool) -> Vec<Criterion> {
+    let (limits, square) = (config.time_step_limits(), config.resolution.dx.powi(2));
+    let viscous = config.time.diffusion_number * square / (kinematic(config) + config.artificial_kinematic_viscosity());
+    let mut all = vec![
+        Criterion { name: "sound", formula: "cfl dx / (c + u_ref)", dt: limits.acoustic },
+        Criterion { name: "viscosity", formula: "diffusion_number dx^2 / nu", dt: viscous },
+    ];
+    if has_heat {
+        let thermal = config.time.diffusion_number * square / config.thermal_diffusivity();
+        all.push(Criterion { name: "heat", formula: "diffusion_number dx^2 / alpha", dt: thermal });
+    }
+    if limits.force.is_finite() {
+        all.push(Criterion { name: "body force", formula: "0.25 sqrt(dx / g)", dt: limits.force });
+    }
+    all
+}
+
+/// The fastest of what moves at the start and what the body force may come to.
+fn speed<R: Real>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64 {
+    let (model, n) = (&scene.model, scene.model.particles());
+    let l = model.layout;
+    let is_velocity = |i: usize| !l.consistent || model.is_fluid(i);
+    let square = |i: usize| (0..l.dimension).map(|d| scene.start.state[(l.velocity() + d) * n + i].f64().powi(2)).sum();
+    let start = (0..n).filter(|&i| is_velocity(i)).map(square).fold(0.0, f64::max).sqrt();
+    let driven = match config.scene {
+        Family::HeatedChannel => config.plane_speed(),
+        Family::Custom => grid.map_or(0.0, |grid| grid.driven(config)),
+        _ => 1.0,
+    };
+    start.max(driven)
+}
+
+/// What is fluid and what is wall in a scene of one's own.
+struct Grid {
+    cells: [usize; 3],
+    periodic: [bool; 3],
+    dimension: usize,
+    is_wall: Vec<bool>,
+}
+
+impl Grid {
+    fn of(config: &Config) -> Result<Self, BadInput> {
+        let Geometry { lattice, is_wall, .. } = Geometry::of(config)?;
+        let mut cells = lattice.cells;
+        cells[lattice.dimension..].fill(1);
+        Ok(Self { cells, periodic: lattice.periodic, dimension: lattice.dimension, is_wall })
+    }
+
+    /// The number of the cell `by` further along direction `d`, if there is one.
+    fn step(&self, i: usize, d: usize, by: isize) -> Option<usize> {
+        let stride: usize = self.cells[..d].iter().product();
+        let (count, row) = (self.cells[d], i / stride % self.cells[d]);
+        let to = row as isize + by;
+        let to = match self.periodic[d] {
+            true => to.rem_euclid(count as isize),
+            false if (0..count as isize).contains(&to) => to,
+            false => return None,
+        };
+        Some(i + to as usize * stride - row * stride)
+    }
+
+    /// Runs of cells of one kind along direction `d` with the other kind at both ends.
+    fn runs(&self, d: usize, walls: bool) -> Vec<Vec<usize>> {
+        let mut all = Vec::new();
+        for i in (0..self.is_wall.len()).filter(|&i| self.is_wall[i] == walls) {
+            // Begins behind a cell of the other kind.
+            if self.step(i, d, -1).is_none_or(|before| self.is_wall[before] == walls) {
+                continue;
+            }
+            let mut run = vec![i];
+            let ends = loop {
+                match self.step(run[run.len() - 1], d, 1) {
+                    Some(next) if self.is_wall[next] != walls => break true,
+                    Some(next) => run.push(next),
+                    None => break false,
+                }
+            };
+            if ends {
+                all.push(run);
+            }
+        }
+        all
+    }
+
+    /// Cells across the narrowest passage, or the thinnest wall. Runs beside whose cells the other kind begins are left out:
+    /// the caps of round shapes.
+    fn narrowest(&self, walls: bool) -> Option<usize> {
+        let is_through = |run: &Vec<usize>, d: usize| {
+            let others = (0..self.dimension).filter(|&e| e != d);
+            others.flat_map(|e| [(e, -1), (e, 1)]).all(|(e, by)| {
+                run.iter().all(|&i| self.step(i, e, by).is_none_or(|beside| self.is_wall[beside] == walls))
+            })
+        };
+        (0..self.dimension)
+            .flat_map(|d| self.runs(d, walls).into_iter().filter(move |run| is_through(run, d)).map(|run| run.len()))
+            .min()
+    }
+
+    /// What the body force may drive the flow to: by the resistance of plane channels as wide as the passages, one section after
+    /// the other (lubrication), and never more than it accelerates free fluid to. Sides that are closed stop it.
+    fn driven(&self, config: &Config) -> f64 {
+        let (nu, dx, time) = (kinematic(config), config.resolution.dx, config.duration());
+        let mut fastest: f64 = 0.0;
+        for (d, g) in config.region.acceleration.iter().enumerate().filter(|(d, g)| **g != 0.0 && self.periodic[*d]) {
+            let free = g.abs() * time;
+            let stride: usize = self.cells[..d].iter().product();
+            let section = |i: usize| i / stride % self.cells[d];
+            // Sums of width^3 over the passages of each section, and its widest passage. In three dimensions a passage is as
+            // wide as it is in its narrower direction.
+            let (mut cubes, mut widest) = (vec![0.0; self.cells[d]], vec![0.0_f64; self.cells[d]]);
+            let across = |e: usize| {
+                let mut width = vec![f64::INFINITY; self.is_wall.len()];
+                for run in self.runs(e, false) {
+                    let length = run.len() as f64 * dx;
+                    run.iter().for_each(|&i| width[i] = length);
+                }
+                width
+            };
+            let widths: Vec<Vec<f64>> = (0..self.dimension).filter(|&e| e != d).map(across).collect();
+            for i in (0..self.is_wall.len()).filter(|&i| !self.is_wall[i]) {
+                let width = widths.iter().map(|width| width[i]).fold(f64::INFINITY, f64::min);
+                // A cell's share of its passage.
+                cubes[section(i)] += width.powi(2) * dx;
+                widest[section(i)] = widest[section(i)].max(width);
+            }
+            // Some section is closed.
+            if cubes.contains(&0.0) {
+                continue;
+            }
+            let resistance: f64 = cubes.iter().map(|cube| 12.0 * nu * dx / cube).sum();
+            let length = self.cells[d] as f64 * dx;
+            let rate = g.abs() * length / resistance;
+            let found = cubes.iter().zip(&widest).map(|(cube, width)| 1.5 * rate * width * width / cube);
+            // Infinitely wide: nothing holds it.
+            let found = found.fold(0.0, |most: f64, u| if u.is_finite() { most.max(u) } else { free });
+            fastest = fastest.max(if resistance > 0.0 { found.min(free) } else { free });
+        }
+        fastest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The findings of a custom scene with these shapes and settings.
+    fn findings(text: &str) -> Findings {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), format!("scene = \"custom\"\n{text}")).unwrap();
+        let loaded = Config::load(file.path().to_str(), None, &[]).unwrap_or_else(|error| panic!("{error}"));
+        Findings::of(&loaded.config, &Scene::<f64>::from_config(&loaded.config).unwrap()).unwrap()
+    }
+
+    fn warns(findings: &Findings, part: &str) -> bool {
+        findings.warnings.iter().any(|warning| warning.contains(part))
+    }
+
+    #[test]
+    fn a_plane_channel_is_plausible_and_as_fast_as_poiseuille() {
+        let plane = findings("");
+        // g H^2 / (8 nu) = 0.64 * 0.25 / 0.16.
+        assert!((plane.speed - 1.0).abs() < 1e-9, "{}", plane.speed);
+        assert_eq!((plane.narrowest, plane.thinnest), (Some(20), None));
+        assert_eq!(plane.particles, [("fluid", 800), ("wall at rest", 240)]);
+        assert_eq!(plane.warnings, [] as [&str; 0]);
+        let dts: Vec<f64> = plane.criteria.iter().map(|criterion| criterion.dt).collect();
+        let expected = [0.025 / 11.0, 0.25 * 0.025 * 0.025 / 0.02, 0.25 * (0.025_f64 / 0.64).sqrt()];
+        assert!(dts.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-12), "{dts:?}");
+        assert_eq!(plane.rules(), "sound");
+    }
+
+    #[test]
+    fn each_criterion_can_rule() {
+        assert_eq!(findings("[fluid]\nviscosity = 0.2\n").rules(), "viscosity");
+        assert_eq!(findings("[fluid]\nconductivity = 0.2\n").rules(), "sound", "without heat");
+        assert_eq!(findings("[initial]\ntemperature = 1\n[fluid]\nconductivity = 0.2\n").rules(), "heat");
+        assert_eq!(findings("[region]\nacceleration = [2000, 0]\n").rules(), "body force");
+    }
+
+    #[test]
+    fn implausible_numbers_are_found() {
+        assert!(warns(&findings("[region]\nacceleration = [6.4, 0]\n"), "as fast as 10.000, a Mach number of 1.00"));
+        assert!(warns(&findings("[region]\nacceleration = [0.03, 0]\n"), "is 21 times the fastest flow"));
+        let fast = findings("[initial]\nvelocity = [3, 0]\n");
+        assert!(warns(&fast, "as fast as 3.000") && fast.speed == 3.0);
+        assert!(warns(&findings("[fluid]\nviscosity = 0.001\n"), "cell Reynolds number"));
+        let heat = "[initial]\ntemperature = 1\n[fluid]\nconductivity = 1e-5\n";
+        assert!(warns(&findings(heat), "cell Peclet number"));
+        assert!(!warns(&findings("[fluid]\nconductivity = 1e-5\n"), "Peclet"), "without heat");
+        assert!(warns(&findings("[region]\nacceleration = [0.64, -10]\n"), "compresses the fluid by 5 %"));
+        assert!(warns(&findings("[time]\nend = 0.5\n"), "before the flow has crossed"));
+        assert!(warns(&findings("[fluid]\nbackground_pressure_factor = 0\n"), "background pressure"));
+    }
+
+    #[test]
+    fn passages_and_walls_are_measured() {
+        // A plate of two particles, and four particles of fluid above it.
+        let plate = findings("[[shapes]]\nkind = \"box\"\nlower = [0.2, 0.35]\nupper = [0.8, 0.4]\n");
+        assert_eq!((plate.narrowest, plate.thinnest), (Some(4), Some(2)));
+        assert!(warns(&plate, "4 particles wide") && warns(&plate, "2.0 particles thick"));
+        // A disc is as thick as its diameter, whatever its caps are.
+        let disc = findings("[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n");
+        assert_eq!((disc.narrowest, disc.thinnest), (Some(6), Some(8)));
+        assert!(disc.warnings.is_empty(), "{:?}", disc.warnings);
+        assert!(disc.speed < 1.0 && disc.speed > 0.3, "narrow gaps hold the flow: {}", disc.speed);
+        let line = "[[shapes]]\nkind = \"polyline\"\npoints = [[0.2, 0.1], [0.8, 0.4]]\nthickness = 0.05\n";
+        assert!(warns(&findings(line), "2.0 particles thick"));
+        // A wall across the channel stops the flow; a fluid without walls is accelerated for all of the time.
+        let closed = findings("[[shapes]]\nkind = \"box\"\nlower = [0.4, -1.0]\nupper = [0.5, 1.0]\n");
+        assert_eq!(closed.speed, 0.0);
+        let open = findings("[region]\nperiodic = [true, true]\n[time]\nend = 2\n");
+        assert!((open.speed - 1.28).abs() < 1e-9, "{}", open.speed);
+    }
+}

@@ -1,0 +1,354 @@
+//! What is compared with what is known.
+
+use super::{probe, reference};
+use crate::adjoint::run::run;
+use crate::config::layers::Setting;
+use crate::config::scene::Kernels;
+use crate::design::diagnostics::Measurement;
+use crate::scene::load::Loaded;
+use crate::scene::Scene;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::Solver;
+use crate::sph::Sweeps;
+use anyhow::{anyhow, bail};
+
+/// Samples of a steady flow, over the last quarter of its run.
+const SAMPLES: usize = 50;
+/// Places on a centre line.
+const PLACES: usize = 127;
+
+/// A named line of a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    pub name: String,
+    pub points: Vec<(f64, f64)>,
+}
+
+/// What came of a run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    pub error: f64,
+    /// What was measured and, last, what it is compared with; may be none.
+    pub curves: Vec<Curve>,
+}
+
+/// The quantity of a case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Measure {
+    /// Relative L2 error of the velocity at the end: (sum |u - u_exact|^2 / sum |u_exact|^2)^(1/2) over the particles.
+    Velocity,
+    /// Root mean square of the velocity's error at the end over [`crate::scene::Exact::amplitude`].
+    Profile,
+    /// Largest relative error of the mean kinetic energy on the way.
+    KineticEnergy,
+    /// Largest relative error of the extrema of u on x = 1/2 and of v on y = 1/2 of the steady cavity.
+    CentreLines,
+    /// Relative error of the outflowing heat over a flat wall.
+    Outflow,
+    /// Largest relative error of the outflowing heat over four walls that are not flat.
+    Shapes,
+    /// Largest error of the pressure of still water at the end, over that at the bottom.
+    HydrostaticPressure,
+    /// Fastest particle of still water over the last quarter of the run, over (g H)^(1/2).
+    Rest,
+    /// Mean relative error of the front of a collapsing column of water at the experiment's times.
+    Front,
+    /// 1 - cosine between the gradient of the outflowing heat over a flat wall and that of finite elements, the two nodes at each
+    /// end of the hot section summed: kernels smear its edge between them.
+    Gradient,
+}
+
+/// Walls of [`Measure::Shapes`], by their names in the reference, with an amplitude of 0.02.
+const SHAPES: [&str; 4] = ["up", "sin1", "cos2", "Wcen"];
+
+impl Measure {
+    /// Runs a scene and measures it; `progress` sees the share of the run that is done.
+    ///
+    /// # Errors
+    /// A run that does not get to its end.
+    pub fn take<R: Sweeps>(
+        self,
+        loaded: &Loaded,
+        scene: &Scene<R>,
+        progress: &mut dyn FnMut(f64),
+    ) -> anyhow::Result<Found> {
+        match self {
+            Self::Velocity | Self::Profile => self.velocity(scene, progress),
+            Self::KineticEnergy => kinetic_energy(scene, progress),
+            Self::CentreLines => centre_lines(scene, progress),
+            Self::Outflow => {
+                let table = reference::heated_channel();
+                let exact = table.column("Q")[0];
+                Ok(Found { error: (outflow(scene, progress)? / exact - 1.0).abs(), curves: vec![] })
+            }
+            Self::HydrostaticPressure | Self::Rest => self.still_water(loaded, scene, progress),
+            Self::Front => front(loaded, scene, progress),
+            Self::Shapes => shapes::<R>(loaded, progress),
+            Self::Gradient => gradient::<R>(loaded, progress),
+        }
+    }
+
+    /// What the curves' axes are.
+    pub fn axes(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Velocity | Self::Profile => ("y", "velocity"),
+            Self::KineticEnergy => ("time", "mean kinetic energy"),
+            Self::CentreLines => ("place on the line", "velocity"),
+            Self::HydrostaticPressure => ("pressure / (density g H)", "y / H"),
+            Self::Rest => ("time", "fastest particle / (g H)^(1/2)"),
+            Self::Front => ("t (2 g / a)^(1/2)", "front / a"),
+            Self::Outflow | Self::Shapes => ("wall", "outflowing heat Q"),
+            Self::Gradient => ("x", "1000 dQ / d offset"),
+        }
+    }
+
+    fn velocity<R: Sweeps>(self, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+        let solver = watched(scene, progress, &mut |_| ())?;
+        let time = solver.step as f64 * scene.model.dt;
+        let figures = scene.figures(&solver.state, time);
+        let amplitude = scene.exact.amplitude(time);
+        let (Some(error), Some(amplitude), Some(energy)) =
+            (figures.velocity_error, amplitude, figures.exact_kinetic_energy)
+        else {
+            bail!("the flow has no exact solution");
+        };
+        let fluid = (0..scene.model.particles()).filter(|&i| scene.model.is_fluid(i)).count() as f64;
+        let mean_square = 2.0 * energy / (scene.model.mass * fluid);
+        let error = match self {
+            Self::Velocity => error * amplitude / mean_square.sqrt(),
+            _ => error,
+        };
+        let mut curves = vec![];
+        if let Some(height) = scene.exact.profile_height() {
+            let (n, l) = (scene.model.particles(), scene.model.layout);
+            let mut points: Vec<(f64, f64)> = (0..n)
+                .filter(|&i| scene.model.is_fluid(i))
+                .map(|i| (solver.state[n + i].f64(), solver.state[l.velocity() * n + i].f64()))
+                .collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            curves.push(Curve { name: "hydrograd".into(), points });
+            let exact = (0..=200)
+                .map(|k| height * k as f64 / 200.0)
+                .filter_map(|y| Some((y, scene.exact.velocity([0.0, y, 0.0], time)?[0])));
+            curves.push(Curve { name: "exact".into(), points: exact.collect() });
+        }
+        Ok(Found { error, curves })
+    }
+}
+
+impl Measure {
+    fn still_water<R: Sweeps>(
+        self,
+        loaded: &Loaded,
+        scene: &Scene<R>,
+        progress: &mut dyn FnMut(f64),
+    ) -> anyhow::Result<Found> {
+        let config = &loaded.config;
+        let (height, gravity, density) = (config.water.height, -config.fluid.gravity[1], config.fluid.density);
+        let (n, l) = (scene.model.particles(), scene.model.layout);
+        let fluid: Vec<usize> = (0..n).filter(|&i| scene.model.is_fluid(i)).collect();
+        let mut speeds = Vec::new();
+        let mut solver = watched(scene, progress, &mut |solver| {
+            if solver.step.is_multiple_of(20) {
+                let square = |i: usize| {
+                    (0..l.dimension).map(|d| solver.state[(l.velocity() + d) * n + i].f64().powi(2)).sum::<f64>()
+                };
+                let fastest =
+                    fluid.iter().map(|&i| square(i)).fold(0.0_f64, |most, x| if x <= most { most } else { x });
+                speeds.push((solver.step as f64 * scene.model.dt, (fastest / (gravity * height)).sqrt()));
+            }
+        })?;
+        if self == Self::Rest {
+            let end = speeds.last().map_or(0.0, |last| last.0);
+            let late = speeds.iter().filter(|(time, _)| *time >= 0.75 * end).map(|point| point.1);
+            let error = late.fold(0.0_f64, |most, x| if x <= most { most } else { x });
+            return Ok(Found { error, curves: vec![Curve { name: "hydrograd".into(), points: speeds }] });
+        }
+        solver.look();
+        let (mut error, mut points) = (0.0_f64, Vec::new());
+        for &i in &fluid {
+            let y = solver.state[n + i].f64();
+            let pressure =
+                scene.model.equation_of_state.pressure(solver.primitives[i]).f64() / (density * gravity * height);
+            let off = (pressure - (1.0 - y / height)).abs();
+            error = if off <= error { error } else { off };
+            points.push((pressure, y / height));
+        }
+        let exact = vec![(1.0, 0.0), (0.0, 1.0)];
+        let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "exact".into(), points: exact }];
+        Ok(Found { error, curves })
+    }
+}
+
+fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let config = &loaded.config;
+    let (width, gravity) = (config.water.length, -config.fluid.gravity[1]);
+    let n = scene.model.particles();
+    let mut points = Vec::new();
+    watched(scene, progress, &mut |solver| {
+        let fluid = (0..n).filter(|&i| scene.model.is_fluid(i));
+        let front = fluid.map(|i| solver.state[i].f64()).fold(f64::NEG_INFINITY, f64::max) + 0.5 * scene.spacing;
+        let time = solver.step as f64 * scene.model.dt;
+        points.push((time * (2.0 * gravity / width).sqrt(), front / width));
+    })?;
+    let table = reference::dam_break_front();
+    let (t, z): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    let end = t.last().copied().unwrap_or_default();
+    let seen: Vec<(f64, f64)> =
+        table.column("T").into_iter().zip(table.column("Z")).filter(|(time, _)| *time <= end).collect();
+    if seen.is_empty() {
+        bail!("the run ends before the experiment's first time");
+    }
+    let error = seen.iter().map(|(time, exact)| (reference::between(&t, &z, *time) / exact - 1.0).abs()).sum::<f64>();
+    let curves = vec![
+        Curve { name: "hydrograd".into(), points },
+        Curve { name: "Martin and Moyce (1952)".into(), points: seen.clone() },
+    ];
+    Ok(Found { error: error / seen.len() as f64, curves })
+}
+
+/// Runs a scene to its end.
+fn watched<R: Sweeps>(
+    scene: &Scene<R>,
+    progress: &mut dyn FnMut(f64),
+    see: &mut dyn FnMut(&Solver<R>),
+) -> anyhow::Result<Solver<R>> {
+    let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
+    let mut watch = |_: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
+        progress(solver.step as f64 / scene.steps as f64);
+        see(solver);
+        Ok(())
+    };
+    run(&dynamics, &scene.start, scene.steps, &mut [&mut watch])
+}
+
+fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let table = reference::taylor_green_3d();
+    let (times, energies) = (table.column("time"), table.column("kinetic_energy"));
+    let volume: f64 = scene.model.domain.size[..scene.model.layout.dimension].iter().product();
+    let density = scene.model.equation_of_state.reference_density;
+    let mut points = Vec::new();
+    watched(scene, progress, &mut |solver| {
+        let time = solver.step as f64 * scene.model.dt;
+        let energy = scene.figures(&solver.state, time).kinetic_energy;
+        points.push((time, energy / (density * volume)));
+    })?;
+    // The reference's times; ours are close enough together to be joined by lines.
+    let (t, e): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    let end = t.last().copied().unwrap_or_default();
+    let compared = times.iter().zip(&energies).filter(|(time, _)| **time <= end + 1e-9);
+    let error = compared.map(|(time, energy)| (reference::between(&t, &e, *time) / energy - 1.0).abs());
+    let error = error.fold(0.0_f64, |most, x| if x <= most { most } else { x });
+    let exact = times.into_iter().zip(energies).filter(|(time, _)| *time <= end + 1e-9).collect();
+    let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "spectral".into(), points: exact }];
+    Ok(Found { error, curves })
+}
+
+fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let wall = |d: usize| -scene.corner[d];
+    let every = (scene.steps / 4 / SAMPLES).max(1);
+    let (mut u, mut v, mut count) = (vec![0.0; PLACES], vec![0.0; PLACES], 0.0);
+    let mut missing = 0;
+    watched(scene, progress, &mut |solver| {
+        if solver.step < scene.steps - scene.steps / 4 || !solver.step.is_multiple_of(every) {
+            return;
+        }
+        count += 1.0;
+        for k in 0..PLACES {
+            let s = (k + 1) as f64 / (PLACES + 1) as f64;
+            let at = |x: f64, y: f64| probe::velocity(&scene.model, &solver.state, [x + wall(0), y + wall(1)]);
+            match (at(0.5, s), at(s, 0.5)) {
+                (Some(across), Some(along)) => {
+                    u[k] += across[0];
+                    v[k] += along[1];
+                }
+                _ => missing += 1,
+            }
+        }
+    })?;
+    if missing > 0 || count == 0.0 {
+        bail!("{missing} places of the centre lines have too few particles around");
+    }
+    let table = reference::lid_driven_cavity();
+    let least = |x: &[f64]| x.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = |x: &[f64]| x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (exact_u, exact_v) = (table.column("u"), table.column("v"));
+    let (u, v): (Vec<f64>, Vec<f64>) = (u.iter().map(|x| x / count).collect(), v.iter().map(|x| x / count).collect());
+    let pairs = [(least(&u), least(&exact_u)), (most(&v), most(&exact_v)), (least(&v), least(&exact_v))];
+    let error = pairs.iter().map(|(found, exact)| (found / exact - 1.0).abs()).fold(0.0, f64::max);
+    let places = || (0..PLACES).map(|k| (k + 1) as f64 / (PLACES + 1) as f64);
+    let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.into(), points };
+    let s = table.column("s");
+    let curves = vec![
+        curve("u on x = 1/2", places().zip(u).collect()),
+        curve("v on y = 1/2", places().zip(v).collect()),
+        curve("u, finite differences", s.iter().copied().zip(exact_u).collect()),
+        curve("v, finite differences", s.iter().copied().zip(exact_v).collect()),
+    ];
+    Ok(Found { error, curves })
+}
+
+/// Q.
+fn outflow<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
+    let Some(design) = &scene.design else { bail!("the scene has no outflowing heat") };
+    let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
+    let mut measured = Measurement::of(design);
+    let mut watch = |_: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
+        progress(solver.step as f64 / scene.steps as f64);
+        Ok(())
+    };
+    run(&dynamics, &scene.start, scene.steps, &mut [&mut measured, &mut watch])?;
+    Ok(measured.diagnostics().q)
+}
+
+fn shapes<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let table = reference::heated_channel();
+    let (names, amplitudes, exact) = (table.texts("shape"), table.column("A"), table.column("Q"));
+    let (mut error, mut ours, mut theirs) = (0.0_f64, Vec::new(), Vec::new());
+    for (number, shape) in SHAPES.iter().enumerate() {
+        let row = (0..names.len()).find(|&k| names[k] == *shape && amplitudes[k] == 0.02);
+        let row = row.ok_or_else(|| anyhow!("the reference has no wall {shape}"))?;
+        let offsets: Vec<f64> = (0..25).map(|k| table.column(&format!("o{k}"))[row]).collect();
+        let wall = loaded.with(&[Setting::set(&nodes()), Setting::set(&format!("design.offsets={offsets:?}"))])?;
+        let scene = Scene::<R>::from_config(&wall.config)?;
+        let before = number as f64;
+        let q = outflow(&scene, &mut |part| progress((before + part) / SHAPES.len() as f64))?;
+        let off = (q / exact[row] - 1.0).abs();
+        error = if off <= error { error } else { off };
+        ours.push((before, q));
+        theirs.push((before, exact[row]));
+    }
+    let curves = vec![
+        Curve { name: "hydrograd".into(), points: ours },
+        Curve { name: "finite elements".into(), points: theirs },
+    ];
+    Ok(Found { error, curves })
+}
+
+/// The columns that the finite elements' walls are given at.
+fn nodes() -> String {
+    let nodes: Vec<f64> = (0..25).map(|k| (26 + 2 * k) as f64 / 100.0).collect();
+    format!("design.nodes={nodes:?}")
+}
+
+fn gradient<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    let search = loaded.with(&[Setting::set(&nodes())])?.for_search()?;
+    let scene = Scene::<R>::from_config(&search.config)?;
+    let Some(problem) = &scene.design else { bail!("the scene has no design") };
+    let schedule = problem.schedule(&search.config.optimise, search.config.run.precision)?;
+    let found = problem.differentiate(&problem.first, &schedule, progress)?;
+    let summed = |g: &[f64]| -> Vec<f64> {
+        let last = g.len() - 1;
+        [&[g[0] + g[1]], &g[2..last - 1], &[g[last - 1] + g[last]]].concat()
+    };
+    let (ours, theirs) = (summed(&found.by_variables), summed(&reference::HEATED_CHANNEL_GRADIENT));
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let cosine = dot(&ours, &theirs) / (dot(&ours, &ours) * dot(&theirs, &theirs)).sqrt();
+    let at = |g: &[f64]| g.iter().enumerate().map(|(k, g)| (0.26 + 0.02 * k as f64, *g)).collect();
+    let scaled: Vec<f64> = found.by_variables.iter().map(|g| 1e3 * g).collect();
+    let curves = vec![
+        Curve { name: "hydrograd".into(), points: at(&scaled) },
+        Curve { name: "finite elements".into(), points: at(&reference::HEATED_CHANNEL_GRADIENT) },
+    ];
+    Ok(Found { error: 1.0 - cosine, curves })
+}

@@ -1,0 +1,142 @@
+//! Scenes against their exact solutions and independent references: what `hydrograd validate` runs.
+//!
+//! A [`Case`] is a scene whose answer is known, a quantity that is compared ([`measure`]), the resolutions that it runs at and
+//! what each must reach; every run is done in double and in single precision. The cases are a table, [`cases::all`].
+
+pub mod cases;
+pub mod measure;
+pub mod probe;
+pub mod reference;
+
+pub use cases::Case;
+pub use measure::{Curve, Found, Measure};
+
+use crate::config::scene::Config;
+use crate::numerics::lanes::Real;
+use crate::scene::load::Loaded;
+use crate::scene::Scene;
+use crate::sph::Sweeps;
+use serde::Serialize;
+use std::time::Instant;
+
+/// One resolution of a case, run in both precisions.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    pub case: &'static str,
+    pub quantity: &'static str,
+    pub reference: &'static str,
+    /// Particle spacing.
+    pub dx: f64,
+    pub particles: usize,
+    pub steps: usize,
+    /// In double precision; none if the run did not get to its end.
+    pub error: Option<f64>,
+    /// In single precision.
+    pub error_f32: Option<f64>,
+    /// ln(error / error of the row before) / ln(dx / its dx), of the same case.
+    pub order: Option<f64>,
+    pub tolerance: f64,
+    /// Wall time of the run in double precision.
+    pub seconds: f64,
+    pub seconds_f32: f64,
+    /// Whether both errors are within the tolerance.
+    pub passed: bool,
+    /// Why a run did not get to its end.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failure: Option<String>,
+}
+
+/// Everything that was found of one case.
+#[derive(Debug, Clone)]
+pub struct Validated {
+    pub case: Case,
+    pub rows: Vec<Row>,
+    /// Of the finest run in double precision, the reference's last.
+    pub curves: Vec<Curve>,
+}
+
+impl Case {
+    /// Runs the case at its resolutions; `quick`: at those that take little time. `progress` sees the share of the work done.
+    ///
+    /// # Errors
+    /// A configuration that is not allowed, which is a mistake in the table.
+    pub fn run(&self, quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Validated> {
+        let levels: Vec<_> = self.levels.iter().filter(|level| level.is_quick || !quick).collect();
+        let loaded = |precision: &str, level: &cases::Level| {
+            let mut settings: Vec<String> =
+                [self.settings, level.settings].concat().iter().map(|s| s.to_string()).collect();
+            settings.push(format!("run.precision={precision}"));
+            settings.push("output.frames=0".into());
+            Config::load(Some(self.scene), None, &settings)
+        };
+        let work = |level: &cases::Level| -> anyhow::Result<f64> {
+            let config = loaded("f64", level)?.config;
+            Ok(config.steps() as f64 / config.resolution.dx.powi(config.dimension() as i32))
+        };
+        let works = levels.iter().map(|level| work(level)).collect::<anyhow::Result<Vec<f64>>>()?;
+        let (total, mut done) = (works.iter().sum::<f64>(), 0.0);
+        let (mut rows, mut curves) = (Vec::<Row>::new(), Vec::new());
+        for (level, work) in levels.iter().zip(works) {
+            let half = 0.5 * work / total;
+            let double =
+                attempt::<f64>(&loaded("f64", level)?, self.measure, &mut |part| progress(done + part * half))?;
+            done += half;
+            let single =
+                attempt::<f32>(&loaded("f32", level)?, self.measure, &mut |part| progress(done + part * half))?;
+            done += half;
+            let error = |run: &Attempt| run.found.as_ref().ok().map(|found| found.error);
+            let within = |run: &Attempt| error(run).is_some_and(|error| error <= level.tolerance);
+            let order = rows
+                .last()
+                .zip(error(&double))
+                .and_then(|(before, error)| Some((before.error? / error).ln() / (before.dx / double.dx).ln()));
+            rows.push(Row {
+                case: self.name,
+                quantity: self.quantity,
+                reference: self.reference,
+                dx: double.dx,
+                particles: double.particles,
+                steps: double.steps,
+                error: error(&double),
+                error_f32: error(&single),
+                order: order.filter(|order| order.is_finite()),
+                tolerance: level.tolerance,
+                seconds: double.seconds,
+                seconds_f32: single.seconds,
+                passed: within(&double) && within(&single),
+                failure: double.found.as_ref().err().or(single.found.as_ref().err()).cloned(),
+            });
+            if let Ok(found) = double.found {
+                curves = found.curves;
+            }
+        }
+        Ok(Validated { case: self.clone(), rows, curves })
+    }
+}
+
+/// One run.
+struct Attempt {
+    dx: f64,
+    particles: usize,
+    steps: usize,
+    seconds: f64,
+    /// Or why there is nothing.
+    found: Result<Found, String>,
+}
+
+fn attempt<R: Sweeps + Real>(
+    loaded: &Loaded,
+    measure: Measure,
+    progress: &mut dyn FnMut(f64),
+) -> anyhow::Result<Attempt> {
+    let scene = Scene::<R>::from_config(&loaded.config)?;
+    let clock = Instant::now();
+    let found = measure.take(loaded, &scene, progress);
+    let seconds = clock.elapsed().as_secs_f64();
+    let found = found.map_err(|error| error.to_string()).and_then(|found| match found.error.is_finite() {
+        true => Ok(found),
+        false => Err(format!("the error is {}", found.error)),
+    });
+    let particles = scene.model.particles();
+    Ok(Attempt { dx: scene.spacing, particles, steps: scene.steps, seconds, found })
+}

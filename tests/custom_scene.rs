@@ -1,0 +1,327 @@
+//! Scenes of one's own: against built-in ones, exact solutions, areas of shapes, and what their files may get wrong.
+
+use assert_cmd::Command;
+use hydrograd::adjoint::run::run;
+use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::particles::tag;
+use hydrograd::scene::Scene;
+use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::solver::Solver;
+use std::path::{Path, PathBuf};
+
+/// The configuration of a file that begins with `scene = "custom"`.
+fn config(text: &str) -> Config {
+    loaded(text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn loaded(text: &str) -> Result<Config, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    std::fs::write(&file, format!("scene = \"custom\"\n{text}")).unwrap();
+    match Config::load(file.to_str(), None, &[]) {
+        Ok(loaded) => {
+            // What a run writes down is what it was given.
+            assert_eq!(toml::from_str::<Config>(&loaded.text).unwrap(), loaded.config);
+            Ok(loaded.config)
+        }
+        Err(error) => Err(error.to_string().replace(&format!("{}/", folder.path().display()), "")),
+    }
+}
+
+fn scene(text: &str) -> Scene<f64> {
+    Scene::from_config(&config(text)).unwrap()
+}
+
+fn end(scene: &Scene<f64>, steps: usize) -> Solver<f64> {
+    let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
+    run(&dynamics, &scene.start, steps, &mut []).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn built_in(name: &str, sets: &[&str]) -> Scene<f64> {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    Scene::from_config(&Config::load(Some(name), None, &sets).unwrap().config).unwrap()
+}
+
+/// The same numbers to the bit as the scene that is compiled in.
+#[test]
+fn a_plane_channel_is_the_built_in_one() {
+    let theirs = built_in("poiseuille", &["resolution.dx=0.0625", "flow.reynolds=0.0125", "time.steps=40"]);
+    let text = "[region]\nsize = [0.75, 1.0]\nacceleration = [640.0, 0.0]\n[resolution]\ndx = 0.0625\n\
+                [fluid]\nviscosity = 80.0\ntransport_velocity = 1.0\nbackground_pressure_factor = 0.0\n[time]\nsteps = 40\n";
+    let ours = scene(text);
+    assert_eq!((&ours.model.tags, ours.model.dt), (&theirs.model.tags, theirs.model.dt));
+    assert_eq!(ours.start.state, theirs.start.state);
+    assert_eq!(ours.corner, theirs.corner);
+    let (ours, theirs) = (end(&ours, 40), end(&theirs, 40));
+    assert!(ours.row(2).iter().fold(0.0, |most: f64, u| most.max(*u)) > 1e-3, "nothing moves");
+    assert_eq!(ours.state, theirs.state);
+}
+
+/// A lid that slides where it is, and one whose particles move and come in again.
+#[test]
+fn a_lid_is_the_built_in_one() {
+    let theirs = built_in(
+        "lid-driven-cavity",
+        &["fluid.formulation=standard", "resolution.dx=0.05", "time.end=1", "time.jitter=0"],
+    );
+    let ours = scene(
+        "[region]\nsize = [1.0, 1.0]\nperiodic = [false, false]\nacceleration = [0.0, 0.0]\n[resolution]\ndx = 0.05\n\
+         [fluid]\nviscosity = 0.01\nbackground_pressure_factor = 0.01\n[time]\nend = 1.0\n\
+         [[shapes]]\nkind = \"box\"\nlower = [-1.0, 1.0]\nupper = [2.0, 2.0]\nvelocity = [1.0, 0.0]\n",
+    );
+    assert_eq!(ours.model.tags, theirs.model.tags);
+    let steps = theirs.steps;
+    let (a, b) = (end(&ours, steps), end(&theirs, steps));
+    let energy = |scene: &Scene<f64>, solver: &Solver<f64>| scene.figures(&solver.state, 1.0).kinetic_energy;
+    let (a, b) = (energy(&ours, &a), energy(&theirs, &b));
+    // What differs is where the lid's particles stand beside the fluid's.
+    assert!(b > 0.005 && (a / b - 1.0).abs() < 0.02, "{a} is not {b}");
+}
+
+#[test]
+fn heat_between_two_walls_is_linear() {
+    let scene = scene(
+        "[region]\nsize = [0.4, 0.5]\nacceleration = [0.0, 0.0]\n[initial]\ntemperature = \"1.5 + 0.2*sin(PI*x)\"\n\
+         [fluid]\nconductivity = 0.1\n[time]\nend = 5.0\n\
+         [[shapes]]\nkind = \"box\"\nlower = [0.0, -0.5]\nupper = [0.4, 0.0]\ntemperature = 1.0\n\
+         [[shapes]]\nkind = \"where\"\npositive = \"y - 0.5\"\ntemperature = \"2 + 0*x\"\n",
+    );
+    let hot = scene.model.tags.iter().filter(|&&tag| tag == tag::HOT_WALL).count();
+    assert_eq!(hot, 2 * 3 * 16);
+    let solver = end(&scene, scene.steps);
+    let (l, n) = (scene.model.layout, scene.model.particles());
+    let mut worst: f64 = 0.0;
+    for i in (0..n).filter(|&i| scene.model.is_fluid(i)) {
+        let (y, t) = (solver.row(1)[i], solver.row(l.temperature())[i] + 1.0);
+        worst = worst.max((t - (1.0 + y / 0.5)).abs());
+    }
+    assert!(worst < 0.01, "{worst}");
+}
+
+/// A roll that turns takes the fluid around with it and stays where it is; gradients know that too (tests/operators.rs).
+#[test]
+fn a_roll_turns_and_stays() {
+    let scene = scene(
+        "[region]\nsize = [0.8, 0.8]\nperiodic = [false, false]\nacceleration = [0.0, 0.0]\n[time]\nend = 0.5\n\
+         [[shapes]]\nkind = \"disc\"\ncentre = [0.4, 0.4]\nradius = 0.15\nvelocity = [\"(0.4 - y)/0.15\", \"(x - 0.4)/0.15\"]\n",
+    );
+    let n = scene.model.particles();
+    let solver = end(&scene, scene.steps);
+    let (mut momentum, mut moved) = (0.0, 0.0_f64);
+    for i in 0..n {
+        let [x, y, u, v] = std::array::from_fn(|k| solver.row(k)[i]);
+        if scene.model.is_fluid(i) {
+            momentum += scene.model.mass * ((x - 0.4) * v - (y - 0.4) * u);
+        } else {
+            moved = moved.max((x - scene.start.state[i]).abs() + (y - scene.start.state[n + i]).abs());
+        }
+    }
+    assert_eq!(moved, 0.0, "walls slide");
+    // Of rigid rotation as fast as the surface of the roll: the integral of r^2 / 0.15 over the square without the disc, 0.43.
+    assert!(momentum > 0.004 && momentum < 0.43, "{momentum}");
+}
+
+/// A force in every direction of space accelerates a fluid without walls by g t.
+#[test]
+fn a_body_force_is_a_vector() {
+    for (size, g) in [("[0.4, 0.4]", "[0.3, -0.2]"), ("[0.4, 0.4, 0.4]", "[0.3, -0.2, 0.1]")] {
+        let d = g.matches(',').count() + 1;
+        let periodic = vec!["true"; d].join(", ");
+        let text = format!(
+            "[region]\nsize = {size}\nperiodic = [{periodic}]\nacceleration = {g}\n[resolution]\ndx = 0.05\n[time]\nsteps = 20\n"
+        );
+        let scene = scene(&text);
+        // The first step knows no acceleration yet.
+        let t = 19.0 * scene.model.dt;
+        let solver = end(&scene, 20);
+        for (k, g) in [0.3, -0.2, 0.1][..d].iter().enumerate() {
+            let worst = solver.row(d + k).iter().fold(0.0, |most: f64, u| most.max((u - g * t).abs()));
+            assert!(worst < 1e-12, "direction {k} of {d}: {worst:e}");
+        }
+    }
+}
+
+fn count(text: &str) -> usize {
+    let scene = scene(text);
+    let n = scene.model.particles();
+    let inside = |i: usize| {
+        let domain = &scene.model.domain;
+        (0..domain.dimension).all(|d| (0.0..1.0).contains(&scene.start.state[d * n + i]))
+    };
+    (0..n).filter(|&i| inside(i) && !scene.model.is_fluid(i)).count()
+}
+
+/// Shapes hold as many particles as their area, or volume, has cells.
+#[test]
+fn shapes_are_as_large_as_they_are() {
+    use std::f64::consts::PI;
+    let square = "[region]\nsize = [1.0, 1.0]\nacceleration = [0.0, 0.0]\n[resolution]\ndx = 0.01\n[[shapes]]\n";
+    let cube = "[region]\nsize = [1.0, 1.0, 1.0]\nperiodic = [true, false, true]\nacceleration = [0.0, 0.0, 0.0]\n\
+                [resolution]\ndx = 0.025\n[[shapes]]\n";
+    let cases = [
+        (square, "kind = \"box\"\nlower = [0.2, 0.3]\nupper = [0.5, 0.7]", 0.12, 1e-9),
+        (square, "kind = \"disc\"\ncentre = [0.5, 0.5]\nradius = 0.3", 0.09 * PI, 0.01),
+        // Through the periodic side.
+        (square, "kind = \"disc\"\ncentre = [0.0, 0.5]\nradius = 0.3", 0.09 * PI, 0.01),
+        (square, "kind = \"disc\"\ncentre = [0.95, 0.5]\nradius = 0.3", 0.09 * PI, 0.01),
+        (square, "kind = \"where\"\npositive = \"0.09 - (x - 0.5)^2 - (y - 0.5)^2\"", 0.09 * PI, 0.01),
+        (square, "kind = \"polygon\"\npoints = [[0.1, 0.1], [0.9, 0.1], [0.1, 0.7]]", 0.24, 0.01),
+        // Two arms at a right angle, half a disc at both ends, a quarter at the bend.
+        (
+            square,
+            "kind = \"polyline\"\npoints = [[0.2, 0.2], [0.6, 0.5], [0.3, 0.9]]\nthickness = 0.1",
+            0.1 + 0.005 * 0.5 * PI + 0.0025 * (0.25 * PI - 1.0),
+            0.02,
+        ),
+        (cube, "kind = \"disc\"\ncentre = [0.5, 0.5, 0.5]\nradius = 0.3", 4.0 / 3.0 * PI * 0.027, 0.02),
+        (cube, "kind = \"cylinder\"\ncentre = [0.5, 0.5, 0.5]\nradius = 0.2\naxis = \"z\"", 0.04 * PI, 0.02),
+        (cube, "kind = \"cylinder\"\ncentre = [0.5, 0.5, 0.5]\nradius = 0.2\naxis = \"y\"", 0.04 * PI, 0.02),
+        (cube, "kind = \"polygon\"\npoints = [[0.1, 0.1], [0.9, 0.1], [0.1, 0.7]]", 0.24, 0.02),
+    ];
+    for (space, shape, expected, tolerance) in cases {
+        let cell = if space == square { 1e-4 } else { 0.025f64.powi(3) };
+        let found = count(&format!("{space}{shape}\n")) as f64 * cell;
+        assert!((found / expected - 1.0).abs() < tolerance, "{shape}: {found} is not {expected}");
+    }
+    // The later shape counts: an opening in a wall.
+    let holes =
+        "kind = \"box\"\nlower = [0.4, -1.0]\nupper = [0.5, 2.0]\n[[shapes]]\nkind = \"box\"\nfill = \"fluid\"\n\
+                 lower = [0.0, 0.4]\nupper = [1.0, 0.6]\n";
+    assert_eq!(count(&format!("{square}{holes}")), 10 * 80);
+}
+
+#[test]
+fn wrong_files_are_one_clear_error() {
+    let disc = "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n";
+    let cases: &[(&str, &[&str])] = &[
+        (
+            "[initial]\nvelocity = [\"sni(y)\", 0]",
+            &["mine.toml, line 3", "initial.velocity[0] = \"sni(y)\"", "allowed: a number"],
+        ),
+        ("[initial]\nvelocity = [\"z\", 0]", &["`z` is unknown", "2 dimensions has x, y"]),
+        ("[initial]\nvelocity = [1]", &["initial.velocity = [1] has 1 components", "2 numbers or formulas"]),
+        ("[initial]\ntemperature = true", &["mine.toml", "a number or a formula"]),
+        (
+            "[initial]\ntemperature = \"1/(y - 0.0125)\"",
+            &["initial.temperature is inf at x = 0.0125, y = 0.0125", "line 3"],
+        ),
+        ("[region]\nsize = [1.0]", &["region.size = [1.0]", "two or three lengths"]),
+        ("[region]\nsize = [1.0, 0.51]", &["does not divide region.size[1] = 0.51", "region.size[1] = 0.5"]),
+        ("[region]\nperiodic = [true]", &["region.periodic = [true]", "2 entries"]),
+        ("[region]\nsize = [0.1, 0.5]", &["too coarse for region.size[0] = 0.1", "6.4 spacings"]),
+        ("[region]\ninlet_until = 0.1", &["region.inlet_until = 0.1 in a scene without heat", "initial.temperature"]),
+        (
+            "[initial]\ntemperature = 1\n[region]\ninlet_until = 0.5\noutlet_from = 0.4",
+            &["region.outlet_from = 0.4", "above region.inlet_until"],
+        ),
+        ("shapes = [{ kind = \"ball\" }]", &["mine.toml", "ball", "disc"]),
+        (
+            "shapes = [{ kind = \"disc\", centre = [0.5, 0.2] }]",
+            &["line 2", "shapes[0].radius: is missing", "centre, radius"],
+        ),
+        (
+            "shapes = [{ kind = \"box\", lower = [0, 0], upper = [1, 0.1], radius = 3 }]",
+            &["shapes[0].radius", "no meaning"],
+        ),
+        (
+            "shapes = [{ kind = \"box\", lower = [0, 0.2], upper = [1, 0.1] }]",
+            &["shapes[0].upper", "upper above lower"],
+        ),
+        ("shapes = [{ kind = \"disc\", centre = [0.5], radius = 0.1 }]", &["shapes[0].centre", "2 finite numbers"]),
+        ("shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = -1 }]", &["shapes[0].radius", "a length above 0"]),
+        ("shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = 0.1, colour = 1 }]", &["unknown field", "colour"]),
+        ("shapes = [{ kind = \"disc\", centre = [5.5, 0.2], radius = 0.1 }]", &["shapes[0] holds no particle"]),
+        ("shapes = [{ kind = \"where\", positive = \"1\" }]", &["the shapes leave no fluid"]),
+        ("shapes = [{ kind = \"where\", positive = \"x >\" }]", &["shapes[0].positive = \"x >\""]),
+        ("shapes = [{ kind = \"polygon\", points = [[0, 0], [1, 1]] }]", &["shapes[0].points", "at least 3 points"]),
+        (
+            "shapes = [{ kind = \"cylinder\", centre = [0.5, 0.2], radius = 0.1, axis = \"z\" }]",
+            &["a cylinder in two dimensions", "disc"],
+        ),
+        ("shapes = 3", &["mine.toml", "line 2"]),
+        (
+            "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\ntemperature = 2",
+            &["without heat", "initial.temperature"],
+        ),
+        ("[fluid]\nformulation = \"consistent\"", &["scene of one's own", "standard"]),
+        ("[resolution]\nkernel = \"super-gaussian\"", &["super-gaussian", "with walls"]),
+        ("[resolution]\ndx = 1e-6", &["makes 5.0e11 particles"]),
+        ("[fluid]\nbody_force = 2", &["`fluid.body_force` is not a key of scene custom"]),
+        ("[channel]\nheight = 2", &["`channel.height` is not a key of scene custom"]),
+    ];
+    for (text, parts) in cases {
+        let error = loaded(text).err().unwrap_or_else(|| panic!("accepted: {text}"));
+        for part in *parts {
+            assert!(error.contains(part), "{text}\n{error}\nhas no `{part}`");
+        }
+    }
+    let warm = format!("{disc}temperature = \"1/(x - x)\"\n[initial]\ntemperature = 1\n");
+    let error = loaded(&warm).unwrap_err();
+    assert!(error.contains("shapes[0].temperature is") && error.contains("a finite number"), "{error}");
+    // Keys of scenes of one's own belong to them.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    std::fs::write(&file, "scene = \"poiseuille\"\n[region]\nsize = [1.0, 1.0]\n").unwrap();
+    let error = Config::load(file.to_str(), None, &[]).unwrap_err().to_string();
+    assert!(error.contains("`region.size` is not a key of scene poiseuille") && error.contains("custom"), "{error}");
+}
+
+fn examples() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/scenes/examples");
+    let mut all: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    all.sort();
+    all
+}
+
+/// The examples are plausible, and the check draws them.
+#[test]
+fn examples_can_be_checked_and_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let output =
+            Command::cargo_bin("hydrograd").unwrap().current_dir(folder.path()).args(arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).to_string();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        text
+    };
+    assert_eq!(examples().len(), 2);
+    for file in examples() {
+        let name = file.file_stem().unwrap().to_str().unwrap();
+        let file = file.to_str().unwrap();
+        let text = run(&["scenes", "check", file, "--out", name, "--threads", "1"]);
+        for part in ["particles ", "wall of set temperature", "sound rules", "run time", "nothing looks implausible"] {
+            assert!(text.contains(part), "{name}: no `{part}` in\n{text}");
+        }
+        let picture = std::fs::metadata(folder.path().join(name).join("particles.png")).unwrap();
+        assert!(picture.len() > 5000, "an empty picture");
+        let out = format!("{name}-run");
+        let text = run(&[
+            "simulate",
+            file,
+            "--set",
+            "time.steps=40",
+            "--set",
+            "output.frames=2",
+            "--out",
+            &out,
+            "--threads",
+            "1",
+        ]);
+        assert!(text.contains("flow.png, temperature.png"), "{text}");
+        for file in ["flow.png", "temperature.png", "state.h5", "config.toml", "particles.pvd"] {
+            let place = if file.ends_with("pvd") { format!("particles/{file}") } else { file.into() };
+            assert!(folder.path().join(&out).join(place).exists(), "{file}");
+        }
+    }
+    // Any scene can be checked.
+    let text =
+        run(&["scenes", "check", "taylor-green", "--set", "resolution.dx=0.05", "--out", "flow", "--threads", "1"]);
+    assert!(text.contains("400 fluid") && text.contains("viscosity"), "{text}");
+    let small = ["[0.4, 0.4, 0.4]", "[true, true, true]", "[0.1, 0.0, 0.0]"];
+    let sets = ["region.size", "region.periodic", "region.acceleration"];
+    let sets: Vec<String> = sets.iter().zip(small).map(|(key, value)| format!("{key}={value}")).collect();
+    let mut arguments = vec!["scenes", "check", "custom", "--out", "cube", "--set", "resolution.dx=0.05"];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    let text = run(&arguments);
+    assert!(text.contains("512 in all: 512 fluid") && folder.path().join("cube/particles.png").exists(), "{text}");
+}
