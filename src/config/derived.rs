@@ -20,9 +20,14 @@ impl Config {
         self.fluid.sound_speed_factor * self.fluid.reference_velocity
     }
 
-    /// alpha = conductivity / (density * heat_capacity).
+    /// alpha = conductivity / (density * heat_capacity); of verification flows the largest that there is, in their own units.
     pub fn thermal_diffusivity(&self) -> f64 {
-        self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
+        match self.scene {
+            // The lower half's is 1.
+            Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
+            Family::IsothermalChannel => 1.0 / (self.flow.reynolds * self.heat.prandtl),
+            _ => self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity),
+        }
     }
 
     /// Kinematic viscosity nu = viscosity / density.
@@ -62,7 +67,7 @@ impl Config {
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
-            Family::TaylorGreen3d | Family::DamBreak3d => 3,
+            Family::TaylorGreen3d | Family::ReversePoiseuille3d | Family::LidDrivenCavity3d | Family::DamBreak3d => 3,
             Family::Custom => self.region.size.len(),
             _ => 2,
         }
@@ -96,7 +101,8 @@ impl Config {
     }
 
     /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
-    /// nu with the artificial viscosity, half of it for velocity Verlet; the verification flows have nu = 1 / Re and no heat. Under gravity g the first is no more than
+    /// nu with the artificial viscosity, half of it for velocity Verlet; the verification flows have nu = 1 / Re and most no heat.
+    /// Under gravity g the first is no more than
     /// cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2). Fixed particles take no larger cfl
     /// than 0.144 c / u where the plane channel's fastest flow u is faster than 0.12 c.
     pub fn time_step_limits(&self) -> TimeStepLimits {
@@ -105,6 +111,8 @@ impl Config {
         let diffusivity = match self.scene {
             _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            Family::Slab => self.thermal_diffusivity(),
+            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.thermal_diffusivity()),
             Family::Custom if self.initial.temperature.is_some() => {
                 (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
             }

@@ -163,6 +163,8 @@ fn kinematic(config: &Config) -> f64 {
     match config.scene {
         Family::HeatedChannel | Family::Custom => config.kinematic_viscosity(),
         _ if config.scene.has_surface() => config.kinematic_viscosity(),
+        // At rest; its model has this one.
+        Family::Slab => 1.0,
         _ => 1.0 / config.flow.reynolds,
     }
 }
