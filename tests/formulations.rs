@@ -329,7 +329,6 @@ fn walls_slip_or_hold() {
 /// The gradient of the kinetic energy after some steps, by the first state, along random directions.
 #[test]
 fn gradients_are_derivatives() {
-    const STEPS: usize = 3;
     let cases: [(&str, Options, Flux, Slip, bool); 8] = [
         ("renormalisation", wet(2), Flux::Pair, Slip::None, true),
         ("delta", wet(2), delta(DensityGradient::Renormalised), Slip::None, false),
@@ -347,17 +346,19 @@ fn gradients_are_derivatives() {
         ("free slip, transport", Options { transport: true, heat: true, ..wet(2) }, Flux::Pair, Slip::Free, false),
     ];
     for (name, options, flux, slip, renormalises) in cases {
+        // Three steps: what the first makes of the density, the third's velocities have seen. In 3D one fewer, to be quick.
+        let steps = 5 - options.dimension;
         let scene = RandomScene::new(options);
         let model = model(&scene, flux, slip, renormalises);
         assert!(!model.is_fused(), "{name} is tested by tests/operators.rs");
         let (n, dynamics) = (scene.particles(), Sph::new(model.clone(), Kernels::Fused));
-        let objective = FinalSum { steps: STEPS, of: Summed::KineticEnergy };
+        let objective = FinalSum { steps, of: Summed::KineticEnergy };
         let start = Snapshot::first(&model, scene.state.clone());
-        let found = gradient(&dynamics, &start, &Schedule::segments(STEPS, 2), &objective, &mut |_| ()).unwrap();
+        let found = gradient(&dynamics, &start, &Schedule::segments(steps, 2), &objective, &mut |_| ()).unwrap();
         let bar = numbers(&found.state);
         let energy = |state: &[f64]| {
             let mut solver = Solver::new(model.clone(), state.to_vec()).unwrap();
-            (0..STEPS).for_each(|_| solver.advance().unwrap());
+            (0..steps).for_each(|_| solver.advance().unwrap());
             let fluid = |k: &usize| model.is_fluid(k % n);
             let velocity = solver.state[model.layout.velocity() * n..].iter().take(options.dimension * n);
             velocity.enumerate().filter(|(k, _)| fluid(k)).map(|(_, u)| 0.5 * u * u).sum::<f64>()
@@ -378,9 +379,11 @@ fn gradients_are_derivatives() {
                 energy(&state)
             };
             let quotient = |h: f64| (at(-2.0 * h) - 8.0 * at(-h) + 8.0 * at(h) - at(2.0 * h)) / (12.0 * h);
-            // Limiter, renormalisation and guards have kinks; a smaller step rarely meets one.
-            let gap = [1e-5, 1e-6].map(|h| (slope - quotient(h)).abs() / terms.sqrt().max(1e-300));
-            assert!(gap[0].min(gap[1]) < 1e-6, "{name}, row {row}: {slope} differs by {gap:?} of its terms");
+            // Limiter, renormalisation and guards have kinks, which a smaller step rarely meets; accelerations of the start
+            // change little, which only a larger one resolves.
+            let gaps = [1e-4, 1e-5, 1e-6].map(|h| (slope - quotient(h)).abs() / terms.sqrt().max(1e-300));
+            let gap = gaps.into_iter().fold(f64::INFINITY, f64::min);
+            assert!(gap < 1e-6, "{name}, row {row}: {slope} differs by {gaps:?} of its terms");
         }
     }
 }

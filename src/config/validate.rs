@@ -2,6 +2,7 @@
 
 use crate::config::builtin::SCENES;
 use crate::config::custom::ShapeEntry;
+use crate::config::formula::Formula;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
     BodyForceRegion, Config, DensityEquation, DesignWalls, DriveName, DynamicsName, Family, FluxName, Formulation,
@@ -38,7 +39,7 @@ impl Schema for Config {
         config.time.steps = Some(1);
         config.shapes = vec![ShapeEntry::complete()];
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
-        config.initial.temperature = Some(1.0.into());
+        config.initial.temperature = Some(Formula("1 + x".into()));
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);
