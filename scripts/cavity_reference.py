@@ -1,10 +1,12 @@
-"""Steady flow in a cubic lid-driven cavity by finite differences: the reference of tests/flows.rs.
+"""Steady flow in a cubic lid-driven cavity by finite differences, to compare the scene lid-driven-cavity-3d with.
 
 Staggered grid, second-order central differences, explicit steps, exact projection (the pressure's matrix is diagonal in
 cosines). Prints u on the vertical and v on the horizontal line through the centre, and with `square` the same for a cavity
 without walls in front and behind, which is Ghia, Ghia and Shin's (1982).
 
     python3 scripts/cavity_reference.py [cells a side] [square]
+
+From 36 and 54 cells, extrapolated: u(0.5, 0.4531) = -0.215, v(0.2344, 0.5) = 0.151, v(0.8047, 0.5) = -0.250.
 """
 import sys
 

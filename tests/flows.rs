@@ -316,7 +316,7 @@ fn fluxes_of_two_materials_are_the_same_through_every_plane() {
 
 #[test]
 fn warm_walls_have_the_nusselt_number_of_theory() {
-    // 12 across; at 20 it is 0.2 % and less (src/scene/README.md).
+    // 12 across; at 20 it is 0.23 % and 0.03 % (src/scene/README.md).
     let coarse = "resolution.dx=0.08333333333333333";
     let both = end("isothermal-channel", &[coarse]);
     let one = end("isothermal-channel", &[coarse, "heat.upper_wall=adiabatic", "channel.length=7", "time.end=25"]);
