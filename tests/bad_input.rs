@@ -552,6 +552,19 @@ fn numbers_of_the_flows() {
     );
     refuses("poiseuille", "resolution.dx=0.2", &["too coarse", "six spacings"]);
     refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);
+    refuses("slab", "resolution.dx=0.03", &["does not divide 0.5", "try: --set resolution.dx=0.0294"]);
+    refuses("slab", "resolution.dx=0.1", &["too coarse", "8 spacings"]);
+    refuses("slab", "heat.conductivity_ratio=0", &["heat.conductivity_ratio = 0", "0.000001", "= 1"]);
+    refuses("slab", "flow.reynolds=1", &["not a key of scene slab"]);
+    refuses("poiseuille", "heat.prandtl=2", &["not a key of scene poiseuille", "isothermal-channel"]);
+    refuses("isothermal-channel", "channel.length=5.02", &["channel.length = 5.02", "try: --set channel.length=5"]);
+    refuses("isothermal-channel", "channel.hot_from=0.2", &["channel.hot_from = 0.2", "channel.inlet_length"]);
+    refuses("reverse-poiseuille-3d", "resolution.dx=0.04", &["does not divide 0.5, the depth"]);
+    case.refuses(
+        &["simulate", "slab", "--set", "heat.conductivity_ratio=10", "--set", "fluid.formulation=consistent"],
+        &["heat.conductivity_ratio = 10", "try: --set fluid.formulation=standard"],
+    );
+    case.refuses(&["generate", "slab", "--out", "data"], &["no data sets of scene slab", "generate heated-channel"]);
     refuses("poiseuille", "time.end=1e9", &["time.end = 1000000000", "steps"]);
 }
 

@@ -271,6 +271,7 @@ fn scenes() -> Vec<Options> {
             smoothing: if on(5) { 2.8 / kernel.support() } else { 1.0 },
             artificial_viscosity: on(5),
             density: false,
+            materials: false,
             seed: k,
         });
     }
@@ -278,6 +279,13 @@ fn scenes() -> Vec<Options> {
     for k in 0..16 {
         let plain = all[(k * 5 + 8) % 64];
         all.push(Options { density: true, artificial_viscosity: k % 2 == 0, seed: 64 + k as u64, ..plain });
+    }
+    // Materials, alone and with all that goes with them.
+    for k in 0..4 {
+        let on = |bit: u64| k >> bit & 1 == 1;
+        let rich =
+            Options { transport: false, materials: true, seed: 80 + k, ..Options::rich(if on(0) { 3 } else { 2 }) };
+        all.push(Options { mass: on(1), artificial_viscosity: on(1), ..rich });
     }
     // A process that tries another instruction set takes a few of them.
     let stride = std::env::var(STRIDE).map_or(1, |s| s.parse().unwrap());
@@ -437,6 +445,54 @@ fn pairs_conserve_momentum_and_heat() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn materials_conduct_by_their_harmonic_mean_and_keep_their_heat() {
+    for dimension in [2, 3] {
+        let rich = Options {
+            transport: false,
+            materials: true,
+            walls: false,
+            periodic: [true; 3],
+            ..Options::rich(dimension)
+        };
+        let mut scene = RandomScene::new(rich);
+        (scene.body_force, scene.open_everywhere) = (BodyForce::None, true);
+        let (model, n) = (scene.model::<f64>(), scene.particles());
+        let moved = apply1(drift::Drift(model.clone(), model.dt), &tensor(&scene.state::<f64>(), n)).unwrap();
+        let numbers_moved = numbers(&moved);
+        let step = scene.step(&model, &numbers_moved);
+        let density = numbers(&apply1(density::Density(Chain::new(step)), &moved).unwrap());
+        let (rates, mass) = rates_of::<f64>(&scene);
+        let rate = &rates[model.layout.rate_temperature() * n..][..n];
+        let temperature = &numbers_moved[model.layout.moved_temperature() * n..][..n];
+        // c_i dT_i/dt = sum_j m_j 4 k_i k_j / (rho_i rho_j (k_i + k_j)) (T_i - T_j) F_ij (Cleary and Monaghan 1999, eq. 28).
+        let heat = model.heat.as_ref().unwrap();
+        let (k, c) = (&scene.conductivity, &scene.capacity);
+        let (mut heat_flows, mut size) = (0.0, 0.0);
+        for i in 0..n {
+            let mut expected = 0.0;
+            for j in (0..n).filter(|&j| j != i) {
+                let r2: f64 = (0..dimension)
+                    .map(|d| model.domain.nearest(d, numbers_moved[d * n + i] - numbers_moved[d * n + j]).powi(2))
+                    .sum();
+                let pair = 4.0 * k[i] * k[j] / (density[i] * density[j] * (k[i] + k[j])) * heat.conductivity;
+                expected += mass[j] * pair * (temperature[i] - temperature[j]) * model.kernel.pair(r2).1;
+            }
+            expected /= c[i] * heat.capacity;
+            assert!((rate[i] - expected).abs() < 1e-9 * expected.abs().max(1.0), "{i}: {} is not {expected}", rate[i]);
+            heat_flows += mass[i] * c[i] * rate[i];
+            size += (mass[i] * c[i] * rate[i]).abs();
+        }
+        assert!(size > 0.0 && heat_flows.abs() < 1e-13 * size, "{heat_flows:e} of {size:e} is lost");
+        // With one material the law is the one without.
+        (scene.conductivity, scene.capacity) = (vec![1.0; n], vec![1.0; n]);
+        let equal = rates_of::<f64>(&scene).0;
+        scene.options.materials = false;
+        let none = rates_of::<f64>(&scene).0;
+        assert!(difference(&tensor(&equal, n), &tensor(&none, n)) < SAME);
     }
 }
 

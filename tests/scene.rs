@@ -464,7 +464,8 @@ fn flows_follow_the_configuration() {
     assert_eq!((flow.model.dt, loaded.config.steps()), (0.5 / 43.0, 43), "0.25 dx / 11 = 0.0119");
     let poiseuille = Config::load(Some("poiseuille"), None, &["time.steps=7".into()]).unwrap().config;
     let flow = Scene::<f32>::from_config(&poiseuille).unwrap();
-    assert_eq!(flow.model.particles(), 12 * 46);
+    // 40 rows, three in each wall, and points on the walls' surfaces.
+    assert_eq!(flow.model.particles(), 12 * 46 + 24);
     assert!((flow.model.dt - 0.25 * 0.025 * 0.025 * 0.0125).abs() < 1e-18);
     assert!(flow.design.is_none() && Scene::<f64>::from_config(&Config::default()).unwrap().design.is_some());
 }

@@ -104,7 +104,7 @@ pub fn plot_scene(
     let of_fluid =
         shown.iter().zip(&tag).filter(|(_, tag)| **tag == crate::particles::tag::FLUID).map(|(value, _)| *value);
     let (low, high) = of_fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-    let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0) * 1e-6) };
+    let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0)) };
     let panel = TemperaturePanel { title, position: &position, temperature: &shown, tag: &tag, diameter: dx };
     let wide = |d: usize| {
         let (low, high) = ends(d);

@@ -102,7 +102,11 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };
     let mut frames = Frames::new(&folder.join(&part), scene.steps, config.output.frames)?;
     let bar = Progress::new(scene.steps as u64, "simulate");
-    let label = if scene.design.is_some() { "Q" } else { "kinetic energy" };
+    let label = match (&scene.design, scene.history_columns()[1]) {
+        (Some(_), _) => "Q",
+        (None, "lower_wall_flux") => "flux through the lower wall",
+        _ => "kinetic energy",
+    };
     let mut show = |step: usize, row: &[f64]| {
         bar.set_position(step as u64);
         bar.message(format!("{label} {:.5}", row[1]));

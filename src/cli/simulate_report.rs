@@ -9,7 +9,7 @@ use crate::report::plots::compare;
 use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
-use crate::scene::Scene;
+use crate::scene::{Exact, Scene};
 use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
@@ -73,12 +73,14 @@ pub fn report_design<R: Sweeps>(
 /// Of a verification flow.
 pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> anyhow::Result<()> {
     let Finished { loaded, folder, scene, .. } = finished;
-    plot_energy(folder, finished.history)?;
+    let rests = found.wall_flux.is_some();
+    if !rests {
+        plot_energy(folder, finished.history)?;
+    }
     let profile = scene.exact.profile_height();
     if let Some(height) = profile {
         plot_profile(folder, scene, finished.end, height)?;
     }
-    let profile = profile.is_some();
     let mut pictures = String::new();
     if loaded.config.scene == Family::Custom {
         let end = finished.end;
@@ -94,27 +96,50 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     }
     files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
     println!("time                {:.6}", found.time);
-    println!(
-        "kinetic energy      {:.6}{}",
-        found.kinetic_energy,
-        against(found.kinetic_energy, found.exact_kinetic_energy)
-    );
-    println!("fastest particle    {:.6}", found.largest_velocity);
+    if !rests {
+        println!(
+            "kinetic energy      {:.6}{}",
+            found.kinetic_energy,
+            against(found.kinetic_energy, found.exact_kinetic_energy)
+        );
+        println!("fastest particle    {:.6}", found.largest_velocity);
+    }
     match found.velocity_error {
-        Some(error) => println!(
-            "velocity error      {error:.6}   root mean square over the particles, over {}",
-            if profile { "the steady centre line" } else { "the exact amplitude" }
-        ),
+        Some(error) => println!("velocity error      {}", mean_error(error, scene.exact.amplitude_name())),
+        None if rests => {}
         None => println!("velocity error      unknown: this flow has no closed form"),
     }
+    if let Some(error) = found.temperature_error {
+        println!("temperature error   {}", mean_error(error, "the walls' difference"));
+    }
+    if let (Some(flux), Some(exact)) = (found.wall_flux, found.exact_wall_flux) {
+        for (wall, flux, exact) in [("lower", flux[0], exact[0]), ("upper", flux[1], exact[1])] {
+            println!("flux, {wall} wall    {flux:.6}{}", against(flux, Some(exact)));
+        }
+    }
+    match (found.nusselt, found.exact_nusselt) {
+        (Some(nusselt), exact) => println!("Nusselt number      {nusselt:.4}{}", against(nusselt, exact)),
+        (None, Some(exact)) => println!(
+            "Nusselt number      exact {exact:.4}, not measured: the warm walls end before the profile is developed \
+             (a larger channel.length)"
+        ),
+        (None, None) => {}
+    }
     println!(
-        "files in {}: summary.json, history.csv, kinetic_energy.png{pictures}{}, state.h5{}",
+        "files in {}: summary.json, history.csv{}{pictures}{}, state.h5{}",
         folder.display(),
-        if profile { ", profile.png" } else { "" },
+        if rests { "" } else { ", kinetic_energy.png" },
+        if profile.is_some() { ", profile.png" } else { "" },
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
     Ok(())
+}
+
+/// With as many digits as say something.
+fn mean_error(error: f64, over: &str) -> String {
+    let digits = if error < 1e-4 { format!("{error:.2e}") } else { format!("{error:.6}") };
+    format!("{digits}   root mean square over the particles, over {over}")
 }
 
 fn against(value: f64, exact: Option<f64>) -> String {
@@ -141,7 +166,7 @@ fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `profile.png` and `.svg`: the velocity along the channel over the height.
+/// `profile.png` and `.svg`: the velocity along the channel, or the temperature of what is at rest, over the height.
 fn plot_profile<R: Sweeps>(
     folder: &Path,
     flow: &Scene<R>,
@@ -149,16 +174,24 @@ fn plot_profile<R: Sweeps>(
     highest: f64,
 ) -> anyhow::Result<()> {
     let n = flow.model.particles();
+    let temperature = fields.temperature.as_ref().filter(|_| matches!(flow.exact, Exact::Slab(_)));
+    let (what, unit) = match temperature {
+        Some(_) => ("Temperature profile", "temperature"),
+        None => ("Velocity profile", "velocity along x"),
+    };
+    let value = |i: usize| temperature.map_or(fields.velocity[i], |temperature| temperature[i]);
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
-    let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], fields.velocity[i])).collect();
+    let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], value(i))).collect();
     simulated.sort_by(|a, b| a.0.total_cmp(&b.0));
     let height = |k: usize| highest * k as f64 / PROFILE as f64;
-    let exact = (0..=PROFILE)
-        .filter_map(|k| Some((height(k), flow.exact.velocity([0.0, height(k), 0.0], fields.time)?[0])))
-        .collect();
-    let title = format!("Velocity profile at t = {:.4}", fields.time);
+    let known = |y: f64| match temperature {
+        Some(_) => flow.exact.temperature([0.0, y, 0.0], fields.time),
+        None => flow.exact.velocity([0.0, y, 0.0], fields.time).map(|u| u[0]),
+    };
+    let exact = (0..=PROFILE).filter_map(|k| Some((height(k), known(height(k))?))).collect();
+    let title = format!("{what} at t = {:.4}", fields.time);
     let curves = [("simulated".to_string(), simulated), ("exact".to_string(), exact)];
-    compare(&folder.join("profile"), &title, "y", "velocity along x", &curves, false, false)?;
+    compare(&folder.join("profile"), &title, "y", unit, &curves, false, false)?;
     Ok(())
 }
 
@@ -173,6 +206,11 @@ fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize,
         "exact_kinetic_energy": found.exact_kinetic_energy,
         "largest_velocity": found.largest_velocity,
         "velocity_error": found.velocity_error,
+        "temperature_error": found.temperature_error,
+        "wall_flux": found.wall_flux,
+        "exact_wall_flux": found.exact_wall_flux,
+        "nusselt": found.nusselt,
+        "exact_nusselt": found.exact_nusselt,
         "wall_seconds": seconds,
         "peak_memory_bytes": peak_memory_bytes(),
         "version": VERSION,

@@ -84,14 +84,40 @@ pub const SCENES: &[BuiltIn] = &[
         text: include_str!("../../data/scenes/poiseuille.toml"),
     },
     BuiltIn {
+        name: "couette",
+        description:
+            "2D flow between plane walls whose upper one begins to move, against its exact solution (no design)",
+        text: include_str!("../../data/scenes/couette.toml"),
+    },
+    BuiltIn {
         name: "reverse-poiseuille",
         description: "2D opposite streams in a periodic box, against their exact solution (no design)",
         text: include_str!("../../data/scenes/reverse-poiseuille.toml"),
     },
     BuiltIn {
+        name: "reverse-poiseuille-3d",
+        description: "the same in a box that is thin and periodic in z (no design)",
+        text: include_str!("../../data/scenes/reverse-poiseuille-3d.toml"),
+    },
+    BuiltIn {
         name: "lid-driven-cavity",
         description: "2D vortex in a box whose upper wall moves, without a closed form (no design)",
         text: include_str!("../../data/scenes/lid-driven-cavity.toml"),
+    },
+    BuiltIn {
+        name: "lid-driven-cavity-3d",
+        description: "the same in a cube (no design)",
+        text: include_str!("../../data/scenes/lid-driven-cavity-3d.toml"),
+    },
+    BuiltIn {
+        name: "slab",
+        description: "2D heat conduction in one or two materials at rest, against its exact solution (no design)",
+        text: include_str!("../../data/scenes/slab.toml"),
+    },
+    BuiltIn {
+        name: "isothermal-channel",
+        description: "2D developed flow between warm walls, against the exact Nusselt number (no design)",
+        text: include_str!("../../data/scenes/isothermal-channel.toml"),
     },
     BuiltIn {
         name: "dam-break",

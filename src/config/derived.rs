@@ -1,6 +1,6 @@
 //! Quantities that follow from a configuration.
 
-use crate::config::scene::{Config, DriveName, Family, Formulation, Motion};
+use crate::config::scene::{Config, DriveName, Family, Formulation, IntegratorName, Motion};
 
 /// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,9 +20,14 @@ impl Config {
         self.fluid.sound_speed_factor * self.fluid.reference_velocity
     }
 
-    /// alpha = conductivity / (density * heat_capacity).
+    /// alpha = conductivity / (density * heat_capacity); of verification flows the largest that there is, in their own units.
     pub fn thermal_diffusivity(&self) -> f64 {
-        self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity)
+        match self.scene {
+            // The lower half's is 1.
+            Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
+            Family::IsothermalChannel => 1.0 / (self.flow.reynolds * self.heat.prandtl),
+            _ => self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity),
+        }
     }
 
     /// Kinematic viscosity nu = viscosity / density.
@@ -62,7 +67,7 @@ impl Config {
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
-            Family::TaylorGreen3d | Family::DamBreak3d => 3,
+            Family::TaylorGreen3d | Family::ReversePoiseuille3d | Family::LidDrivenCavity3d | Family::DamBreak3d => 3,
             Family::Custom => self.region.size.len(),
             _ => 2,
         }
@@ -96,7 +101,8 @@ impl Config {
     }
 
     /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
-    /// nu with the artificial viscosity; the verification flows have nu = 1 / Re and no heat. Under gravity g the first is no more than
+    /// nu with the artificial viscosity, half of it for velocity Verlet; the verification flows have nu = 1 / Re and most no heat.
+    /// Under gravity g the first is no more than
     /// cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2). Fixed particles take no larger cfl
     /// than 0.144 c / u where the plane channel's fastest flow u is faster than 0.12 c.
     pub fn time_step_limits(&self) -> TimeStepLimits {
@@ -105,6 +111,8 @@ impl Config {
         let diffusivity = match self.scene {
             _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
             Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            Family::Slab => self.thermal_diffusivity(),
+            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.thermal_diffusivity()),
             Family::Custom if self.initial.temperature.is_some() => {
                 (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
             }
@@ -118,6 +126,8 @@ impl Config {
             Motion::Fixed if mach > 0.12 => 1.2 * 0.12 / mach,
             _ => f64::INFINITY,
         };
+        // Its explicit rates are those of Adams and Bashforth, which are stable for half of what Euler's are.
+        let share = if self.time.integrator == IntegratorName::Verlet { 0.5 } else { 1.0 };
         let gravity = self.fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let falling = match self.scene.has_surface() {
             true => self.time.cfl * (dx / gravity).sqrt(),
@@ -126,7 +136,7 @@ impl Config {
         TimeStepLimits {
             acoustic: (self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity))
                 .min(falling),
-            diffusive: self.time.diffusion_number * dx * dx / diffusivity,
+            diffusive: share * self.time.diffusion_number * dx * dx / diffusivity,
             force: match self.scene {
                 Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),
                 _ => f64::INFINITY,
@@ -227,6 +237,7 @@ mod tests {
         let mut config = Family::TaylorGreen.defaults();
         config.fluid.artificial_viscosity = 4.0;
         config.resolution.smoothing_length = 1.0;
+        config.time.integrator = IntegratorName::SymplecticEuler;
         // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
         let mut config = Family::TaylorGreen3d.defaults();

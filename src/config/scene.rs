@@ -21,6 +21,7 @@ pub struct Config {
     pub resolution: Resolution,
     pub channel: Channel,
     pub flow: Flow,
+    pub heat: Heat,
     pub tank: Tank,
     pub water: Water,
     pub fluid: Fluid,
@@ -44,8 +45,15 @@ pub enum Family {
     #[serde(rename = "taylor-green-3d")]
     TaylorGreen3d,
     Poiseuille,
+    Couette,
     ReversePoiseuille,
+    #[serde(rename = "reverse-poiseuille-3d")]
+    ReversePoiseuille3d,
     LidDrivenCavity,
+    #[serde(rename = "lid-driven-cavity-3d")]
+    LidDrivenCavity3d,
+    Slab,
+    IsothermalChannel,
     DamBreak,
     #[serde(rename = "dam-break-3d")]
     DamBreak3d,
@@ -63,8 +71,13 @@ impl Family {
             Self::TaylorGreen => "taylor-green",
             Self::TaylorGreen3d => "taylor-green-3d",
             Self::Poiseuille => "poiseuille",
+            Self::Couette => "couette",
             Self::ReversePoiseuille => "reverse-poiseuille",
+            Self::ReversePoiseuille3d => "reverse-poiseuille-3d",
             Self::LidDrivenCavity => "lid-driven-cavity",
+            Self::LidDrivenCavity3d => "lid-driven-cavity-3d",
+            Self::Slab => "slab",
+            Self::IsothermalChannel => "isothermal-channel",
             Self::DamBreak => "dam-break",
             Self::DamBreak3d => "dam-break-3d",
             Self::FallingBlock => "falling-block",
@@ -149,6 +162,29 @@ pub struct Channel {
 pub struct Flow {
     /// Reference velocity * length / kinematic viscosity.
     pub reynolds: f64,
+}
+
+/// Heat of the verification flows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Heat {
+    /// Slab: conductivity of the upper half over that of the lower one, and heat capacity.
+    pub conductivity_ratio: f64,
+    pub capacity_ratio: f64,
+    /// Isothermal channel: kinematic viscosity over thermal diffusivity.
+    pub prandtl: f64,
+    /// Isothermal channel: what the upper wall is to heat.
+    pub upper_wall: UpperWall,
+}
+
+/// The upper wall of the isothermal channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpperWall {
+    /// Warm, as the lower one.
+    #[default]
+    Isothermal,
+    Adiabatic,
 }
 
 /// A box with walls all around.
@@ -726,6 +762,12 @@ impl Default for Channel {
 impl Default for Flow {
     fn default() -> Self {
         Self { reynolds: 100.0 }
+    }
+}
+
+impl Default for Heat {
+    fn default() -> Self {
+        Self { conductivity_ratio: 1.0, capacity_ratio: 1.0, prandtl: 1.0, upper_wall: UpperWall::Isothermal }
     }
 }
 

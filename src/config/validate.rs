@@ -2,6 +2,7 @@
 
 use crate::config::builtin::SCENES;
 use crate::config::custom::ShapeEntry;
+use crate::config::formula::Formula;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
     BodyForceRegion, Config, DensityEquation, DesignWalls, DriveName, DynamicsName, Family, FluxName, Formulation,
@@ -38,7 +39,7 @@ impl Schema for Config {
         config.time.steps = Some(1);
         config.shapes = vec![ShapeEntry::complete()];
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
-        config.initial.temperature = Some(1.0.into());
+        config.initial.temperature = Some(Formula("1 + x".into()));
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);
@@ -73,6 +74,8 @@ impl Schema for Config {
                 false => self.check_box()?,
             }
             self.check_flow()?;
+            self.check_materials()?;
+            self.check_warm_walls()?;
             self.check_methods()?;
             return self.check_steps();
         }
@@ -101,6 +104,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         resolution,
         channel,
         flow,
+        heat,
         tank,
         water,
         fluid,
@@ -128,6 +132,9 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("channel.inlet_length", channel.inlet_length, NotNegative),
         ("channel.outlet_length", channel.outlet_length, NotNegative),
         ("flow.reynolds", flow.reynolds, Positive),
+        ("heat.conductivity_ratio", heat.conductivity_ratio, Within(1e-6, 1e6)),
+        ("heat.capacity_ratio", heat.capacity_ratio, Within(1e-6, 1e6)),
+        ("heat.prandtl", heat.prandtl, Within(1e-3, 1e3)),
         ("tank.length", tank.length, Positive),
         ("tank.height", tank.height, Positive),
         ("tank.depth", tank.depth, Positive),
@@ -195,12 +202,56 @@ impl Config {
         2.0 * self.support()
     }
 
+    /// Two materials are for one formulation.
+    fn check_materials(&self) -> Result<(), BadInput> {
+        let heat = &self.heat;
+        for (key, ratio) in
+            [("heat.conductivity_ratio", heat.conductivity_ratio), ("heat.capacity_ratio", heat.capacity_ratio)]
+        {
+            if ratio != 1.0 && self.fluid.formulation == Formulation::Consistent {
+                return Err(BadInput::new(format!("{key} = {ratio} in the consistent formulation"))
+                    .key(key)
+                    .allowed("1: its fits know no jump; any other with fluid.formulation = standard")
+                    .advice("fluid.formulation=standard"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The isothermal channel: inlet, warm walls and outlet in this order, in whole spacings.
+    fn check_warm_walls(&self) -> Result<(), BadInput> {
+        if self.scene != Family::IsothermalChannel {
+            return Ok(());
+        }
+        let (channel, dx) = (&self.channel, self.resolution.dx);
+        let shortest = 2.0 * (self.support() + self.time.skin) * dx;
+        if channel.length < shortest || !is_whole(channel.length / dx) {
+            return Err(BadInput::new(format!("channel.length = {} does not hold whole spacings", channel.length))
+                .key("channel.length")
+                .allowed(format!("multiples of resolution.dx = {dx}, at least {shortest}"))
+                .advice(format!("channel.length={}", (channel.length / dx).round().max((shortest / dx).ceil()) * dx)));
+        }
+        let (low, high) = (channel.inlet_length, channel.length - channel.outlet_length - dx);
+        if channel.hot_from < low || channel.hot_from > high {
+            return Err(BadInput::new(format!("channel.hot_from = {} is out of place", channel.hot_from))
+                .key("channel.hot_from")
+                .allowed(format!(
+                    "channel.inlet_length <= channel.hot_from <= channel.length - channel.outlet_length - dx, here {low} ... \
+                     {high}"
+                )));
+        }
+        Ok(())
+    }
+
     /// A kernel that is negative somewhere belongs where nothing divides by a part of its sum (see
     /// [`crate::sph::kernels::super_gaussian`]).
     fn check_kernel(&self) -> Result<(), BadInput> {
         let periodic = match self.scene {
             Family::Custom => !self.has_walls(),
-            _ => matches!(self.scene, Family::TaylorGreen | Family::TaylorGreen3d | Family::ReversePoiseuille),
+            _ => matches!(
+                self.scene,
+                Family::TaylorGreen | Family::TaylorGreen3d | Family::ReversePoiseuille | Family::ReversePoiseuille3d
+            ),
         };
         let place = match (periodic, self.fluid.formulation) {
             (_, Formulation::Consistent) => "in the consistent formulation, whose fits need positive weights",
@@ -230,7 +281,8 @@ impl Config {
                 .allowed("moving, or scene heated-channel"));
         }
         let in_rows = matches!(fluid.shift, ShiftName::Chain | ShiftName::Rows);
-        if fluid.formulation == Formulation::Consistent && in_rows {
+        // (What is at rest needs no shift, and has none.)
+        if fluid.formulation == Formulation::Consistent && in_rows && self.scene != Family::Slab {
             return Err(BadInput::new("fluid.shift = chain or rows without rows of particles that stay rows")
                 .key("fluid.shift")
                 .allowed("isotropic or none, or scene heated-channel")
@@ -619,23 +671,32 @@ impl Config {
     /// dx divides the box of a verification flow, which is large enough for it.
     fn check_box(&self) -> Result<(), BadInput> {
         let dx = self.resolution.dx;
-        let walls = matches!(self.scene, Family::Poiseuille | Family::LidDrivenCavity);
-        let (size, text, dimension) = match self.scene {
-            Family::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3),
-            Family::Poiseuille => (1.0, "1, the height of the channel", 1),
-            Family::ReversePoiseuille => (1.0, "1, the length of the box", 2),
-            Family::LidDrivenCavity => (1.0, "1, the side of the cavity", 2),
-            _ => (1.0, "1, the side of the box", 2),
+        // Of the box, or the part of it that has to hold whole spacings; where there are walls; how many such parts there are.
+        let (size, text, dimension, walls, parts) = match self.scene {
+            Family::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3, false, 1.0),
+            Family::Poiseuille | Family::Couette => (1.0, "1, the height of the channel", 1, true, 1.0),
+            Family::IsothermalChannel => (1.0, "1, the height of the channel", 2, true, self.channel.length),
+            Family::ReversePoiseuille => (1.0, "1, the length of the box", 2, false, 2.0),
+            Family::ReversePoiseuille3d => (0.5, "0.5, the depth of the box", 3, false, 8.0),
+            Family::LidDrivenCavity => (1.0, "1, the side of the cavity", 2, true, 1.0),
+            Family::LidDrivenCavity3d => (1.0, "1, the side of the cavity", 3, true, 1.0),
+            Family::Slab => (0.5, "0.5, half of the slab", 1, true, 2.0),
+            _ => (1.0, "1, the side of the box", 2, false, 1.0),
         };
         let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
-        let particles = (size / dx).powi(dimension);
+        let particles = parts * (size / dx).powi(dimension);
         if particles > MAX_PARTICLES {
             return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
                 .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
         }
         // Periodic images: a particle may see each neighbour once only. Walls: it may reach one of them only.
         let support = self.support();
-        let fewest = if walls { self.fluid_rows() } else { 2.0 * (support + self.time.skin) };
+        let fewest = match (walls, self.scene) {
+            // Half of a slab has one wall.
+            (true, Family::Slab) => support.max(8.0),
+            (true, _) => self.fluid_rows(),
+            (false, _) => 2.0 * (support + self.time.skin),
+        };
         let count = (size / dx).round();
         if count < fewest {
             let rule = match walls {

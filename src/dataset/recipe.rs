@@ -95,9 +95,10 @@ impl Recipe {
             Family::HeatedChannel => ([100, 50, 50], 147, 300, 0),
             Family::TaylorGreen => ([20, 10, 10], 126, 0, 5000),
             Family::TaylorGreen3d => ([4, 2, 2], 61, 0, 5000),
-            Family::Poiseuille => ([4, 2, 2], 147, 0, 0),
-            Family::ReversePoiseuille => ([4, 2, 2], 500, 20_000, 5000),
-            Family::LidDrivenCavity => ([4, 2, 2], 500, 50_000, 5000),
+            Family::Poiseuille | Family::Couette => ([4, 2, 2], 147, 0, 0),
+            Family::ReversePoiseuille | Family::ReversePoiseuille3d => ([4, 2, 2], 500, 20_000, 5000),
+            Family::LidDrivenCavity | Family::LidDrivenCavity3d => ([4, 2, 2], 500, 50_000, 5000),
+            Family::Slab | Family::IsothermalChannel => ([4, 2, 2], 147, 0, 0),
             Family::Custom => ([4, 2, 2], 147, 0, 0),
             // Their blocks differ by time.jitter: without gravity water with a free surface does not relax.
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
@@ -118,6 +119,13 @@ impl Recipe {
     /// An error if the numbers cannot be used with the scene.
     pub fn check(&self, loaded: &Loaded) -> Result<(), BadInput> {
         let config = &loaded.config;
+        if matches!(config.scene, Family::Slab | Family::IsothermalChannel) {
+            // What walls a frame has tells a heated channel's, and nothing else's.
+            return Err(BadInput::new(format!("there are no data sets of scene {}", config.scene.name()))
+                .place("generate")
+                .allowed("heated-channel, and flows without heat")
+                .advice("hydrograd generate heated-channel"));
+        }
         let bad = |key: &str, problem: String| BadInput::new(problem).key(key);
         if self.trajectories[0] == 0 {
             return Err(bad("trajectories", "there is no training trajectory".into())
@@ -181,6 +189,9 @@ impl Recipe {
         let courant = match config.scene {
             Family::HeatedChannel
             | Family::Poiseuille
+            | Family::Couette
+            | Family::Slab
+            | Family::IsothermalChannel
             | Family::Custom
             | Family::FallingBlock
             | Family::HydrostaticTank => 0.25,
@@ -189,7 +200,7 @@ impl Recipe {
             // 3e-4 at a spacing of 0.02.
             Family::DamBreak | Family::DamBreak3d => 0.233,
             // 5e-3 at a spacing of 2 pi/20.
-            Family::TaylorGreen3d => 0.175,
+            Family::TaylorGreen3d | Family::ReversePoiseuille3d | Family::LidDrivenCavity3d => 0.175,
         };
         let longest = (limits.acoustic / config.time.cfl).min(limits.diffusive / config.time.diffusion_number);
         let reference = courant * longest;

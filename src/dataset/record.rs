@@ -50,8 +50,7 @@ fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let (model, mut origin) = (&scene.model, scene.corner);
     // Points on a wall's surface are no particles: the dummy particles behind it show where it is.
     let is_particle = |i: usize| !tag::is_on_surface(model.tags[i]);
-    let written =
-        |&i: &usize| is_particle(i) && (config.scene != Family::LidDrivenCavity || is_inner(config, &scene, i));
+    let written = |&i: &usize| is_particle(i) && (!is_cavity(config) || is_inner(config, &scene, i));
     let kept: Vec<usize> = (0..model.particles()).filter(written).collect();
     let mut size = model.domain.size;
     if scene.design.is_some() {
@@ -62,6 +61,10 @@ fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let (periodic, dimension) = (model.domain.periodic, model.layout.dimension);
     let enclosure = Enclosure { dimension, origin, size, periodic, particles: kept.len() };
     Ok(Stage { scene, enclosure, kept })
+}
+
+fn is_cavity(config: &Config) -> bool {
+    matches!(config.scene, Family::LidDrivenCavity | Family::LidDrivenCavity3d)
 }
 
 /// The cavity's fluid and the innermost row of its walls, as in LagrangeBench: 2708 particles of 3136. The lid's row is
@@ -75,7 +78,8 @@ fn is_inner<R: Sweeps>(config: &Config, scene: &Scene<R>, i: usize) -> bool {
         let x = state[d * n + i].f64();
         (walls - x).max(x - (model.domain.size[d] - walls))
     };
-    outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
+    let deep = model.layout.dimension < 3 || outside(2) < dx;
+    deep && outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
 }
 
 /// Runs a trajectory; `progress` is called after each frame.

@@ -232,7 +232,7 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
         "viscosity": if heated || config.scene == Family::Custom || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": fluid.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
-            Family::HeatedChannel | Family::ReversePoiseuille => fluid.body_force,
+            Family::HeatedChannel | Family::ReversePoiseuille | Family::ReversePoiseuille3d => fluid.body_force,
             Family::Poiseuille => 8.0 / config.flow.reynolds,
             Family::Custom => config.acceleration(),
             scene if scene.has_surface() => fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),

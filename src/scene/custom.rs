@@ -223,6 +223,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
         outlet_above: region.outlet_from.unwrap_or(2.0 * region.size[0]),
         wall_constant: constant,
         wall_factor: factor,
+        materials: None,
     });
     let mut acceleration = [0.0; 3];
     acceleration[..d].copy_from_slice(&region.acceleration);
@@ -238,6 +239,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
         lid: 0.0,
         own_mass: false,
         heat,
+        heat_walls: None,
         exact: Exact::Unknown,
     };
     let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);

@@ -1,9 +1,12 @@
 //! Exact solutions that verification flows are measured against.
 
+use super::isothermal_channel::{parabola, Developed};
+use super::slab::Series;
 use std::f64::consts::PI;
+use std::sync::Arc;
 
-/// The exact solution of the incompressible Navier-Stokes equations.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The exact solution of the incompressible Navier-Stokes equations, and of the heat equation.
+#[derive(Debug, Clone, PartialEq)]
 pub enum Exact {
     /// The plane vortices of Taylor and Green (1937) in the unit box:
     /// u = -U exp(-8 pi^2 nu t) cos(2 pi x) sin(2 pi y), v = U exp(-8 pi^2 nu t) sin(2 pi x) cos(2 pi y).
@@ -13,6 +16,12 @@ pub enum Exact {
     Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
     /// Two such channels, at 0 < y < height and with the opposite sign at height < y < 2 height.
     ReversePoiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// Flow between such walls, started from rest by the upper one, which moves with `velocity` (their eq. 22).
+    Couette { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    /// A slab at rest that becomes warm.
+    Slab(Arc<Series>),
+    /// Developed flow between plane walls that are warm: its velocity, and how fast heat goes over.
+    IsothermalChannel(Developed),
     /// No closed form.
     Unknown,
 }
@@ -42,31 +51,68 @@ impl Exact {
                 if y < height {
                     half.velocity(position, time)
                 } else {
-                    half.velocity([x, y - height, 0.0], time).map(|u| u.map(|u| -u))
+                    half.velocity([x, y - height, position[2]], time).map(|u| u.map(|u| -u))
                 }
             }
+            Self::Couette { velocity, kinematic_viscosity, height } if time > 0.0 => {
+                let s = y / height;
+                let mut u = velocity * s;
+                for n in 1..200 {
+                    let k = PI * n as f64;
+                    let decay = (-k * k * kinematic_viscosity * time / (height * height)).exp();
+                    let sign = if n % 2 == 0 { 1.0 } else { -1.0 };
+                    u += sign * 2.0 * velocity / k * (k * s).sin() * decay;
+                }
+                Some([u, 0.0, 0.0])
+            }
+            // The series of the start does not converge.
+            Self::Couette { .. } | Self::Slab(_) => Some([0.0; 3]),
+            Self::IsothermalChannel(_) => Some([parabola(y), 0.0, 0.0]),
             Self::Unknown => None,
         }
     }
 
-    /// The height of the profile, if the velocity depends on y alone.
+    /// The temperature at a point above the reference, if it is known.
+    pub fn temperature(&self, [_, y, _]: [f64; 3], time: f64) -> Option<f64> {
+        match self {
+            Self::Slab(series) => Some(if time > 0.0 { series.temperature(y, time) } else { 0.0 }),
+            _ => None,
+        }
+    }
+
+    /// The height of the profile, if what is known depends on y alone.
     pub fn profile_height(&self) -> Option<f64> {
         match *self {
-            Self::Poiseuille { height, .. } => Some(height),
+            Self::Poiseuille { height, .. } | Self::Couette { height, .. } => Some(height),
             Self::ReversePoiseuille { height, .. } => Some(2.0 * height),
+            Self::Slab(_) | Self::IsothermalChannel(_) => Some(1.0),
             Self::TaylorGreen { .. } | Self::Unknown => None,
         }
     }
 
-    /// What velocity errors are measured against: the vortices' present amplitude, or the channel's steady centre line
-    /// (the flow there begins with zero).
+    /// What velocity errors are measured against: the vortices' present amplitude, the channel's steady centre line
+    /// (the flow there begins with zero), or the moving wall. None for what is at rest.
     pub fn amplitude(&self, time: f64) -> Option<f64> {
         match *self {
             Self::TaylorGreen { velocity, kinematic_viscosity } => {
                 Some(velocity * (-8.0 * PI * PI * kinematic_viscosity * time).exp())
             }
-            Self::Poiseuille { velocity, .. } | Self::ReversePoiseuille { velocity, .. } => Some(velocity),
-            Self::Unknown => None,
+            Self::Poiseuille { velocity, .. }
+            | Self::ReversePoiseuille { velocity, .. }
+            | Self::Couette { velocity, .. } => Some(velocity),
+            Self::IsothermalChannel(_) => Some(1.0),
+            Self::Slab(_) | Self::Unknown => None,
+        }
+    }
+
+    /// What that is, in words.
+    pub fn amplitude_name(&self) -> &'static str {
+        match self {
+            Self::Couette { .. } => "the moving wall's velocity",
+            Self::Poiseuille { .. } | Self::ReversePoiseuille { .. } | Self::IsothermalChannel(_) => {
+                "the steady centre line"
+            }
+            Self::TaylorGreen { .. } | Self::Slab(_) | Self::Unknown => "the exact amplitude",
         }
     }
 }

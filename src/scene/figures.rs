@@ -1,5 +1,6 @@
 //! What a state of a scene is like, in numbers beside those of the exact solution.
 
+use super::isothermal_channel::Developed;
 use super::{Exact, Scene};
 use crate::adjoint::Dynamics;
 use crate::numerics::lanes::Real;
@@ -19,6 +20,27 @@ pub struct FlowFigures {
     pub largest_velocity: f64,
     /// Root mean square over the fluid particles of |u - u_exact| at their places, over [`Exact::amplitude`].
     pub velocity_error: Option<f64>,
+    /// Slab: root mean square of T - T_exact at the particles' places, over the walls' difference.
+    pub temperature_error: Option<f64>,
+    /// Slab: heat flux through the lower and the upper wall, and the exact one.
+    pub wall_flux: Option<[f64; 2]>,
+    pub exact_wall_flux: Option<[f64; 2]>,
+    /// Isothermal channel: Nusselt number of the section where the profile is developed, and the exact one.
+    pub nusselt: Option<f64>,
+    pub exact_nusselt: Option<f64>,
+}
+
+/// Slab: particles between this many spacings of a wall tell the flux through it. (Those beside it are where a wall condition's
+/// own error is.)
+const NEAR: [f64; 2] = [1.0, 10.0];
+
+/// The first of three unknowns of a linear system, by Cramer's rule.
+fn first_unknown(m: [[f64; 3]; 3], right: [f64; 3]) -> f64 {
+    let determinant = |c: [f64; 3]| {
+        c[0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (c[1] * m[2][2] - m[1][2] * c[2])
+            + m[0][2] * (c[1] * m[2][1] - m[1][1] * c[2])
+    };
+    determinant(right) / determinant([m[0][0], m[1][0], m[2][0]])
 }
 
 impl<R: Real> Scene<R> {
@@ -47,13 +69,78 @@ impl<R: Real> Scene<R> {
             }
         }
         let amplitude = self.exact.amplitude(time).filter(|_| known);
+        let (wall_flux, exact_wall_flux) = match &self.exact {
+            Exact::Slab(series) => (Some(self.wall_flux(state, series.conductivity())), Some(series.wall_flux(time))),
+            _ => (None, None),
+        };
+        let (nusselt, exact_nusselt) = match &self.exact {
+            Exact::IsothermalChannel(developed) => (self.nusselt(state, developed), Some(developed.nusselt)),
+            _ => (None, None),
+        };
         FlowFigures {
             time,
             kinetic_energy: energy,
             exact_kinetic_energy: known.then_some(exact_energy),
             largest_velocity: largest,
             velocity_error: amplitude.map(|amplitude| (error / fluid as f64).sqrt() / amplitude),
+            temperature_error: self.temperature_error(state, time),
+            wall_flux,
+            exact_wall_flux,
+            nusselt,
+            exact_nusselt,
         }
+    }
+
+    /// Place and temperature of every fluid particle of a scene with heat.
+    fn temperatures<'a>(&'a self, state: &'a [R]) -> impl Iterator<Item = (usize, [f64; 3], f64)> + 'a {
+        let (model, n) = (&self.model, self.model.particles());
+        let place = move |i: usize| -> [f64; 3] {
+            std::array::from_fn(|d| if d < model.layout.dimension { state[d * n + i].f64() } else { 0.0 })
+        };
+        let row = model.layout.temperature() * n;
+        let fluid = (0..n).filter(move |&i| model.layout.heat && model.is_fluid(i));
+        fluid.map(move |i| (i, place(i), state[row + i].f64()))
+    }
+
+    fn temperature_error(&self, state: &[R], time: f64) -> Option<f64> {
+        let (mut count, mut sum) = (0, 0.0);
+        for (_, place, temperature) in self.temperatures(state) {
+            sum += (temperature - self.exact.temperature(place, time)?).powi(2);
+            count += 1;
+        }
+        (count > 0).then(|| (sum / count as f64).sqrt())
+    }
+
+    /// The heat flux along y through the walls of a slab: that of the cubic through the wall's temperature (1 below, 0 above)
+    /// that fits the particles [`NEAR`] it best.
+    fn wall_flux(&self, state: &[R], conductivity: [f64; 2]) -> [f64; 2] {
+        let near = NEAR.map(|spacings| (spacings * self.spacing).min(0.5));
+        [0, 1].map(|wall| {
+            let (given, sign) = if wall == 0 { (1.0, -1.0) } else { (0.0, 1.0) };
+            // Least squares of T - given = b z + c z^2 + d z^3, z = s / reach.
+            let (mut matrix, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
+            for (_, [_, y, _], temperature) in self.temperatures(state) {
+                let s = if wall == 0 { y } else { 1.0 - y };
+                let z = s / near[1];
+                let powers = [z, z * z, z * z * z];
+                if s > near[0] && s < near[1] {
+                    for a in 0..3 {
+                        right[a] += powers[a] * (temperature - given);
+                        (0..3).for_each(|b| matrix[a][b] += powers[a] * powers[b]);
+                    }
+                }
+            }
+            sign * conductivity[wall] * first_unknown(matrix, right) / near[1]
+        })
+    }
+
+    fn nusselt(&self, state: &[R], developed: &Developed) -> Option<f64> {
+        let (model, n) = (&self.model, self.model.particles());
+        let volume = model.mass / model.equation_of_state.reference_density;
+        let along = |i: usize| state[model.layout.velocity() * n + i].f64();
+        let of =
+            |(i, [x, _, _], temperature): (usize, [f64; 3], f64)| [x, volume * along(i), volume, 1.0 - temperature];
+        developed.measured(self.temperatures(state).map(of))
     }
 }
 
@@ -63,6 +150,7 @@ impl<R: Sweeps> Scene<R> {
         match (&self.design, &self.exact) {
             (Some(_), _) => &["time", "q", "flow_rate"],
             (None, Exact::Unknown) => &["time", "kinetic_energy", "largest_velocity"],
+            (None, Exact::Slab(_)) => &["time", "lower_wall_flux", "upper_wall_flux", "temperature_error"],
             (None, _) => &["time", "kinetic_energy", "largest_velocity", "exact_kinetic_energy", "velocity_error"],
         }
     }
@@ -79,6 +167,9 @@ impl<R: Sweeps> Scene<R> {
             return Ok(vec![time, spacing * flows.heat, spacing * flows.volume]);
         }
         let found = self.figures(&solver.state, time);
+        if let Some(flux) = found.wall_flux {
+            return Ok([time].into_iter().chain(flux).chain(found.temperature_error).collect());
+        }
         let known = [found.exact_kinetic_energy, found.velocity_error].into_iter().flatten();
         Ok([time, found.kinetic_energy, found.largest_velocity].into_iter().chain(known).collect())
     }

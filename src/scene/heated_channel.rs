@@ -48,6 +48,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         lid: 0.0,
         own_mass: config.wall.mass == MassConvention::ColumnArea && config.fluid.formulation == Formulation::Standard,
         heat: Some(heat(config, &hot)),
+        heat_walls: None,
         exact: Exact::Unknown,
     };
     let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
@@ -151,6 +152,7 @@ fn heat<R: Real>(config: &Config, hot: &[f64]) -> Heat<R> {
         outlet_above: config.channel.length - config.channel.outlet_length,
         wall_constant: hot.iter().map(|s| R::of(s * constant)).collect(),
         wall_factor: hot.iter().map(|s| R::of(1.0 - s + s * factor)).collect(),
+        materials: None,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Lid-driven cavity: a square box of fluid whose upper wall moves along x (Ghia, Ghia and Shin 1982).
+//! Lid-driven cavity: a square (Ghia, Ghia and Shin 1982) or cubic box of fluid whose upper wall moves along x.
 //!
 //! Side, density and velocity of the lid are 1. The box has its corner at 0, 0 and three rows of dummy particles all
 //! around (more where the kernel is wider); it is periodic in x, so that the lid's particles come in again (no fluid sees
@@ -13,6 +13,8 @@ use crate::sph::laws::body_force::BodyForce;
 /// The cavity and how it is resolved. Defaults: LagrangeBench's 2D data set (50 x 50 fluid particles, Re = 100).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LidDrivenCavity {
+    /// 2, or 3: a cube with walls in front and behind.
+    pub dimension: usize,
     /// Fluid particles along each side.
     pub per_side: usize,
     /// Velocity of the lid * side / kinematic viscosity.
@@ -24,7 +26,7 @@ impl Default for LidDrivenCavity {
     fn default() -> Self {
         let numerics =
             Numerics { background_pressure_factor: 0.01, transport_velocity: 0.0, jitter: 0.1, ..Default::default() };
-        Self { per_side: 50, reynolds: 100.0, numerics }
+        Self { dimension: 2, per_side: 50, reynolds: 100.0, numerics }
     }
 }
 
@@ -32,18 +34,18 @@ impl LidDrivenCavity {
     /// The cavity of a checked configuration.
     pub fn from_config(config: &Config) -> Self {
         let (reynolds, numerics) = (config.flow.reynolds, Numerics::from_config(config));
-        Self { per_side: count(config, 1.0), reynolds, numerics }
+        Self { dimension: config.dimension(), per_side: count(config, 1.0), reynolds, numerics }
     }
 
     pub fn build<R: Real>(&self) -> Scene<R> {
         let walls = self.numerics.wall_rows;
         let cells = self.per_side + 2 * walls;
         Parts {
-            name: "lid-driven-cavity",
+            name: if self.dimension == 2 { "lid-driven-cavity" } else { "lid-driven-cavity-3d" },
             lattice: Lattice {
-                wall_rows: [walls, walls, 0],
+                wall_rows: [walls, walls, if self.dimension == 2 { 0 } else { walls }],
                 periodic: [true, false, false],
-                ..Lattice::new(2, 1.0 / self.per_side as f64, [cells, cells, 1])
+                ..Lattice::new(self.dimension, 1.0 / self.per_side as f64, [cells; 3])
             },
             numerics: self.numerics,
             density: 1.0,
@@ -54,6 +56,7 @@ impl LidDrivenCavity {
             lid: 1.0,
             own_mass: false,
             heat: None,
+            heat_walls: None,
             exact: Exact::Unknown,
         }
         .build(|_| [0.0; 3])

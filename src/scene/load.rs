@@ -255,6 +255,16 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
+    // Two materials are for the standard formulation.
+    if config.scene == Family::Slab && !merged.places().contains_key("fluid.formulation") {
+        let place = ["heat.conductivity_ratio", "heat.capacity_ratio"]
+            .into_iter()
+            .zip([config.heat.conductivity_ratio, config.heat.capacity_ratio]);
+        if let Some((key, _)) = place.into_iter().find(|(_, ratio)| *ratio != 1.0) {
+            merged.set("fluid.formulation", Value::from("standard"), key);
+            config = merged.read();
+        }
+    }
     let given = merged.clone();
     // Scenes whose own formulation it is have its defaults already.
     let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;

@@ -5,6 +5,7 @@
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod couette;
 pub mod custom;
 pub mod dam_break;
 pub mod exact;
@@ -12,6 +13,7 @@ pub mod falling_block;
 pub mod figures;
 pub mod heated_channel;
 pub mod hydrostatic_tank;
+pub mod isothermal_channel;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
@@ -19,6 +21,7 @@ pub mod particle_fields;
 pub mod plausible;
 pub mod poiseuille;
 pub mod reverse_poiseuille;
+pub mod slab;
 mod surface;
 mod tank;
 pub mod taylor_green;
@@ -64,9 +67,16 @@ impl<R: Real> Scene<R> {
             Family::HeatedChannel => heated_channel::build(config)?,
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
-            Family::ReversePoiseuille => reverse_poiseuille::ReversePoiseuille::from_config(config).build(),
+            Family::Couette => couette::Couette::from_config(config).build(),
+            Family::ReversePoiseuille | Family::ReversePoiseuille3d => {
+                reverse_poiseuille::ReversePoiseuille::from_config(config).build()
+            }
+            Family::LidDrivenCavity | Family::LidDrivenCavity3d => {
+                lid_driven_cavity::LidDrivenCavity::from_config(config).build()
+            }
+            Family::Slab => slab::Slab::from_config(config).build(),
+            Family::IsothermalChannel => isothermal_channel::IsothermalChannel::from_config(config).build(),
             Family::Custom => custom::build(config)?,
-            Family::LidDrivenCavity => lid_driven_cavity::LidDrivenCavity::from_config(config).build(),
             Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
             Family::FallingBlock => falling_block::build(config),
             Family::HydrostaticTank => hydrostatic_tank::build(config),

@@ -92,7 +92,7 @@ impl Findings {
             ));
         }
         let diffusivities = [
-            ("Reynolds", kinematic(config), "fluid.viscosity"),
+            ("Reynolds", kinematic(config) + config.artificial_kinematic_viscosity(), "fluid.viscosity"),
             ("Peclet", if has_heat { config.thermal_diffusivity() } else { f64::INFINITY }, "fluid.conductivity"),
         ];
         for (name, diffusivity, key) in diffusivities {
@@ -162,6 +162,9 @@ impl Findings {
 fn kinematic(config: &Config) -> f64 {
     match config.scene {
         Family::HeatedChannel | Family::Custom => config.kinematic_viscosity(),
+        _ if config.scene.has_surface() => config.kinematic_viscosity(),
+        // At rest; its model has this one.
+        Family::Slab => 1.0,
         _ => 1.0 / config.flow.reynolds,
     }
 }
@@ -206,7 +209,7 @@ fn speed<R: Real>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64
     let driven = match config.scene {
         Family::HeatedChannel => config.plane_speed(),
         Family::Custom => grid.map_or(0.0, |grid| grid.driven(config)),
-        _ => 1.0,
+        _ => config.fluid.reference_velocity,
     };
     start.max(driven)
 }

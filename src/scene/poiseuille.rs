@@ -40,16 +40,10 @@ impl Poiseuille {
     }
 
     pub fn build<R: Real>(&self) -> Scene<R> {
-        let (kinematic_viscosity, spacing, walls) =
-            (1.0 / self.reynolds, 1.0 / self.rows as f64, self.numerics.wall_rows);
+        let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
             name: "poiseuille",
-            lattice: Lattice {
-                wall_rows: [0, walls, 0],
-                periodic: [true, false, false],
-                corner: [0.0, -(walls as f64) / self.rows as f64, 0.0],
-                ..Lattice::new(2, spacing, [self.columns, self.rows + 2 * walls, 1])
-            },
+            lattice: Lattice::channel(self.columns, self.rows, self.numerics.wall_rows),
             numerics: self.numerics,
             density: 1.0,
             velocity: 1.0,
@@ -59,6 +53,7 @@ impl Poiseuille {
             lid: 0.0,
             own_mass: false,
             heat: None,
+            heat_walls: None,
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity, height: 1.0 },
         }
         .build(|_| [0.0; 3])

@@ -1,7 +1,7 @@
 //! From a scene of the standard formulation to one of the consistent one: points on the walls' surface join the dummy
 //! particles behind it, and the state gets a pressure.
 
-use super::assembly::{Assembled, Lattice, Numerics};
+use super::assembly::{Assembled, Lattice, Numerics, WallHeat};
 use crate::config::scene::{Config, Formulation, IntegratorName, ShiftName};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
@@ -82,8 +82,8 @@ impl Settings {
 }
 
 impl Surface {
-    /// The plane walls of a lattice, whose upper one moves along x with velocity `lid`.
-    pub(super) fn of_lattice(lattice: &Lattice, lid: f64) -> Self {
+    /// The plane walls of a lattice, whose upper one moves along x with velocity `lid`; those across y as `heat` has them.
+    pub(super) fn of_lattice(lattice: &Lattice, lid: f64, heat: Option<[WallHeat; 2]>) -> Self {
         let (dimension, dx) = (lattice.dimension, lattice.spacing);
         let walled = |d: usize| lattice.wall_rows[d] > 0;
         let coordinate = |d: usize, row: f64| (row - lattice.before[d]) * dx + lattice.corner[d];
@@ -116,6 +116,12 @@ impl Surface {
                         normal,
                         knows: Knows::Velocity([if moves { lid } else { 0.0 }, 0.0, 0.0]),
                     });
+                    if let Some(walls) = heat.filter(|_| d == 1) {
+                        let point = surface.points[surface.points.len() - 1];
+                        let wall = walls[upper as usize];
+                        let knows = wall.at(point.position[0]).map_or(Knows::NoHeatFlux, Knows::Temperature);
+                        surface.points.push(Point { knows, ..point });
+                    }
                 }
             }
         }

@@ -34,6 +34,7 @@ pub(super) fn parts<R: Real>(config: &Config, from: [f64; 2], to: [f64; 2], exac
         lid: 0.0,
         own_mass: false,
         heat: None,
+        heat_walls: None,
         exact,
     }
 }

@@ -78,6 +78,7 @@ impl TaylorGreen {
             lid: 0.0,
             own_mass: false,
             heat: None,
+            heat_walls: None,
             exact: match self.dimension {
                 2 => Exact::TaylorGreen { velocity: 1.0, kinematic_viscosity },
                 _ => Exact::Unknown,

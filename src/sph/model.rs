@@ -151,6 +151,33 @@ pub struct Heat<R> {
     /// Wall particles: T = wall_constant + wall_factor * (Shepard average of the fluid), `[N]`.
     pub wall_constant: Vec<R>,
     pub wall_factor: Vec<R>,
+    /// None where all is of one material. In the standard formulation only, without a transport velocity.
+    pub materials: Option<Materials<R>>,
+}
+
+/// What particles are made of, where not all are of the same material; walls have that of what is in front of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Materials<R> {
+    /// Over [`Heat::conductivity`], `[N]`.
+    pub conductivity: Vec<R>,
+    /// Over [`Heat::capacity`], `[N]`.
+    pub capacity: Vec<R>,
+}
+
+impl<R: Real> Heat<R> {
+    /// The largest conductivity over heat capacity.
+    pub fn largest_diffusivity(&self) -> f64 {
+        let ratio = |of: &Materials<R>| {
+            let all = of.conductivity.iter().zip(&of.capacity);
+            all.map(|(conductivity, capacity)| conductivity.f64() / capacity.f64()).fold(0.0, f64::max)
+        };
+        self.materials.as_ref().map_or(1.0, ratio) * self.conductivity / self.capacity
+    }
+
+    /// The conductivities of particles, over that of the scene, where there are materials.
+    pub fn conductivities(&self) -> Option<&[R]> {
+        self.materials.as_ref().map(|materials| materials.conductivity.as_slice())
+    }
 }
 
 /// Which of the standard formulation's methods a scene takes, besides the rows that its [`Layout`] has. The default: pair

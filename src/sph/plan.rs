@@ -149,7 +149,7 @@ impl Plan {
         let thermal = model
             .heat
             .as_ref()
-            .map_or(0.0, |heat| heat.conductivity / (model.equation_of_state.reference_density * heat.capacity));
+            .map_or(0.0, |heat| heat.largest_diffusivity() / model.equation_of_state.reference_density);
         let with_neighbours = list.count.iter().filter(|&&c| c > 0).count();
         Ok(Self {
             precision: if std::mem::size_of::<R>() == 4 { "f32" } else { "f64" },
@@ -501,7 +501,7 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
         all.push(dropped("a mass of each particle", format!("every particle has the mass {:.4e}", model.mass)));
     }
     all.push(dropped("a viscosity of each particle", format!("constant: {}", model.viscosity)));
-    if let Some(heat) = &model.heat {
+    if let Some(heat) = model.heat.as_ref().filter(|heat| heat.materials.is_none()) {
         let constants = format!("constant: {} and {}", heat.conductivity, heat.capacity);
         all.push(dropped("a conductivity and a heat capacity of each particle", constants));
     }

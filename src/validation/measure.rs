@@ -39,6 +39,10 @@ pub enum Measure {
     Velocity,
     /// Root mean square of the velocity's error at the end over [`crate::scene::Exact::amplitude`].
     Profile,
+    /// Root mean square of the temperature's error at the end, over the walls' difference.
+    Temperature,
+    /// Relative error of the Nusselt number at the end.
+    Nusselt,
     /// Largest relative error of the mean kinetic energy on the way.
     KineticEnergy,
     /// Largest relative error of the extrema of u on x = 1/2 and of v on y = 1/2 of the steady cavity.
@@ -74,6 +78,7 @@ impl Measure {
     ) -> anyhow::Result<Found> {
         match self {
             Self::Velocity | Self::Profile => self.velocity(scene, progress),
+            Self::Temperature | Self::Nusselt => self.warmth(scene, progress),
             Self::KineticEnergy => kinetic_energy(scene, progress),
             Self::CentreLines => centre_lines(scene, progress),
             Self::Outflow => {
@@ -92,6 +97,8 @@ impl Measure {
     pub fn axes(self) -> (&'static str, &'static str) {
         match self {
             Self::Velocity | Self::Profile => ("y", "velocity"),
+            Self::Temperature => ("y", "temperature"),
+            Self::Nusselt => ("x", "Nusselt number"),
             Self::KineticEnergy => ("time", "mean kinetic energy"),
             Self::CentreLines => ("place on the line", "velocity"),
             Self::HydrostaticPressure => ("pressure / (density g H)", "y / H"),
@@ -100,6 +107,17 @@ impl Measure {
             Self::Outflow | Self::Shapes => ("wall", "outflowing heat Q"),
             Self::Gradient => ("x", "1000 dQ / d offset"),
         }
+    }
+
+    fn warmth<R: Sweeps>(self, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+        let solver = watched(scene, progress, &mut |_| ())?;
+        let found = scene.figures(&solver.state, scene.steps as f64 * scene.model.dt);
+        let error = match self {
+            Self::Temperature => found.temperature_error,
+            _ => found.nusselt.zip(found.exact_nusselt).map(|(found, exact)| (found / exact - 1.0).abs()),
+        };
+        let error = error.ok_or_else(|| anyhow::anyhow!("scene {} has no such answer", scene.name))?;
+        Ok(Found { error, curves: vec![] })
     }
 
     fn velocity<R: Sweeps>(self, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
@@ -245,7 +263,8 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
 }
 
 fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
-    let wall = |d: usize| -scene.corner[d];
+    // Walls are as thick on both sides of the unit square.
+    let wall = |d: usize| 0.5 * (scene.model.domain.size[d] - 1.0);
     let every = (scene.steps / 4 / SAMPLES).max(1);
     let (mut u, mut v, mut count) = (vec![0.0; PLACES], vec![0.0; PLACES], 0.0);
     let mut missing = 0;

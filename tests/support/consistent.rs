@@ -123,6 +123,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
             outlet_above: f64::INFINITY,
             wall_constant: vec![R::default(); n],
             wall_factor: vec![R::default(); n],
+            materials: None,
         }),
         fixed: None,
         consistent: Some(Consistent {

@@ -193,6 +193,7 @@ impl Case {
                     .map(|&t| if t == tag::HOT_WALL { hot - self.reference_temperature } else { 0.0 })
                     .collect(),
                 wall_factor: self.tags.iter().map(|&t| if t == tag::HOT_WALL { 0.0 } else { 1.0 }).collect(),
+                materials: None,
             }
         });
         Model {

@@ -8,7 +8,7 @@ use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
+use hydrograd::sph::model::{Heat, Layout, Materials, Model, Scratch, Standard};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
@@ -26,6 +26,8 @@ pub struct Options {
     /// Smoothing length in spacings.
     pub smoothing: f64,
     pub artificial_viscosity: bool,
+    /// Conductivities and capacities of particles; needs heat, and no transport velocity.
+    pub materials: bool,
     /// The density evolves, gravity pulls, and artificial viscosity acts on every pair.
     pub density: bool,
     pub seed: u64,
@@ -44,6 +46,7 @@ impl Options {
             kernel: KernelName::QuinticSpline,
             smoothing: 1.0,
             artificial_viscosity: false,
+            materials: false,
             density: false,
             seed: 0,
         }
@@ -74,6 +77,9 @@ pub struct RandomScene {
     pub state: Vec<f64>,
     pub wall_constant: Vec<f64>,
     pub wall_factor: Vec<f64>,
+    /// Over those of the scene.
+    pub conductivity: Vec<f64>,
+    pub capacity: Vec<f64>,
     pub size: [f64; 3],
     /// Heat conduction everywhere: no inlet, no outlet.
     pub open_everywhere: bool,
@@ -134,6 +140,9 @@ impl RandomScene {
             state,
             wall_constant: constant,
             wall_factor: factor,
+            // Three materials in turn, 1 : 30 : 1000.
+            conductivity: (0..n).map(|i| [1.0, 30.0, 1e-3][i % 3]).collect(),
+            capacity: (0..n).map(|i| [1.0, 0.2, 3.0][i % 3]).collect(),
             size,
             open_everywhere: false,
             body_force: match options.density || options.seed % 5 == 2 {
@@ -188,6 +197,10 @@ impl RandomScene {
                 outlet_above: if self.open_everywhere { f64::INFINITY } else { 0.85 * self.size[0] },
                 wall_constant: convert(&self.wall_constant),
                 wall_factor: convert(&self.wall_factor),
+                materials: options.materials.then(|| Materials {
+                    conductivity: convert(&self.conductivity),
+                    capacity: convert(&self.capacity),
+                }),
             }),
             consistent: None,
             fixed: None,
@@ -214,6 +227,8 @@ impl RandomScene {
             state: permute(&self.state, n, order),
             wall_constant: permute(&self.wall_constant, n, order),
             wall_factor: permute(&self.wall_factor, n, order),
+            conductivity: permute(&self.conductivity, n, order),
+            capacity: permute(&self.capacity, n, order),
             ..*self
         }
     }

@@ -52,6 +52,7 @@ fn no_heat<R: Sweeps>(model: &Model<R>) -> Heat<R> {
         outlet_above: f64::MAX,
         wall_constant: vec![R::default(); n],
         wall_factor: vec![R::of(1.0); n],
+        materials: None,
     }
 }
 

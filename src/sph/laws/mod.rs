@@ -65,6 +65,8 @@ pub struct Side<L, const D: usize> {
     pub transport: [L; D],
     /// 0 without heat.
     pub temperature: L,
+    /// Over that of the scene; 0 without materials.
+    pub conductivity: L,
 }
 
 /// A pair: i (`own`) and j (`other`).
@@ -140,6 +142,8 @@ pub struct PairFields {
     pub shift: Option<Tensor>,
     /// `[1, N]`, if there is heat.
     pub temperature: Option<Tensor>,
+    /// `[1, N]`, if there are materials.
+    pub conductivity: Option<Tensor>,
     /// F and c, `[1, N, K]`.
     pub slope: Tensor,
     pub weight: Tensor,
@@ -177,6 +181,8 @@ pub trait PairLaw: Copy + Send + Sync {
     const TRANSPORT: bool = false;
     /// Whether it reads [`Side::temperature`] and gives a temperature rate.
     const HEAT: bool = false;
+    /// Whether it reads [`Side::conductivity`].
+    const MATERIALS: bool = false;
 
     /// What particle i itself contributes to all of its pairs.
     type Own<L: Lanes, const D: usize>: Copy;
@@ -212,6 +218,7 @@ macro_rules! tuple_of_laws {
         impl<$($law: PairLaw),*> PairLaw for ($($law,)*) {
             const TRANSPORT: bool = $($law::TRANSPORT ||)* false;
             const HEAT: bool = $($law::HEAT ||)* false;
+            const MATERIALS: bool = $($law::MATERIALS ||)* false;
             type Own<Z: Lanes, const N: usize> = ($($law::Own<Z, N>,)*);
 
             #[inline(always)]
@@ -252,6 +259,7 @@ tuple_of_laws!(A 0, B 1, C 2, E 3, G 4);
 impl<A: PairLaw> PairLaw for Option<A> {
     const TRANSPORT: bool = A::TRANSPORT;
     const HEAT: bool = A::HEAT;
+    const MATERIALS: bool = A::MATERIALS;
     type Own<L: Lanes, const D: usize> = Option<A::Own<L, D>>;
 
     #[inline(always)]
@@ -298,17 +306,21 @@ pub fn dot<L: Lanes, const D: usize>(a: &[L; D], b: &[L; D]) -> L {
 }
 
 /// Calls `$go` with the laws of a model and the constant of its dimension. These are all tuples that the pair pass is
-/// compiled for: transport velocity or none, heat or none, and either nothing else or whatever the scene has of the rest.
+/// compiled for: transport velocity or none, heat or none, and either nothing else or whatever the scene has of the rest;
+/// and heat in materials, without a transport velocity.
 macro_rules! with_laws {
     ($model:expr, |$laws:ident, $d:ident| $go:expr) => {{
         use $crate::sph::laws::{Conduction, Pressure, TransportVelocity, Viscosity};
         let model = $model;
         let (pressure, viscosity) = (Pressure(model.equation_of_state), Viscosity(model.viscosity));
-        let (transport, conduction, further) = (TransportVelocity, Conduction, model.artificial_viscosity);
+        let (transport, conduction, further) = (TransportVelocity, Conduction::<false>, model.artificial_viscosity);
         macro_rules! of {
             ($dimension:literal) => {{
                 const $d: usize = $dimension;
+                let materials = model.heat.as_ref().is_some_and(|heat| heat.materials.is_some());
+                assert!(!(materials && model.layout.transport), "materials go without a transport velocity");
                 match (model.layout.transport, model.layout.heat, further.is_some()) {
+                    _ if materials => of!(go, (pressure, viscosity, Conduction::<true>, further)),
                     (false, false, false) => of!(go, (pressure, viscosity)),
                     (false, true, false) => of!(go, (pressure, viscosity, conduction)),
                     (true, false, false) => of!(go, (pressure, viscosity, transport)),

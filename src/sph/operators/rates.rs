@@ -20,6 +20,7 @@ use crate::sph::laws::{
     conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
     Sums, TransportVelocity,
 };
+use crate::sph::model::{Heat, Materials};
 use crate::sph::operators::pairs;
 use crate::sph::operators::pairs::{gather_fields, splat_fields, stride, Fields, Masses, PairCache, RowGeometry};
 use crate::sph::operators::{composed, density, evolution};
@@ -101,6 +102,7 @@ fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
         velocity: [L::zero(); D],
         transport: [L::zero(); D],
         temperature: if W::HEAT { get(record_temperature(D, W::TRANSPORT)) } else { L::zero() },
+        conductivity: L::zero(),
     };
     for d in 0..D {
         side.velocity[d] = get(D + 2 + d);
@@ -109,6 +111,12 @@ fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
         }
     }
     side
+}
+
+/// The conductivities of particles; empty where `W` reads none.
+fn conductivities<R: Real, W: PairLaw>(step: &Step<R>) -> &[R] {
+    let all = step.model.heat.as_ref().and_then(Heat::conductivities);
+    all.filter(|_| W::MATERIALS).unwrap_or_default()
 }
 
 /// The position stands first in a record.
@@ -137,7 +145,11 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
     ) -> Sums<L, D> {
         let list = &*self.step.list;
         let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
-        let (here, a) = (position::<L, D>(own), side::<L, W, D>(own));
+        let conductivities = conductivities::<R, W>(self.step);
+        let (here, mut a) = (position::<L, D>(own), side::<L, W, D>(own));
+        if W::MATERIALS {
+            a.conductivity = L::splat(conductivities[i]);
+        }
         let prepared = self.laws.prepare(&a);
         let volume2 = a.volume * a.volume;
         let from = i * list.capacity;
@@ -150,7 +162,11 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
                 let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
                 (gather_fields::<L>(self.kept.records.as_ptr(), fields, index), slope)
             };
-            let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            if W::MATERIALS {
+                // SAFETY: as above; every particle has a conductivity.
+                b.conductivity = unsafe { L::gather(conductivities.as_ptr(), index) };
+            }
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let weight = b.volume.mul_add(b.volume, volume2) * slope;
             let fluid = mask.up_to(k * L::COUNT, fluids);
@@ -196,7 +212,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
                     }
                 }
                 if W::HEAT {
-                    let rate = conduction * inverse_mass * sums.warmth.sum();
+                    let rate = conduction * inverse_mass * sums.warmth.sum() / conduction::capacity(model, i);
                     let open = conduction::conducts(model, record[0]);
                     self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
                 }
@@ -289,7 +305,11 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let bar_fields = const { bar_fields(D, W::TRANSPORT, W::HEAT) };
         let width = stride(bar_fields);
         let two = L::splat(R::of(2.0));
-        let (here, a) = (position::<L, D>(own), side::<L, W, D>(own));
+        let conductivities = conductivities::<R, W>(self.step);
+        let (here, mut a) = (position::<L, D>(own), side::<L, W, D>(own));
+        if W::MATERIALS {
+            a.conductivity = L::splat(conductivities[i]);
+        }
         let prepared = self.laws.prepare(&a);
         let own_bar = splat_fields::<L>(&self.bars[i * width..(i + 1) * width], bar_fields);
         let volume2 = a.volume * a.volume;
@@ -308,7 +328,11 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
                     L::load(self.kept.curvature.as_ptr().add(from + k * L::COUNT)),
                 )
             };
-            let (there, b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            if W::MATERIALS {
+                // SAFETY: as above; every particle has a conductivity.
+                b.conductivity = unsafe { L::gather(conductivities.as_ptr(), index) };
+            }
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let volumes2 = b.volume.mul_add(b.volume, volume2);
             let weight = volumes2 * slope;
@@ -418,7 +442,8 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             }
             if l.heat && conduction::conducts(model, self.moved[i]) {
                 let t = self.rates_bar[l.rate_temperature() * n + i];
-                bar[if l.transport { 2 * d } else { d }] = conduction * t * inverse_mass;
+                bar[if l.transport { 2 * d } else { d }] =
+                    conduction * t * inverse_mass / conduction::capacity(model, i);
                 power += t * self.rates[l.rate_temperature() * n + i];
             }
             if l.mass {
@@ -506,12 +531,17 @@ pub fn composed<R: Real>(
     let weight = (pairs.own(&volume)?.sqr()? + pairs.other(&volume)?.sqr()?)?.mul(&slope)?;
     let optional =
         |wanted: bool, row: usize, count: usize| wanted.then(|| primitives.narrow(0, row, count)).transpose();
+    let materials = model.heat.as_ref().and_then(|heat| heat.materials.as_ref());
+    let of_materials = |what: fn(&Materials<R>) -> &Vec<R>| {
+        materials.map(|materials| composed::per_particle(what(materials).clone(), moved)).transpose()
+    };
     let fields = PairFields {
         volume,
         density,
         velocity: primitives.narrow(0, l.primitive_velocity(), d)?,
         shift: optional(l.transport, l.primitive_shift(), d)?,
         temperature: optional(l.heat, l.primitive_temperature(), 1)?,
+        conductivity: of_materials(|materials| &materials.conductivity)?,
         slope,
         weight,
         mass: mass.clone(),
@@ -527,7 +557,8 @@ pub fn composed<R: Real>(
             TransportVelocity::spread(pairs, &fields, &mut sums)?;
         }
         if l.heat {
-            Conduction.composed(pairs, &fields, &mut sums)?;
+            // (With the conductivities that the fields have.)
+            Conduction::<false>.composed(pairs, &fields, &mut sums)?;
         }
         if let Some(artificial) = model.artificial_viscosity {
             artificial.composed(pairs, &fields, &mut sums)?;
@@ -552,7 +583,11 @@ pub fn composed<R: Real>(
     }
     if let Some(warmth) = sums.warmth {
         let open = conduction::conducts_composed(model, &moved.narrow(0, 0, 1)?)?;
-        rates.push(per_mass(warmth.affine(conduction::factor(model), 0.0)?)?.mul(&open)?);
+        let rate = per_mass(warmth.affine(conduction::factor(model), 0.0)?)?.mul(&open)?;
+        rates.push(match of_materials(|materials| &materials.capacity)? {
+            Some(capacity) => rate.div(&capacity)?,
+            None => rate,
+        });
     }
     Tensor::cat(&rates, 0)
 }
