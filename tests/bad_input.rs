@@ -598,7 +598,8 @@ fn methods_and_tanks_that_do_not_fit() {
     refuses("poiseuille", &["fluid.formulation=consistent", evolves], &["density_equation", "standard formulation"]);
     refuses("poiseuille", &["fluid.density_renormalisation=true"], &["summed", &format!("try: --set {evolves}")]);
     refuses("poiseuille", &["fluid.density_gradient=jax-sph"], &["without diffusion of density", "fluid.flux=delta"]);
-    refuses("taylor-green", &["fluid.flux=riemann"], &["fluid.transport_velocity", "Riemann", "transport_velocity=0"]);
+    let riemann = [STANDARD, "fluid.flux=riemann", "fluid.transport_velocity=1"];
+    refuses("taylor-green", &riemann, &["fluid.transport_velocity", "Riemann", "transport_velocity=0"]);
     refuses("poiseuille", &["fluid.equation_of_state_exponent=1.5"], &["= 1.5 is no whole number", "1 ... 20"]);
     refuses("poiseuille", &["fluid.artificial_viscosity_pairs=all"], &["without an artificial viscosity"]);
     refuses("poiseuille", &["fluid.flux=delat"], &["delat", "delta"]);

@@ -140,7 +140,8 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
             let difference = largest(case, name, values, &theirs);
             let mut rounding = ROUNDING_MARGIN * largest(case, name, values, &shaken);
             if *name == "p" {
-                rounding += ROUNDING_MARGIN * rounded_pressure(&model);
+                // Every step rounds an evolved density once more (measured: 17 units in the last place after 100 steps).
+                rounding += ROUNDING_MARGIN.max(steps as f64) * rounded_pressure(&model);
             }
             if *name == "drhodt" {
                 rounding += ROUNDING_MARGIN * rounded_rate(&model);
