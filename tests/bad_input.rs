@@ -235,7 +235,7 @@ fn support_of_the_kernel() {
         &["wendland", "wendland-c2", "wendland-c6", "super-gaussian", "try: `wendland-c2`"],
     );
     let negative = "resolution.kernel=super-gaussian";
-    refuses_sets(&[negative], &["super-gaussian", "positive weights", "try: resolution.kernel=gaussian"]);
+    refuses_sets(&[negative], &["super-gaussian", "positive weights", "try: --set resolution.kernel=gaussian"]);
     refuses_sets(&[STANDARD, negative, "channel.wall_rows=3"], &["super-gaussian", "with walls", "without walls"]);
     let case = Case::new(&[]);
     let run = ["simulate", "taylor-green", "--set", "resolution.dx=0.125", "--set", wide];

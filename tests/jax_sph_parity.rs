@@ -144,7 +144,7 @@ fn compare(group: &hdf5::Group, case: &Case, everything: bool, report: &mut Stri
                 rounding += ROUNDING_MARGIN.max(steps as f64) * rounded_pressure(&model);
             }
             if *name == "drhodt" {
-                rounding += ROUNDING_MARGIN * rounded_rate(&model);
+                rounding += ROUNDING_MARGIN.max(steps as f64) * rounded_rate(&model);
             }
             let relative = if difference > 0.0 { difference / scale } else { 0.0 };
             if relative > worst.0 {

@@ -1,7 +1,7 @@
 //! Numbers that depend on the place: expressions of x, y and z in a configuration, read by the crate exmex.
 
 use crate::error::BadInput;
-use exmex::{Express, FlatEx};
+use exmex::{literal_matcher_from_pattern, Express, FlatEx, FloatOpsFactory, MatchLiteral};
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -9,16 +9,22 @@ use std::fmt;
 /// What formulas are made of, for messages.
 pub const ALLOWED: &str =
     "a number, or a formula in quotes: x, y, z, + - * / ^ ( ), PI, abs(), sqrt(), sin(), exp(), tanh(), \
-                           signum(), min(a, b), max(a, b) and the like";
+                           signum(), min(a, b), max(a, b) (a nested one first: max(min(a, b), c)) and the like";
 
-/// An expression of x, y, z, or a number. A minus in front belongs to what follows it: -x^2 is (-x)^2.
+/// An expression of x, y, z, or a number. A minus in front belongs to what follows it: -x^2 is (-x)^2; of two nested min or max
+/// the inner one is the first argument (exmex refuses the other order).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Formula(pub String);
+
+// Numbers as everywhere else: with exponents too.
+literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?");
+
+type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
 /// A formula that has been read.
 #[derive(Debug, Clone)]
 pub struct Function {
-    expression: FlatEx<f64>,
+    expression: Expression,
     /// 0, 1, 2 for x, y, z, in the order of the expression's variables.
     variables: Vec<usize>,
 }
@@ -31,7 +37,7 @@ impl Formula {
     pub fn function(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
         let bad =
             |problem: String| BadInput::new(format!("{key} = \"{}\": {problem}", self.0)).key(key).allowed(ALLOWED);
-        let expression = exmex::parse::<f64>(&self.0).map_err(|error| bad(error.to_string()))?;
+        let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
         let names = &["x", "y", "z"][..dimension];
         let place = |name: &String| names.iter().position(|known| known == name).ok_or_else(|| name.clone());
         let variables = expression.var_names().iter().map(place).collect::<Result<Vec<_>, _>>();
@@ -111,7 +117,7 @@ mod tests {
             ("2 + 3*x^2", 2.75),
             ("1.5*y*(1 - y)", -9.0),
             ("sin(PI*x)", 1.0),
-            ("max(0, min(x, z))", 0.5),
+            ("max(min(x, z), 0)", 0.5),
             ("exp(-((x-0.5)^2 + y^2))", (-4.0f64).exp()),
             ("1 + (signum(y) + 1)/2", 1.0),
             ("0 - x^2", -0.25),

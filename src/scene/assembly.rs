@@ -571,7 +571,10 @@ mod tests {
     fn walls_are_as_thick_as_the_kernel_needs() {
         let wide = ["resolution.smoothing_length=1.3"];
         let particles = |name: &str| scene(name, &wide).model.particles();
-        assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8), 58 * 58 + 4 * 50));
+        assert_eq!(
+            (particles("poiseuille"), particles("lid-driven-cavity")),
+            (12 * (40 + 8) + 2 * 12, 58 * 58 + 4 * 50)
+        );
         assert_eq!(scene("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
         // A particle half a spacing from the wall sees four rows too; and there are 250 points on the walls' surfaces.
         assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);

@@ -4,7 +4,7 @@ use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::{Buffers, Pool};
 use crate::particles::{Domain, Reach};
-use crate::sph::consistent::{Consistent, Kept};
+use crate::sph::consistent::{Consistent, Kept, Shift};
 use crate::sph::fixed::Fixed;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
@@ -259,10 +259,12 @@ impl<R: Real> Model<R> {
         if self.fixed.is_some() {
             "time.cfl=0.6 or time.diffusion_number=0.06 (a smaller time step), or a gentler wall (a smaller \
              design.amplitude or design.bound)"
-        } else if self.consistent.is_some() {
+        } else if self.consistent.as_ref().is_some_and(|consistent| matches!(consistent.shift, Shift::Chain(_))) {
             // Over a rough wall smaller steps do not help; more neighbours do (src/sph/README.md has the figures).
             "over a rough wall fluid.motion=fixed or resolution.smoothing_length=1.1, or a gentler one (a smaller \
              design.amplitude or design.bound); over a flat one time.cfl=0.5"
+        } else if self.layout.rates {
+            "time.cfl=0.5, time.diffusion_number=0.125 (a smaller time step) or time.integrator=symplectic-euler"
         } else {
             "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one (a \
              smaller design.amplitude or design.bound)"
