@@ -363,7 +363,7 @@ impl<R: Real> Parts<R> {
     ) -> Self {
         let lattice = &self.lattice;
         let given = |i: usize| {
-            let x = (lattice.rows(i)[0] as f64 + 0.5 - lattice.before[0]) * lattice.spacing + lattice.corner[0];
+            let [x, ..] = lattice.place(i);
             match (lattice.is_below(i, 1), lattice.is_above(i, 1)) {
                 (true, _) => walls[0].at(x),
                 (_, true) => walls[1].at(x),

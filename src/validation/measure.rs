@@ -171,27 +171,27 @@ impl Measure {
                 let square = |i: usize| {
                     (0..l.dimension).map(|d| solver.state[(l.velocity() + d) * n + i].f64().powi(2)).sum::<f64>()
                 };
-                let fastest =
-                    fluid.iter().map(|&i| square(i)).fold(0.0_f64, |most, x| if x <= most { most } else { x });
+                let fastest = largest(fluid.iter().map(|&i| square(i)));
                 speeds.push((solver.step as f64 * scene.model.dt, (fastest / (gravity * height)).sqrt()));
             }
         })?;
         if self == Self::Rest {
             let end = speeds.last().map_or(0.0, |last| last.0);
             let late = speeds.iter().filter(|(time, _)| *time >= 0.75 * end).map(|point| point.1);
-            let error = late.fold(0.0_f64, |most, x| if x <= most { most } else { x });
-            return Ok(Found { error, curves: vec![Curve { name: "hydrograd".into(), points: speeds }] });
+            return Ok(Found {
+                error: largest(late),
+                curves: vec![Curve { name: "hydrograd".into(), points: speeds }],
+            });
         }
         solver.look();
-        let (mut error, mut points) = (0.0_f64, Vec::new());
-        for &i in &fluid {
+        let place = |&i: &usize| {
             let y = solver.state[n + i].f64();
             let pressure =
                 scene.model.equation_of_state.pressure(solver.primitives[i]).f64() / (density * gravity * height);
-            let off = (pressure - (1.0 - y / height)).abs();
-            error = if off <= error { error } else { off };
-            points.push((pressure, y / height));
-        }
+            (pressure, y / height)
+        };
+        let points: Vec<(f64, f64)> = fluid.iter().map(place).collect();
+        let error = largest(points.iter().map(|(pressure, y)| (pressure - (1.0 - y)).abs()));
         let exact = vec![(1.0, 0.0), (0.0, 1.0)];
         let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "exact".into(), points: exact }];
         Ok(Found { error, curves })
@@ -225,6 +225,11 @@ fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(
     Ok(Found { error: error / seen.len() as f64, curves })
 }
 
+/// The largest of numbers that are not below 0; not a number if one is none, which `max` would hide.
+fn largest(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    numbers.into_iter().fold(0.0_f64, |most, x| if most.is_nan() || x <= most { most } else { x })
+}
+
 /// Runs a scene to its end.
 fn watched<R: Sweeps>(
     scene: &Scene<R>,
@@ -256,7 +261,7 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
     let end = t.last().copied().unwrap_or_default();
     let compared = times.iter().zip(&energies).filter(|(time, _)| **time <= end + 1e-9);
     let error = compared.map(|(time, energy)| (reference::between(&t, &e, *time) / energy - 1.0).abs());
-    let error = error.fold(0.0_f64, |most, x| if x <= most { most } else { x });
+    let error = largest(error);
     let exact = times.into_iter().zip(energies).filter(|(time, _)| *time <= end + 1e-9).collect();
     let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "spectral".into(), points: exact }];
     Ok(Found { error, curves })
@@ -323,7 +328,7 @@ fn outflow<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow
 fn shapes<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
     let table = reference::heated_channel();
     let (names, amplitudes, exact) = (table.texts("shape"), table.column("A"), table.column("Q"));
-    let (mut error, mut ours, mut theirs) = (0.0_f64, Vec::new(), Vec::new());
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for (number, shape) in SHAPES.iter().enumerate() {
         let row = (0..names.len()).find(|&k| names[k] == *shape && amplitudes[k] == 0.02);
         let row = row.ok_or_else(|| anyhow!("the reference has no wall {shape}"))?;
@@ -332,11 +337,12 @@ fn shapes<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::
         let scene = Scene::<R>::from_config(&wall.config)?;
         let before = number as f64;
         let q = outflow(&scene, &mut |part| progress((before + part) / SHAPES.len() as f64))?;
-        let off = (q / exact[row] - 1.0).abs();
-        error = if off <= error { error } else { off };
         ours.push((before, q));
         theirs.push((before, exact[row]));
     }
+    let error = largest(
+        ours.iter().zip(&theirs).map(|((_, q), (_, exact)): (&(f64, f64), &(f64, f64))| (q / exact - 1.0).abs()),
+    );
     let curves = vec![
         Curve { name: "hydrograd".into(), points: ours },
         Curve { name: "finite elements".into(), points: theirs },

@@ -12,7 +12,6 @@ pub use cases::Case;
 pub use measure::{Curve, Found, Measure};
 
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::Sweeps;
@@ -61,7 +60,6 @@ impl Case {
     /// # Errors
     /// A configuration that is not allowed, which is a mistake in the table.
     pub fn run(&self, quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Validated> {
-        let levels: Vec<_> = self.levels.iter().filter(|level| level.is_quick || !quick).collect();
         let loaded = |precision: &str, level: &cases::Level| {
             let mut settings: Vec<String> =
                 [self.settings, level.settings].concat().iter().map(|s| s.to_string()).collect();
@@ -69,20 +67,20 @@ impl Case {
             settings.push("output.frames=0".into());
             Config::load(Some(self.scene), None, &settings)
         };
-        let work = |level: &cases::Level| -> anyhow::Result<f64> {
-            let config = loaded("f64", level)?.config;
-            Ok(config.steps() as f64 / config.resolution.dx.powi(config.dimension() as i32))
-        };
-        let works = levels.iter().map(|level| work(level)).collect::<anyhow::Result<Vec<f64>>>()?;
-        let (total, mut done) = (works.iter().sum::<f64>(), 0.0);
+        let mut runs = Vec::new();
+        for level in self.levels.iter().filter(|level| level.is_quick || !quick) {
+            let double = loaded("f64", level)?;
+            let work =
+                double.config.steps() as f64 / double.config.resolution.dx.powi(double.config.dimension() as i32);
+            runs.push((level, work, double, loaded("f32", level)?));
+        }
+        let (total, mut done) = (runs.iter().map(|run| run.1).sum::<f64>(), 0.0);
         let (mut rows, mut curves) = (Vec::<Row>::new(), Vec::new());
-        for (level, work) in levels.iter().zip(works) {
+        for (level, work, double, single) in &runs {
             let half = 0.5 * work / total;
-            let double =
-                attempt::<f64>(&loaded("f64", level)?, self.measure, &mut |part| progress(done + part * half))?;
+            let double = attempt::<f64>(double, self.measure, &mut |part| progress(done + part * half))?;
             done += half;
-            let single =
-                attempt::<f32>(&loaded("f32", level)?, self.measure, &mut |part| progress(done + part * half))?;
+            let single = attempt::<f32>(single, self.measure, &mut |part| progress(done + part * half))?;
             done += half;
             let error = |run: &Attempt| run.found.as_ref().ok().map(|found| found.error);
             let within = |run: &Attempt| error(run).is_some_and(|error| error <= level.tolerance);
@@ -124,11 +122,7 @@ struct Attempt {
     found: Result<Found, String>,
 }
 
-fn attempt<R: Sweeps + Real>(
-    loaded: &Loaded,
-    measure: Measure,
-    progress: &mut dyn FnMut(f64),
-) -> anyhow::Result<Attempt> {
+fn attempt<R: Sweeps>(loaded: &Loaded, measure: Measure, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Attempt> {
     let scene = Scene::<R>::from_config(&loaded.config)?;
     let clock = Instant::now();
     let found = measure.take(loaded, &scene, progress);

@@ -89,10 +89,7 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
 /// for walls.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, differentiate: bool, density: &mut [R]) {
     let (model, list) = (&*step.model, &*step.list);
-    pack_positions(model, moved, None, &mut kept.position);
-    kept.slope.resize(list.index.len(), R::default());
-    kept.curvature.resize(if differentiate { list.index.len() } else { 0 }, R::default());
-    kept.has_pairs = true;
+    kept.make_room(model, list, moved, differentiate);
     let mass = Masses::new(model, moved);
     macro_rules! go {
         ($d:literal, $curvature:literal) => {

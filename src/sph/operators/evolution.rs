@@ -19,9 +19,7 @@ use crate::sph::laws::continuity::{self, Flowing};
 use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::Flux;
 use crate::sph::operators::pairs;
-use crate::sph::operators::pairs::{
-    gather_fields, pack_positions, splat_fields, Fields, Masses, PairCache, RowGeometry,
-};
+use crate::sph::operators::pairs::{gather_fields, splat_fields, Fields, Masses, PairCache, RowGeometry};
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -167,10 +165,7 @@ pub fn forward<R: Real>(
     density: &mut [R],
 ) {
     let (model, list, n) = (&*step.model, &*step.list, step.model.particles());
-    pack_positions(model, moved, None, &mut kept.position);
-    kept.slope.resize(list.index.len(), R::default());
-    kept.curvature.resize(if differentiate { list.index.len() } else { 0 }, R::default());
-    kept.has_pairs = true;
+    kept.make_room(model, list, moved, differentiate);
     let mut records = model.scratch.buffers.buffer(WIDTH * n);
     let mass = Masses::new(model, moved);
     run_rows(&Packing { step, moved, mass, bar: None, records: Shared::new(&mut records) }, n);

@@ -217,6 +217,17 @@ pub struct PairCache<R> {
     pub has_records: bool,
 }
 
+impl<R: Real> PairCache<R> {
+    /// For the sweep that comes first in a step: packs positions, and makes room for F, and for G too if the step will be
+    /// differentiated.
+    pub fn make_room(&mut self, model: &Model<R>, list: &NeighbourList, moved: &[R], differentiate: bool) {
+        pack_positions(model, moved, None, &mut self.position);
+        self.slope.resize(list.index.len(), R::default());
+        self.curvature.resize(if differentiate { list.index.len() } else { 0 }, R::default());
+        self.has_pairs = true;
+    }
+}
+
 struct Packing<'a, R> {
     model: &'a Model<R>,
     moved: &'a [R],
