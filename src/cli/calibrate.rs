@@ -11,8 +11,9 @@ use crate::config::scene::Config;
 use crate::dataset::Split;
 use crate::design::limits::Limits;
 use crate::design::optimisers::{LBfgsB, Optimiser};
-use crate::error::{BadInput, Error};
+use crate::error::BadInput;
 use crate::inverse::calibration::{Calibration, Parameter};
+use crate::inverse::search::{search, Epoch};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::write_rows;
 use crate::io::hdf5_file::open;
@@ -107,29 +108,20 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     let mut optimiser = LBfgsB::new(0.3, &vec![0.0; count]).worth(1e-10);
     let bar = Progress::new(arguments.epochs as u64 * 100, "calibrate");
     let clock = Instant::now();
-    let (mut rows, mut best) = (Vec::<Vec<f64>>::new(), (f64::INFINITY, vec![0.0; count]));
-    for epoch in 0..arguments.epochs {
-        if optimiser.is_done() {
-            break;
-        }
-        let x = optimiser.ask().to_vec();
-        let mut progress = |share: f64| bar.set_position((100.0 * (epoch as f64 + share)) as u64);
-        let (loss, gradient) = match problem.evaluate(&x, &mut progress) {
-            Err(Error::Diverged { .. }) if epoch > 0 => (f64::INFINITY, vec![0.0; count]),
-            found => found?,
-        };
-        let values = problem.values(&x);
+    let mut rows = Vec::<Vec<f64>>::new();
+    let mut evaluate = |epoch: usize, x: &[f64]| {
+        problem.evaluate(x, &mut |share| bar.set_position((100.0 * (epoch as f64 + share)) as u64))
+    };
+    let mut see = |epoch: Epoch<'_>| {
+        let values = problem.values(epoch.at);
         let shown: Vec<String> =
             parameters.iter().zip(&values).map(|(p, value)| format!("{} {value:.6}", p.key())).collect();
-        bar.line(&format!("epoch {epoch:3}  loss {loss:.4e}  {}", shown.join("  ")));
-        rows.push([vec![epoch as f64, loss], values, vec![clock.elapsed().as_secs_f64()]].concat());
-        if loss < best.0 {
-            best = (loss, x);
-        }
-        optimiser.tell(&limits, loss, &gradient);
-    }
+        bar.line(&format!("epoch {:3}  loss {:.4e}  {}", epoch.number, epoch.loss, shown.join("  ")));
+        rows.push([vec![epoch.number as f64, epoch.loss], values, vec![clock.elapsed().as_secs_f64()]].concat());
+    };
+    let best = search(&mut optimiser, &limits, arguments.epochs, &mut evaluate, &mut see)?;
     bar.finish();
-    let found = problem.values(&best.1);
+    let found = problem.values(&best.at);
     let mut header = vec!["epoch", "loss"];
     header.extend(parameters.iter().map(|p| p.key()));
     header.push("seconds");
@@ -152,7 +144,7 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     }
     let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
     put("loss_before", json!(rows[0][1]));
-    put("loss", json!(best.0));
+    put("loss", json!(best.loss));
     put("epochs", json!(rows.len()));
     put("steps", json!(problem.steps));
     put("frames", json!(arguments.frames));
@@ -160,20 +152,20 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     files::write_summary(&arguments.out, summary)?;
     println!("{}", table.to_text());
     for (k, parameter) in parameters.iter().enumerate() {
-        if best.1[k].abs() > 0.99 * FACTOR.ln() {
+        if best.at[k].abs() > 0.99 * FACTOR.ln() {
             println!(
                 "WARNING: {} is as far from what was assumed as it may be: assume a value nearer to it",
                 parameter.key()
             );
         }
     }
-    if !optimiser.is_done() && best.0 > 1e-6 * rows[0][1] {
+    if !optimiser.is_done() && best.loss > 1e-6 * rows[0][1] {
         println!("WARNING: not converged; --epochs {} gives it more", 2 * arguments.epochs);
     }
     println!(
         "loss {:.3e} -> {:.3e} in {} epochs of {} steps, {:.1} s",
         rows[0][1],
-        best.0,
+        best.loss,
         rows.len(),
         problem.steps,
         clock.elapsed().as_secs_f64()

@@ -1,14 +1,14 @@
-//! `hydrograd recover`: the velocities that a flow began with, from where its particles are later.
+//! `hydrograd recover`: what a flow began with, from where its particles are later.
 
-use super::arguments::{at_least_one, CommonArguments};
+use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
 use super::prepare::use_threads;
 use crate::config::layers::Setting;
-use crate::config::scene::Precision;
-use crate::design::limits::Limits;
-use crate::design::optimisers::{BarzilaiBorwein, Optimiser};
+use crate::config::scene::{Config, Family, Precision};
+use crate::design::optimisers::BarzilaiBorwein;
 use crate::error::{BadInput, Error};
-use crate::inverse::initial_velocity::InitialVelocity;
+use crate::inverse::initial_state::{InitialState, Unknown};
+use crate::inverse::search::{search, Epoch};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
 use crate::io::state_file::read_state;
@@ -17,21 +17,28 @@ use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use clap::Args;
 use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Find the velocities that a flow began with from where its particles end (an inverse problem).
+/// Find what a flow began with from where its particles end: places or velocities (an inverse problem).
 #[derive(Debug, Clone, Args)]
 #[command(after_long_help = "\
-The places at the start are the scene's; the velocities there are unknown and begin at zero. Each epoch runs the flow, compares
-where its fluid ends with where it should, and follows the exact gradient by all initial velocities.
+A part of the start is unknown and begins with a guess; the rest of it is the scene's. Each epoch runs the flow, compares where its
+fluid ends with where it should, and follows the exact gradient by all unknowns.
 
 Examples:
   hydrograd recover taylor-green
-      the vortices' velocities from the places of 2500 particles 100 steps later
+      the vortices' velocities, at rest at first, from the places of 2500 particles 100 steps later
+  hydrograd recover falling-block
+      where the particles of a falling block were, from a guess at the tank's wall
+  hydrograd recover falling-block --unknown offset --set water.y=0.3 --guess water.x=0.05 --guess water.y=0.5
+      the same of the block as a whole, which hits the floor at the end
+  hydrograd recover falling-block --guess run.seed=1 --guess water.x=0.1
+      from a guess whose particles are in another disorder
   hydrograd recover taylor-green --set time.end=0.3 --epochs 40
       over a longer time, where the flow has mixed more
   hydrograd recover taylor-green --target runs/simulate-taylor-green/state.h5 --set time.end=0.2
@@ -39,6 +46,13 @@ Examples:
 pub struct RecoverArguments {
     #[command(flatten)]
     pub common: CommonArguments,
+    /// What is to be found [default: places with falling-block, else velocities].
+    #[arg(long, value_enum)]
+    pub unknown: Option<Unknown>,
+    /// How the start differs that is assumed at first, e.g. `--guess water.x=0.1`; may be repeated [default: velocities: at rest;
+    /// places: falling-block's block at a wall, else another seed].
+    #[arg(long = "guess", value_name = "KEY=VALUE")]
+    pub guesses: Vec<String>,
     /// A state.h5 with the places to end at [default: where the scene's own run ends].
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
@@ -47,8 +61,9 @@ pub struct RecoverArguments {
     pub epochs: usize,
 }
 
-/// Steps of a run unless the user says how long it is.
-const STEPS: usize = 100;
+/// How long a run is unless the user says so. A block that falls from the middle of its tank comes to the floor at 0.6.
+const USUAL: &str = "time.steps=100";
+const USUAL_OF_A_BLOCK: &str = "time.end=0.5";
 
 impl RecoverArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
@@ -56,8 +71,35 @@ impl RecoverArguments {
         common.scene.get_or_insert_with(|| "taylor-green".into());
         let says = |key: &str| common.sets.iter().any(|set| set.trim_start().starts_with(key));
         let own = !says("time.end") && !says("time.steps");
-        let defaults = if own { vec![Setting::set(&format!("time.steps={STEPS}"))] } else { vec![] };
-        common.load(None, defaults, vec![])
+        let family = Config::load_settings(common.scene.as_deref(), None, &[])?.config.scene;
+        let usual = if family == Family::FallingBlock { USUAL_OF_A_BLOCK } else { USUAL };
+        common.load(None, if own { vec![Setting::set(usual)] } else { vec![] }, vec![])
+    }
+
+    fn unknown(&self, config: &Config) -> Unknown {
+        let usual = if config.scene == Family::FallingBlock { Unknown::Places } else { Unknown::Velocities };
+        self.unknown.unwrap_or(usual)
+    }
+
+    /// The scene with the start that is assumed at first; none: at rest.
+    fn assumed(&self, loaded: &Loaded) -> Result<Option<Loaded>, Error> {
+        let config = &loaded.config;
+        let given = |text: &String| Setting { label: format!("--guess {text}"), ..Setting::set(text) };
+        let mut settings: Vec<Setting> = self.guesses.iter().map(given).collect();
+        if settings.is_empty() {
+            settings.push(match (self.unknown(config), config.scene) {
+                (Unknown::Velocities, _) => return Ok(None),
+                (_, Family::FallingBlock) => {
+                    // A spacing away from the wall that is farther off.
+                    let (dx, water) = (config.resolution.dx, &config.water);
+                    let right = config.tank.length - water.length - dx;
+                    let x = if water.x - dx > right - water.x { dx } else { right };
+                    Setting::option("the guess", "water.x", format!("{x:?}"))
+                }
+                _ => Setting::option("the guess", "run.seed", (config.run.seed + 1) % (1 << 62)),
+            });
+        }
+        Ok(Some(loaded.with(&settings)?))
     }
 }
 
@@ -67,6 +109,14 @@ pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &arguments, &folder),
         Precision::F64 => go::<f64>(&loaded, &arguments, &folder),
+    }
+}
+
+/// What is known of an unknown: its name in tables, and in files.
+fn names(unknown: Unknown) -> (&'static str, &'static str) {
+    match unknown {
+        Unknown::Velocities => ("error of the velocities, relative", "velocity_error"),
+        Unknown::Places | Unknown::Offset => ("error of the places at the start", "place_error"),
     }
 }
 
@@ -83,147 +133,152 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
         }
     };
     let is_twin = target.is_none();
-    let problem = InitialVelocity::<R>::new(&loaded.config, target)?;
+    let (unknown, assumed) = (arguments.unknown(&loaded.config), arguments.assumed(loaded)?);
+    let assumed_config = assumed.as_ref().map(|assumed| &assumed.config);
+    let place = |key: &str| assumed.as_ref().unwrap_or(loaded).place(key).map(str::to_owned);
+    let problem = InitialState::<R>::new(&loaded.config, unknown, assumed_config, target);
+    let problem = problem.map_err(|error| match error.downcast::<Error>() {
+        Ok(Error::Input(bad)) => Error::from(bad.located(place)).into(),
+        Ok(other) => other.into(),
+        Err(other) => other,
+    })?;
+    check_worth(loaded, &problem, is_twin)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
-    let truth = problem.truth();
-    if is_twin && truth.iter().all(|v| *v == 0.0) {
-        return Err(BadInput::new("the scene begins at rest: there are no velocities to find")
-            .place(loaded.config.scene.name())
-            .allowed("a scene that begins in motion, or --target with the places that another start led to")
-            .advice("hydrograd recover taylor-green")
-            .into());
-    }
-    let limits = Limits::within(vec![f64::NEG_INFINITY; truth.len()], vec![f64::INFINITY; truth.len()]);
-    let mut optimiser = BarzilaiBorwein::new(0.5 * problem.scene.reference_velocity, &vec![0.0; truth.len()]);
-    let bar = Progress::new(arguments.epochs as u64 * 100, "recover");
-    let clock = Instant::now();
-    let (mut rows, mut best) = (Vec::new(), (f64::INFINITY, optimiser.ask().to_vec()));
-    for epoch in 0..arguments.epochs {
-        let velocity = optimiser.ask().to_vec();
-        let mut progress = |share: f64| bar.set_position((100.0 * (epoch as f64 + share)) as u64);
-        let (loss, gradient) = match problem.evaluate(&velocity, &mut progress) {
-            Err(Error::Diverged { .. }) if epoch > 0 => (f64::INFINITY, vec![0.0; velocity.len()]),
-            found => found?,
-        };
-        let distance = problem.distance(loss);
-        // Of another flow's start nothing is known.
-        let error = if is_twin { error_of(&velocity, &truth) } else { f64::NAN };
-        let known = if is_twin { format!("  velocity error {error:.4}") } else { String::new() };
-        bar.line(&format!("epoch {epoch:3}  distance {distance:.6}{known}"));
-        let flat = gradient.iter().all(|g| *g == 0.0) && loss.is_finite();
-        rows.push(vec![epoch as f64, distance, error, clock.elapsed().as_secs_f64()]);
-        if loss < best.0 {
-            best = (loss, velocity);
-        }
-        if flat {
-            break;
-        }
-        optimiser.tell(&limits, loss, &gradient);
-    }
-    bar.finish();
-    write_rows(&folder.join("history.csv"), &["epoch", "distance", "velocity_error", "seconds"], &rows)?;
-    let column = |k: usize| rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
+    let found = recover(&problem, arguments.epochs, is_twin)?;
+    let (error_name, error_key) = names(unknown);
+    write_rows(&folder.join("history.csv"), &["epoch", "distance", error_key, "seconds"], &found.rows)?;
+    let column = |k: usize| found.rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
     let mut curves = vec![("distance at the end".to_string(), column(1))];
     if is_twin {
-        curves.push(("error of the velocities, relative".to_string(), column(2)));
+        curves.push((error_name.to_string(), column(2)));
     }
-    compare(&folder.join("history"), "Recovery of the initial velocities", "epoch", "", &curves, false, true)?;
-    pictures(&problem, folder, &best.1, is_twin.then_some(truth.as_slice()))?;
-    let distance = problem.distance(best.0);
+    compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
+    pictures(&problem, folder, &found.at, is_twin)?;
+    let (first, seconds) = (&found.rows[0], found.rows.last().map_or(0.0, |row| row[3]));
+    let (distance, error) = (problem.distance(found.loss), problem.error(&found.at));
     let mut summary = Map::new();
     let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
-    put("distance_before", json!(rows[0][1]));
+    put("unknown", json!(name_of(unknown)));
+    put("distance_before", json!(first[1]));
     put("distance", json!(distance));
-    put("velocity_error", json!(is_twin.then(|| error_of(&best.1, &truth))));
+    put(&format!("{error_key}_before"), json!(is_twin.then_some(first[2])));
+    put(error_key, json!(is_twin.then_some(error)));
     put("particles", json!(problem.scene.model.particles()));
-    put("unknowns", json!(truth.len()));
+    put("unknowns", json!(found.at.len()));
     put("steps", json!(problem.scene.steps));
-    put("epochs", json!(arguments.epochs));
-    put("seconds", json!(clock.elapsed().as_secs_f64()));
+    put("epochs", json!(found.rows.len()));
+    put("seconds", json!(seconds));
     files::write_summary(folder, summary)?;
     let mut table = Table::new(["", "before", "found"]);
-    table.row([
-        "distance at the end (root mean square of a coordinate)".into(),
-        format!("{:.6}", rows[0][1]),
-        format!("{distance:.6}"),
-    ]);
+    let mut row = |name: &str, before: f64, now: f64| {
+        table.row([name.into(), format!("{before:.6}"), format!("{now:.6}")]);
+    };
+    row("distance at the end (root mean square of a coordinate)", first[1], distance);
     if is_twin {
-        table.row([
-            "error of the velocities, relative".into(),
-            format!("{:.4}", rows[0][2]),
-            format!("{:.4}", error_of(&best.1, &truth)),
-        ]);
+        row(error_name, first[2], error);
     }
     println!("{}", table.to_text());
-    println!(
-        "{} unknowns, {} steps, {} epochs in {:.1} s",
-        truth.len(),
-        problem.scene.steps,
-        arguments.epochs,
-        clock.elapsed().as_secs_f64()
-    );
+    let (unknowns, steps, epochs) = (found.at.len(), problem.scene.steps, found.rows.len());
+    println!("{unknowns} unknowns, {steps} steps, {epochs} epochs in {seconds:.1} s");
     println!("files in {}: summary.json, history.csv, history.png, end.png, start.png", folder.display());
     Ok(())
 }
 
-/// |v - v*| / |v*|.
-fn error_of(velocity: &[f64], truth: &[f64]) -> f64 {
-    let square = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>();
-    let apart = square(&mut velocity.iter().zip(truth).map(|(v, t)| v - t));
-    (apart / square(&mut truth.iter().copied())).sqrt()
+/// An error if there is nothing to find.
+fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: bool) -> Result<(), Error> {
+    let bad = |what: &str| BadInput::new(what).place(loaded.config.scene.name());
+    if is_twin && problem.unknown == Unknown::Velocities && problem.truth().iter().all(|v| *v == 0.0) {
+        return Err(bad("the scene begins at rest: there are no velocities to find")
+            .allowed("a scene that begins in motion, or --target with the places that another start led to")
+            .advice("hydrograd recover taylor-green")
+            .into());
+    }
+    if is_twin && problem.error(&problem.first()) == 0.0 {
+        return Err(bad("the guess is the scene's own start: there is nothing to find")
+            .allowed("a guess that differs in a key of the start, or --target with the places that another start led to")
+            .advice("hydrograd recover falling-block --guess water.x=0.05")
+            .into());
+    }
+    Ok(())
 }
 
-/// Where particles end (from nothing, as they should, as found), and how fast they begin (found, and truly).
+/// What a search has found, and its epochs: number, distance at the end, error of the unknowns, seconds.
+struct Recovered {
+    at: Vec<f64>,
+    loss: f64,
+    rows: Vec<Vec<f64>>,
+}
+
+fn recover<R: Sweeps>(problem: &InitialState<R>, epochs: usize, is_twin: bool) -> anyhow::Result<Recovered> {
+    let clock = Instant::now();
+    let mut optimiser = BarzilaiBorwein::new(problem.first_step()?, &problem.first());
+    let bar = Progress::new(epochs as u64 * 100, "recover");
+    let mut rows = Vec::new();
+    let mut evaluate = |epoch: usize, x: &[f64]| {
+        problem.evaluate(x, &mut |share| bar.set_position((100.0 * (epoch as f64 + share)) as u64))
+    };
+    let mut see = |epoch: Epoch<'_>| {
+        let distance = problem.distance(epoch.loss);
+        // Of another flow's start nothing is known.
+        let error = if is_twin { problem.error(epoch.at) } else { f64::NAN };
+        let (name, _) = names(problem.unknown);
+        let known = if is_twin { format!("  {name} {error:.6}") } else { String::new() };
+        bar.line(&format!("epoch {:3}  distance {distance:.6}{known}", epoch.number));
+        rows.push(vec![epoch.number as f64, distance, error, clock.elapsed().as_secs_f64()]);
+    };
+    let found = search(&mut optimiser, &problem.limits(), epochs, &mut evaluate, &mut see)?;
+    bar.finish();
+    Ok(Recovered { at: found.at, loss: found.loss, rows })
+}
+
+/// Where particles end and begin: with what was assumed, as they should, and as found; coloured by their speeds.
 fn pictures<R: Sweeps>(
-    problem: &InitialVelocity<R>,
+    problem: &InitialState<R>,
     folder: &Path,
     found: &[f64],
-    truth: Option<&[f64]>,
+    is_twin: bool,
 ) -> anyhow::Result<()> {
-    let model = &problem.scene.model;
+    let (scene, model) = (&problem.scene, &problem.scene.model);
     let (n, d) = (model.particles(), model.layout.dimension);
     let speed = |fields: &ParticleFields| -> Vec<f64> {
         (0..n).map(|i| (0..d).map(|k| fields.velocity[k * n + i].powi(2)).sum::<f64>().sqrt()).collect()
     };
-    let nothing = ParticleFields::of(&mut problem.end(&vec![0.0; found.len()])?);
-    let end = ParticleFields::of(&mut problem.end(found)?);
-    let begin = |velocity: &[f64]| -> anyhow::Result<ParticleFields> {
-        Ok(ParticleFields::of(&mut crate::sph::solver::Solver::restore(model.clone(), &problem.start(velocity))?))
+    let shown = |solver: &mut Solver<R>| {
+        let fields = ParticleFields::of(solver);
+        (fields.position[..2 * n].to_vec(), speed(&fields))
     };
-    let size = &model.domain.size;
-    let panel = |title: &'static str, position, values| TemperaturePanel {
-        title,
-        position,
-        temperature: values,
-        tag: &model.tags,
-        diameter: problem.scene.spacing,
+    let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { Ok(shown(&mut Solver::restore(model.clone(), start)?)) };
+    let draw = |name: &str, panels: &[(&str, (Vec<f64>, Vec<f64>))]| {
+        let fluid = |speeds: &[f64]| (0..n).filter(|&i| model.is_fluid(i)).map(|i| speeds[i]).fold(0.0, f64::max);
+        let most = panels.iter().map(|(_, (_, speeds))| fluid(speeds)).fold(0.0, f64::max);
+        let mut drawn = Vec::new();
+        for (title, (position, speeds)) in panels {
+            let diameter = scene.spacing;
+            drawn.push(TemperaturePanel { title, position, temperature: speeds, tag: &model.tags, diameter });
+        }
+        let range = |k: usize| (scene.corner[k], scene.corner[k] + model.domain.size[k]);
+        colored_particles(&folder.join(name), "speed |u|", &drawn, (0.0, most.max(1e-6)), range(0), range(1))
     };
-    let draw = |name: &str, panels: &[TemperaturePanel], most: f64| {
-        let range = (0.0, most.max(1e-6));
-        colored_particles(&folder.join(name), "speed |u|", panels, range, (0.0, size[0]), (0.0, size[1]))
-    };
-    let most = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
-    let (at_rest, fast) = (speed(&nothing), speed(&end));
+    let first = problem.first();
     // How fast particles of a file are is not looked at.
-    let wanted = match truth {
-        Some(truth) => speed(&ParticleFields::of(&mut problem.end(truth)?)),
-        None => vec![0.0; n],
+    let wanted = match is_twin {
+        true => shown(&mut problem.end_of(&scene.start)?).1,
+        false => vec![0.0; n],
     };
-    let target = &problem.target()[..2 * n];
-    let panels = [
-        panel("end, from rest", &nothing.position[..2 * n], &at_rest),
-        panel("end, as it should be", target, &wanted),
-        panel("end, from the velocities that were found", &end.position[..2 * n], &fast),
-    ];
-    draw("end", &panels, most(&fast))?;
-    let found = begin(found)?;
-    let truth = truth.map(begin).transpose()?;
-    let (own, true_speed) = (speed(&found), truth.as_ref().map(speed));
-    let mut panels = vec![panel("start, as found", &found.position[..2 * n], &own)];
-    if let (Some(truth), Some(speed)) = (&truth, &true_speed) {
-        panels.push(panel("start, as it was", &truth.position[..2 * n], speed));
+    draw(
+        "end",
+        &[
+            ("end, from what was assumed", shown(&mut problem.end(&first)?)),
+            ("end, as it should be", (problem.target()[..2 * n].to_vec(), wanted)),
+            ("end, from what was found", shown(&mut problem.end(found)?)),
+        ],
+    )?;
+    let mut starts = vec![("start, as assumed", begin(&problem.start(&first))?)];
+    if is_twin {
+        starts.push(("start, as it was", begin(&scene.start)?));
     }
-    draw("start", &panels, most(&own))?;
+    starts.push(("start, as found", begin(&problem.start(found))?));
+    draw("start", &starts)?;
     Ok(())
 }

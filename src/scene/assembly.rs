@@ -504,7 +504,9 @@ impl<R: Real> Parts<R> {
     }
 
     pub fn scene(self, model: Arc<Model<R>>, start: Snapshot<R>) -> Scene<R> {
-        let behind = |d: usize| self.lattice.corner[d] - self.lattice.before[d] * self.lattice.spacing;
+        let lattice = &self.lattice;
+        let behind = |d: usize| lattice.corner[d] - lattice.before[d] * lattice.spacing;
+        let row = |d: usize, rows: usize| behind(d) + rows as f64 * lattice.spacing;
         Scene {
             name: self.name,
             model,
@@ -512,6 +514,10 @@ impl<R: Real> Parts<R> {
             steps: self.numerics.steps,
             spacing: self.lattice.spacing,
             corner: std::array::from_fn(behind),
+            inside: std::array::from_fn(|d| {
+                let walls = lattice.wall_rows[d];
+                [row(d, walls), row(d, lattice.cells[d] - walls)]
+            }),
             reference_velocity: self.velocity,
             exact: self.exact,
             design: None,

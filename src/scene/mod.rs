@@ -51,6 +51,8 @@ pub struct Scene<R> {
     pub spacing: f64,
     /// The lower corner of the box, in front of the walls.
     pub corner: [f64; 3],
+    /// Where its fluid is along each direction: between the walls at the box's ends, before one is shaped.
+    pub inside: [[f64; 2]; 3],
     pub reference_velocity: f64,
     pub exact: Exact,
     /// What only a scene with a design has.

@@ -1,0 +1,324 @@
+//! What a flow began with, from where its particles were n steps later.
+//!
+//! Unknown is a part of the first state, all else of it is known. With x_i(0), u_i(0) the fluid's places and velocities at the
+//! start, in units of the scene, and g_i(0) the places that are assumed at first:
+//!
+//! | unknown | variables | | derivative of the loss |
+//! |---|---|---|---|
+//! | [`Unknown::Velocities`] | `[D, N_fluid]` | u_i(0) | by u_i(0) |
+//! | [`Unknown::Places`] | `[D, N_fluid]` | x_i(0) | by x_i(0) |
+//! | [`Unknown::Offset`] | `[D]` | s with x_i(0) = g_i(0) + s | sum over i of that by x_i(0) |
+//!
+//! The loss is the mean over particles of |x - x*|^2 at the end, in spacings. (JAX-SPH's notebook on inverse problems has the
+//! places of a falling block: <https://github.com/tumaer/jax-sph>, notebooks/iclr24_inverse.ipynb.)
+
+use super::matching::{Matching, Seen};
+use crate::adjoint::gradient::{gradient, Progress};
+use crate::adjoint::run::run;
+use crate::adjoint::schedule::Schedule;
+use crate::config::difference::differences;
+use crate::config::scene::{Config, Kernels};
+use crate::design::limits::Limits;
+use crate::error::{BadInput, Error};
+use crate::scene::Scene;
+use crate::sph::dynamics::Sph;
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Sweeps;
+use std::collections::BTreeMap;
+
+/// What of the start is unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Unknown {
+    /// Where every particle is.
+    Places,
+    /// How far the fluid as a whole is from where it is assumed to be.
+    Offset,
+    /// The velocity of every particle.
+    Velocities,
+}
+
+impl Unknown {
+    /// The first row of the state that it is in.
+    fn row<R: Sweeps>(self, scene: &Scene<R>) -> usize {
+        match self {
+            Self::Places | Self::Offset => 0,
+            Self::Velocities => scene.model.layout.velocity(),
+        }
+    }
+}
+
+/// What a start that is assumed may differ in: nothing that the run behind it depends on.
+pub const OF_A_START: [&str; 5] = ["water.x", "water.y", "water.speed", "time.jitter", "run.seed"];
+
+/// A scene, a part of whose start is to be found.
+pub struct InitialState<R> {
+    /// As it was.
+    pub scene: Scene<R>,
+    pub unknown: Unknown,
+    dynamics: Sph<R>,
+    /// Fluid particles.
+    fluid: Vec<usize>,
+    /// The start with what is assumed of it at first, `[F, N]`.
+    assumed: Vec<R>,
+    matching: Matching,
+    schedule: Schedule,
+}
+
+impl<R: Sweeps> InitialState<R> {
+    /// `assumed`: the scene with another start; none: at rest, and no other place. `target`: places `[D, N]` at the end; none:
+    /// where the scene's own run ends.
+    ///
+    /// # Errors
+    /// Particles whose velocities stand elsewhere, an assumed start of another run, a target of another size, a budget that is too
+    /// small.
+    pub fn new(
+        config: &Config,
+        unknown: Unknown,
+        assumed: Option<&Config>,
+        target: Option<Vec<f64>>,
+    ) -> anyhow::Result<Self> {
+        let scene = Scene::<R>::from_config(config)?;
+        let model = scene.model.clone();
+        let (n, d) = (model.particles(), model.layout.dimension);
+        if model.fixed.is_some() {
+            return Err(BadInput::new("fluid.motion = fixed: the start of particles that do not move")
+                .key("fluid.motion")
+                .allowed("moving: places at the end say nothing of fixed particles")
+                .into());
+        }
+        let dynamics = Sph::new(model.clone(), Kernels::Fused);
+        let position = match target {
+            Some(position) if position.len() == d * n => position,
+            Some(position) => {
+                let problem = format!("the target has {} coordinates", position.len());
+                return Err(BadInput::new(problem)
+                    .allowed(format!("{} coordinates of {n} particles, in {d} directions", d * n))
+                    .into());
+            }
+            None => {
+                let end = run(&dynamics, &scene.start, scene.steps, &mut [])?;
+                end.state[..d * n].iter().map(|x| x.f64()).collect()
+            }
+        };
+        let fluid: Vec<usize> = (0..n).filter(|&i| model.is_fluid(i)).collect();
+        let matching = matching(&scene, scene.steps, position);
+        let costs = dynamics.costs_from(&scene.start.state)?;
+        let schedule = Schedule::affordable(scene.steps, 0, costs, config.optimise.memory)?;
+        let other = assumed.map(|assumed| start_of::<R>(config, assumed)).transpose()?;
+        let mut state = scene.start.state.clone();
+        for row in unknown.row(&scene)..unknown.row(&scene) + d {
+            for &i in &fluid {
+                state[row * n + i] = match (&other, unknown) {
+                    (Some(other), _) => other[row * n + i],
+                    (None, Unknown::Velocities) => R::default(),
+                    (None, Unknown::Places | Unknown::Offset) => state[row * n + i],
+                };
+            }
+        }
+        Ok(Self { scene, unknown, dynamics, fluid, assumed: state, matching, schedule })
+    }
+
+    /// Places or velocities of the fluid, whichever are unknown, in a state `[F, N]`; `[D, N_fluid]`.
+    fn of(&self, state: &[R]) -> Vec<f64> {
+        let (n, d) = (self.scene.model.particles(), self.scene.model.layout.dimension);
+        let first = self.unknown.row(&self.scene);
+        (first..first + d).flat_map(|row| self.fluid.iter().map(move |&i| state[row * n + i].f64())).collect()
+    }
+
+    /// The unknowns as they are assumed at first.
+    pub fn first(&self) -> Vec<f64> {
+        match self.unknown {
+            Unknown::Offset => vec![0.0; self.scene.model.layout.dimension],
+            Unknown::Places | Unknown::Velocities => self.of(&self.assumed),
+        }
+    }
+
+    /// Places or velocities of the fluid that the scene begins with, `[D, N_fluid]`.
+    pub fn truth(&self) -> Vec<f64> {
+        self.of(&self.scene.start.state)
+    }
+
+    /// The scene's start with these unknowns.
+    pub fn start(&self, x: &[f64]) -> Snapshot<R> {
+        let (n, domain) = (self.scene.model.particles(), &self.scene.model.domain);
+        let (count, first) = (self.fluid.len(), self.unknown.row(&self.scene));
+        let mut state = self.scene.start.state.clone();
+        for d in 0..domain.dimension {
+            for (k, &i) in self.fluid.iter().enumerate() {
+                let at = (first + d) * n + i;
+                let place = |x: f64| {
+                    let x = R::of(domain.wrapped(d, x));
+                    // Rounded, a place just below the box's end may be the end itself, which is the beginning.
+                    match domain.periodic[d] && x >= R::of(domain.size[d]) {
+                        true => R::default(),
+                        false => x,
+                    }
+                };
+                state[at] = match self.unknown {
+                    Unknown::Velocities => R::of(x[d * count + k]),
+                    Unknown::Places => place(x[d * count + k]),
+                    Unknown::Offset => place(self.assumed[at].f64() + x[d]),
+                };
+            }
+        }
+        Snapshot::first(&self.scene.model, state)
+    }
+
+    /// The run's end with these unknowns.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn end(&self, x: &[f64]) -> anyhow::Result<Solver<R>> {
+        self.end_of(&self.start(x))
+    }
+
+    /// The end of a run from some start.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn end_of(&self, start: &Snapshot<R>) -> anyhow::Result<Solver<R>> {
+        run(&self.dynamics, start, self.scene.steps, &mut [])
+    }
+
+    /// Places `[D, N]` that are to be reached.
+    pub fn target(&self) -> &[f64] {
+        &self.matching.seen[&self.scene.steps].position
+    }
+
+    /// Where the unknowns may be: the fluid between the walls.
+    pub fn limits(&self) -> Limits {
+        let domain = &self.scene.model.domain;
+        let inside = |d: usize| match domain.periodic[d] {
+            true => [f64::NEG_INFINITY, f64::INFINITY],
+            false => self.scene.inside[d],
+        };
+        let count = self.fluid.len();
+        let (mut lower, mut upper) = (vec![], vec![]);
+        for d in 0..domain.dimension {
+            let [low, high] = inside(d);
+            match self.unknown {
+                Unknown::Velocities => {
+                    lower.resize(lower.len() + count, f64::NEG_INFINITY);
+                    upper.resize(upper.len() + count, f64::INFINITY);
+                }
+                Unknown::Places => {
+                    lower.resize(lower.len() + count, low);
+                    upper.resize(upper.len() + count, high);
+                }
+                Unknown::Offset => {
+                    let places = self.of(&self.assumed);
+                    let places = &places[d * count..(d + 1) * count];
+                    lower.push(low - places.iter().copied().fold(f64::INFINITY, f64::min));
+                    upper.push(high - places.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+                }
+            }
+        }
+        Limits::within(lower, upper)
+    }
+
+    /// What a first step may change an unknown by. Of places: as far as the run from what is assumed missed the target, which is
+    /// right where every particle is moved at the end as at the start.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn first_step(&self) -> anyhow::Result<f64> {
+        if self.unknown == Unknown::Velocities {
+            return Ok(0.5 * self.scene.reference_velocity);
+        }
+        let missed = self.missed(&self.end(&self.first())?);
+        let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |most: f64, x| most.max(x.abs()));
+        Ok(match self.unknown {
+            Unknown::Offset => {
+                let count = self.fluid.len();
+                largest(&mut missed.chunks(count).map(|row| row.iter().sum::<f64>() / count as f64))
+            }
+            Unknown::Places | Unknown::Velocities => largest(&mut missed.into_iter()),
+        })
+    }
+
+    /// How far an end is from the target, `[D, N_fluid]`.
+    fn missed(&self, end: &Solver<R>) -> Vec<f64> {
+        self.apart(&end.state, |at| self.target()[at])
+    }
+
+    /// Places of a state `[F, N]` less others `[D, N]`, by the nearest image, `[D, N_fluid]`.
+    fn apart(&self, state: &[R], others: impl Fn(usize) -> f64) -> Vec<f64> {
+        let (n, domain) = (self.scene.model.particles(), &self.scene.model.domain);
+        let all = (0..domain.dimension).flat_map(|d| self.fluid.iter().map(move |&i| (d, d * n + i)));
+        all.map(|(d, at)| domain.nearest(d, state[at].f64() - others(at))).collect()
+    }
+
+    /// Loss and its derivative by the unknowns.
+    ///
+    /// # Errors
+    /// A run that diverges.
+    pub fn evaluate(&self, x: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
+        let found = gradient(&self.dynamics, &self.start(x), &self.schedule, &self.matching, progress);
+        let found = found.map_err(|error| error.advised(self.scene.model.remedy()))?;
+        let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>());
+        let state = state.map_err(|error| Error::run(error.to_string(), "report this"))?;
+        let by_particle = self.of(&state);
+        Ok((
+            found.value,
+            match self.unknown {
+                Unknown::Places | Unknown::Velocities => by_particle,
+                Unknown::Offset => by_particle.chunks(self.fluid.len()).map(|row| row.iter().sum()).collect(),
+            },
+        ))
+    }
+
+    /// The root of the mean square of a coordinate's error that a loss stands for, in units of length.
+    pub fn distance(&self, loss: f64) -> f64 {
+        (loss / self.scene.model.layout.dimension as f64).sqrt() * self.scene.spacing
+    }
+
+    /// The same of an end.
+    pub fn distance_of(&self, end: &Solver<R>) -> f64 {
+        root_mean_square(&self.missed(end))
+    }
+
+    /// How far these unknowns are from the truth: of velocities |u - u*| / |u*|, of places the root of the mean square of a
+    /// coordinate's error, in units of length.
+    pub fn error(&self, x: &[f64]) -> f64 {
+        if self.unknown == Unknown::Velocities {
+            let truth = self.truth();
+            let apart: Vec<f64> = x.iter().zip(&truth).map(|(x, truth)| x - truth).collect();
+            return root_mean_square(&apart) / root_mean_square(&truth);
+        }
+        let truth = &self.scene.start.state;
+        root_mean_square(&self.apart(&self.start(x).state, |at| truth[at].f64()))
+    }
+
+    /// An objective of runs whose step `step` is this one's end.
+    pub fn matching_at(&self, step: usize) -> Matching {
+        matching(&self.scene, step, self.target().to_vec())
+    }
+}
+
+/// Places `[D, N]` that a scene's fluid is to be at.
+fn matching<R: Sweeps>(scene: &Scene<R>, step: usize, position: Vec<f64>) -> Matching {
+    let model = &scene.model;
+    Matching {
+        seen: BTreeMap::from([(step, Seen { position, temperature: None, weight: 1.0 })]),
+        domain: model.domain,
+        length: scene.spacing,
+        warmth: 1.0,
+        fluid: (0..model.particles()).map(|i| model.is_fluid(i)).collect(),
+    }
+}
+
+/// The start `[F, N]` that is assumed at first of the same particles.
+fn start_of<R: Sweeps>(config: &Config, assumed: &Config) -> Result<Vec<R>, Error> {
+    if let Some(other) = differences(config, assumed, &OF_A_START).first() {
+        let problem = format!("what is assumed of the start has {} = {} instead of {}", other.key, other.now, other.before);
+        return Err(BadInput::new(problem)
+            .key(other.key.clone())
+            .allowed(format!("a start of the same particles in the same flow: {}", OF_A_START.join(", ")))
+            .into());
+    }
+    Ok(Scene::<R>::from_config(assumed)?.start.state)
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
