@@ -6,7 +6,7 @@
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
 Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
-surrogate-rank surrogate-starts surrogate-compare. Of speed: bench-kernels bench-gradient bench-formulations
+surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
 
 Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
@@ -404,6 +404,14 @@ def inverse():
         s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps, fluid__formulation="standard")))
         rows.append([f"velocities, {s['unknowns']} unknowns, {steps} steps", f"{s['distance_before']:.4f} -> {s['distance']:.6f}",
                      f"{100 * s['velocity_error']:.1f} %", s["epochs"], f"{s['seconds']:.1f}"])
+    # JAX-SPH's notebook: its viscosity, disorder and time step.
+    block = ["recover", "falling-block", *sets(fluid__viscosity=0.02, time__jitter=0.02, time__cfl=1.1, time__steps=100)]
+    floor = ["--set", "water.y=0.3", "--guess", "water.x=0.05", "--guess", "water.y=0.5"]
+    for label, more in (("a falling block's places", []), ("the same, from a guess at the wall", ["--guess", "water.x=0.05"]),
+                        ("those of one that hits the floor", floor), ("its offset", [*floor, "--unknown", "offset"])):
+        s = load(run("recover-block", *block, *more))
+        rows.append([f"{label}, {s['unknowns']} unknowns, {s['steps']} steps", f"{s['distance_before']:.4f} -> {s['distance']:.2g}",
+                     f"{s['place_error']:.2g} (before: {s['place_error_before']:.3f})", s["epochs"], f"{s['seconds']:.1f}"])
     data = run("seen", "generate", "heated-channel", "--trajectories", "1/1/1", "--frames", "12", *sets(time__start="rest"))
     for viscosity, conductivity in ((0.016, 5.0), (0.006, 12.0)):
         s = load(run("calibrate", "calibrate", "--data", data, *sets(fluid__viscosity=viscosity, fluid__conductivity=conductivity)))
@@ -413,7 +421,18 @@ def inverse():
     return table(["unknown", "distance at the end", "error of what is found", "epochs", "seconds"], rows)
 
 
-surrogate_figures = {"surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
+def surrogate_inverse():
+    """The vortices' velocities by a learned model, judged in the solver, beside the solver's own find."""
+    s = load(run("recover-surrogate", "recover", "taylor-green", "--dynamics", "surrogate"))
+    rows = [[name, f"{of['distance']:.4f}", f"{100 * of['velocity_error']:.0f} %", of["epochs"], f"{of['seconds']:.1f}"]
+            for name, of in (("the surrogate", s), ("the solver", s["solver"]))]
+    model = [s[f"distance_in_the_surrogate{of}"] for of in ("_before", "", "_from_the_true_start")]
+    return "\n".join([table(["found by", "distance at the end, in the solver", "velocities wrong", "epochs", "seconds"], rows), "",
+                      f"From rest it is {s['distance_before']:.4f}. {s['unknowns']} unknowns, {s['frames']} frames, {s['steps']} steps. In the surrogate: {model[0]:.4f} -> "
+                      f"{model[1]:.4f}, and the true start ends {model[2]:.4f} away."])
+
+
+surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
 solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

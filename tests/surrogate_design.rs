@@ -54,7 +54,7 @@ fn loaded(more: &[&str]) -> Loaded {
 }
 
 fn problem(heat: &str, more: &[&str]) -> SurrogateProblem<f64> {
-    let model = load_learned(Some(&model(heat)), Kernels::Fused, DType::F64).unwrap();
+    let model = load_learned(&model(heat), Kernels::Fused, DType::F64).unwrap();
     SurrogateProblem::new(&loaded(more), model).unwrap()
 }
 

@@ -32,8 +32,8 @@ use crate::scene::verification::Verification;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
-use crate::surrogate::load_learned;
 use crate::surrogate::models::load::identity;
+use crate::surrogate::{load_learned, HEATED_CHANNEL};
 use candle_core::DType;
 use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
@@ -411,7 +411,10 @@ pub fn surrogate<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Option<SurrogateP
         Precision::F32 => DType::F32,
         Precision::F64 => DType::F64,
     };
-    let model = load_learned(model_of(&loaded.config), Kernels::Fused, dtype)?;
+    let model = match model_of(&loaded.config) {
+        Some(path) => load_learned(path, Kernels::Fused, dtype)?,
+        None => HEATED_CHANNEL.load(Kernels::Fused, dtype)?,
+    };
     let problem = SurrogateProblem::new(loaded, model).map_err(|error| match error {
         Error::Input(bad) => bad.located(|key| loaded.place(key).map(str::to_owned)).into(),
         other => other,

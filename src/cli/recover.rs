@@ -4,10 +4,9 @@ use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
 use super::prepare::use_threads;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Family, Precision};
-use crate::design::optimisers::BarzilaiBorwein;
+use crate::config::scene::{Config, Family, Kernels, Precision};
 use crate::error::{BadInput, Error};
-use crate::inverse::initial_state::{InitialState, Unknown};
+use crate::inverse::initial_state::{InitialState, Target, Unknown};
 use crate::inverse::search::{search, Epoch};
 use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
@@ -19,7 +18,11 @@ use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
-use clap::Args;
+use crate::surrogate::initial_velocity::{known_scene, LearnedVelocities};
+use crate::surrogate::models::learned::Learned;
+use crate::surrogate::{load_learned, TAYLOR_GREEN};
+use candle_core::DType;
+use clap::{Args, ValueEnum};
 use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -39,6 +42,8 @@ Examples:
       the same of the block as a whole, which hits the floor at the end
   hydrograd recover falling-block --guess run.seed=1 --guess water.x=0.1
       from a guess whose particles are in another disorder
+  hydrograd recover taylor-green --dynamics surrogate
+      velocities through a learned model (models/taylor-green), judged in the solver and beside its own find
   hydrograd recover taylor-green --set time.end=0.3 --epochs 40
       over a longer time, where the flow has mixed more
   hydrograd recover taylor-green --target runs/simulate-taylor-green/state.h5 --set time.end=0.2
@@ -56,24 +61,90 @@ pub struct RecoverArguments {
     /// A state.h5 with the places to end at [default: where the scene's own run ends].
     #[arg(long, value_name = "FILE")]
     pub target: Option<PathBuf>,
+    /// What searches. The surrogate's find is judged in the solver, and beside what the solver finds itself.
+    #[arg(long, value_enum, default_value = "solver")]
+    pub dynamics: SearchedBy,
+    /// A surrogate of `hydrograd train`, of a flow without walls and heat [default: the built-in one, see models/taylor-green].
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Frames of the surrogate behind the start at whose end places are compared [default: 8].
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub frames: Option<usize>,
     /// Runs, each with its gradient.
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = at_least_one)]
     pub epochs: usize,
 }
+
+/// What the flow is run with in a search.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SearchedBy {
+    /// The solver.
+    Solver,
+    /// A learned model, for velocities.
+    Surrogate,
+}
+
+/// Frames of a surrogate unless the user says so: a fifth of the time in which a vortex of the built-in model's data turns once.
+const USUAL_FRAMES: usize = 8;
 
 /// How long a run is unless the user says so. A block that falls from the middle of its tank comes to the floor at 0.6.
 const USUAL: &str = "time.steps=100";
 const USUAL_OF_A_BLOCK: &str = "time.end=0.5";
 
 impl RecoverArguments {
-    pub fn load(&self) -> Result<Loaded, Error> {
+    pub fn load(&self) -> anyhow::Result<Loaded> {
         let mut common = self.common.clone();
         common.scene.get_or_insert_with(|| "taylor-green".into());
+        if self.dynamics == SearchedBy::Surrogate {
+            return self.load_known(&common);
+        }
+        for (option, given) in [("--model", self.model.is_some()), ("--frames", self.frames.is_some())] {
+            if given {
+                return Err(BadInput::new("the solver searches, not a surrogate")
+                    .place(option)
+                    .allowed("--dynamics surrogate")
+                    .into());
+            }
+        }
         let says = |key: &str| common.sets.iter().any(|set| set.trim_start().starts_with(key));
         let own = !says("time.end") && !says("time.steps");
         let family = Config::load_settings(common.scene.as_deref(), None, &[])?.config.scene;
         let usual = if family == Family::FallingBlock { USUAL_OF_A_BLOCK } else { USUAL };
-        common.load(None, if own { vec![Setting::set(usual)] } else { vec![] }, vec![])
+        Ok(common.load(None, if own { vec![Setting::set(usual)] } else { vec![] }, vec![])?)
+    }
+
+    /// The scene whose flow a surrogate knows, with what the user says on top.
+    fn load_known(&self, common: &CommonArguments) -> anyhow::Result<Loaded> {
+        let refused = |what: &str, place: &str, allowed: &str| -> anyhow::Result<Loaded> {
+            Err(BadInput::new(what).place(place).allowed(allowed).into())
+        };
+        if self.target.is_some() {
+            return refused("a target of a file", "--target", "the end of the scene's own run with a surrogate");
+        }
+        if !self.guesses.is_empty() {
+            return refused("a start that is assumed", "--guess", "the start at rest with a surrogate");
+        }
+        if matches!(self.unknown, Some(Unknown::Places | Unknown::Offset)) {
+            return refused("places at the start", "--unknown", "velocities with a surrogate");
+        }
+        for set in
+            common.sets.iter().filter(|set| ["time.end", "time.steps"].iter().any(|key| set.trim().starts_with(key)))
+        {
+            return refused("the length of the run", &format!("--set {set}"), "--frames with a surrogate");
+        }
+        let (known, settings) = known_scene(&self.surrogate()?)?;
+        let scene = Config::load_settings(common.scene.as_deref(), None, &[])?.config.scene.name();
+        if scene != known {
+            return refused(&format!("the model knows scene {known}"), scene, &format!("hydrograd recover {known}"));
+        }
+        Ok(common.load(None, settings, vec![])?)
+    }
+
+    fn surrogate(&self) -> anyhow::Result<Learned> {
+        match &self.model {
+            Some(path) => load_learned(path, Kernels::Fused, DType::F32),
+            None => TAYLOR_GREEN.load(Kernels::Fused, DType::F32),
+        }
     }
 
     fn unknown(&self, config: &Config) -> Unknown {
@@ -90,10 +161,11 @@ impl RecoverArguments {
             settings.push(match (self.unknown(config), config.scene) {
                 (Unknown::Velocities, _) => return Ok(None),
                 (_, Family::FallingBlock) => {
-                    // A spacing away from the wall that is farther off.
-                    let (dx, water) = (config.resolution.dx, &config.water);
-                    let right = config.tank.length - water.length - dx;
-                    let x = if water.x - dx > right - water.x { dx } else { right };
+                    // Two spacings away from the wall that is farther off: one more and it would hardly feel the wall, one less and
+                    // the wall pushes it out of its lattice.
+                    let (away, water) = (2.0 * config.resolution.dx, &config.water);
+                    let right = config.tank.length - water.length - away;
+                    let x = if water.x - away > right - water.x { away } else { right };
                     Setting::option("the guess", "water.x", format!("{x:?}"))
                 }
                 _ => Setting::option("the guess", "run.seed", (config.run.seed + 1) % (1 << 62)),
@@ -121,6 +193,9 @@ fn names(unknown: Unknown) -> (&'static str, &'static str) {
 }
 
 fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -> anyhow::Result<()> {
+    if arguments.dynamics == SearchedBy::Surrogate {
+        return go_with_surrogate::<R>(loaded, arguments, folder);
+    }
     let target = match &arguments.target {
         None => None,
         Some(path) => {
@@ -129,59 +204,149 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
                     .place(format!("--target {}", path.display()))
                     .allowed("a state.h5 of `hydrograd simulate`")
             })?;
-            Some(state.position)
+            Some(Target { position: state.position, tags: state.tag })
         }
     };
     let is_twin = target.is_none();
     let (unknown, assumed) = (arguments.unknown(&loaded.config), arguments.assumed(loaded)?);
     let assumed_config = assumed.as_ref().map(|assumed| &assumed.config);
-    let place = |key: &str| assumed.as_ref().unwrap_or(loaded).place(key).map(str::to_owned);
     let problem = InitialState::<R>::new(&loaded.config, unknown, assumed_config, target);
-    let problem = problem.map_err(|error| match error.downcast::<Error>() {
-        Ok(Error::Input(bad)) => Error::from(bad.located(place)).into(),
-        Ok(other) => other.into(),
-        Err(other) => other,
-    })?;
+    let problem = problem.map_err(located(assumed.as_ref().unwrap_or(loaded)))?;
     check_worth(loaded, &problem, is_twin)?;
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
-    let found = recover(&problem, arguments.epochs, is_twin)?;
+    let mut evaluate = |x: &[f64], progress: Share<'_>| problem.evaluate(x, progress);
+    let found = recover(&problem, "", arguments.epochs, is_twin, &mut evaluate)?;
     let (error_name, error_key) = names(unknown);
     write_rows(&folder.join("history.csv"), &["epoch", "distance", error_key, "seconds"], &found.rows)?;
-    let column = |k: usize| found.rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
-    let mut curves = vec![("distance at the end".to_string(), column(1))];
+    let mut curves = vec![("distance at the end".to_string(), found.column(1))];
     if is_twin {
-        curves.push((error_name.to_string(), column(2)));
+        curves.push((error_name.to_string(), found.column(2)));
     }
     compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
-    pictures(&problem, folder, &found.at, is_twin)?;
-    let (first, seconds) = (&found.rows[0], found.rows.last().map_or(0.0, |row| row[3]));
-    let (distance, error) = (problem.distance(found.loss), problem.error(&found.at));
-    let mut summary = Map::new();
+    pictures(&problem, folder, &[("found", &found.at)], is_twin)?;
+    let (first, seconds) = (&found.rows[0], found.seconds());
+    let mut summary = summary_of(&problem, &found);
     let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
-    put("unknown", json!(name_of(unknown)));
     put("distance_before", json!(first[1]));
-    put("distance", json!(distance));
+    put("distance", json!(problem.distance(found.loss)));
     put(&format!("{error_key}_before"), json!(is_twin.then_some(first[2])));
-    put(error_key, json!(is_twin.then_some(error)));
-    put("particles", json!(problem.scene.model.particles()));
-    put("unknowns", json!(found.at.len()));
-    put("steps", json!(problem.scene.steps));
-    put("epochs", json!(found.rows.len()));
-    put("seconds", json!(seconds));
+    put(error_key, json!(is_twin.then(|| problem.error(&found.at))));
     files::write_summary(folder, summary)?;
     let mut table = Table::new(["", "before", "found"]);
-    let mut row = |name: &str, before: f64, now: f64| {
-        table.row([name.into(), format!("{before:.6}"), format!("{now:.6}")]);
-    };
-    row("distance at the end (root mean square of a coordinate)", first[1], distance);
+    table.row(cells(END, &[first[1], problem.distance(found.loss)]));
     if is_twin {
-        row(error_name, first[2], error);
+        table.row(cells(error_name, &[first[2], problem.error(&found.at)]));
     }
     println!("{}", table.to_text());
     let (unknowns, steps, epochs) = (found.at.len(), problem.scene.steps, found.rows.len());
     println!("{unknowns} unknowns, {steps} steps, {epochs} epochs in {seconds:.1} s");
-    println!("files in {}: summary.json, history.csv, history.png, end.png, start.png", folder.display());
+    println!("files in {}: {FILES}", folder.display());
+    Ok(())
+}
+
+const END: &str = "distance at the end (root mean square of a coordinate)";
+const FILES: &str = "summary.json, history.csv, history.png, end.png, start.png";
+
+fn cells(name: &str, numbers: &[f64]) -> Vec<String> {
+    [vec![name.to_string()], numbers.iter().map(|x| format!("{x:.6}")).collect()].concat()
+}
+
+/// Says of bad input where the user wrote it.
+fn located(loaded: &Loaded) -> impl Fn(anyhow::Error) -> anyhow::Error + '_ {
+    |error| match error.downcast::<Error>() {
+        Ok(Error::Input(bad)) => Error::from(bad.located(|key| loaded.place(key).map(str::to_owned))).into(),
+        Ok(other) => other.into(),
+        Err(error) => match error.downcast::<BadInput>() {
+            Ok(bad) => bad.located(|key| loaded.place(key).map(str::to_owned)).into(),
+            Err(other) => other,
+        },
+    }
+}
+
+/// What the files say of any search.
+fn summary_of<R: Sweeps>(problem: &InitialState<R>, found: &Recovered) -> Map<String, Value> {
+    let numbers = [
+        ("unknown", json!(name_of(problem.unknown))),
+        ("particles", json!(problem.scene.model.particles())),
+        ("unknowns", json!(found.at.len())),
+        ("steps", json!(problem.scene.steps)),
+        ("epochs", json!(found.rows.len())),
+        ("seconds", json!(found.seconds())),
+    ];
+    numbers.into_iter().map(|(key, value)| (key.to_string(), value)).collect()
+}
+
+/// The velocities by a surrogate, judged in the solver, and beside them what the solver finds itself.
+fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -> anyhow::Result<()> {
+    let frames = arguments.frames.unwrap_or(USUAL_FRAMES);
+    let learned = LearnedVelocities::<R>::new(loaded, arguments.surrogate()?, frames).map_err(located(loaded))?;
+    let problem = &learned.problem;
+    check_worth(loaded, problem, true)?;
+    prepare_output_folder(folder)?;
+    files::write_config(folder, loaded)?;
+    let mut by_model = |x: &[f64], progress: Share<'_>| learned.evaluate(x, progress);
+    let model = recover(problem, "surrogate  ", arguments.epochs, true, &mut by_model)?;
+    let mut by_solver = |x: &[f64], progress: Share<'_>| problem.evaluate(x, progress);
+    let solver = recover(problem, "solver     ", arguments.epochs, true, &mut by_solver)?;
+    let judged = problem.distance_of(&problem.end(&model.at)?);
+    let true_start = problem.distance(learned.loss(&problem.truth())?);
+    let row = |k: usize| {
+        let of = |found: &Recovered| found.rows.get(k).map_or(vec![f64::NAN; 3], |row| row[1..].to_vec());
+        [vec![k as f64], of(&model), of(&solver)].concat()
+    };
+    let rows: Vec<Vec<f64>> = (0..model.rows.len().max(solver.rows.len())).map(row).collect();
+    let header = ["distance", "velocity_error", "seconds"];
+    let header: Vec<String> =
+        header.iter().map(|key| key.to_string()).chain(header.map(|key| format!("solver_{key}"))).collect();
+    let header: Vec<&str> = ["epoch"].into_iter().chain(header.iter().map(String::as_str)).collect();
+    write_rows(&folder.join("history.csv"), &header, &rows)?;
+    let curves: Vec<(String, Vec<(f64, f64)>)> = [("surrogate", &model), ("solver", &solver)]
+        .into_iter()
+        .flat_map(|(name, found)| {
+            [
+                (format!("distance at the end, {name}"), found.column(1)),
+                (format!("error of the velocities, {name}"), found.column(2)),
+            ]
+        })
+        .collect();
+    compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
+    pictures(problem, folder, &[("found by the surrogate", &model.at), ("found by the solver", &solver.at)], true)?;
+    let (before, own) = (&solver.rows[0], problem.distance(solver.loss));
+    let (error, own_error) = (problem.error(&model.at), problem.error(&solver.at));
+    let mut summary = summary_of(problem, &model);
+    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
+    put("frames", json!(frames));
+    put("distance_before", json!(before[1]));
+    put("distance", json!(judged));
+    put("distance_in_the_surrogate_before", json!(model.rows[0][1]));
+    put("distance_in_the_surrogate", json!(problem.distance(model.loss)));
+    put("distance_in_the_surrogate_from_the_true_start", json!(true_start));
+    put("velocity_error", json!(error));
+    let mut beside = summary_of(problem, &solver);
+    beside.insert("distance".into(), json!(own));
+    beside.insert("velocity_error".into(), json!(own_error));
+    put("solver", Value::Object(beside));
+    files::write_summary(folder, summary)?;
+    let mut table = Table::new(["", "before", "found by the surrogate", "found by the solver"]);
+    table.row(cells(&format!("{END}, in the solver"), &[before[1], judged, own]));
+    table.row(cells("error of the velocities, relative", &[before[2], error, own_error]));
+    table.row(vec![
+        "seconds".into(),
+        String::new(),
+        format!("{:.1}", model.seconds()),
+        format!("{:.1}", solver.seconds()),
+    ]);
+    println!("{}", table.to_text());
+    println!(
+        "in the surrogate the end of what it found is {:.6} away, and that of the true start {true_start:.6}",
+        problem.distance(model.loss)
+    );
+    let (unknowns, steps, epochs) = (model.at.len(), problem.scene.steps, arguments.epochs);
+    println!(
+        "{unknowns} unknowns, {frames} frames of the surrogate, {steps} steps of the solver, {epochs} epochs each"
+    );
+    println!("files in {}: {FILES}", folder.display());
     Ok(())
 }
 
@@ -196,12 +361,19 @@ fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: b
     }
     if is_twin && problem.error(&problem.first()) == 0.0 {
         return Err(bad("the guess is the scene's own start: there is nothing to find")
-            .allowed("a guess that differs in a key of the start, or --target with the places that another start led to")
+            .allowed(
+                "a guess that differs in a key of the start, or --target with the places that another start led to",
+            )
             .advice("hydrograd recover falling-block --guess water.x=0.05")
             .into());
     }
     Ok(())
 }
+
+/// Told which share of an epoch is done.
+type Share<'a> = &'a mut dyn FnMut(f64);
+/// Loss and gradient of unknowns.
+type Evaluate<'a> = &'a mut dyn FnMut(&[f64], Share<'_>) -> Result<(f64, Vec<f64>), Error>;
 
 /// What a search has found, and its epochs: number, distance at the end, error of the unknowns, seconds.
 struct Recovered {
@@ -210,24 +382,40 @@ struct Recovered {
     rows: Vec<Vec<f64>>,
 }
 
-fn recover<R: Sweeps>(problem: &InitialState<R>, epochs: usize, is_twin: bool) -> anyhow::Result<Recovered> {
+impl Recovered {
+    fn column(&self, k: usize) -> Vec<(f64, f64)> {
+        self.rows.iter().map(|row| (row[0], row[k])).collect()
+    }
+
+    fn seconds(&self) -> f64 {
+        self.rows.last().map_or(0.0, |row| row[3])
+    }
+}
+
+/// `label` begins the line of an epoch.
+fn recover<R: Sweeps>(
+    problem: &InitialState<R>,
+    label: &str,
+    epochs: usize,
+    is_twin: bool,
+    evaluate: Evaluate<'_>,
+) -> anyhow::Result<Recovered> {
     let clock = Instant::now();
-    let mut optimiser = BarzilaiBorwein::new(problem.first_step()?, &problem.first());
+    let mut optimiser = problem.optimiser()?;
     let bar = Progress::new(epochs as u64 * 100, "recover");
     let mut rows = Vec::new();
-    let mut evaluate = |epoch: usize, x: &[f64]| {
-        problem.evaluate(x, &mut |share| bar.set_position((100.0 * (epoch as f64 + share)) as u64))
-    };
+    let mut told =
+        |epoch: usize, x: &[f64]| evaluate(x, &mut |share| bar.set_position((100.0 * (epoch as f64 + share)) as u64));
     let mut see = |epoch: Epoch<'_>| {
         let distance = problem.distance(epoch.loss);
         // Of another flow's start nothing is known.
         let error = if is_twin { problem.error(epoch.at) } else { f64::NAN };
         let (name, _) = names(problem.unknown);
         let known = if is_twin { format!("  {name} {error:.6}") } else { String::new() };
-        bar.line(&format!("epoch {:3}  distance {distance:.6}{known}", epoch.number));
+        bar.line(&format!("{label}epoch {:3}  distance {distance:.6}{known}", epoch.number));
         rows.push(vec![epoch.number as f64, distance, error, clock.elapsed().as_secs_f64()]);
     };
-    let found = search(&mut optimiser, &problem.limits(), epochs, &mut evaluate, &mut see)?;
+    let found = search(&mut *optimiser, &problem.limits(), epochs, &mut told, &mut see)?;
     bar.finish();
     Ok(Recovered { at: found.at, loss: found.loss, rows })
 }
@@ -236,7 +424,7 @@ fn recover<R: Sweeps>(problem: &InitialState<R>, epochs: usize, is_twin: bool) -
 fn pictures<R: Sweeps>(
     problem: &InitialState<R>,
     folder: &Path,
-    found: &[f64],
+    found: &[(&str, &Vec<f64>)],
     is_twin: bool,
 ) -> anyhow::Result<()> {
     let (scene, model) = (&problem.scene, &problem.scene.model);
@@ -249,7 +437,7 @@ fn pictures<R: Sweeps>(
         (fields.position[..2 * n].to_vec(), speed(&fields))
     };
     let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { Ok(shown(&mut Solver::restore(model.clone(), start)?)) };
-    let draw = |name: &str, panels: &[(&str, (Vec<f64>, Vec<f64>))]| {
+    let draw = |name: &str, panels: &[(String, (Vec<f64>, Vec<f64>))]| {
         let fluid = |speeds: &[f64]| (0..n).filter(|&i| model.is_fluid(i)).map(|i| speeds[i]).fold(0.0, f64::max);
         let most = panels.iter().map(|(_, (_, speeds))| fluid(speeds)).fold(0.0, f64::max);
         let mut drawn = Vec::new();
@@ -266,19 +454,19 @@ fn pictures<R: Sweeps>(
         true => shown(&mut problem.end_of(&scene.start)?).1,
         false => vec![0.0; n],
     };
-    draw(
-        "end",
-        &[
-            ("end, from what was assumed", shown(&mut problem.end(&first)?)),
-            ("end, as it should be", (problem.target()[..2 * n].to_vec(), wanted)),
-            ("end, from what was found", shown(&mut problem.end(found)?)),
-        ],
-    )?;
-    let mut starts = vec![("start, as assumed", begin(&problem.start(&first))?)];
+    let mut ends = vec![
+        ("end, from what was assumed".to_string(), shown(&mut problem.end(&first)?)),
+        ("end, as it should be".to_string(), (problem.target()[..2 * n].to_vec(), wanted)),
+    ];
+    let mut starts = vec![("start, as assumed".to_string(), begin(&problem.start(&first))?)];
     if is_twin {
-        starts.push(("start, as it was", begin(&scene.start)?));
+        starts.push(("start, as it was".to_string(), begin(&scene.start)?));
     }
-    starts.push(("start, as found", begin(&problem.start(found))?));
+    for (name, x) in found {
+        ends.push((format!("end, from what was {name}"), shown(&mut problem.end(x)?)));
+        starts.push((format!("start, as {name}"), begin(&problem.start(x))?));
+    }
+    draw("end", &ends)?;
     draw("start", &starts)?;
     Ok(())
 }

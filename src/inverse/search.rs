@@ -64,7 +64,7 @@ mod tests {
     fn parabola(edge: f64) -> impl FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> {
         move |_, x| match x[0] <= edge {
             true => Ok(((x[0] - 3.0).powi(2), vec![2.0 * (x[0] - 3.0)])),
-            false => Err(Error::diverged("beyond the edge".into(), "less")),
+            false => Err(Error::diverged("beyond the edge", "less")),
         }
     }
 

@@ -1,7 +1,7 @@
 //! A learned model as [`Dynamics`]: what the solver is to a gradient and to an objective, step by frame.
 //!
-//! The state `[W (D + 1) + F, N]` (f64) holds the W frames that the model sees, oldest first: their positions, in the data's
-//! coordinates, and behind those their temperatures. The last F rows are the solver's state of the walls, which nothing moves: their
+//! The state `[W (D + 1) + F, N]` (f64; `[W D + F, N]` without heat) holds the W frames that the model sees, oldest first: their
+//! positions, in the data's coordinates, and behind those their temperatures. The last F rows are the solver's state of the walls, which nothing moves: their
 //! positions, mirror images and normals are how a design gets into the fields that an objective sees.
 //!
 //! ```text
@@ -50,7 +50,7 @@ const FAR: f64 = 0.5;
 /// Frames to begin with.
 #[derive(Debug, Clone)]
 pub struct Begin {
-    /// `[W (D + 1) + F, N]`.
+    /// `[W (D + 1) + F, N]`, or `[W D + F, N]`.
     pub state: Tensor,
 }
 
@@ -75,17 +75,23 @@ impl<R: Sweeps> LearnedFlow<R> {
         self.metadata.dt * self.metadata.write_every as f64
     }
 
-    /// The first row of a frame's positions, and its row of temperatures.
+    /// Whether the frames have temperatures.
+    fn is_warm(&self) -> bool {
+        self.metadata.heat.is_some()
+    }
+
+    /// The first row of a frame's positions, and its row of temperatures, where there is heat.
     pub fn rows(&self, frame: usize) -> (usize, usize) {
         (frame * self.dimension(), self.frames() * self.dimension() + frame)
     }
 
     /// The first of the solver's rows.
     pub fn solver_row(&self) -> usize {
-        self.frames() * (self.dimension() + 1)
+        self.frames() * (self.dimension() + usize::from(self.is_warm()))
     }
 
-    fn scenery(&self) -> Scenery<'_> {
+    /// What does not change.
+    pub fn scenery(&self) -> Scenery<'_> {
         Scenery { metadata: &self.metadata, kind: &self.kind, wall_temperature: Some(&self.wall_temperature) }
     }
 
@@ -112,7 +118,9 @@ impl<R: Sweeps> LearnedFlow<R> {
         for frame in 0..self.frames() {
             let (place, warmth) = self.rows(frame);
             window.position.push(state.narrow(0, place, self.dimension())?.index_select(&kept, 1)?.t()?.contiguous()?);
-            window.temperature.push(state.narrow(0, warmth, 1)?.index_select(&kept, 1)?.squeeze(0)?);
+            if self.is_warm() {
+                window.temperature.push(state.narrow(0, warmth, 1)?.index_select(&kept, 1)?.squeeze(0)?);
+            }
         }
         Ok(window)
     }
@@ -132,18 +140,14 @@ impl<R: Sweeps> LearnedFlow<R> {
         let go = || -> anyhow::Result<Tensor> {
             let window = self.window(state)?;
             let next = DifferentiableRollout::new(&self.model, self.scenery())?.advance(&window, None)?;
-            let (Some(position), Some(temperature)) = (next.position.last(), next.temperature.last()) else {
-                anyhow::bail!("a model without temperatures has no heat to optimise")
-            };
+            let Some(position) = next.position.last() else { anyhow::bail!("a window without frames") };
             let (d, frames) = (self.dimension(), self.frames());
             let behind = |first: usize, count: usize| state.narrow(0, first, count);
-            let rows = [
-                behind(d, (frames - 1) * d)?,
-                self.spread(&position.t()?)?,
-                behind(frames * d + 1, frames - 1)?,
-                self.spread(&temperature.unsqueeze(0)?)?,
-                behind(self.solver_row(), state.dim(0)? - self.solver_row())?,
-            ];
+            let mut rows = vec![behind(d, (frames - 1) * d)?, self.spread(&position.t()?)?];
+            if let Some(temperature) = next.temperature.last() {
+                rows.extend([behind(frames * d + 1, frames - 1)?, self.spread(&temperature.unsqueeze(0)?)?]);
+            }
+            rows.push(behind(self.solver_row(), state.dim(0)? - self.solver_row())?);
             Ok(Tensor::cat(&rows, 0)?)
         };
         go().map_err(failed)
@@ -164,14 +168,19 @@ impl<R: Sweeps> LearnedFlow<R> {
             displacement(&frame(last)?.t()?.contiguous()?, &frame(last - 1)?.t()?.contiguous()?, &self.metadata)?;
         let velocity = step.t()?.contiguous()?.affine(1.0 / self.frame_time(), 0.0)?;
         let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
-        let temperature = state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?;
+        let temperature = match self.is_warm() {
+            true => Some(state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?),
+            false => None,
+        };
         let mut rows = Vec::with_capacity(l.state_rows());
         for row in 0..l.state_rows() {
             let still = state.narrow(0, solver + row, 1)?;
-            let moved = match row {
-                row if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
-                row if (l.velocity()..l.velocity() + d).contains(&row) => velocity.narrow(0, row - l.velocity(), 1)?,
-                row if l.heat && row == l.temperature() => temperature.clone(),
+            let moved = match (row, &temperature) {
+                (row, _) if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
+                (row, _) if (l.velocity()..l.velocity() + d).contains(&row) => {
+                    velocity.narrow(0, row - l.velocity(), 1)?
+                }
+                (row, Some(temperature)) if l.heat && row == l.temperature() => temperature.clone(),
                 _ => {
                     rows.push(still);
                     continue;

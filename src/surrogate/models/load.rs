@@ -52,10 +52,39 @@ pub fn load_predictor(path: &Path, metadata: &Metadata, kernels: Kernels) -> any
     Ok(Box::new(Learned::new(name, setup, Arc::from(network))))
 }
 
-/// The model that comes with the program.
-const BUILT_IN: &[u8] = include_bytes!("../../../models/heated-channel/model.safetensors");
-/// What messages call it.
-pub const BUILT_IN_NAME: &str = "models/heated-channel/model.safetensors";
+/// A model that comes with the program.
+#[derive(Debug, Clone, Copy)]
+pub struct BuiltIn {
+    pub name: &'static str,
+    /// What messages call it.
+    pub file: &'static str,
+    bytes: &'static [u8],
+}
+
+/// The one that shapes walls.
+pub const HEATED_CHANNEL: BuiltIn = BuiltIn {
+    name: "heated-channel",
+    file: "models/heated-channel/model.safetensors",
+    bytes: include_bytes!("../../../models/heated-channel/model.safetensors"),
+};
+
+/// The one that finds velocities.
+pub const TAYLOR_GREEN: BuiltIn = BuiltIn {
+    name: "taylor-green",
+    file: "models/taylor-green/model.safetensors",
+    bytes: include_bytes!("../../../models/taylor-green/model.safetensors"),
+};
+
+impl BuiltIn {
+    /// To compute in `dtype`.
+    ///
+    /// # Errors
+    /// Of a file that is no model: a bug.
+    pub fn load(&self, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
+        let header = checkpoint::of_file(TensorFile::parse(Path::new(self.file), self.bytes)?)?;
+        learned(header, self.name.into(), kernels, dtype)
+    }
+}
 
 /// Tells one model from another: the checksum of its file.
 ///
@@ -64,7 +93,7 @@ pub const BUILT_IN_NAME: &str = "models/heated-channel/model.safetensors";
 pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     let sum = |bytes: &[u8]| format!("{:08x}", crc32c::crc32c(bytes));
     match path {
-        None => Ok(sum(BUILT_IN)),
+        None => Ok(sum(HEATED_CHANNEL.bytes)),
         Some(path) => match std::fs::read(path) {
             Ok(bytes) => Ok(sum(&bytes)),
             Err(error) => Err(BadInput::new(error.to_string()).place(path.display().to_string()).allowed(ALLOWED)),
@@ -72,19 +101,18 @@ pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     }
 }
 
-/// A model of ours, from a file or the built-in one, to compute in `dtype`.
+/// A model of ours from a file, to compute in `dtype`.
 ///
 /// # Errors
 /// [`BadInput`] if the file can not be read, is damaged, or holds no model of ours.
-pub fn load_learned(path: Option<&Path>, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
-    let header = match path {
-        Some(path) => checkpoint::read(path)?,
-        None => checkpoint::of_file(TensorFile::parse(Path::new(BUILT_IN_NAME), BUILT_IN)?)?,
-    };
+pub fn load_learned(path: &Path, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    learned(checkpoint::read(path)?, name, kernels, dtype)
+}
+
+fn learned(header: checkpoint::Header, name: String, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
     let network = header.setup.network(kernels, 0, dtype)?;
     header.load_into(&*network, true)?;
-    let name =
-        path.and_then(Path::file_stem).map_or("heated-channel".into(), |stem| stem.to_string_lossy().into_owned());
     Ok(Learned::new(name, header.setup, Arc::from(network)))
 }
 

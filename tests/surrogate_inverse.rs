@@ -1,0 +1,55 @@
+//! Velocities found by a surrogate: its gradient against differences, what it finds, and what it refuses.
+
+mod support;
+
+use candle_core::DType;
+use hydrograd::config::layers::Setting;
+use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::surrogate::initial_velocity::{known_scene, LearnedVelocities};
+use hydrograd::surrogate::load_learned;
+use support::program::{hydrograd, refused, succeeds};
+
+/// Along a direction, against central differences in f64, for a model that sees two frames and for one that sees four. Hardly trained:
+/// what it says does not matter.
+#[test]
+fn the_gradient_is_that_of_differences() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut generate = vec!["generate", "taylor-green", "--trajectories", "2/1/1", "--frames", "8", "--every", "20"];
+    generate.extend(["--relax", "0", "--set", "resolution.dx=0.1", "--out", "data"]);
+    succeeds(folder.path(), &generate);
+    for frames in ["2", "4"] {
+        let (seen, out) = (format!("features.frames={frames}"), format!("train-{frames}"));
+        let mut train = vec!["train", "--data", "data", "--steps", "4", "--out", &out, "--set", &seen];
+        for set in ["model.latent=8", "model.rounds=2", "validation_steps=2", "validation_windows=1"] {
+            train.extend(["--set", set]);
+        }
+        succeeds(folder.path(), &train);
+        let file = folder.path().join(&out).join("last.safetensors");
+        let model = load_learned(&file, Kernels::Fused, DType::F64).unwrap();
+        let (scene, settings) = known_scene(&model).unwrap();
+        assert_eq!(scene, "taylor-green");
+        let loaded = Config::load_settings(Some(scene), None, &settings).unwrap();
+        assert_eq!(loaded.config.resolution.dx, 0.1);
+        let learned = LearnedVelocities::<f64>::new(&loaded, model, 3).unwrap();
+        // Three frames of 20 reference steps, 0.22 dx / 11 each.
+        let time = learned.problem.scene.steps as f64 * learned.problem.scene.model.dt;
+        assert!((time - 3.0 * 20.0 * 0.22 * 0.1 / 11.0).abs() < 1e-12, "{time}");
+        let at: Vec<f64> =
+            learned.problem.truth().iter().enumerate().map(|(k, v)| 0.6 * v + 0.1 * (k as f64).sin()).collect();
+        let (value, gradient) = learned.evaluate(&at, &mut |_| ()).unwrap();
+        assert!(value > 0.0 && (value / learned.loss(&at).unwrap() - 1.0).abs() < 1e-12);
+        let direction: Vec<f64> = (0..at.len()).map(|k| ((k * k + 1) as f64).cos()).collect();
+        let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        let moved = |h: f64| {
+            let moved: Vec<f64> = at.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
+            learned.loss(&moved).unwrap()
+        };
+        let difference = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+        assert!((difference / slope - 1.0).abs() < 1e-6, "{frames} frames: {slope:e} {difference:e}");
+    }
+    // Its own scene with a number that the model does not know.
+    let other = ["recover", "taylor-green", "--dynamics", "surrogate", "--model", "train-2/last.safetensors"];
+    let other = [&other[..], &["--set", "resolution.dx=0.05"]].concat();
+    let expected = ["--set resolution.dx=0.05", "the model knows another flow", "resolution.dx was 0.1 and is 0.05"];
+    refused(&other, &hydrograd(folder.path(), &other), &expected);
+}
