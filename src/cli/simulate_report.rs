@@ -10,6 +10,7 @@ use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::{Exact, Scene};
+use crate::sph::division::Divided;
 use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
@@ -26,6 +27,7 @@ pub struct Finished<'a, R> {
     pub history: &'a [Vec<f64>],
     pub end: &'a ParticleFields,
     pub seconds: f64,
+    pub divided: Divided,
     /// What is said of ParaView frames.
     pub pictures: String,
 }
@@ -94,7 +96,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             pictures.push_str(", temperature.png");
         }
     }
-    files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
+    files::write_summary(folder, summary(finished, found))?;
     println!("time                {:.6}", found.time);
     if !rests {
         println!(
@@ -195,12 +197,15 @@ fn plot_profile<R: Sweeps>(
     Ok(())
 }
 
-fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize, seconds: f64) -> Map<String, Value> {
+fn summary<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> Map<String, Value> {
+    let Finished { loaded, scene, .. } = finished;
     let Value::Object(map) = json!({
         "scene": loaded.config.scene,
-        "particles": particles,
-        "steps": steps,
+        "particles": scene.model.particles(),
+        "steps": scene.steps,
         "time_step": loaded.config.time_step(),
+        "divided_steps": finished.divided.steps,
+        "most_parts": finished.divided.most.max(1),
         "time": found.time,
         "kinetic_energy": found.kinetic_energy,
         "exact_kinetic_energy": found.exact_kinetic_energy,
@@ -211,7 +216,7 @@ fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize,
         "exact_wall_flux": found.exact_wall_flux,
         "nusselt": found.nusselt,
         "exact_nusselt": found.exact_nusselt,
-        "wall_seconds": seconds,
+        "wall_seconds": finished.seconds,
         "peak_memory_bytes": peak_memory_bytes(),
         "version": VERSION,
         "seed": loaded.config.run.seed,
