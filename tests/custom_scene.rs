@@ -232,7 +232,7 @@ fn drag_of_spheres_is_known() {
 }
 
 /// The built-in cavity, from a lattice and a lid of its own: but for the points next to the lid's ends, which stand nearer to them
-/// there (measured: 6 % more kinetic energy here, half of that at half the spacing).
+/// there (measured: 0.4 % more kinetic energy; without them the two agree to six digits).
 #[test]
 fn a_consistent_lid_is_the_built_in_one() {
     let theirs = built_in("lid-driven-cavity", &["resolution.dx=0.05", "time.end=2", "time.jitter=0"]);
@@ -247,7 +247,7 @@ fn a_consistent_lid_is_the_built_in_one() {
     };
     let (ours, theirs) = (energy(&ours), energy(&theirs));
     println!("kinetic energy {ours:.6}, built in {theirs:.6}");
-    assert!(theirs > 0.005 && (ours / theirs - 1.0).abs() < 0.08, "{ours} is not {theirs}");
+    assert!(theirs > 0.005 && (ours / theirs - 1.0).abs() < 0.01, "{ours} is not {theirs}");
 }
 
 fn count(text: &str) -> usize {

@@ -1,5 +1,6 @@
 //! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
 
+use super::arguments::with_options;
 use super::files::{self, VERSION};
 use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
@@ -9,6 +10,7 @@ use crate::report::plots::compare;
 use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
 use crate::sph::division::Divided;
 use crate::sph::Sweeps;
@@ -51,6 +53,8 @@ pub fn report_design<R: Sweeps>(
     if let Some(top) = wall.top {
         map.insert("top_offsets".into(), top.into());
     }
+    let warnings = warnings::of_channel(&loaded.config, d, history);
+    map.insert("warnings".into(), json!(warnings));
     files::write_summary(folder, map)?;
     println!("Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet", d.q);
     println!(
@@ -69,6 +73,7 @@ pub fn report_design<R: Sweeps>(
         finished.pictures
     );
     println!("next: hydrograd optimize    shapes the wall so that Q grows");
+    warn(&warnings);
     Ok(())
 }
 
@@ -96,7 +101,10 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             pictures.push_str(", temperature.png");
         }
     }
-    files::write_summary(folder, summary(finished, found))?;
+    let warnings = warnings::of_flow(&loaded.config, found, finished.history);
+    let mut map = summary(finished, found);
+    map.insert("warnings".into(), json!(warnings));
+    files::write_summary(folder, map)?;
     println!("time                {:.6}", found.time);
     if !rests {
         println!(
@@ -135,7 +143,15 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
+    warn(&warnings);
     Ok(())
+}
+
+/// Where a user looks last, and not among the figures that go to a file.
+fn warn(warnings: &[Warning]) {
+    for Warning { problem, advice } in warnings {
+        eprintln!("{}", with_options(&format!("warning: {problem}\n  try: {advice}")));
+    }
 }
 
 /// With as many digits as say something.

@@ -27,6 +27,7 @@ mod surface;
 mod tank;
 pub mod taylor_green;
 pub mod verification;
+pub mod warnings;
 
 pub use exact::Exact;
 
