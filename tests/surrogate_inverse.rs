@@ -3,7 +3,6 @@
 mod support;
 
 use candle_core::DType;
-use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::surrogate::initial_velocity::{known_scene, LearnedVelocities};
 use hydrograd::surrogate::load_learned;
@@ -52,4 +51,50 @@ fn the_gradient_is_that_of_differences() {
     let other = [&other[..], &["--set", "resolution.dx=0.05"]].concat();
     let expected = ["--set resolution.dx=0.05", "the model knows another flow", "resolution.dx was 0.1 and is 0.05"];
     refused(&other, &hydrograd(folder.path(), &other), &expected);
+}
+
+/// With the built-in model, which is as small as its training was short: the solver finds more, and both find something.
+#[test]
+fn velocities_are_found_and_judged_in_the_solver() {
+    let folder = tempfile::tempdir().unwrap();
+    let printed = succeeds(
+        folder.path(),
+        &["recover", "taylor-green", "--dynamics", "surrogate", "--epochs", "4", "--out", "found"],
+    );
+    assert!(printed.contains("found by the surrogate") && printed.contains("found by the solver"), "{printed}");
+    let text = std::fs::read_to_string(folder.path().join("found/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let number = |key: &str| summary[key].as_f64().unwrap();
+    let own = |key: &str| summary["solver"][key].as_f64().unwrap();
+    assert_eq!((number("particles"), number("frames"), number("epochs")), (400.0, 8.0, 4.0));
+    assert!(number("distance") < number("distance_before") / 3.0, "{summary}");
+    assert!(number("velocity_error") < 0.5 && own("velocity_error") < number("velocity_error"), "{summary}");
+    assert!(own("distance") < number("distance"), "{summary}");
+    assert!(number("distance_in_the_surrogate") < number("distance_in_the_surrogate_before") / 3.0, "{summary}");
+    for file in ["history.csv", "history.png", "end.png", "start.png", "config.toml"] {
+        assert!(folder.path().join("found").join(file).is_file(), "{file}");
+    }
+}
+
+#[test]
+fn what_a_surrogate_can_not_do_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let surrogate = ["recover", "taylor-green", "--dynamics", "surrogate"];
+    for (more, expected) in [
+        (vec!["--set", "time.steps=9"], vec!["--set time.steps=9", "--frames"]),
+        (vec!["--unknown", "places"], vec!["--unknown", "velocities"]),
+        (vec!["--guess", "run.seed=1"], vec!["--guess", "at rest"]),
+        (vec!["--target", "state.h5"], vec!["--target"]),
+        (vec!["--set", "flow.reynolds=50"], vec!["--set flow.reynolds=50", "flow.reynolds was 100.0 and is 50.0"]),
+        (vec!["--model", "none.safetensors"], vec!["none.safetensors"]),
+    ] {
+        let arguments = [&surrogate[..], &more].concat();
+        refused(&arguments, &hydrograd(folder.path(), &arguments), &expected);
+    }
+    let other = ["recover", "falling-block", "--dynamics", "surrogate"];
+    refused(&other, &hydrograd(folder.path(), &other), &["the model knows scene taylor-green"]);
+    for option in [["--frames", "3"], ["--model", "model.safetensors"]] {
+        let arguments = [&["recover", "taylor-green"][..], &option].concat();
+        refused(&arguments, &hydrograd(folder.path(), &arguments), &[option[0], "--dynamics surrogate"]);
+    }
 }

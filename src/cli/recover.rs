@@ -127,9 +127,8 @@ impl RecoverArguments {
         if matches!(self.unknown, Some(Unknown::Places | Unknown::Offset)) {
             return refused("places at the start", "--unknown", "velocities with a surrogate");
         }
-        for set in
-            common.sets.iter().filter(|set| ["time.end", "time.steps"].iter().any(|key| set.trim().starts_with(key)))
-        {
+        let is_length = |set: &&String| ["time.end", "time.steps"].iter().any(|key| set.trim().starts_with(key));
+        if let Some(set) = common.sets.iter().find(is_length) {
             return refused("the length of the run", &format!("--set {set}"), "--frames with a surrogate");
         }
         let (known, settings) = known_scene(&self.surrogate()?)?;
@@ -420,6 +419,9 @@ fn recover<R: Sweeps>(
     Ok(Recovered { at: found.at, loss: found.loss, rows })
 }
 
+/// Places `[2, N]` and speeds `[N]`.
+type Shown = (Vec<f64>, Vec<f64>);
+
 /// Where particles end and begin: with what was assumed, as they should, and as found; coloured by their speeds.
 fn pictures<R: Sweeps>(
     problem: &InitialState<R>,
@@ -437,7 +439,7 @@ fn pictures<R: Sweeps>(
         (fields.position[..2 * n].to_vec(), speed(&fields))
     };
     let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { Ok(shown(&mut Solver::restore(model.clone(), start)?)) };
-    let draw = |name: &str, panels: &[(String, (Vec<f64>, Vec<f64>))]| {
+    let draw = |name: &str, panels: &[(String, Shown)]| {
         let fluid = |speeds: &[f64]| (0..n).filter(|&i| model.is_fluid(i)).map(|i| speeds[i]).fold(0.0, f64::max);
         let most = panels.iter().map(|(_, (_, speeds))| fluid(speeds)).fold(0.0, f64::max);
         let mut drawn = Vec::new();

@@ -14,6 +14,9 @@ pub struct Epoch<'a> {
     pub loss: f64,
 }
 
+/// Loss and gradient of unknowns in an epoch.
+pub type Evaluate<'a> = dyn FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> + 'a;
+
 /// The best that was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
@@ -32,7 +35,7 @@ pub fn search(
     optimiser: &mut dyn Optimiser,
     limits: &Limits,
     epochs: usize,
-    evaluate: &mut dyn FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error>,
+    evaluate: &mut Evaluate<'_>,
     see: &mut dyn FnMut(Epoch<'_>),
 ) -> Result<Found, Error> {
     let mut best = Found { at: optimiser.ask().to_vec(), loss: f64::INFINITY, epochs: 0 };
