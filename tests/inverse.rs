@@ -107,7 +107,8 @@ fn velocities_are_found_again() {
     }
     // From a file it is the same; from one of other particles it is refused.
     let simulate = [&["simulate"], &small[1..], &["--out", "seen"]].concat();
-    succeeds(folder.path(), &simulate);
+    // It warns of the vortices' disorder, which is faster than the flow.
+    assert!(hydrograd(folder.path(), &simulate).status.success());
     succeeds(folder.path(), &[&small[..], &["--target", "seen/state.h5", "--out", "again"]].concat());
     let other = ["recover", "taylor-green", "--set", "resolution.dx=0.1", "--target", "seen/state.h5"];
     refused(&other, &hydrograd(folder.path(), &other), &["the target has 800 coordinates", "200 coordinates"]);
