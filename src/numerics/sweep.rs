@@ -66,9 +66,10 @@ fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     kernel.rows::<R::Avx2>(rows);
 }
 
-/// Not for large kernels: those are not even compiled for it.
+/// One number at a time for large kernels, and on x86-64 for all of them: what has no AVX2 there is older than 2013, and a third
+/// of the time to compile this crate went into turning arrays into its vectors.
 fn rows_portable<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    if K::LARGE {
+    if K::LARGE || cfg!(target_arch = "x86_64") {
         kernel.rows::<R::Single>(rows);
     } else {
         kernel.rows::<R::Portable>(rows);
