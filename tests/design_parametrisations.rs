@@ -151,7 +151,10 @@ fn b_splines_have_the_known_values() {
     }
     // Clamped: the curve begins and ends at its outer control points.
     let x = numbers(6, 13, 1.0);
-    assert!((spline.height(&x, 1e-13, 0.0) - x[0]).abs() < 1e-10 && (spline.height(&x, 1.0 - 1e-13, 0.0) - x[12]).abs() < 1e-10);
+    assert!(
+        (spline.height(&x, 1e-13, 0.0) - x[0]).abs() < 1e-10
+            && (spline.height(&x, 1.0 - 1e-13, 0.0) - x[12]).abs() < 1e-10
+    );
 }
 
 #[test]

@@ -625,12 +625,10 @@ impl Config {
         for &(key, extent) in [("channel.length", channel.length)].iter().chain(&across) {
             if !is_whole(extent / dx) {
                 let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
-                let bad = BadInput::new(problem)
-                    .key("resolution.dx")
-                    .allowed(match span {
-                        None => "whole numbers of spacings in channel.length and channel.height",
-                        Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
-                    });
+                let bad = BadInput::new(problem).key("resolution.dx").allowed(match span {
+                    None => "whole numbers of spacings in channel.length and channel.height",
+                    Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
+                });
                 let near = nearest_spacings(dx, channel.length, &across);
                 let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
                 return Err(match near.is_empty() {
@@ -651,6 +649,18 @@ impl Config {
             }
         }
         Ok(())
+    }
+
+    /// A spacing to compare with: half; in three dimensions the largest of at most four fifths that divides all extents.
+    pub fn finer_spacing(&self) -> f64 {
+        let (dx, channel) = (self.resolution.dx, &self.channel);
+        if self.dimension() == 2 {
+            return 0.5 * dx;
+        }
+        let across = [("channel.height", channel.height), ("channel.span", channel.span)];
+        // A millionth finer than what is asked for first: the search is for what is below or above a spacing.
+        let near = nearest_spacings(0.8 * dx * (1.0 + 1e-6), channel.length, &across);
+        near.into_iter().find(|&finer| finer <= 0.8 * dx * (1.0 + 1e-9)).unwrap_or(0.5 * dx)
     }
 
     /// Inlet, hot section, target and outlet in this order.
@@ -821,7 +831,11 @@ impl Config {
             let limit = self.control_distances().into_iter().fold(f64::INFINITY, f64::min);
             if bound > limit * whole {
                 let advice = "a smaller design.bound, or fewer design.control_points or design.control_points_across";
-                return fail(limit, "no more than the control points' distance, for a slope of 2 at most", advice.into());
+                return fail(
+                    limit,
+                    "no more than the control points' distance, for a slope of 2 at most",
+                    advice.into(),
+                );
             }
         }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer

@@ -84,7 +84,9 @@ impl Deformation {
         for i in (0..n).filter(|&i| is_fluid(i)) {
             match self.map {
                 Map::Columns(_) => state_bar[n + i] = R::default(),
-                Map::Surfaces(_) | Map::Relief(_) => state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default()),
+                Map::Surfaces(_) | Map::Relief(_) => {
+                    state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default())
+                }
             }
         }
     }

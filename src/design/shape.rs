@@ -103,6 +103,11 @@ impl Shape {
         Self { offsets, top: None, ..self.clone() }
     }
 
+    /// What files call its heights.
+    pub fn column(&self) -> &'static str {
+        if self.across.is_some() { SURFACE } else { PROFILE }.1
+    }
+
     /// The same without heights.
     pub fn flat(&self) -> Self {
         let top = self.top.as_ref().map(|top| vec![0.0; top.len()]);
@@ -331,11 +336,6 @@ pub struct Columns {
 const PROFILE: (&[&str], &str) = (&["x"], "offset");
 const SURFACE: (&[&str], &str) = (&["x", "z"], "height");
 
-/// What the column of the best wall's heights is called.
-pub fn heights_column(is_surface: bool) -> &'static str {
-    if is_surface { SURFACE } else { PROFILE }.1
-}
-
 /// Reads the columns `x` and `offset` of a CSV file with a header line; other columns, empty lines and lines
 /// that begin with `#` are skipped.
 pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
@@ -347,15 +347,16 @@ pub fn read_surface(path: &Path) -> Result<Columns, BadInput> {
     read(path, SURFACE.0, SURFACE.1)
 }
 
-/// [`read_columns`] with another column in place of `offset`, such as a run's `first`; none if the file has no such column.
+/// [`read_columns`], or [`read_surface`], with another column in place of the heights, such as a run's `first`; none if the file
+/// has no such column.
 ///
 /// # Errors
 /// As for [`read_columns`].
-pub fn read_column(path: &Path, name: &str) -> Result<Option<Columns>, BadInput> {
+pub fn read_column(path: &Path, name: &str, is_surface: bool) -> Result<Option<Columns>, BadInput> {
     let is_header = |line: &&str| !line.trim().is_empty() && !line.starts_with('#');
     let text = std::fs::read_to_string(path).unwrap_or_default();
     let has_it = text.lines().find(is_header).is_some_and(|line| line.split(',').any(|cell| cell.trim() == name));
-    has_it.then(|| read(path, PROFILE.0, name)).transpose()
+    has_it.then(|| read(path, if is_surface { SURFACE } else { PROFILE }.0, name)).transpose()
 }
 
 /// Reads the columns of places and the column `name`.

@@ -76,19 +76,22 @@ pub fn control_points(config: &Config, surface: &SplineSurface) -> Result<Vec<f6
             let mut named = named(config, surface.positions());
             if design.shape != ShapeName::Random {
                 let factor = |z: f64| (TAU * design.periods_across as f64 * z / span).cos();
-                named.iter_mut().zip(surface.across()).for_each(|(offset, z)| *offset *= factor(*z));
+                named
+                    .iter_mut()
+                    .zip(surface.across().unwrap_or_default())
+                    .for_each(|(offset, z)| *offset *= factor(*z));
             }
             (named, "design.shape")
         }
     };
     if offsets.len() != surface.variables() {
         let (along, across) = (design.control_points, design.control_points_across);
-        return Err(BadInput::new(format!("design.offsets has {} numbers", offsets.len())).key("design.offsets").allowed(
-            format!(
+        return Err(BadInput::new(format!("design.offsets has {} numbers", offsets.len()))
+            .key("design.offsets")
+            .allowed(format!(
                 "{}, one for each of design.control_points = {along} times design.control_points_across = {across}",
                 surface.variables()
-            ),
-        ));
+            )));
     }
     surface.check(&offsets).map_err(|bad| bad.key(key))?;
     Ok(offsets)

@@ -241,7 +241,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let says = |key: &str| merged.places().contains_key(key);
             let (walls, offsets) = (says("design.walls"), says("design.top_offsets"));
             let takes = config.design.walls == DesignWalls::Both || !walls;
-            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP)?.filter(|_| takes && !offsets) {
+            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP, false)?.filter(|_| takes && !offsets) {
                 merged.set("design.top_offsets", array(top.offsets), &file);
                 merged.set("design.walls", Value::from("both"), &file);
             }
@@ -310,10 +310,15 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
 }
 
 /// What configurations know nothing of: the wall's shape, and what shapes and formulas come to at every particle.
-fn check_shape(config: &Config) -> Result<(), BadInput> {
+///
+/// # Errors
+/// A wall or shapes that can not be built.
+pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     match config.scene {
         Family::HeatedChannel => Shape::from_config(config).map(|_| ()),
-        Family::HeatedChannel3d => start_shape::control_points(config, &SplineSurface::of_config(config, &[])).map(|_| ()),
+        Family::HeatedChannel3d => {
+            start_shape::control_points(config, &SplineSurface::of_config(config, &[])).map(|_| ())
+        }
         Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
         _ => Ok(()),
     }

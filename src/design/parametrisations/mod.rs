@@ -84,6 +84,11 @@ pub trait Parametrisation: std::fmt::Debug + Send + Sync {
     /// x of the place where each variable acts, `[K]`; of a wall over x alone increasing.
     fn positions(&self) -> &[f64];
 
+    /// z of these places, if the wall varies along z.
+    fn across(&self) -> Option<&[f64]> {
+        None
+    }
+
     /// Average height of the wall over each particle column, `[K]` -> `[C]`, in length units: linear.
     fn column_heights(&self, variables: &[f64]) -> Vec<f64>;
 

@@ -68,7 +68,8 @@ impl SplineSurface {
     fn map(&self, places: impl Iterator<Item = [f64; 2]>) -> ColumnAverages {
         let weights = |[x, z]: [f64; 2]| {
             let (along, across) = (self.along(x), self.around(z));
-            let pairs = across.iter().flat_map(|(k, p)| along.iter().map(move |(j, n)| (k * self.counts[0] + j, n * p)));
+            let pairs =
+                across.iter().flat_map(|(k, p)| along.iter().map(move |(j, n)| (k * self.counts[0] + j, n * p)));
             pairs.collect()
         };
         ColumnAverages::new(self.variables(), places.map(weights).collect())
@@ -97,11 +98,6 @@ impl SplineSurface {
         self.limits.clamp(&mut points);
         points
     }
-
-    /// z of each control point; x are the [`Parametrisation::positions`].
-    pub fn across(&self) -> &[f64] {
-        &self.across
-    }
 }
 
 /// B(t).
@@ -120,6 +116,10 @@ impl Parametrisation for SplineSurface {
 
     fn positions(&self) -> &[f64] {
         &self.positions
+    }
+
+    fn across(&self) -> Option<&[f64]> {
+        Some(&self.across)
     }
 
     fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
