@@ -576,7 +576,8 @@ fn report<R: Sweeps>(
         summary.insert("q_scene_before".into(), json!(b.q));
         summary.insert("q_scene".into(), json!(a.q));
     }
-    let text = text(folder, problem.figure, optimisation, seconds, (b, a), motion) + &note;
+    let wall = if problem.parametrisation.across().is_some() { ", wall.vtp" } else { "" };
+    let text = text(folder, problem.figure, optimisation, seconds, (b, a), motion) + wall + &note;
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (ParticleFields::of(&mut solver_before), ParticleFields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
