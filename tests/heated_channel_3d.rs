@@ -5,6 +5,7 @@ use assert_cmd::Command;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::config::scene::Config;
 use hydrograd::design::deformation::Map;
+use hydrograd::design::diagnostics::Diagnostics;
 use hydrograd::design::parametrisations::SplineSurface;
 use hydrograd::design::shape::MAX_SLOPE;
 use hydrograd::design::{diagnostics, optimisers, Optimisation, Parametrisation, Problem};
@@ -13,11 +14,13 @@ use hydrograd::particles::tag;
 use hydrograd::scene::Scene;
 use hydrograd::sph::consistent::derivatives::NO_FLUX;
 use std::path::Path;
+use std::sync::LazyLock;
 use tempfile::TempDir;
 
 const SCENE: &str = "heated-channel-3d";
-/// As coarse as the channel's height allows.
-const COARSE: [&str; 3] = ["resolution.dx=0.04", "channel.span=0.24", "design.bound=0.008"];
+/// As coarse as the channel's height allows, flat at the start, and driven as the channel in two dimensions.
+const COARSE: [&str; 5] =
+    ["resolution.dx=0.04", "channel.span=0.24", "design.bound=0.008", "design.shape=flat", "fluid.drive=body-force"];
 
 fn load(scene: &str, sets: &[&str]) -> Config {
     let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
@@ -228,7 +231,7 @@ fn the_adjoint_of_the_wall_is_its_derivative() {
 }
 
 /// Q, flow rate and heat balance at the end of a scene's run.
-fn figures(config: &Config) -> diagnostics::Diagnostics {
+fn figures(config: &Config) -> Diagnostics {
     let problem = Scene::<f64>::from_config(config).unwrap().design.unwrap();
     let start = problem.start(&problem.first);
     diagnostics::simulate(&problem, config.run.kernels, &start, &mut []).unwrap().diagnostics
@@ -237,40 +240,52 @@ fn figures(config: &Config) -> diagnostics::Diagnostics {
 /// The channel in two dimensions with what the one in three has.
 const PLANE: [&str; 5] =
     ["resolution.dx=0.04", "design.bound=0.008", "fluid.shift=isotropic", "fluid.shift_strength=1", "time.cfl=1"];
-const UNTIL: &str = "time.end=1.2";
+const WINDOW: [&str; 3] = ["time.end=1.2", "objective.window=0.25", "objective.samples=20"];
 
-#[test]
-fn a_flat_wall_has_the_outflow_of_two_dimensions() {
-    let plane = figures(&load("heated-channel", &[&PLANE[..], &[UNTIL]].concat()));
-    let deep = figures(&load(SCENE, &[&COARSE[..], &[UNTIL]].concat()));
-    let (q, flow) = (deep.q / plane.q - 1.0, deep.flow_rate / plane.flow_rate - 1.0);
-    println!("Q {:.6} and {:.6} ({q:+.1e}), flow rate {flow:+.1e}", plane.q, deep.q);
-    println!("heat balances {:+.1e} and {:+.1e}", plane.energy_imbalance, deep.energy_imbalance);
-    println!("pumping powers {:.6} and {:.6}", plane.pumping_power, deep.pumping_power);
-    assert!(q.abs() < 3e-3, "{q:e}");
-    assert!(flow.abs() < 3e-3, "{flow:e}");
-    assert!((deep.pumping_power / plane.pumping_power - 1.0).abs() < 3e-3);
-    assert!((deep.energy_imbalance - plane.energy_imbalance).abs() < 5e-3);
+fn plane(sets: &[&str]) -> Diagnostics {
+    figures(&load("heated-channel", &[&PLANE[..], &WINDOW, sets].concat()))
 }
 
+fn deep(sets: &[&str]) -> Diagnostics {
+    figures(&load(SCENE, &[&COARSE[..], &WINDOW, sets].concat()))
+}
+
+/// Of flat walls, in two and in three dimensions.
+static FLAT: LazyLock<[Diagnostics; 2]> = LazyLock::new(|| [plane(&[]), deep(&[])]);
+
+/// What is left between the two is the error of the spacing, as kernels and disorder differ: Q 2.9e-3 here, 1.5e-3 at dx = 0.025.
 #[test]
-fn a_wall_along_x_alone_has_the_outflow_of_two_dimensions() {
-    let sets =
-        ["design.control_points_across=1", "design.offsets=[0.008, -0.008, -0.008, -0.004, 0.004, 0.008]", UNTIL];
-    let config = load(SCENE, &[&COARSE[..], &sets].concat());
-    let problem = Scene::<f64>::from_config(&config).unwrap().design.unwrap();
+fn a_flat_wall_has_the_outflow_of_two_dimensions() {
+    let [plane, deep] = &*FLAT;
+    let (q, flow) = (deep.q / plane.q - 1.0, deep.flow_rate / plane.flow_rate - 1.0);
+    let power = deep.pumping_power / plane.pumping_power - 1.0;
+    println!("Q {:.6} and {:.6} ({q:+.1e}), flow rate {flow:+.1e}, pumping power {power:+.1e}", plane.q, deep.q);
+    println!("heat balances {:+.1e} and {:+.1e}", plane.energy_imbalance, deep.energy_imbalance);
+    assert!(q.abs() < 5e-3, "{q:e}");
+    assert!(flow.abs() < 2e-4, "{flow:e}");
+    // Masses are sums over particles that stand closer to the walls in two dimensions.
+    assert!(power.abs() < 6e-3, "{power:e}");
+    assert!((deep.energy_imbalance - plane.energy_imbalance).abs() < 6e-3);
+}
+
+/// The spacing's error cancels in what the wall changes, which agrees to 3e-5.
+#[test]
+fn a_wall_along_x_alone_does_what_it_does_in_two_dimensions() {
+    let wall = ["design.control_points_across=1", "design.offsets=[0.008, -0.008, -0.008, -0.004, 0.004, 0.008]"];
+    let (config, problem) = problem(&wall);
     let (channel, count) = (&config.channel, 100);
     let width = (channel.hot_to - channel.hot_from) / count as f64;
     let nodes: Vec<f64> = (0..count).map(|k| channel.hot_from + (k as f64 + 0.5) * width).collect();
     let offsets: Vec<f64> = nodes.iter().map(|&x| problem.parametrisation.height(&problem.first, x, 0.1)).collect();
-    let wall = [format!("design.nodes={nodes:?}"), format!("design.offsets={offsets:?}")];
-    let flat = figures(&load("heated-channel", &[&PLANE[..], &[UNTIL]].concat()));
-    let plane = figures(&load("heated-channel", &[&PLANE[..], &[UNTIL, &wall[0], &wall[1]]].concat()));
-    let deep = figures(&config);
-    let (q, effect) = (deep.q / plane.q - 1.0, plane.q / flat.q - 1.0);
-    println!("Q {:.6} and {:.6} ({q:+.1e}); the wall's effect {effect:+.1e}", plane.q, deep.q);
-    assert!(q.abs() < 4e-3, "{q:e}");
-    assert!(effect.abs() > 2.0 * q.abs(), "the wall's effect is larger than the difference: {effect:e}, {q:e}");
+    let profile = [format!("design.nodes={nodes:?}"), format!("design.offsets={offsets:?}")];
+    let [flat_plane, flat_deep] = &*FLAT;
+    let (plane, deep) = (plane(&[&profile[0], &profile[1]]), deep(&wall));
+    for (name, of) in [("Q", (|d| d.q) as fn(&Diagnostics) -> f64), ("flow rate", |d| d.flow_rate)] {
+        let (expected, found) = (of(&plane) / of(flat_plane) - 1.0, of(&deep) / of(flat_deep) - 1.0);
+        println!("{name}: the wall changes it by {expected:+.2e} and {found:+.2e}");
+        assert!(expected.abs() > 2e-3, "{name}: the wall does something");
+        assert!((found - expected).abs() < 3e-4, "{name}: {expected:e} and {found:e}");
+    }
 }
 
 /// A short run, and what it says at its end, near the hot section.
