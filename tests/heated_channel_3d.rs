@@ -64,7 +64,7 @@ fn the_wall_is_smooth_periodic_and_within_its_limits() {
                     (at(x, z), [(at(x + step, z) - at(x, z)) / step, (at(x, z + step) - at(x, z)) / step]);
                 assert!((at(x, z + channel.span) - y).abs() < 1e-14, "periodic");
                 assert!(y.abs() <= bound * (1.0 + 1e-12));
-                assert!(slopes[0].abs() <= 2.0 * bound / h + 1e-5 && slopes[1].abs() <= 2.0 * bound / g + 1e-5);
+                assert!(slopes[0].abs() <= 2.0 * bound / h + 1e-4 && slopes[1].abs() <= 2.0 * bound / g + 1e-4);
                 assert!(slopes.iter().all(|slope| slope.abs() <= MAX_SLOPE));
                 let is_outside = x <= channel.hot_from || x >= channel.hot_to;
                 assert!(!is_outside || y == 0.0, "outside the hot section");
@@ -93,9 +93,11 @@ fn the_wall_is_smooth_periodic_and_within_its_limits() {
 
 #[test]
 fn a_sampled_wall_gives_its_control_points_back() {
-    for sets in
-        [&[][..], &["design.control_points=11", "design.control_points_across=3"], &["design.control_points_across=1"]]
-    {
+    for sets in [
+        &[][..],
+        &["design.bound=0.02", "design.control_points=11", "design.control_points_across=3"],
+        &["design.control_points_across=1"],
+    ] {
         let (config, surface) = surface(sets);
         let points = numbers("fit", surface.variables(), config.design.bound);
         let wall = surface.sampled(&points);
@@ -159,7 +161,8 @@ fn the_wall_moves_what_it_says() {
         let slope = |dx: f64, dz: f64| (level(x + dx, z + dz) - level(x - dx, z - dz)) / (2.0 * step);
         let tangents = [[1.0, slope(step, 0.0), 0.0], [0.0, slope(0.0, step), 1.0]];
         // The deformation's own slopes are differences over half a spacing: of cubics that is (dx/4)^2 y'''/6 off.
-        let third = config.design.bound / config.control_distances()[1].powi(3);
+        let [h, g] = config.control_distances();
+        let third = config.design.bound / h.min(g).powi(3);
         let slack = 8.0 * third * (0.25 * config.resolution.dx).powi(2) / 6.0;
         if consistent.weights[4 * i + NO_FLUX] > 0.0 {
             normals += (vector[1] < 1.0 && y == 0.0) as usize;
@@ -360,9 +363,10 @@ fn a_mirrored_wall_has_the_mirrored_gradient() {
 #[test]
 fn an_optimisation_raises_the_outflow() {
     let sets = [
-        "time.end=0.6",
+        "time.end=0.4",
         "objective.target_x=0.76",
-        "objective.window=0.2",
+        "objective.window=0.1",
+        "objective.samples=5",
         "design.shape=random",
         "design.amplitude=0.004",
     ];
@@ -371,7 +375,7 @@ fn an_optimisation_raises_the_outflow() {
     let schedule = problem.schedule(&config.optimise, config.run.precision).unwrap();
     let limits = problem.parametrisation.limits();
     let evaluate = |_: usize, x: &[f64]| problem.gradient(x, &schedule, &mut |_| ());
-    optimisation.run(4, limits, evaluate, |_| Ok(())).unwrap();
+    optimisation.run(3, limits, evaluate, |_| Ok(())).unwrap();
     let values: Vec<f64> = optimisation.history.iter().map(|epoch| epoch.figure).collect();
     println!("{values:?}");
     let best = &optimisation.history[optimisation.best];
@@ -455,7 +459,7 @@ fn the_program_simulates_optimises_resumes_and_checks() {
 #[test]
 fn what_there_is_not_is_refused() {
     let folder = TempDir::new().unwrap();
-    std::fs::write(folder.path().join("wall.csv"), "x,z,height\n0.5,0.1,0.01\n0.5,0.1,0.03\n").unwrap();
+    std::fs::write(folder.path().join("wall.csv"), "x,z,height\n0.5,0.1,0.01\n0.5,0.1,0.05\n").unwrap();
     std::fs::write(folder.path().join("profile.csv"), "x,offset\n0.5,0.01\n").unwrap();
     let refuses = |arguments: &[&str], parts: &[&str]| {
         let output = run(folder.path(), arguments);
@@ -477,7 +481,7 @@ fn what_there_is_not_is_refused() {
     set("channel.span=0.1", &["channel.span = 0.1 is too short", "at least"]);
     set("channel.span=0.21", &["does not divide channel.span = 0.21", "channel.span"]);
     set("resolution.dx=0.0005", &["particles", "at most"]);
-    set("design.file=wall.csv", &["0.03", "x = 0.5, z = 0.1", "out of bounds"]);
+    set("design.file=wall.csv", &["0.05", "x = 0.5, z = 0.1", "out of bounds"]);
     set("design.file=profile.csv", &["no column `z`", "x,z,height"]);
     set("design.file=none.csv", &["no such file"]);
     refuses(&["optimize", SCENE, "--gradient", "steady"], &["optimise.gradient = steady", "no fixed particles"]);

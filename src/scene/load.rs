@@ -161,7 +161,7 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     }
     if let Some(layer) = file {
         base.accepts(&layer)?;
-        if is_from_before(&layer) {
+        if base.name == SCENES[0].name && is_from_before(&layer) {
             for text in provenance::BEFORE {
                 merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::set(text))?);
             }
