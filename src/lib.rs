@@ -92,6 +92,7 @@
 //!     tags: vec![tag::FLUID; side * side],
 //!     skin: 0.2 * dx,
 //!     dt: 1e-3,
+//!     division: None,
 //!     mass: dx * dx,
 //!     equation_of_state: EquationOfState {
 //!         reference_density: 1.0,

@@ -141,7 +141,7 @@ fn derivatives<R: Sweeps>(model: &Model<R>, known: &[f64]) -> Vec<(usize, Vec<Ve
     let consistent = model.consistent.as_ref().unwrap();
     let mut blocks = Blocks::default();
     R::tables(&mut blocks, &list, &consistent.surface);
-    let geometry = Geometry { model, consistent, blocks: &blocks, times: TimeSteps::of(model, 0) };
+    let geometry = Geometry { model, consistent, blocks: &blocks, times: TimeSteps { now: model.dt, before: 0.0 } };
     let (mut kept, mut found) = (Kept::default(), Vec::new());
     R::derivatives(&geometry, &mut kept, &known, &mut found);
     let (d, fields, lanes) = (model.layout.dimension, model.layout.fields(), width::<R>());

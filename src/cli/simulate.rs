@@ -143,8 +143,15 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         "{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s ({:.0} ns per particle and step)",
         1e9 * seconds / (done * n) as f64
     );
+    let divided = solver.divided;
+    if divided.steps > 0 {
+        println!(
+            "{} steps in up to {} parts each: the flow was faster than fluid.reference_velocity = {}, or pushed harder",
+            divided.steps, divided.most, config.fluid.reference_velocity
+        );
+    }
     let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
-    let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, pictures };
+    let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, divided, pictures };
     match (&scene.design, measurement) {
         (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start),
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt)),

@@ -1,5 +1,6 @@
 //! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
 
+use super::arguments::with_options;
 use super::files::{self, VERSION};
 use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
@@ -9,7 +10,9 @@ use crate::report::plots::compare;
 use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
+use crate::sph::division::Divided;
 use crate::sph::Sweeps;
 use serde_json::{json, Map, Value};
 use std::path::Path;
@@ -26,6 +29,7 @@ pub struct Finished<'a, R> {
     pub history: &'a [Vec<f64>],
     pub end: &'a ParticleFields,
     pub seconds: f64,
+    pub divided: Divided,
     /// What is said of ParaView frames.
     pub pictures: String,
 }
@@ -57,6 +61,8 @@ pub fn report_design<R: Sweeps>(
             map.extend(wall.top.map(|top| ("top_offsets".to_string(), top.into())));
         }
     }
+    let warnings = warnings::of_channel(&loaded.config, d, history);
+    map.insert("warnings".into(), json!(warnings));
     files::write_summary(folder, map)?;
     let is_deep = loaded.config.dimension() == 3;
     let per_depth = if is_deep { ", per depth" } else { "" };
@@ -82,6 +88,7 @@ pub fn report_design<R: Sweeps>(
     );
     let scene = if is_deep { format!(" {}", loaded.config.scene.name()) } else { String::new() };
     println!("next: hydrograd optimize{scene}    shapes the wall so that Q grows");
+    warn(&warnings);
     Ok(())
 }
 
@@ -109,7 +116,10 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             pictures.push_str(", temperature.png");
         }
     }
-    files::write_summary(folder, summary(loaded, found, scene.model.particles(), scene.steps, finished.seconds))?;
+    let warnings = warnings::of_flow(&loaded.config, found, finished.history);
+    let mut map = summary(finished, found);
+    map.insert("warnings".into(), json!(warnings));
+    files::write_summary(folder, map)?;
     println!("time                {:.6}", found.time);
     if !rests {
         println!(
@@ -148,7 +158,15 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
+    warn(&warnings);
     Ok(())
+}
+
+/// Where a user looks last, and not among the figures that go to a file.
+fn warn(warnings: &[Warning]) {
+    for Warning { problem, advice } in warnings {
+        eprintln!("{}", with_options(&format!("warning: {problem}\n  try: {advice}")));
+    }
 }
 
 /// With as many digits as say something.
@@ -210,12 +228,15 @@ fn plot_profile<R: Sweeps>(
     Ok(())
 }
 
-fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize, seconds: f64) -> Map<String, Value> {
+fn summary<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> Map<String, Value> {
+    let Finished { loaded, scene, .. } = finished;
     let Value::Object(map) = json!({
         "scene": loaded.config.scene,
-        "particles": particles,
-        "steps": steps,
+        "particles": scene.model.particles(),
+        "steps": scene.steps,
         "time_step": loaded.config.time_step(),
+        "divided_steps": finished.divided.steps,
+        "most_parts": finished.divided.most.max(1),
         "time": found.time,
         "kinetic_energy": found.kinetic_energy,
         "exact_kinetic_energy": found.exact_kinetic_energy,
@@ -226,7 +247,7 @@ fn summary(loaded: &Loaded, found: &FlowFigures, particles: usize, steps: usize,
         "exact_wall_flux": found.exact_wall_flux,
         "nusselt": found.nusselt,
         "exact_nusselt": found.exact_nusselt,
-        "wall_seconds": seconds,
+        "wall_seconds": finished.seconds,
         "peak_memory_bytes": peak_memory_bytes(),
         "version": VERSION,
         "seed": loaded.config.run.seed,

@@ -1,7 +1,7 @@
 //! Scenes of one's own: a box, the shapes in it, what the fluid begins with.
 
 use crate::config::formula::Formula;
-use crate::config::scene::{Config, Formulation};
+use crate::config::scene::Config;
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
@@ -294,12 +294,6 @@ impl Config {
         }
         for (place, shape) in self.shapes.iter().enumerate() {
             shape.check(place, d, has_heat)?;
-        }
-        if self.fluid.formulation == Formulation::Consistent {
-            return Err(BadInput::new("fluid.formulation = consistent in a scene of one's own")
-                .key("fluid.formulation")
-                .allowed("standard: points on the surface of any shape are not made yet")
-                .advice("fluid.formulation=standard, or the scene heated-channel"));
         }
         Ok(())
     }

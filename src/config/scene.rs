@@ -449,6 +449,8 @@ pub struct Time {
     pub diffusion_number: f64,
     /// How the consistent formulation's particles are advanced over a step.
     pub integrator: IntegratorName,
+    /// Whether a step is divided where the flow is faster, or is pushed harder, than expected.
+    pub adaptive: bool,
     /// Initial flow: at rest, or the developed parabolic profile (steady in half the time).
     pub start: Start,
     /// Random displacement of the fluid particles at the start, standard deviation in spacings.
@@ -849,6 +851,7 @@ impl Default for Time {
             cfl: 1.5,
             diffusion_number: 0.25,
             integrator: IntegratorName::SymplecticEuler,
+            adaptive: false,
             start: Start::Developed,
             jitter: 0.05,
             skin: 0.2,

@@ -540,6 +540,11 @@ impl Config {
                 .allowed("symplectic-euler; verlet for moving particles of the consistent formulation")
                 .advice("time.integrator=symplectic-euler"));
         }
+        if self.time.adaptive && fixed {
+            return Err(BadInput::new("time.adaptive = true with particles that do not move")
+                .key("time.adaptive")
+                .allowed("false; true with fluid.motion = moving"));
+        }
         if fixed && self.fluid.body_force_region != BodyForceRegion::Fluid {
             return Err(BadInput::new("fluid.body_force_region = original-channel with particles that do not move")
                 .key("fluid.body_force_region")

@@ -8,6 +8,7 @@ use crate::config::scene::{
 use crate::numerics::lanes::Real;
 use crate::numerics::random::{stream, Normal};
 use crate::particles::{tag, Domain};
+use crate::sph::division::Division;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
@@ -29,6 +30,8 @@ pub struct Numerics {
     pub wall_rows: usize,
     /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
     pub cfl: f64,
+    /// Whether steps are divided where the flow is faster than that.
+    pub adaptive: bool,
     /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
     pub diffusion_number: f64,
     /// The time step itself, instead of the limits.
@@ -117,6 +120,7 @@ impl Default for Numerics {
             smoothing_length: 1.0,
             wall_rows: 3,
             cfl: 0.25,
+            adaptive: false,
             diffusion_number: 0.25,
             time_step: None,
             steps: 1,
@@ -141,6 +145,7 @@ impl Numerics {
             smoothing_length: config.resolution.smoothing_length,
             wall_rows: config.least_wall_rows().max(3),
             cfl: config.time.cfl,
+            adaptive: config.time.adaptive,
             diffusion_number: config.time.diffusion_number,
             time_step: Some(config.time_step()),
             steps: config.steps(),
@@ -453,6 +458,7 @@ impl<R: Real> Parts<R> {
             tags: (0..lattice.particles()).map(tag_of).collect(),
             skin: numerics.skin * dx,
             dt,
+            division: numerics.adaptive.then_some(Division { spacing: dx, sound_speed, courant_number: numerics.cfl }),
             mass: (0..lattice.dimension).fold(density, |mass, _| mass * dx),
             equation_of_state: EquationOfState {
                 reference_density: density,

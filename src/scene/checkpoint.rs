@@ -5,7 +5,7 @@
 //!   list_positions [D, N]       what the neighbour list was built from
 //! ```
 //!
-//! and in the metadata the kind of file, `step`, the configuration, and the program's version. [`open`] reads checkpoints
+//! and in the metadata the kind of file, `step`, in how many `parts` the last one was made, the configuration, and the program's version. [`open`] reads checkpoints
 //! of other kinds too.
 
 use crate::config::difference::difference;
@@ -41,6 +41,7 @@ pub fn write<R: Sweeps>(path: &Path, solver: &Solver<R>, configuration: &str) ->
     let metadata = [
         ("kind", KIND.to_string()),
         ("step", solver.step.to_string()),
+        ("parts", solver.pace.parts.to_string()),
         ("config", configuration.to_string()),
         ("version", env!("CARGO_PKG_VERSION").to_string()),
     ];
@@ -59,11 +60,13 @@ pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<S
         Ok(file.f64(name, &[rows, n]).map_err(unreadable)?.iter().map(|&x| R::of(x)).collect())
     };
     let (state, reference) = (rows("state", l.state_rows())?, Arc::new(rows("list_positions", l.dimension)?));
-    let text = file.text("step").map_err(unreadable)?;
-    let step = text.parse().map_err(|_| {
-        BadInput::new(format!("{}: step = `{text}` in its metadata", path.display())).allowed("a whole number")
-    })?;
-    Ok(Snapshot { step, state, reference })
+    let number = |name: &str| -> Result<usize, BadInput> {
+        let text = file.text(name).map_err(unreadable)?;
+        text.parse().map_err(|_| {
+            BadInput::new(format!("{}: {name} = `{text}` in its metadata", path.display())).allowed("a whole number")
+        })
+    };
+    Ok(Snapshot { step: number("step")?, parts: number("parts")?, state, reference })
 }
 
 /// A checkpoint of a kind whose configuration is this one, keys and sections in `free` apart.

@@ -5,6 +5,8 @@
 //! Walls with a velocity stay where they are ([`crate::sph::model::Model::walls_slide`]).
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::distance::{Foot, Walls};
+use super::surface::{Dummy, Knows, Point, Settings, Surface};
 use super::{Exact, Scene};
 use crate::config::custom::{Axis, Fill, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function};
@@ -18,15 +20,15 @@ use crate::sph::solver::Snapshot;
 use std::sync::Arc;
 
 /// A shape with its formulas read.
-struct Shape<'a> {
-    entry: &'a ShapeEntry,
-    positive: Option<Function>,
+pub(super) struct Shape<'a> {
+    pub entry: &'a ShapeEntry,
+    pub positive: Option<Function>,
     velocity: Vec<Function>,
     temperature: Option<Function>,
 }
 
 impl<'a> Shape<'a> {
-    fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
+    pub fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
         let one = |name: &str, formula: &Option<Formula>| {
             formula.as_ref().map(|formula| formula.function(&key(name), dimension)).transpose()
@@ -69,7 +71,7 @@ impl<'a> Shape<'a> {
 }
 
 /// From a point to the line between two others.
-fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+pub(super) fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let (along, to) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let square = along[0] * along[0] + along[1] * along[1];
     let part = if square > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
@@ -77,7 +79,7 @@ fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 /// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
-fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
+pub(super) fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
     let mut inside = false;
     let mut from = points[points.len() - 1];
     for &to in points {
@@ -119,27 +121,15 @@ impl Geometry {
     /// # Errors
     /// Shapes that leave no fluid, or that no particle is in.
     pub fn of(config: &Config) -> Result<Self, BadInput> {
-        let d = config.dimension();
         let shapes = shapes(config)?;
         let lattice = lattice(config);
-        let size = &config.region.size;
-        // A shape that reaches through a periodic side is seen from the other one.
-        let images: Vec<[f64; 3]> = (0..27)
-            .map(|k| [k % 3, k / 3 % 3, k / 9])
-            .filter(|image| (0..3).all(|e| image[e] == 1 || e < d && config.region.periodic[e]))
-            .map(|image| std::array::from_fn(|e| if e < d { (image[e] as f64 - 1.0) * size[e] } else { 0.0 }))
-            .collect();
-        let holds = |shape: &Shape, p: [f64; 3]| {
-            let has_images = shape.entry.kind != Kind::Where;
-            let images = if has_images { &images[..] } else { &[[0.0; 3]] };
-            images.iter().any(|image| shape.contains(std::array::from_fn(|e| p[e] + image[e]), d))
-        };
+        let holder = Holder::new(config, &shapes);
         let n = lattice.particles();
         let mut shape = vec![None; n];
         let mut is_wall = vec![false; n];
         for i in 0..n {
             let p = lattice.place(i);
-            shape[i] = shapes.iter().rposition(|shape| holds(shape, p));
+            shape[i] = holder.of(p);
             is_wall[i] = match shape[i] {
                 Some(k) if !lattice.is_wall(i) => shapes[k].entry.fill == Fill::Wall,
                 _ => lattice.is_wall(i),
@@ -158,6 +148,35 @@ impl Geometry {
             return Err(BadInput::new("the shapes leave no fluid").key("shapes").allowed("some fluid in the box"));
         }
         Ok(Self { lattice, shape, is_wall })
+    }
+}
+
+/// Finds the shape that a place belongs to.
+struct Holder<'a> {
+    shapes: &'a [Shape<'a>],
+    dimension: usize,
+    /// A shape that reaches through a periodic side is seen from the other one.
+    images: Vec<[f64; 3]>,
+}
+
+impl<'a> Holder<'a> {
+    fn new(config: &Config, shapes: &'a [Shape<'a>]) -> Self {
+        let (d, size) = (config.dimension(), &config.region.size);
+        let images = (0..27)
+            .map(|k| [k % 3, k / 3 % 3, k / 9])
+            .filter(|image| (0..3).all(|e| image[e] == 1 || e < d && config.region.periodic[e]))
+            .map(|image| std::array::from_fn(|e| if e < d { (image[e] as f64 - 1.0) * size[e] } else { 0.0 }))
+            .collect();
+        Self { shapes, dimension: d, images }
+    }
+
+    /// The last of those that hold it.
+    fn of(&self, p: [f64; 3]) -> Option<usize> {
+        self.shapes.iter().rposition(|shape| {
+            let has_images = shape.entry.kind != Kind::Where;
+            let images = if has_images { &self.images[..] } else { &[[0.0; 3]] };
+            images.iter().any(|image| shape.contains(std::array::from_fn(|e| p[e] + image[e]), self.dimension))
+        })
     }
 }
 
@@ -191,6 +210,8 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
     let warmth = config.initial.temperature.as_ref();
     let warmth = warmth.map(|formula| formula.function("initial.temperature", d)).transpose()?;
     let reference = fluid.inlet_temperature;
+    let settings = Settings::from_config(config);
+    let surroundings = surroundings(config, &shapes);
     // Walls: their velocity, and T_wall = constant + factor <T>.
     let mut of_wall = vec![[0.0; 3]; n];
     let (mut constant, mut factor) = (vec![R::default(); n], vec![R::of(1.0); n]);
@@ -255,7 +276,11 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
             }
             continue;
         }
-        let p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
+        let mut p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
+        if settings.is_some() {
+            p = surroundings.away_from_walls(p);
+            (0..d).for_each(|e| base[e * n + i] = p[e]);
+        }
         for (e, velocity) in initial.iter().enumerate() {
             base[(l.velocity() + e) * n + i] = value(velocity, || format!("initial.velocity[{e}]"), p)?;
         }
@@ -263,6 +288,90 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
             base[l.temperature() * n + i] = value(warmth, || "initial.temperature".into(), p)? - reference;
         }
     }
+    if let Some(settings) = settings {
+        let (dx, holder) = (config.resolution.dx, Holder::new(config, &shapes));
+        let surface = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
+            knows_at(config, &shapes, &holder, foot, warmth.is_some())
+        })?;
+        let old = base.clone();
+        let assembled = Assembled { model, base };
+        let assembled = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+        (model, base) = (assembled.model, assembled.base);
+        if warmth.is_some() {
+            let more = model.particles();
+            let fluid = (0..n).filter(|&i| !is_wall[i]);
+            fluid.for_each(|i| base[model.layout.temperature() * more + i] = old[l.temperature() * n + i]);
+        }
+    }
     let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
     Ok(parts.scene(Arc::new(model), start))
+}
+
+/// The walls as surfaces.
+fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
+    let (d, region) = (config.dimension(), &config.region);
+    Walls {
+        shapes,
+        dimension: d,
+        size: std::array::from_fn(|e| if e < d { region.size[e] } else { 1.0 }),
+        periodic: std::array::from_fn(|e| e < d && region.periodic[e]),
+        spacing: config.resolution.dx,
+    }
+}
+
+/// What the wall behind a point of its surface tells the fluid there.
+fn knows_at(
+    config: &Config,
+    shapes: &[Shape],
+    holder: &Holder,
+    foot: &Foot,
+    has_heat: bool,
+) -> Result<Vec<Knows>, BadInput> {
+    // A quarter of a spacing into the wall.
+    let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
+    let wall = holder.of(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
+    let mut moves = [0.0; 3];
+    let mut temperature = None;
+    if let Some(k) = wall {
+        for (e, velocity) in shapes[k].velocity.iter().enumerate() {
+            moves[e] = value(velocity, || format!("shapes[{k}].velocity[{e}]"), foot.place)?;
+        }
+        if let Some(formula) = &shapes[k].temperature {
+            temperature = Some(value(formula, || format!("shapes[{k}].temperature"), foot.place)?);
+        }
+    }
+    let warmth = temperature.map_or(Knows::NoHeatFlux, |t| Knows::Temperature(t - config.fluid.inlet_temperature));
+    Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
+}
+
+/// Points on the walls' surface and the particles of the lattice behind it.
+fn surface_of(
+    walls: &Walls,
+    lattice: &Lattice,
+    is_wall: &[bool],
+    knows: impl Fn(&Foot) -> Result<Vec<Knows>, BadInput>,
+) -> Result<Surface, BadInput> {
+    let dx = walls.spacing;
+    let near = |i: usize| walls.distance(lattice.place(i)).abs() <= dx;
+    let all = 0..lattice.particles();
+    // Those in front of particles first: along a plane wall none are left for those behind it.
+    let beside = all.clone().filter(|&i| !is_wall[i] && near(i)).chain(all.clone().filter(|&i| is_wall[i] && near(i)));
+    let feet = walls.points(beside.map(|i| lattice.place(i)));
+    let mut surface = Surface::default();
+    let mut first = Vec::with_capacity(feet.len());
+    for foot in &feet {
+        first.push(surface.points.len());
+        for knows in knows(foot)? {
+            surface.points.push(Point { position: foot.place, normal: foot.normal, knows });
+        }
+    }
+    let nearest = walls.finder(&feet);
+    for i in all.filter(|&i| is_wall[i]) {
+        let p = lattice.place(i);
+        let Some(foot) = walls.foot(p) else { continue };
+        let Some(point) = nearest(foot.place) else { continue };
+        let mirror = std::array::from_fn(|e| 2.0 * foot.place[e] - p[e]);
+        surface.dummies.push(Dummy { particle: i, point: first[point], mirror });
+    }
+    Ok(surface)
 }

@@ -8,6 +8,7 @@ pub mod checkpoint;
 pub mod couette;
 pub mod custom;
 pub mod dam_break;
+mod distance;
 pub mod exact;
 pub mod falling_block;
 pub mod figures;
@@ -27,6 +28,7 @@ mod surface;
 mod tank;
 pub mod taylor_green;
 pub mod verification;
+pub mod warnings;
 
 pub use exact::Exact;
 

@@ -9,7 +9,7 @@ use super::model::Model;
 use super::operators::composed::per_particle;
 use super::operators::pairs::stride;
 use super::operators::rates::record_fields;
-use super::solver::{Snapshot, Solver, TensorSolver};
+use super::solver::{Pace, Snapshot, Solver, TensorSolver};
 use super::sweeps::Sweeps;
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
@@ -40,6 +40,8 @@ impl<R> Sph<R> {
 #[derive(Debug)]
 pub struct KeptState<R> {
     step: usize,
+    /// Of the step before, see [`super::division`].
+    parts: usize,
     /// In R, or in f32.
     numbers: Block,
     rounded: bool,
@@ -126,11 +128,17 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             scratch.states.keep(state.len(), |kept: &mut [R]| kept.copy_from_slice(state))
         };
         let numbers = numbers.map_err(|e| RunError::Tensor { step: run.step, source: candle_core::Error::Io(e) })?;
-        Ok(KeptState { step: run.step, numbers, rounded, reference: run.neighbourhood.reference.clone() })
+        Ok(KeptState {
+            step: run.step,
+            parts: run.pace.parts,
+            numbers,
+            rounded,
+            reference: run.neighbourhood.reference.clone(),
+        })
     }
     fn settle(&self, kept: &mut KeptState<R>, run: &Solver<R>) {
         // If the step built a new list, a replay would build the old one first and then find that it is outdated.
-        kept.reference = run.neighbourhood.reference.clone();
+        kept.reference = run.began_with().clone();
     }
     fn resume(&self, run: &mut Solver<R>, kept: &KeptState<R>) -> Result<(), RunError> {
         if kept.rounded {
@@ -140,6 +148,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             kept.numbers.read(|state: &[R]| run.state.copy_from_slice(state));
         }
         run.step = kept.step;
+        run.pace = Pace::after(kept.parts);
         if !Arc::ptr_eq(&run.neighbourhood.reference, &kept.reference) {
             run.neighbourhood
                 .rebuild_at(&self.model.reach(), &kept.reference)
@@ -154,7 +163,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         run: &Solver<R>,
     ) -> Result<(TensorSolver<R>, Tensor), RunError> {
         let neighbourhood = self.neighbourhood(kept, last, run)?;
-        let tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, self.kernels);
+        let tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, kept.parts, self.kernels);
         let tensor = if kept.rounded {
             let state: Vec<R> = kept.numbers.read(|state: &[f32]| state.iter().map(|&x| R::of(x as f64)).collect());
             self.state_tensor(kept.step, &state)?
@@ -172,7 +181,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     fn taped_bytes(&self, tape: &TensorSolver<R>) -> Bytes {
         let list = &tape.neighbourhood.list;
         let shared = list.bytes() + self.table_bytes(list);
-        Bytes { own: self.tape_bytes(list), shared, identity: Arc::as_ptr(list) as usize }
+        Bytes { own: tape.pace.parts * self.tape_bytes(list), shared, identity: Arc::as_ptr(list) as usize }
     }
 }
 

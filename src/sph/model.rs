@@ -5,6 +5,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::pool::{Buffers, Pool};
 use crate::particles::{Domain, Reach};
 use crate::sph::consistent::{Consistent, Kept, Shift};
+use crate::sph::division::Division;
 use crate::sph::fixed::Fixed;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
@@ -209,6 +210,8 @@ pub struct Model<R> {
     /// Extra reach of the neighbour list.
     pub skin: f64,
     pub dt: f64,
+    /// By what a step is divided; none where all are whole.
+    pub division: Option<Division>,
     /// Mass of every particle where the layout has no mass row.
     pub mass: f64,
     pub equation_of_state: EquationOfState,

@@ -3,6 +3,7 @@
 use super::chain::{Chain, Step};
 use super::consistent::operators::{self, Buffers, Shown};
 use super::consistent::{composed, Blocks, Geometry, TimeSteps};
+use super::division::{self, Divided};
 use super::fixed::{Fixed, FixedStep, Work};
 use super::laws::conduction;
 use super::model::{Layout, Model};
@@ -23,6 +24,8 @@ use std::sync::Arc;
 #[derive(Debug, Clone)]
 pub struct Snapshot<R> {
     pub step: usize,
+    /// In how many parts the step before was made, see [`super::division`].
+    pub parts: usize,
     /// `[F, N]`.
     pub state: Vec<R>,
     /// Positions that the neighbour list was built from: the list is rebuilt from them on restoring, the same to
@@ -34,7 +37,36 @@ impl<R: Real> Snapshot<R> {
     /// A run's first state.
     pub fn first(model: &Model<R>, state: Vec<R>) -> Self {
         let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
-        Self { step: 0, state, reference }
+        Self { step: 0, parts: 1, state, reference }
+    }
+}
+
+/// The part of a step that is being made, and the one before it. Between steps: the last step's last part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Pace {
+    /// Parts of this step.
+    pub parts: usize,
+    /// Of the step that the part before this one belongs to.
+    before: usize,
+    /// Whether this part is a step's first.
+    first: bool,
+}
+
+impl Pace {
+    /// Behind a step of some parts.
+    pub fn after(parts: usize) -> Self {
+        Self { parts, before: parts, first: true }
+    }
+
+    /// At part number `part` of a step of `parts`.
+    fn next(self, part: usize, parts: usize) -> Self {
+        Self { parts, before: self.parts, first: part == 0 }
+    }
+
+    /// The time of this part of step number `step`, and of the part before it.
+    fn times(self, dt: f64, step: usize) -> TimeSteps {
+        let has_before = step > 0 || !self.first;
+        TimeSteps { now: dt / self.parts as f64, before: if has_before { dt / self.before as f64 } else { 0.0 } }
     }
 }
 
@@ -45,6 +77,12 @@ pub struct Solver<R> {
     /// `[F, N]`, see [`crate::sph::model::Layout`].
     pub state: Vec<R>,
     pub step: usize,
+    /// The part of a step that is being made; between steps, in how many the last one was made.
+    pub pace: Pace,
+    /// What the list of the last step's first part was built from, where it had others: their list may be another one.
+    began_with: Option<Arc<Vec<R>>>,
+    /// Of the steps since the run's start.
+    pub divided: Divided,
     pub neighbourhood: Neighbourhood<R>,
     moved: Vec<R>,
     density: Vec<R>,
@@ -137,6 +175,9 @@ impl<R: Sweeps> Solver<R> {
             model,
             state: snapshot.state.clone(),
             step: snapshot.step,
+            pace: Pace::after(snapshot.parts),
+            began_with: None,
+            divided: Divided::default(),
             neighbourhood,
             shows_primitives: false,
             lattice,
@@ -150,14 +191,43 @@ impl<R: Sweeps> Solver<R> {
     }
 
     pub fn snapshot(&self) -> Snapshot<R> {
-        Snapshot { step: self.step, state: self.state.clone(), reference: self.neighbourhood.reference.clone() }
+        Snapshot {
+            step: self.step,
+            parts: self.pace.parts,
+            state: self.state.clone(),
+            reference: self.neighbourhood.reference.clone(),
+        }
     }
 
-    /// One time step.
+    /// One time step, in as many parts as the flow asks for.
     ///
     /// # Errors
     /// Particles that are lost or too fast.
     pub fn advance(&mut self) -> Result<(), RunError> {
+        let parts = division::parts(&self.model, &self.state);
+        for part in 0..parts {
+            self.pace = self.pace.next(part, parts);
+            self.advance_part()?;
+            self.finish_part(part);
+        }
+        self.step += 1;
+        Ok(())
+    }
+
+    /// What outlives a part of a step.
+    fn finish_part(&mut self, part: usize) {
+        if part == 0 {
+            self.began_with = (self.pace.parts > 1).then(|| self.neighbourhood.reference.clone());
+            self.divided.count(self.pace.parts);
+        }
+    }
+
+    /// Positions that the list of the last step's first part was built from.
+    pub fn began_with(&self) -> &Arc<Vec<R>> {
+        self.began_with.as_ref().unwrap_or(&self.neighbourhood.reference)
+    }
+
+    fn advance_part(&mut self) -> Result<(), RunError> {
         if let Some(lattice) = &mut self.lattice {
             let force = lattice.fixed.forward(&self.state, &mut lattice.next, &mut lattice.work);
             self.drive = lattice.fixed.channel.drive.map(|_| force.f64());
@@ -169,12 +239,11 @@ impl<R: Sweeps> Solver<R> {
             self.with_geometry(|run, geometry, state| force = run.buffers.advance(geometry, state));
             self.drive = force;
         } else if !self.model.is_fused() {
-            return self.advance_composed();
+            return self.advance_part_composed();
         } else {
-            let dt = self.model.dt;
+            let dt = self.pace.times(self.model.dt, self.step).now;
             step::advance(self, dt, &())?;
         }
-        self.step += 1;
         Ok(())
     }
 
@@ -183,16 +252,27 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// As for [`Self::advance`]; tensor errors.
     pub fn advance_composed(&mut self) -> Result<(), RunError> {
+        let parts = division::parts(&self.model, &self.state);
+        for part in 0..parts {
+            self.pace = self.pace.next(part, parts);
+            self.advance_part_composed()?;
+            self.finish_part(part);
+        }
+        self.step += 1;
+        Ok(())
+    }
+
+    fn advance_part_composed(&mut self) -> Result<(), RunError> {
         let failed = RunError::tensor(self.step);
         let (mut tape, state) = self.composed()?;
-        let state = tape.advance(&state)?;
+        tape.pace = self.pace;
+        let state = tape.advance_part(&state, None)?;
         read(&state.contiguous().map_err(&failed)?, |s: &[R]| {
             self.state.copy_from_slice(s);
             Ok(())
         })
         .map_err(&failed)?;
         self.neighbourhood = tape.neighbourhood;
-        self.step += 1;
         Ok(())
     }
 
@@ -201,7 +281,7 @@ impl<R: Sweeps> Solver<R> {
         let shape = (self.model.layout.state_rows(), self.model.particles());
         let state = Tensor::from_slice(&self.state, shape, &Device::Cpu).map_err(RunError::tensor(self.step))?;
         let neighbourhood = self.neighbourhood.clone();
-        Ok((TensorSolver::new(self.model.clone(), neighbourhood, self.step, Kernels::Composed), state))
+        Ok((TensorSolver::new(self.model.clone(), neighbourhood, self.step, self.pace.parts, Kernels::Composed), state))
     }
 
     /// [`Self::look`] by candle's operators.
@@ -221,11 +301,11 @@ impl<R: Sweeps> Solver<R> {
 
     /// Runs something of the consistent formulation at the present list.
     fn with_geometry(&mut self, go: impl FnOnce(&mut Consistent<R>, &Geometry<'_, R>, &mut [R])) {
-        let Self { model, neighbourhood, state, consistent, step, .. } = self;
+        let Self { model, neighbourhood, state, consistent, step, pace, .. } = self;
         if let (Some(run), Some(consistent)) = (consistent, &model.consistent) {
             run.tables.update(model, neighbourhood);
             let blocks = run.tables.blocks.clone();
-            let times = TimeSteps::of(model, *step);
+            let times = pace.times(model.dt, *step);
             go(run, &Geometry { model, consistent, blocks: &blocks, times }, state);
         }
     }
@@ -310,7 +390,7 @@ impl<R: Sweeps> Solver<R> {
         }
         match (&self.consistent, &self.model.consistent) {
             (Some(run), Some(consistent)) => {
-                let times = TimeSteps::of(&self.model, self.step);
+                let times = self.pace.times(self.model.dt, self.step);
                 let geometry = Geometry { model: &self.model, consistent, blocks: &run.tables.blocks, times };
                 operators::heating(&geometry, &run.buffers.known, &run.buffers.derivatives, &run.masses, until)
             }
@@ -462,15 +542,23 @@ pub struct TensorSolver<R> {
     pub model: Arc<Model<R>>,
     pub neighbourhood: Neighbourhood<R>,
     pub step: usize,
+    /// As [`Solver::pace`].
+    pub pace: Pace,
     pub kernels: Kernels,
     tables: Tables,
 }
 
 impl<R: Sweeps> TensorSolver<R> {
-    /// At a step, with a list.
-    pub fn new(model: Arc<Model<R>>, neighbourhood: Neighbourhood<R>, step: usize, kernels: Kernels) -> Self {
+    /// At a step, the one before it made in some parts, with a list.
+    pub fn new(
+        model: Arc<Model<R>>,
+        neighbourhood: Neighbourhood<R>,
+        step: usize,
+        parts: usize,
+        kernels: Kernels,
+    ) -> Self {
         let kernels = if model.is_fused() { kernels } else { Kernels::Composed };
-        Self { model, neighbourhood, step, kernels, tables: Tables::default() }
+        Self { model, neighbourhood, step, pace: Pace::after(parts), kernels, tables: Tables::default() }
     }
 
     /// Starts at a snapshot's step and neighbour list.
@@ -480,7 +568,7 @@ impl<R: Sweeps> TensorSolver<R> {
     pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>, kernels: Kernels) -> Result<Self, RunError> {
         let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
             .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
-        Ok(Self::new(model, neighbourhood, snapshot.step, kernels))
+        Ok(Self::new(model, neighbourhood, snapshot.step, snapshot.parts, kernels))
     }
 
     /// One time step: state `[F, N]` -> state `[F, N]`, on the graph.
@@ -497,15 +585,39 @@ impl<R: Sweeps> TensorSolver<R> {
     /// # Errors
     /// As for [`Self::advance`].
     pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
-        let dt = self.model.dt;
+        let parts = self.parts_from(state)?;
+        let mut next = state.clone();
+        for part in 0..parts {
+            self.pace = self.pace.next(part, parts);
+            next = self.advance_part(&next, after.filter(|_| part + 1 == parts))?;
+        }
+        self.step += 1;
+        Ok(next)
+    }
+
+    /// In how many parts the step from a state is made.
+    fn parts_from(&self, state: &Tensor) -> Result<usize, RunError> {
+        if self.model.division.is_none() {
+            return Ok(1);
+        }
+        let failed = RunError::tensor(self.step);
+        let state = state.detach().to_device(&Device::Cpu).and_then(|state| state.to_dtype(R::DTYPE)?.contiguous());
+        let mut parts = 1;
+        read(&state.map_err(&failed)?, |state: &[R]| {
+            parts = division::parts(&self.model, state);
+            Ok(())
+        })
+        .map_err(&failed)?;
+        Ok(parts)
+    }
+
+    fn advance_part(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
         if let Some(fixed) = &self.model.fixed {
             let next = match self.kernels {
                 Kernels::Fused => apply1(FixedStep(fixed.clone()), state),
                 Kernels::Composed => fixed.composed(state),
             };
-            let next = next.map_err(RunError::tensor(self.step))?;
-            self.step += 1;
-            return Ok(next);
+            return next.map_err(RunError::tensor(self.step));
         }
         if self.model.consistent.is_some() {
             self.update_list(state)?;
@@ -514,19 +626,16 @@ impl<R: Sweeps> TensorSolver<R> {
                 Kernels::Fused => operators::advance(&self.chain(), state),
                 Kernels::Composed => composed::advance(&self.model, &self.neighbourhood.list, self.times(), state),
             };
-            let next = next.map_err(RunError::tensor(self.step))?;
-            self.step += 1;
-            return Ok(next);
+            return next.map_err(RunError::tensor(self.step));
         }
-        let next = match self.kernels {
+        let dt = self.times().now;
+        match self.kernels {
             Kernels::Fused => {
                 let after = after.map(Tensor::detach);
                 step::advance(&mut Fused { run: self, carries: true, after, chain: None }, dt, state)
             }
             Kernels::Composed => step::advance(&mut Composed { run: self, pairs: None }, dt, state),
-        }?;
-        self.step += 1;
-        Ok(next)
+        }
     }
 
     fn chain(&self) -> Arc<operators::Chain<R>> {
@@ -534,7 +643,7 @@ impl<R: Sweeps> TensorSolver<R> {
     }
 
     fn times(&self) -> TimeSteps {
-        TimeSteps::of(&self.model, self.step)
+        self.pace.times(self.model.dt, self.step)
     }
 
     /// A state of the consistent formulation, or of fixed particles, as it is, on the graph.
@@ -563,6 +672,7 @@ impl<R: Sweeps> TensorSolver<R> {
             model: self.model.clone(),
             neighbourhood: self.neighbourhood.shared(),
             step: self.step,
+            pace: self.pace,
             kernels: self.kernels,
             tables: Tables::default(),
         };

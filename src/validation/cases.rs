@@ -181,6 +181,15 @@ pub fn all() -> Vec<Case> {
             ],
         },
         Case {
+            name: "lid-driven-cavity-3d",
+            quantity: "about the extrema on the centre lines",
+            reference: "finite differences, Re = 100",
+            scene: "lid-driven-cavity-3d",
+            settings: &["time.end=12"],
+            measure: Measure::CentreLines,
+            levels: vec![full(&["resolution.dx=0.0625"], 0.2), full(&["resolution.dx=0.04"], 0.12)],
+        },
+        Case {
             name: "hydrostatic-pressure",
             quantity: "pressure at t = 10, largest error / bottom's",
             reference: "exact",

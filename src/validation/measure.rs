@@ -45,7 +45,8 @@ pub enum Measure {
     Nusselt,
     /// Largest relative error of the mean kinetic energy on the way.
     KineticEnergy,
-    /// Largest relative error of the extrema of u on x = 1/2 and of v on y = 1/2 of the steady cavity.
+    /// Largest relative error of the extrema of u on x = 1/2 and of v on y = 1/2 of the steady cavity; of a cubic one, on z = 1/2, that of the
+    /// values of [`reference::CUBIC_CAVITY`].
     CentreLines,
     /// Relative error of the outflowing heat over a flat wall.
     Outflow,
@@ -268,7 +269,7 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
 }
 
 fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
-    // Walls are as thick on both sides of the unit square.
+    // Walls are as thick on both sides of the unit square or cube.
     let wall = |d: usize| 0.5 * (scene.model.domain.size[d] - 1.0);
     let every = (scene.steps / 4 / SAMPLES).max(1);
     let (mut u, mut v, mut count) = (vec![0.0; PLACES], vec![0.0; PLACES], 0.0);
@@ -280,7 +281,10 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
         count += 1.0;
         for k in 0..PLACES {
             let s = (k + 1) as f64 / (PLACES + 1) as f64;
-            let at = |x: f64, y: f64| probe::velocity(&scene.model, &solver.state, [x + wall(0), y + wall(1)]);
+            let at = |x: f64, y: f64| {
+                let place = [x + wall(0), y + wall(1), 0.5 + wall(2)];
+                probe::velocity(&scene.model, &solver.state, place)
+            };
             match (at(0.5, s), at(s, 0.5)) {
                 (Some(across), Some(along)) => {
                     u[k] += across[0];
@@ -293,14 +297,23 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
     if missing > 0 || count == 0.0 {
         bail!("{missing} places of the centre lines have too few particles around");
     }
-    let table = reference::lid_driven_cavity();
+    let table = match scene.model.layout.dimension {
+        2 => reference::lid_driven_cavity(),
+        _ => reference::lid_driven_cavity_3d(),
+    };
     let least = |x: &[f64]| x.iter().copied().fold(f64::INFINITY, f64::min);
     let most = |x: &[f64]| x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let (exact_u, exact_v) = (table.column("u"), table.column("v"));
     let (u, v): (Vec<f64>, Vec<f64>) = (u.iter().map(|x| x / count).collect(), v.iter().map(|x| x / count).collect());
-    let pairs = [(least(&u), least(&exact_u)), (most(&v), most(&exact_v)), (least(&v), least(&exact_v))];
-    let error = pairs.iter().map(|(found, exact)| (found / exact - 1.0).abs()).fold(0.0, f64::max);
     let places = || (0..PLACES).map(|k| (k + 1) as f64 / (PLACES + 1) as f64);
+    let pairs = match scene.model.layout.dimension {
+        2 => [(least(&u), least(&exact_u)), (most(&v), most(&exact_v)), (least(&v), least(&exact_v))],
+        _ => {
+            let (places, values) = (places().collect::<Vec<_>>(), reference::CUBIC_CAVITY);
+            [0, 1, 2].map(|k| (reference::between(&places, if k == 0 { &u } else { &v }, values[k].0), values[k].1))
+        }
+    };
+    let error = pairs.iter().map(|(found, exact)| (found / exact - 1.0).abs()).fold(0.0, f64::max);
     let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.into(), points };
     let s = table.column("s");
     let curves = vec![

@@ -39,6 +39,14 @@ pub fn lid_driven_cavity() -> Table {
     Table::of(include_str!("../../data/reference/lid-driven-cavity.csv"))
 }
 
+/// Places near the extrema of u and v (twice) in a cubic cavity, and the values there of 36 and 54 cells a side, extrapolated.
+pub const CUBIC_CAVITY: [(f64, f64); 3] = [(0.4531, -0.215), (0.2344, 0.151), (0.8047, -0.250)];
+
+/// The same on z = 1/2 of a cubic cavity.
+pub fn lid_driven_cavity_3d() -> Table {
+    Table::of(include_str!("../../data/reference/lid-driven-cavity-3d.csv"))
+}
+
 /// `T`, `Z`: Martin and Moyce (1952).
 pub fn dam_break_front() -> Table {
     Table::of(include_str!("../../data/reference/dam-break-front.csv"))

@@ -101,6 +101,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
         tags: vec![tag::FLUID; n],
         skin: 0.2 * DX,
         dt: 0.5 * DX / (sound_speed + velocity),
+        division: None,
         mass: density * DX.powi(dimension as i32),
         equation_of_state: EquationOfState {
             reference_density: density,

@@ -211,6 +211,7 @@ impl Case {
             tags: self.tags.clone(),
             skin: 0.2 * self.dx,
             dt: self.dt,
+            division: None,
             mass: self.mass,
             equation_of_state: EquationOfState {
                 reference_density: case["rho_ref"].as_f64().unwrap(),

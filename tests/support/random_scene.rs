@@ -169,6 +169,7 @@ impl RandomScene {
             tags: self.tags.clone(),
             skin: 0.2 * DX,
             dt: 1e-3,
+            division: None,
             mass: options.typical_mass(),
             equation_of_state: EquationOfState {
                 reference_density: density,

@@ -83,13 +83,6 @@ pub struct TimeSteps {
     pub before: f64,
 }
 
-impl TimeSteps {
-    /// Those of a model's step number `step`.
-    pub fn of<R>(model: &Model<R>, step: usize) -> Self {
-        Self { now: model.dt, before: if step == 0 { 0.0 } else { model.dt } }
-    }
-}
-
 impl<R: crate::numerics::lanes::Real> Consistent<R> {
     /// Whether a wall's particle is no point whose temperature is known.
     pub fn holds_no_temperature(&self, i: usize) -> bool {

@@ -1,0 +1,345 @@
+//! The surface of walls of any shape: signed distances of shapes, points on the surface, normals.
+//!
+//! s(p) is the distance of a place from the nearest wall, negative within walls: the smaller of two walls', and where fluid is
+//! cut out of them the larger of s and minus the fluid's. Of a shape given by a formula f it is -f / |grad f|, right to first
+//! order beside its surface. A place p has its foot on the surface at p - s grad s.
+
+use super::custom::Shape;
+use crate::config::custom::{Axis, Fill, Kind, ShapeEntry};
+use std::collections::HashMap;
+
+/// Walls in a box whose corner is at 0.
+pub(super) struct Walls<'a> {
+    pub shapes: &'a [Shape<'a>],
+    pub dimension: usize,
+    pub size: [f64; 3],
+    pub periodic: [bool; 3],
+    pub spacing: f64,
+}
+
+/// Over which a slope is taken, in spacings.
+const STEP: f64 = 1e-3;
+/// A foot is looked for so many times: on plane and round walls it is there at once.
+const TURNS: usize = 4;
+/// A foot is on the surface within this, in spacings.
+const CLOSE: f64 = 0.05;
+/// Points on the surface are at least so far apart, in spacings.
+const APART: f64 = 0.45;
+
+/// No particle begins nearer to a wall than this, in spacings.
+const BESIDE: f64 = 0.35;
+
+/// A place on the surface, and the unit normal there, into the fluid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Foot {
+    pub place: [f64; 3],
+    pub normal: [f64; 3],
+}
+
+impl Walls<'_> {
+    /// s: the distance from the nearest wall.
+    pub fn distance(&self, p: [f64; 3]) -> f64 {
+        let mut walls = f64::INFINITY;
+        for shape in self.shapes {
+            let s = self.of_shape(shape, p);
+            walls = match shape.entry.fill {
+                Fill::Wall => walls.min(s),
+                Fill::Fluid => walls.max(-s),
+            };
+        }
+        // What closes the box is a wall whatever fluid is cut out of it.
+        let sides = (0..self.dimension).filter(|&d| !self.periodic[d]).map(|d| p[d].min(self.size[d] - p[d]));
+        let outside = sides.clone().map(|s| s.min(0.0).powi(2)).sum::<f64>().sqrt();
+        walls.min(if outside > 0.0 { -outside } else { sides.fold(f64::INFINITY, f64::min) })
+    }
+
+    /// The distance from one shape or the nearest of its periodic images.
+    fn of_shape(&self, shape: &Shape, p: [f64; 3]) -> f64 {
+        if shape.entry.kind == Kind::Where {
+            return self.of_formula(shape, p);
+        }
+        let images = |d: usize| if d < self.dimension && self.periodic[d] { -1..=1 } else { 0..=0 };
+        let mut least = f64::INFINITY;
+        for i in images(0) {
+            for j in images(1) {
+                for k in images(2) {
+                    let moved = std::array::from_fn(|d| p[d] + [i, j, k][d] as f64 * self.size[d]);
+                    least = least.min(of_entry(shape.entry, moved, self.dimension));
+                }
+            }
+        }
+        least
+    }
+
+    fn of_formula(&self, shape: &Shape, p: [f64; 3]) -> f64 {
+        let Some(positive) = &shape.positive else { return f64::INFINITY };
+        let h = STEP * self.spacing;
+        let slope = |d: usize| {
+            let at = |h: f64| positive.at(std::array::from_fn(|e| if e == d { p[e] + h } else { p[e] }));
+            (at(h) - at(-h)) / (2.0 * h)
+        };
+        let steep = (0..self.dimension).map(|d| slope(d).powi(2)).sum::<f64>().sqrt();
+        -positive.at(p) / steep.max(f64::MIN_POSITIVE)
+    }
+
+    /// grad s, of length 1; none where s has no slope, half way between two walls.
+    pub fn normal(&self, p: [f64; 3]) -> Option<[f64; 3]> {
+        let (slope, length) = self.slope(p);
+        (length.is_finite() && length > 0.1).then(|| slope.map(|x| x / length))
+    }
+
+    /// grad s, and how long it is: 1 but where several walls are as near.
+    fn slope(&self, p: [f64; 3]) -> ([f64; 3], f64) {
+        let h = STEP * self.spacing;
+        let slope: [f64; 3] = std::array::from_fn(|d| {
+            if d >= self.dimension {
+                return 0.0;
+            }
+            let at = |h: f64| self.distance(std::array::from_fn(|e| if e == d { p[e] + h } else { p[e] }));
+            (at(h) - at(-h)) / (2.0 * h)
+        });
+        (slope, slope.iter().map(|x| x * x).sum::<f64>().sqrt())
+    }
+
+    /// The foot of a place; none where there is no wall near enough to have one.
+    pub fn foot(&self, p: [f64; 3]) -> Option<Foot> {
+        let mut place = p;
+        for _ in 0..TURNS {
+            let (s, normal) = (self.distance(place), self.normal(place)?);
+            (0..self.dimension).for_each(|d| place[d] -= s * normal[d]);
+        }
+        if self.distance(place).abs() > CLOSE * self.spacing {
+            return None;
+        }
+        // On the surface itself s may have a bend; at the place it came from the normal points to it.
+        let along: [f64; 3] = std::array::from_fn(|d| p[d] - place[d]);
+        let length = along.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let normal = match length > STEP * self.spacing {
+            true => along.map(|x| x * self.distance(p).signum() / length),
+            false => self.normal(place)?,
+        };
+        Some(Foot { place, normal })
+    }
+
+    /// A place in the fluid, or if it is nearer to a wall than [`BESIDE`] the place that is so far in front of it.
+    pub fn away_from_walls(&self, p: [f64; 3]) -> [f64; 3] {
+        let least = BESIDE * self.spacing;
+        let s = self.distance(p);
+        match self.normal(p) {
+            Some(normal) if s < least => std::array::from_fn(|d| p[d] + (least - s) * normal[d]),
+            _ => p,
+        }
+    }
+
+    /// Feet of places, each at least [`APART`] from all before it. None in a corner that walls meet in: they would tell it
+    /// different things.
+    pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
+        let in_front = |foot: &Foot| std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d]);
+        let mut feet: Vec<Foot> = Vec::new();
+        let mut cells = Cells::new(self);
+        for foot in places.filter_map(|place| self.foot(place)).filter(|foot| self.slope(in_front(foot)).1 > 0.9) {
+            let near = |&k: &usize| self.apart(feet[k].place, foot.place) < APART * self.spacing;
+            if !cells.around(foot.place).any(near) {
+                cells.add(foot.place, feet.len());
+                feet.push(foot);
+            }
+        }
+        feet
+    }
+
+    /// The nearest of some feet to a place, among those less than a spacing away.
+    pub fn finder<'b>(&'b self, feet: &'b [Foot]) -> impl Fn([f64; 3]) -> Option<usize> + 'b {
+        let mut cells = Cells::new(self);
+        feet.iter().enumerate().for_each(|(k, foot)| cells.add(foot.place, k));
+        move |place| {
+            let apart = |k: usize| self.apart(feet[k].place, place);
+            let near = cells.around(place).map(|&k| (k, apart(k)));
+            near.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| k)
+        }
+    }
+
+    /// The distance of two places, or of the nearest periodic images.
+    fn apart(&self, a: [f64; 3], b: [f64; 3]) -> f64 {
+        let along = |d: usize| {
+            let gap = b[d] - a[d];
+            match self.periodic[d] {
+                true => gap - self.size[d] * (gap / self.size[d]).round(),
+                false => gap,
+            }
+        };
+        (0..self.dimension).map(|d| along(d).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+/// Numbers of places by cells about a spacing wide.
+struct Cells {
+    dimension: usize,
+    /// Of a period; 0 where there is none.
+    counts: [i64; 3],
+    widths: [f64; 3],
+    members: HashMap<[i64; 3], Vec<usize>>,
+}
+
+impl Cells {
+    fn new(walls: &Walls) -> Self {
+        let counts = |d: usize| if walls.periodic[d] { (walls.size[d] / walls.spacing).floor().max(1.0) } else { 0.0 };
+        let width = |d: usize| if walls.periodic[d] { walls.size[d] / counts(d) } else { walls.spacing };
+        Self {
+            dimension: walls.dimension,
+            counts: std::array::from_fn(|d| counts(d) as i64),
+            widths: std::array::from_fn(width),
+            members: HashMap::new(),
+        }
+    }
+
+    fn cell(&self, place: [f64; 3], step: [i64; 3]) -> [i64; 3] {
+        std::array::from_fn(|d| {
+            if d >= self.dimension {
+                return 0;
+            }
+            let cell = (place[d] / self.widths[d]).floor() as i64 + step[d];
+            match self.counts[d] {
+                0 => cell,
+                count => cell.rem_euclid(count),
+            }
+        })
+    }
+
+    fn add(&mut self, place: [f64; 3], number: usize) {
+        self.members.entry(self.cell(place, [0; 3])).or_default().push(number);
+    }
+
+    /// Everything in a place's cell and those beside it.
+    fn around(&self, place: [f64; 3]) -> impl Iterator<Item = &usize> {
+        let depth = if self.dimension == 3 { 3 } else { 1 };
+        let steps = (0..9 * depth).map(move |k| [k % 3 - 1, k / 3 % 3 - 1, if depth == 3 { k / 9 - 1 } else { 0 }]);
+        steps.filter_map(move |step| self.members.get(&self.cell(place, step))).flatten()
+    }
+}
+
+/// The distance from a shape itself.
+fn of_entry(entry: &ShapeEntry, p: [f64; 3], dimension: usize) -> f64 {
+    let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = entry;
+    // Checked configurations have what their kind needs.
+    let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
+    let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
+    let points = points.as_deref().unwrap_or_default();
+    let from_axis = |skip: Option<usize>| {
+        let across = (0..dimension).filter(|&d| Some(d) != skip);
+        across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>().sqrt() - radius
+    };
+    let from_lines = |ends: &mut dyn Iterator<Item = ([f64; 2], [f64; 2])>| {
+        ends.map(|(a, b)| super::custom::distance([p[0], p[1]], a, b)).fold(f64::INFINITY, f64::min)
+    };
+    match kind {
+        Kind::Box => {
+            let beyond: Vec<f64> = (0..dimension).map(|d| (lower[d] - p[d]).max(p[d] - upper[d])).collect();
+            let outside = beyond.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
+            outside + beyond.iter().fold(f64::NEG_INFINITY, |most, x| most.max(*x)).min(0.0)
+        }
+        Kind::Disc => from_axis(None),
+        Kind::Cylinder => from_axis(Some(match axis.unwrap_or_default() {
+            Axis::X => 0,
+            Axis::Y => 1,
+            Axis::Z => 2,
+        })),
+        Kind::Polyline => {
+            from_lines(&mut points.windows(2).map(|ends| (ends[0], ends[1]))) - 0.5 * thickness.unwrap_or_default()
+        }
+        Kind::Polygon => {
+            let ends = (0..points.len()).map(|k| (points[k], points[(k + 1) % points.len()]));
+            let inside = super::custom::is_inside([p[0], p[1]], points);
+            from_lines(&mut ends.into_iter()) * if inside { -1.0 } else { 1.0 }
+        }
+        // Handled with the formula.
+        Kind::Where => f64::INFINITY,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::formula::Formula;
+
+    fn entry(kind: Kind, fill: Fill) -> ShapeEntry {
+        ShapeEntry { kind, fill, ..ShapeEntry::default() }
+    }
+
+    fn with<T>(entries: &[ShapeEntry], periodic: [bool; 3], dimension: usize, go: impl Fn(&Walls) -> T) -> T {
+        let shapes: Vec<Shape> =
+            entries.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, dimension).unwrap()).collect();
+        go(&Walls { shapes: &shapes, dimension, size: [1.0; 3], periodic, spacing: 0.02 })
+    }
+
+    fn disc(radius: f64, fill: Fill) -> ShapeEntry {
+        ShapeEntry { centre: Some(vec![0.5, 0.5]), radius: Some(radius), ..entry(Kind::Disc, fill) }
+    }
+
+    #[test]
+    fn distances_are_those_of_geometry() {
+        let all = [true; 3];
+        let boxed =
+            ShapeEntry { lower: Some(vec![0.2, 0.2]), upper: Some(vec![0.6, 0.4]), ..entry(Kind::Box, Fill::Wall) };
+        let bent = ShapeEntry {
+            points: Some(vec![[0.2, 0.5], [0.8, 0.5]]),
+            thickness: Some(0.1),
+            ..entry(Kind::Polyline, Fill::Wall)
+        };
+        let corner =
+            ShapeEntry { points: Some(vec![[0.2, 0.2], [0.8, 0.2], [0.2, 0.8]]), ..entry(Kind::Polygon, Fill::Wall) };
+        let formula = ShapeEntry { positive: Some(Formula("2*(0.3 - y)".into())), ..entry(Kind::Where, Fill::Wall) };
+        for (shape, place, expected) in [
+            (&disc(0.2, Fill::Wall), [0.9, 0.5], 0.2),
+            (&disc(0.2, Fill::Wall), [0.5, 0.4], -0.1),
+            (&boxed, [0.7, 0.3], 0.1),
+            (&boxed, [0.63, 0.44], 0.05),
+            (&boxed, [0.3, 0.35], -0.05),
+            (&bent, [0.5, 0.62], 0.07),
+            (&bent, [0.83, 0.54], 0.0),
+            (&corner, [0.3, 0.3], -0.1),
+            (&corner, [0.5, 0.1], 0.1),
+            (&formula, [0.1, 0.35], 0.05),
+        ] {
+            let found = with(std::slice::from_ref(shape), all, 2, |walls| walls.distance([place[0], place[1], 0.0]));
+            assert!((found - expected).abs() < 1e-9, "{shape:?} at {place:?}: {found} is not {expected}");
+        }
+        // Through a periodic side; beside a side that is closed; fluid cut out of a wall.
+        let near = [0.05, 0.5, 0.0];
+        let at_edge = ShapeEntry { centre: Some(vec![0.95, 0.5]), ..disc(0.02, Fill::Wall) };
+        assert!((with(&[at_edge], all, 2, |walls| walls.distance(near)) - 0.08).abs() < 1e-12);
+        assert!((with(&[], [false, true, true], 2, |walls| walls.distance(near)) - 0.05).abs() < 1e-12);
+        let ring = [disc(0.4, Fill::Wall), disc(0.3, Fill::Fluid)];
+        for (x, expected) in [(0.5, 0.3), (0.75, 0.05), (0.85, -0.05), (0.95, 0.05)] {
+            let found = with(&ring, all, 2, |walls| walls.distance([x, 0.5, 0.0]));
+            assert!((found - expected).abs() < 1e-12, "{x}: {found}");
+        }
+    }
+
+    #[test]
+    fn points_lie_on_the_surface_about_a_spacing_apart() {
+        let cells = |count: usize| (0..count * count).map(move |k| [k % count, k / count]);
+        with(&[disc(0.2, Fill::Wall)], [true; 3], 2, |walls| {
+            let place = |[i, j]: [usize; 2]| [(i as f64 + 0.5) * 0.02, (j as f64 + 0.5) * 0.02, 0.0];
+            let beside = cells(50).map(place).filter(|&p| walls.distance(p).abs() < 0.02);
+            let feet = walls.points(beside);
+            for foot in &feet {
+                let away = [foot.place[0] - 0.5, foot.place[1] - 0.5];
+                assert!((away[0].hypot(away[1]) - 0.2).abs() < 1e-9);
+                let normal = [away[0] / 0.2, away[1] / 0.2];
+                assert!((0..2).all(|d| (normal[d] - foot.normal[d]).abs() < 1e-6), "{foot:?}");
+            }
+            // No gap wider than a spacing and a half, none narrower than asked.
+            let mut angles: Vec<f64> =
+                feet.iter().map(|foot| (foot.place[1] - 0.5).atan2(foot.place[0] - 0.5)).collect();
+            angles.sort_by(f64::total_cmp);
+            angles.push(angles[0] + std::f64::consts::TAU);
+            let gaps = angles.windows(2).map(|pair| 2.0 * 0.2 * (0.5 * (pair[1] - pair[0])).sin());
+            assert!(gaps.clone().all(|gap| (0.45 * 0.02..1.5 * 0.02).contains(&gap)), "{:?}", gaps.collect::<Vec<_>>());
+            let nearest = walls.finder(&feet);
+            let found = nearest([0.7, 0.5, 0.0]).unwrap();
+            assert!((feet[found].place[0] - 0.7).abs() < 0.02 && nearest([0.9, 0.9, 0.0]).is_none());
+            assert_eq!(walls.away_from_walls([0.9, 0.5, 0.0]), [0.9, 0.5, 0.0]);
+            assert!((walls.away_from_walls([0.702, 0.5, 0.0])[0] - 0.707).abs() < 1e-12);
+        });
+    }
+}
