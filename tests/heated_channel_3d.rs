@@ -475,7 +475,7 @@ fn what_there_is_not_is_refused() {
     );
     set("fluid.motion=fixed", &["`fluid.motion` is not a key of scene heated-channel-3d"]);
     set("fluid.shift=chain", &["fluid.shift = chain", "isotropic", "try: --set fluid.shift=isotropic"]);
-    set("design.bound=0.06", &["design.bound = 0.06", "control points' distance", "0 ... 0.05"]);
+    set("design.control_points=30", &["design.bound = 0.02", "control points' distance", "0 ... 0.015"]);
     set("design.offsets=[0.0, 0.01]", &["design.offsets has 2 numbers", "24", "design.control_points = 6"]);
     set("design.control_points_across=0", &["design.control_points_across = 0", "1"]);
     set("channel.span=0.1", &["channel.span = 0.1 is too short", "at least"]);
