@@ -75,11 +75,7 @@ pub fn of_channel(config: &Config, found: &Diagnostics, history: &[Vec<f64>]) ->
             found.q,
             found.stored_heat_rate
         );
-        let end = config.duration();
-        all.push(warning(
-            problem,
-            format!("time.end={:.3}, a smaller resolution.dx, or fluid.formulation=consistent", 2.0 * end),
-        ));
+        all.push(warning(problem, format!("time.end={:.3}, or a smaller resolution.dx", 2.0 * config.duration())));
     }
     all.extend(drift(config, history));
     all
