@@ -78,7 +78,7 @@ fn a_column_s_height_is_the_average_over_it() {
         let mut x = numbers(3, one.variables(), BOUND);
         one.limits().project(&mut x);
         for (column, average) in one.column_heights(&x).into_iter().enumerate() {
-            let at = |k: usize| one.height(&x, (column as f64 + (k as f64 + 0.5) / points as f64) * section.dx);
+            let at = |k: usize| one.height(&x, (column as f64 + (k as f64 + 0.5) / points as f64) * section.dx, 0.0);
             let sampled = (0..points).map(at).sum::<f64>() / points as f64;
             // A jump at an end of the section costs half a point; the midpoint rule's own error is much smaller.
             assert!((average - sampled).abs() < 1.2 * BOUND / points as f64, "{name}, column {column}");
@@ -123,11 +123,11 @@ fn b_splines_sum_to_one_and_reproduce_lines() {
                 let (first, values) = spline.basis(x);
                 assert!(first + 4 <= control_points && values.iter().all(|value| *value >= 0.0));
                 assert!((values.iter().sum::<f64>() - 1.0).abs() < 1e-14);
-                assert!((spline.height(&constant, x) - 0.7).abs() < 1e-14);
-                assert!((spline.height(&line, x) - (0.3 - 2.0 * x)).abs() < 1e-13, "{control_points} at {x}");
+                assert!((spline.height(&constant, x, 0.0) - 0.7).abs() < 1e-14);
+                assert!((spline.height(&line, x, 0.0) - (0.3 - 2.0 * x)).abs() < 1e-13, "{control_points} at {x}");
             }
             for x in [section.from, section.to, 0.0, 0.2, 0.99] {
-                assert_eq!(spline.height(&constant, x), 0.0, "outside the section");
+                assert_eq!(spline.height(&constant, x, 0.0), 0.0, "outside the section");
             }
             // A column inside the section has the constant itself.
             let share = section.share();
@@ -151,7 +151,10 @@ fn b_splines_have_the_known_values() {
     }
     // Clamped: the curve begins and ends at its outer control points.
     let x = numbers(6, 13, 1.0);
-    assert!((spline.height(&x, 1e-13) - x[0]).abs() < 1e-10 && (spline.height(&x, 1.0 - 1e-13) - x[12]).abs() < 1e-10);
+    assert!(
+        (spline.height(&x, 1e-13, 0.0) - x[0]).abs() < 1e-10
+            && (spline.height(&x, 1.0 - 1e-13, 0.0) - x[12]).abs() < 1e-10
+    );
 }
 
 #[test]
@@ -162,7 +165,7 @@ fn limits_on_variables_limit_the_wall() {
         one.check(&x).unwrap();
         let height = |k: usize| {
             let share = (k as f64 + 0.5) / 1000.0;
-            one.height(&x, section.from + (section.to - section.from) * share)
+            one.height(&x, section.from + (section.to - section.from) * share, 0.0)
         };
         let step = (section.to - section.from) / 1000.0;
         for k in 0..1000 {
@@ -214,7 +217,7 @@ fn a_spline_s_own_file_gives_its_control_points_back() {
             let wall = Shape::new(nodes, vec![0.001, 0.0012], section.from, section.to).unwrap();
             let points = spline.fitted(&wall);
             for (node, offset) in wall.nodes.iter().zip(&wall.offsets) {
-                assert!((spline.height(&points, *node) - offset).abs() < 1e-10);
+                assert!((spline.height(&points, *node, 0.0) - offset).abs() < 1e-10);
             }
             assert!(spline.fitted(&Shape { offsets: vec![0.0; 2], ..wall }).iter().all(|c| *c == 0.0));
         }

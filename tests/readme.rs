@@ -190,7 +190,7 @@ fn configuration_keys_exist() {
             for word in text.split(' ').map(|word| word.split('=').next().unwrap_or_default()) {
                 let Some((section, key)) = word.split_once('.') else { continue };
                 // `model.safetensors` and `data.toml` are files.
-                let file = ["toml", "json", "csv", "h5", "safetensors", "rs", "md", "png", "py"].contains(&key);
+                let file = ["toml", "json", "csv", "h5", "safetensors", "rs", "md", "png", "py", "vtp"].contains(&key);
                 if file || !is_key(word) || !sections.contains(section) {
                     continue;
                 }

@@ -278,8 +278,8 @@ fn a_check_changes_one_thing() {
     assert_eq!(of(Check::AsOptimised), expected);
     let mut fine = expected.clone();
     fine.resolution.dx = 0.01;
-    assert_eq!(of(Check::HalfSpacing), fine);
-    assert_eq!(of(Check::HalfSpacing).duration(), before.duration());
+    assert_eq!(of(Check::FinerSpacing), fine);
+    assert_eq!(of(Check::FinerSpacing).duration(), before.duration());
     let mut other = expected.clone();
     other.fluid.motion = Motion::Fixed;
     // Its own time step.
@@ -299,10 +299,10 @@ fn fixed_particles_are_checked_against_moving_ones() {
     let config = |check: Check| verification.pair(check).unwrap()[0].config.clone();
     assert_eq!(config(Check::OtherMotion).fluid.motion, Motion::Moving);
     assert_eq!(config(Check::OtherSeed).fluid.motion, Motion::Moving);
-    assert_eq!(config(Check::HalfSpacing).fluid.motion, Motion::Fixed);
+    assert_eq!(config(Check::FinerSpacing).fluid.motion, Motion::Fixed);
     // A number of steps is a time: half the spacing takes more of them.
     let time = verification.loaded.config.duration();
-    assert!((config(Check::HalfSpacing).duration() - time).abs() < 1e-12);
+    assert!((config(Check::FinerSpacing).duration() - time).abs() < 1e-12);
     assert!((config(Check::TwiceTime).duration() - 2.0 * time).abs() < 1e-12);
     assert!(verification.describe(Check::OtherSeed).starts_with("moving particles, another seed"));
 }
@@ -310,7 +310,7 @@ fn fixed_particles_are_checked_against_moving_ones() {
 #[test]
 fn deep_walls_of_the_standard_formulation_stay_covered() {
     let verification = verification(&["fluid.formulation=standard", "design.bound=0.04", "time.end=0.3"]);
-    let fine = verification.pair(Check::HalfSpacing).unwrap()[0].config.clone();
+    let fine = verification.pair(Check::FinerSpacing).unwrap()[0].config.clone();
     assert_eq!((fine.resolution.dx, fine.channel.wall_rows), (0.01, 4));
     let error = verification.pair(Check::OtherMotion).unwrap_err().to_string();
     assert!(error.contains("moving particles only"), "{error}");

@@ -2,10 +2,13 @@
 
 use crate::config::scene::Config;
 use crate::design::diagnostics::Diagnostics;
+use crate::design::shape::Shape;
+use crate::design::Parametrisation;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_columns;
+use crate::io::vtk::write_surface;
 use crate::report::memory::peak_memory_bytes;
-use crate::report::plots::{colored_particles, TemperaturePanel};
+use crate::report::plots::{colored_particles, relief, ReliefPanel, TemperaturePanel};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use serde_json::{json, Map, Value};
@@ -18,16 +21,17 @@ pub fn write_config(folder: &Path, loaded: &Loaded) -> anyhow::Result<()> {
     Ok(write_bytes_atomically(&folder.join("config.toml"), loaded.text.as_bytes())?)
 }
 
-/// `shape.csv`: x, offset and further columns.
-pub fn write_shape(folder: &Path, nodes: &[f64], columns: &[(&str, &[f64])]) -> anyhow::Result<()> {
-    let mut all = vec![("x", nodes)];
+/// `shape.csv`: x, z of a wall that varies along it, and columns of heights there.
+pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> anyhow::Result<()> {
+    let mut all = vec![("x", wall.nodes.as_slice())];
+    all.extend(wall.across.as_deref().map(|across| ("z", across)));
     all.extend_from_slice(columns);
     Ok(write_columns(&folder.join("shape.csv"), &all)?)
 }
 
 /// What every `summary.json` begins with.
 pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds: f64) -> Map<String, Value> {
-    let Value::Object(map) = json!({
+    let Value::Object(mut map) = json!({
         "q": found.q,
         "flow_rate": found.flow_rate,
         "mean_outlet_temperature": found.mean_outlet_temperature,
@@ -38,7 +42,6 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
         "u_max": found.u_max,
         "body_force": found.body_force,
         "pumping_power": found.pumping_power,
-        "q_sum": found.q / loaded.config.resolution.dx,
         "steps": steps,
         "time_step": loaded.config.time_step(),
         "wall_seconds": wall_seconds,
@@ -50,6 +53,9 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
     }) else {
         unreachable!("a JSON object")
     };
+    if loaded.config.dimension() == 2 {
+        map.insert("q_sum".into(), json!(found.q / loaded.config.resolution.dx));
+    }
     map
 }
 
@@ -86,32 +92,86 @@ pub fn plot_scene(
     values: &[f64],
     dx: f64,
 ) -> anyhow::Result<()> {
-    let n = fields.tag.len();
-    let row = |d: usize| &fields.position[d * n..(d + 1) * n];
-    let ends = |d: usize| row(d).iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
-    let shown: Vec<usize> = match fields.dimension {
-        2 => (0..n).collect(),
-        _ => {
-            let (low, high) = ends(2);
-            let middle = 0.5 * (low + high);
-            // Of an even number of layers the upper one of the middle two.
-            (0..n).filter(|&i| (-0.25 * dx..0.75 * dx).contains(&(row(2)[i] - middle))).collect()
-        }
-    };
-    let position: Vec<f64> = (0..2).flat_map(|d| shown.iter().map(move |&i| row(d)[i])).collect();
-    let tag: Vec<u8> = shown.iter().map(|&i| fields.tag[i]).collect();
-    let shown: Vec<f64> = shown.iter().map(|&i| values[i]).collect();
-    let of_fluid =
-        shown.iter().zip(&tag).filter(|(_, tag)| **tag == crate::particles::tag::FLUID).map(|(value, _)| *value);
-    let (low, high) = of_fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+    let section = Section::of(fields, values, dx);
+    let fluid = section.values.iter().zip(&section.tag).filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
+    let (low, high) = fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (&x, _)| (a.min(x), b.max(x)));
     let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0)) };
-    let panel = TemperaturePanel { title, position: &position, temperature: &shown, tag: &tag, diameter: dx };
+    let panel = section.panel(title, dx);
     let wide = |d: usize| {
-        let (low, high) = ends(d);
+        let (low, high) = ends(fields, d);
         (low - 0.5 * dx, high + 0.5 * dx)
     };
     colored_particles(&folder.join(name), label, &[panel], range, wide(0), wide(1))?;
     Ok(())
+}
+
+/// The particles that a picture shows: all, in three dimensions those in the middle of z, to half a spacing.
+struct Section {
+    position: Vec<f64>,
+    values: Vec<f64>,
+    tag: Vec<u8>,
+}
+
+impl Section {
+    fn of(fields: &ParticleFields, values: &[f64], dx: f64) -> Self {
+        let n = fields.tag.len();
+        let shown: Vec<usize> = match fields.dimension {
+            2 => (0..n).collect(),
+            _ => {
+                let (low, high) = ends(fields, 2);
+                let middle = 0.5 * (low + high);
+                // Of an even number of layers the upper one of the middle two.
+                let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
+                (0..n).filter(|&i| is_near(i)).collect()
+            }
+        };
+        Self {
+            position: (0..2).flat_map(|d| shown.iter().map(move |&i| fields.position[d * n + i])).collect(),
+            values: shown.iter().map(|&i| values[i]).collect(),
+            tag: shown.iter().map(|&i| fields.tag[i]).collect(),
+        }
+    }
+
+    fn panel<'a>(&'a self, title: &'a str, dx: f64) -> TemperaturePanel<'a> {
+        let Self { position, values, tag } = self;
+        TemperaturePanel { title, position, temperature: values, tag, diameter: dx }
+    }
+}
+
+/// Least and largest coordinate of all particles.
+fn ends(fields: &ParticleFields, d: usize) -> (f64, f64) {
+    let n = fields.tag.len();
+    let row = fields.position[d * n..(d + 1) * n].iter();
+    row.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)))
+}
+
+/// `NAME.png` and `.svg`: walls over x and z, panel by panel.
+pub fn plot_relief(folder: &Path, name: &str, config: &Config, walls: &[(&str, &Shape)]) -> anyhow::Result<()> {
+    let channel = &config.channel;
+    let (z, count) =
+        walls.first().map_or((vec![], 0), |(_, wall)| (wall.across.clone().unwrap_or_default(), wall.nodes.len()));
+    // All along x at the first z stand first.
+    let along = z.iter().take_while(|&&other| other == z[0]).count().max(1);
+    let panels: Vec<ReliefPanel> =
+        walls.iter().map(|(title, wall)| ReliefPanel { title, heights: &wall.offsets }).collect();
+    // A flat wall has no range of colours.
+    let most = walls.iter().flat_map(|(_, wall)| &wall.offsets).fold(1e-6, |most: f64, height| most.max(height.abs()));
+    let (x, z) = ((channel.hot_from, channel.hot_to, along), (0.0, channel.span, count / along));
+    relief(&folder.join(name), &panels, most, x, z)?;
+    Ok(())
+}
+
+/// `wall.vtp`: the surface of a lower wall over x and z, for ParaView, with its height above the plane channel's; two squares per
+/// spacing.
+pub fn write_wall(folder: &Path, config: &Config, wall: &dyn Parametrisation, variables: &[f64]) -> anyhow::Result<()> {
+    let half = 0.5 * config.resolution.dx;
+    let (along, across) = (2 * config.columns() + 1, 2 * config.layers() + 1);
+    let place = |k: usize| ((k % along) as f64 * half, (k / along) as f64 * half);
+    let heights: Vec<f64> = (0..along * across).map(place).map(|(x, z)| wall.height(variables, x, z)).collect();
+    let points: Vec<[f64; 3]> = (0..).map(place).zip(&heights).map(|((x, z), &y)| [x, y, z]).collect();
+    let squares = (0..across - 1).flat_map(|k| (0..along - 1).map(move |i| k * along + i));
+    let corners: Vec<[usize; 4]> = squares.map(|k| [k, k + 1, k + along + 1, k + along]).collect();
+    Ok(write_surface(&folder.join("wall.vtp"), &points, &corners, &[("height", &heights)])?)
 }
 
 /// Of every particle.
@@ -132,20 +192,13 @@ fn plot_particles(
 ) -> anyhow::Result<()> {
     let dx = config.resolution.dx;
     let rows = config.channel.wall_rows as f64 * dx;
-    let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..]);
+    let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..2 * f.tag.len()]);
     let below = y().fold(-rows, |low, &y| low.min(y - 0.5 * dx));
     let above = y().fold(config.channel.height + rows, |high, &y| high.max(y + 0.5 * dx));
-    let panels: Vec<TemperaturePanel> = panels
-        .iter()
-        .zip(&values)
-        .map(|((title, f), values)| TemperaturePanel {
-            title,
-            position: &f.position,
-            temperature: values,
-            tag: &f.tag,
-            diameter: dx,
-        })
-        .collect();
+    let sections: Vec<Section> =
+        panels.iter().zip(&values).map(|((_, fields), values)| Section::of(fields, values, dx)).collect();
+    let panels: Vec<TemperaturePanel> =
+        panels.iter().zip(&sections).map(|((title, _), section)| section.panel(title, dx)).collect();
     colored_particles(&folder.join(name), label, &panels, range, (0.0, config.channel.length), (below, above))?;
     Ok(())
 }

@@ -25,7 +25,7 @@ use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
 use crate::scene::checkpoint::open;
-use crate::scene::load::Loaded;
+use crate::scene::load::{check_shape, Loaded};
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::verification::Verification;
@@ -230,7 +230,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let figure = Figure::of_config(&loaded.config);
     let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
-    let (mut curves, mut walls, mut tops, mut nodes, mut bound) = (vec![], vec![], vec![], vec![], 0.0);
+    let (mut curves, mut walls) = (vec![], vec![]);
     let mut all = Map::new();
     let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
@@ -238,7 +238,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     for start in StartName::EACH {
         let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
         let loaded = loaded.with(&[setting])?;
-        Shape::from_config(&loaded.config)?;
+        check_shape(&loaded.config)?;
         runs.push((format!("{start:?}").to_lowercase(), loaded));
     }
     let (tasks, threads) = (Tasks::default(), loaded.config.run.threads);
@@ -250,9 +250,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
-        (nodes, bound) = (outcome.best.nodes.clone(), loaded.config.design.bound);
-        walls.push((format!("from {name}"), outcome.best.offsets.clone()));
-        tops.extend(outcome.best.top.clone().map(|top| (format!("from {name}"), top)));
+        walls.push((format!("from {name}"), outcome.best.clone()));
         if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
             best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
         }
@@ -277,10 +275,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
         false,
     )?;
     let chosen = curves.iter().position(|(name, _)| best_of_all.as_ref().is_some_and(|(_, best, ..)| best == name));
-    wall_shapes(&folder.join("walls"), &nodes, &walls, chosen, bound)?;
-    if !tops.is_empty() {
-        wall_shapes(&folder.join("walls-top"), &nodes, &tops, chosen, bound)?;
-    }
+    plot_walls(folder, &loaded.config, &walls, chosen)?;
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
     println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
@@ -290,6 +285,24 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let reference = best.flat();
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
     verified(folder, all, &verification)
+}
+
+/// `walls.png`, and `walls-top.png` where the top wall is shaped too: walls of several runs, the chosen one highlighted.
+fn plot_walls(folder: &Path, config: &Config, walls: &[(String, Shape)], chosen: Option<usize>) -> anyhow::Result<()> {
+    if walls.iter().all(|(_, wall)| wall.across.is_some()) {
+        let walls: Vec<(&str, &Shape)> = walls.iter().map(|(name, wall)| (name.as_str(), wall)).collect();
+        return files::plot_relief(folder, "walls", config, &walls);
+    }
+    let (nodes, bound) = (&walls[0].1.nodes, config.design.bound);
+    let heights: Vec<(String, Vec<f64>)> =
+        walls.iter().map(|(name, wall)| (name.clone(), wall.offsets.clone())).collect();
+    wall_shapes(&folder.join("walls"), nodes, &heights, chosen, bound)?;
+    let tops = walls.iter().filter_map(|(name, wall)| Some((name.clone(), wall.top.clone()?)));
+    let tops: Vec<(String, Vec<f64>)> = tops.collect();
+    if !tops.is_empty() {
+        wall_shapes(&folder.join("walls-top"), nodes, &tops, chosen, bound)?;
+    }
+    Ok(())
 }
 
 fn capitalised(text: &str) -> String {
@@ -566,7 +579,8 @@ fn report<R: Sweeps>(
         summary.insert("q_scene_before".into(), json!(b.q));
         summary.insert("q_scene".into(), json!(a.q));
     }
-    let text = text(folder, problem.figure, optimisation, seconds, (b, a), motion) + &note;
+    let wall = if problem.parametrisation.across().is_some() { ", wall.vtp" } else { "" };
+    let text = text(folder, problem.figure, optimisation, seconds, (b, a), motion) + wall + &note;
     let (mut solver_before, mut solver_after) = (before.solver, after.solver);
     let (fields_before, fields_after) = (ParticleFields::of(&mut solver_before), ParticleFields::of(&mut solver_after));
     fields_after.write(folder, loaded)?;
@@ -602,13 +616,24 @@ fn write_walls(
     let walls: Vec<Shape> = optimisation.history.iter().map(|e| parametrisation.sampled(&e.variables)).collect();
     let last = walls.len() - 1;
     let column = |k: usize| walls[k].offsets.as_slice();
-    let mut columns = vec![("offset", column(optimisation.best)), ("first", column(0)), ("last", column(last))];
+    let mut columns =
+        vec![(walls[0].column(), column(optimisation.best)), ("first", column(0)), ("last", column(last))];
     let tops: Vec<Vec<f64>> = walls.iter().filter_map(|wall| wall.top.clone()).collect();
     if tops.len() == walls.len() {
         let names = [(TOP, optimisation.best), ("top_first", 0), ("top_last", last)];
         columns.extend(names.map(|(name, k)| (name, tops[k].as_slice())));
     }
-    files::write_shape(folder, &walls[0].nodes, &columns)?;
+    files::write_shape(folder, &walls[0], &columns)?;
+    if walls[0].across.is_some() {
+        let best = format!("best: epoch {}", optimisation.best);
+        files::write_wall(folder, config, parametrisation, &optimisation.history[optimisation.best].variables)?;
+        return files::plot_relief(
+            folder,
+            "shapes",
+            config,
+            &[("first", &walls[0]), (&best, &walls[optimisation.best])],
+        );
+    }
     let picture = |name: &str, offsets: &mut dyn Iterator<Item = &Vec<f64>>| {
         let shapes: Vec<(String, Vec<f64>)> =
             offsets.enumerate().map(|(k, offsets)| (format!("epoch {k}"), offsets.clone())).collect();
@@ -657,7 +682,9 @@ fn summary<R>(
     for (map, epoch) in [(&mut before, 0), (&mut after, best)] {
         map.insert(name.clone(), json!(history[epoch].shown()));
         let q = map.get("q").and_then(Value::as_f64);
-        map.insert("q_sum".into(), json!(q.map(|q| q / problem.outlet.spacing)));
+        if map.contains_key("q_sum") {
+            map.insert("q_sum".into(), json!(q.map(|q| q / problem.outlet.spacing)));
+        }
     }
     let mut put = |key: &str, value: Value| after.insert(key.into(), value);
     put(&format!("{name}_first"), json!(history[0].shown()));
@@ -676,6 +703,9 @@ fn summary<R>(
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
     put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
     put("nodes", json!(problem.parametrisation.positions()));
+    if let Some(across) = problem.parametrisation.across() {
+        put("nodes_z", json!(across));
+    }
     put("offsets_first", json!(history[0].variables));
     put("offsets_best", json!(history[best].variables));
     put("offsets_last", json!(history[last].variables));

@@ -10,7 +10,6 @@ use crate::adjoint::Dynamics;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
-use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::prepare_output_folder;
 use crate::report::progress::Progress;
@@ -93,10 +92,14 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;
-    if let Some(wall) = scene.design.as_ref().map(Problem::first_wall) {
-        let mut columns = vec![("offset", wall.offsets.as_slice())];
+    if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
+        let mut columns = vec![(wall.column(), wall.offsets.as_slice())];
         columns.extend(wall.top.as_deref().map(|top| (TOP, top)));
-        files::write_shape(folder, &wall.nodes, &columns)?;
+        files::write_shape(folder, &wall, &columns)?;
+        if wall.across.is_some() {
+            files::plot_relief(folder, "wall", config, &[("the wall", &wall)])?;
+            files::write_wall(folder, config, &*design.parametrisation, &design.first)?;
+        }
     }
     // A resumed run leaves the frames and the history of its first part alone and adds to them.
     let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };

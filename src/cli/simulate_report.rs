@@ -47,16 +47,29 @@ pub fn report_design<R: Sweeps>(
     files::plot_temperature(folder, &loaded.config, &panels)?;
     files::plot_flow(folder, &loaded.config, &panels)?;
     let mut map = files::summary(loaded, d, finished.scene.steps, finished.seconds);
-    let wall = design.first_wall();
-    map.insert("nodes".into(), wall.nodes.into());
-    map.insert("offsets".into(), wall.offsets.into());
-    if let Some(top) = wall.top {
-        map.insert("top_offsets".into(), top.into());
+    match design.parametrisation.across() {
+        // A wall over x and z: its control points.
+        Some(across) => {
+            map.insert("nodes".into(), design.parametrisation.positions().into());
+            map.insert("nodes_z".into(), across.into());
+            map.insert("offsets".into(), design.first.as_slice().into());
+        }
+        None => {
+            let wall = design.first_wall();
+            map.insert("nodes".into(), wall.nodes.into());
+            map.insert("offsets".into(), wall.offsets.into());
+            map.extend(wall.top.map(|top| ("top_offsets".to_string(), top.into())));
+        }
     }
     let warnings = warnings::of_channel(&loaded.config, d, history);
     map.insert("warnings".into(), json!(warnings));
     files::write_summary(folder, map)?;
-    println!("Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet", d.q);
+    let is_deep = loaded.config.dimension() == 3;
+    let per_depth = if is_deep { ", per depth" } else { "" };
+    println!(
+        "Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet{per_depth}",
+        d.q
+    );
     println!(
         "wall heat flux      {:.6}   stored {:+.6}, imbalance {:+.2} %",
         d.wall_heat_flux,
@@ -68,11 +81,13 @@ pub fn report_design<R: Sweeps>(
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
     println!("mean density        {:.6}", d.mean_density);
     println!(
-        "files in {}: summary.json, temperature.png, flow.png, history.csv, state.h5{}",
+        "files in {}: summary.json, temperature.png, flow.png, history.csv, state.h5{}{}",
         folder.display(),
+        if is_deep { ", wall.png, wall.vtp" } else { "" },
         finished.pictures
     );
-    println!("next: hydrograd optimize    shapes the wall so that Q grows");
+    let scene = if is_deep { format!(" {}", loaded.config.scene.name()) } else { String::new() };
+    println!("next: hydrograd optimize{scene}    shapes the wall so that Q grows");
     warn(&warnings);
     Ok(())
 }

@@ -4,7 +4,7 @@ use super::arguments::{check_writable, name_of, option, set_option, with_options
 use super::files::VERSION;
 use super::prepare::{require_design, use_threads};
 use crate::config::scene::{Config, Precision};
-use crate::design::shape::{self, read_column, read_columns, Columns, Shape};
+use crate::design::shape::{self, read_column, read_columns, read_surface, Columns, Shape};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::report::progress::Progress;
@@ -110,14 +110,22 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
     let located = |bad: BadInput| bad.located(|_| Some(given.wall.display().to_string()));
     let wall = |columns: Columns, top: &str| -> Result<Shape, BadInput> {
-        let top = read_column(&given.wall, top)?.map(|top| top.offsets);
-        let shape = Shape::new(columns.nodes, columns.offsets, from, to).and_then(|shape| shape.with_top(top));
-        let shape = shape.map_err(located)?;
+        let Columns { nodes, across, offsets } = columns;
+        let shape = match across {
+            Some(_) => Shape { nodes, across, offsets, top: None, hot_from: from, hot_to: to },
+            None => {
+                let top = read_column(&given.wall, top, false)?.map(|top| top.offsets);
+                let shape = Shape::new(nodes, offsets, from, to).and_then(|shape| shape.with_top(top));
+                shape.map_err(located)?
+            }
+        };
         shape.check_bound(loaded.config.design.bound).map_err(located)?;
         Ok(shape)
     };
-    let best = wall(read_columns(&given.wall)?, shape::TOP)?;
-    let (reference, reference_name) = match read_column(&given.wall, "first")? {
+    let is_surface = loaded.config.dimension() == 3;
+    let columns = if is_surface { read_surface(&given.wall) } else { read_columns(&given.wall) };
+    let best = wall(columns?, shape::TOP)?;
+    let (reference, reference_name) = match read_column(&given.wall, "first", is_surface)? {
         Some(first) => (wall(first, "top_first")?, FIRST),
         None => (best.flat(), FLAT),
     };

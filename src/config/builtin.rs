@@ -43,7 +43,7 @@ impl BuiltIn {
                 near.dedup();
             }
             let what = match own.as_str() {
-                "design" | "objective" | "optimise" | "surrogate" if self.name != SCENES[0].name => {
+                "design" | "objective" | "optimise" | "surrogate" if !self.family().has_design() => {
                     ", which has no design"
                 }
                 _ => "",
@@ -67,6 +67,11 @@ pub const SCENES: &[BuiltIn] = &[
         name: "heated-channel",
         description: "2D channel with a hot section in the bottom wall whose shape is optimised for heat transfer",
         text: include_str!("../../data/scenes/heated-channel.toml"),
+    },
+    BuiltIn {
+        name: "heated-channel-3d",
+        description: "the same in 3D, periodic across, with a wall over x and z",
+        text: include_str!("../../data/scenes/heated-channel-3d.toml"),
     },
     BuiltIn {
         name: "taylor-green",

@@ -67,7 +67,11 @@ impl Config {
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
-            Family::TaylorGreen3d | Family::ReversePoiseuille3d | Family::LidDrivenCavity3d | Family::DamBreak3d => 3,
+            Family::HeatedChannel3d
+            | Family::TaylorGreen3d
+            | Family::ReversePoiseuille3d
+            | Family::LidDrivenCavity3d
+            | Family::DamBreak3d => 3,
             Family::Custom => self.region.size.len(),
             _ => 2,
         }
@@ -87,7 +91,7 @@ impl Config {
     /// in its place, half a spacing from the wall, can see.
     pub fn least_wall_rows(&self) -> usize {
         let seen = match self.fluid.formulation {
-            Formulation::Consistent if self.scene == Family::HeatedChannel => self.support() - 0.5,
+            Formulation::Consistent if self.scene.has_design() => self.support() - 0.5,
             _ => self.support(),
         };
         // Products such as 3 * 1.1 are rounded.
@@ -110,7 +114,9 @@ impl Config {
         let artificial = self.artificial_kinematic_viscosity();
         let diffusivity = match self.scene {
             _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
-            Family::HeatedChannel => (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity()),
+            Family::HeatedChannel | Family::HeatedChannel3d => {
+                (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
+            }
             Family::Slab => self.thermal_diffusivity(),
             Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.thermal_diffusivity()),
             Family::Custom if self.initial.temperature.is_some() => {
@@ -183,6 +189,30 @@ impl Config {
     /// Rows of fluid particles.
     pub fn rows(&self) -> usize {
         (self.channel.height / self.resolution.dx).round() as usize
+    }
+
+    /// Layers of particles across the channel; one in two dimensions.
+    pub fn layers(&self) -> usize {
+        match self.dimension() {
+            3 => (self.channel.span / self.resolution.dx).round() as usize,
+            _ => 1,
+        }
+    }
+
+    /// Depth of what is simulated: the span, and 1 in two dimensions.
+    pub fn depth(&self) -> f64 {
+        match self.dimension() {
+            3 => self.channel.span,
+            _ => 1.0,
+        }
+    }
+
+    /// In three dimensions: distances of the design's control points along and across the channel. The first begins, and the
+    /// last ends, with the hot section, and each reaches over four distances.
+    pub fn control_distances(&self) -> [f64; 2] {
+        let (channel, design) = (&self.channel, &self.design);
+        let along = (channel.hot_to - channel.hot_from) / (design.control_points as f64 + 3.0);
+        [along, channel.span / design.control_points_across as f64]
     }
 }
 

@@ -1,6 +1,6 @@
 //! The configuration as data sets and checkpoints record it.
 
-use crate::config::scene::{Config, Formulation, OptimiserName};
+use crate::config::scene::{Config, Family, Formulation, OptimiserName};
 
 /// The keys that files of before there was a choice of equations leave out, and what they meant there.
 pub const BEFORE: [&str; 3] = ["fluid.formulation=standard", "resolution.smoothing_length=1.0", "optimise.method=adam"];
@@ -22,7 +22,8 @@ impl Config {
         let mut config: Self = toml::from_str(text)?;
         let table: toml::Table = text.parse()?;
         let has = |section: &str, key: &str| table.get(section).is_some_and(|section| section.get(key).is_some());
-        if !has("fluid", "formulation") {
+        // (The channel in three dimensions is younger, and has no such key.)
+        if !has("fluid", "formulation") && config.scene != Family::HeatedChannel3d {
             config.fluid.formulation = Formulation::Standard;
             if !has("resolution", "smoothing_length") {
                 config.resolution.smoothing_length = 1.0;

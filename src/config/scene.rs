@@ -41,6 +41,8 @@ pub struct Config {
 pub enum Family {
     #[default]
     HeatedChannel,
+    #[serde(rename = "heated-channel-3d")]
+    HeatedChannel3d,
     TaylorGreen,
     #[serde(rename = "taylor-green-3d")]
     TaylorGreen3d,
@@ -68,6 +70,7 @@ impl Family {
     pub fn name(self) -> &'static str {
         match self {
             Self::HeatedChannel => "heated-channel",
+            Self::HeatedChannel3d => "heated-channel-3d",
             Self::TaylorGreen => "taylor-green",
             Self::TaylorGreen3d => "taylor-green-3d",
             Self::Poiseuille => "poiseuille",
@@ -93,7 +96,7 @@ impl Family {
 
     /// Whether there is something to optimise.
     pub fn has_design(self) -> bool {
-        self == Self::HeatedChannel
+        matches!(self, Self::HeatedChannel | Self::HeatedChannel3d)
     }
 }
 
@@ -145,6 +148,8 @@ pub struct Channel {
     pub length: f64,
     /// Height of the fluid between the undeformed walls.
     pub height: f64,
+    /// In three dimensions: width of the periodic direction z, across the flow.
+    pub span: f64,
     /// Rows of dummy particles per wall: at least the kernel's support.
     pub wall_rows: usize,
     /// The hot section of the bottom wall: hot_from < x < hot_to.
@@ -526,14 +531,18 @@ pub struct Design {
     pub walls: DesignWalls,
     /// What the optimiser moves.
     pub parametrisation: ParametrisationName,
-    /// Control points of the B-spline.
+    /// Control points of the B-spline, along the channel.
     pub control_points: usize,
+    /// In three dimensions: those across it.
+    pub control_points_across: usize,
     /// Named start shape; `offsets` (or `file`) wins over it.
     pub shape: ShapeName,
     /// Amplitude of the named shape.
     pub amplitude: f64,
     /// Periods of sine and cosine over the hot section.
     pub periods: f64,
+    /// In three dimensions: periods over the span of the cosine that the named shape is multiplied with.
+    pub periods_across: usize,
     /// Positions of the nodes; default: one per spacing, hot_from + dx/2, hot_from + 3 dx/2, ...
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nodes: Option<Vec<f64>>,
@@ -752,6 +761,7 @@ impl Default for Channel {
         Self {
             length: 1.0,
             height: 0.2,
+            span: 0.2,
             wall_rows: 2,
             hot_from: 0.25,
             hot_to: 0.75,
@@ -868,9 +878,11 @@ impl Default for Design {
             walls: DesignWalls::Bottom,
             parametrisation: ParametrisationName::Nodes,
             control_points: 8,
+            control_points_across: 4,
             shape: ShapeName::Flat,
             amplitude: 0.01,
             periods: 1.0,
+            periods_across: 0,
             nodes: None,
             offsets: None,
             top_offsets: None,

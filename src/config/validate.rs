@@ -68,7 +68,7 @@ impl Schema for Config {
             self.check_flow()?;
             return self.check_steps();
         }
-        if self.scene != Family::HeatedChannel {
+        if !self.scene.has_design() {
             match self.scene.has_surface() {
                 true => self.check_tank()?,
                 false => self.check_box()?,
@@ -84,6 +84,9 @@ impl Schema for Config {
         self.check_time()?;
         self.check_bound()?;
         self.check_formulation()?;
+        if self.dimension() == 3 {
+            self.check_no_rows()?;
+        }
         self.check_drive()?;
         self.check_walls()?;
         self.check_objective()?;
@@ -118,7 +121,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         output,
     } = config;
     // The other scenes have no such key: they choose for themselves.
-    let least_rows = if config.scene == Family::HeatedChannel { config.least_wall_rows() as f64 } else { 0.0 };
+    let least_rows = if config.scene.has_design() { config.least_wall_rows() as f64 } else { 0.0 };
     vec![
         ("region.inlet_until", region.inlet_until.unwrap_or(0.0), NotNegative),
         ("region.outlet_from", region.outlet_from.unwrap_or(0.0), NotNegative),
@@ -126,6 +129,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("resolution.smoothing_length", resolution.smoothing_length, Within(0.5, 3.0)),
         ("channel.length", channel.length, Positive),
         ("channel.height", channel.height, Positive),
+        ("channel.span", channel.span, Positive),
         ("channel.wall_rows", channel.wall_rows as f64, Within(least_rows, 100.0)),
         ("channel.hot_from", channel.hot_from, NotNegative),
         ("channel.hot_to", channel.hot_to, NotNegative),
@@ -173,8 +177,10 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("objective.window", objective.window, NotNegative),
         ("objective.samples", objective.samples as f64, Within(1.0, MAX_STEPS)),
         ("design.control_points", design.control_points as f64, Within(4.0, 1000.0)),
+        ("design.control_points_across", design.control_points_across as f64, Within(1.0, 1000.0)),
         ("design.amplitude", design.amplitude, Finite),
         ("design.periods", design.periods, Positive),
+        ("design.periods_across", design.periods_across as f64, Within(0.0, 1000.0)),
         ("design.bound", design.bound, NotNegative),
         ("optimise.epochs", optimise.epochs as f64, Within(1.0, 1e6)),
         ("optimise.learning_rate", optimise.learning_rate, Positive),
@@ -280,9 +286,16 @@ impl Config {
                 .key("fluid.motion")
                 .allowed("moving, or scene heated-channel"));
         }
-        let in_rows = matches!(fluid.shift, ShiftName::Chain | ShiftName::Rows);
         // (What is at rest needs no shift, and has none.)
-        if fluid.formulation == Formulation::Consistent && in_rows && self.scene != Family::Slab {
+        if fluid.formulation == Formulation::Consistent && self.scene != Family::Slab {
+            return self.check_no_rows();
+        }
+        Ok(())
+    }
+
+    /// A shift for particles that stand in no rows.
+    fn check_no_rows(&self) -> Result<(), BadInput> {
+        if matches!(self.fluid.shift, ShiftName::Chain | ShiftName::Rows) {
             return Err(BadInput::new("fluid.shift = chain or rows without rows of particles that stay rows")
                 .key("fluid.shift")
                 .allowed("isotropic or none, or scene heated-channel")
@@ -538,9 +551,13 @@ impl Config {
                 .allowed("fluid, or fluid.motion = moving"));
         }
         if self.optimise.gradient == GradientMode::Steady && !fixed {
+            let all = "segments, taped or truncated";
             return Err(BadInput::new("optimise.gradient = steady with particles that move")
                 .key("optimise.gradient")
-                .allowed("segments, taped or truncated, or fluid.motion = fixed")
+                .allowed(match self.dimension() {
+                    2 => format!("{all}, or fluid.motion = fixed"),
+                    _ => format!("{all}: there are no fixed particles in three dimensions"),
+                })
                 .advice("optimise.gradient=segments"));
         }
         if self.fluid.formulation == Formulation::Standard {
@@ -600,19 +617,24 @@ impl Config {
     /// dx divides length and height, and the particles can be counted.
     fn check_spacing(&self) -> Result<(), BadInput> {
         let (dx, channel) = (self.resolution.dx, &self.channel);
-        let particles = channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64);
+        let span = (self.dimension() == 3).then_some(("channel.span", channel.span));
+        let layers = span.map_or(1.0, |(_, span)| span / dx);
+        let particles = channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64) * layers;
         if particles > MAX_PARTICLES {
             return Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
                 .key("resolution.dx")
                 .allowed(format!("at most {MAX_PARTICLES:.0e} particles")));
         }
-        for (key, extent) in [("channel.length", channel.length), ("channel.height", channel.height)] {
+        let across = [Some(("channel.height", channel.height)), span].into_iter().flatten();
+        let across: Vec<(&str, f64)> = across.collect();
+        for &(key, extent) in [("channel.length", channel.length)].iter().chain(&across) {
             if !is_whole(extent / dx) {
                 let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
-                let bad = BadInput::new(problem)
-                    .key("resolution.dx")
-                    .allowed("whole numbers of spacings in channel.length and channel.height");
-                let near = nearest_spacings(dx, channel.length, channel.height);
+                let bad = BadInput::new(problem).key("resolution.dx").allowed(match span {
+                    None => "whole numbers of spacings in channel.length and channel.height",
+                    Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
+                });
+                let near = nearest_spacings(dx, channel.length, &across);
                 let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
                 return Err(match near.is_empty() {
                     true => bad.advice("another channel.height: a simple fraction of channel.length"),
@@ -623,13 +645,27 @@ impl Config {
         // Periodic images: a particle may see each neighbour once only.
         let support = self.support();
         let shortest = 2.0 * (support + self.time.skin) * dx;
-        if channel.length < shortest {
-            return Err(BadInput::new(format!("channel.length = {} is too short", channel.length))
-                .key("channel.length")
-                .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
-                .advice("a smaller resolution.dx"));
+        for (key, extent) in [("channel.length", channel.length)].into_iter().chain(span) {
+            if extent < shortest {
+                return Err(BadInput::new(format!("{key} = {extent} is too short"))
+                    .key(key)
+                    .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
+                    .advice("a smaller resolution.dx"));
+            }
         }
         Ok(())
+    }
+
+    /// A spacing to compare with: half; in three dimensions the largest of at most four fifths that divides all extents.
+    pub fn finer_spacing(&self) -> f64 {
+        let (dx, channel) = (self.resolution.dx, &self.channel);
+        if self.dimension() == 2 {
+            return 0.5 * dx;
+        }
+        let across = [("channel.height", channel.height), ("channel.span", channel.span)];
+        // A millionth finer than what is asked for first: the search is for what is below or above a spacing.
+        let near = nearest_spacings(0.8 * dx * (1.0 + 1e-6), channel.length, &across);
+        near.into_iter().find(|&finer| finer <= 0.8 * dx * (1.0 + 1e-9)).unwrap_or(0.5 * dx)
     }
 
     /// Inlet, hot section, target and outlet in this order.
@@ -795,6 +831,18 @@ impl Config {
             let why = format!("the {} wall rows must cover it", channel.wall_rows);
             return fail(limit, &why, format!("channel.wall_rows={rows}"));
         }
+        // Neighbouring control points of a wall over x and z may differ by twice the bound: a slope of 2 at most.
+        if self.dimension() == 3 {
+            let limit = self.control_distances().into_iter().fold(f64::INFINITY, f64::min);
+            if bound > limit * whole {
+                let advice = "a smaller design.bound, or fewer design.control_points or design.control_points_across";
+                return fail(
+                    limit,
+                    "no more than the control points' distance, for a slope of 2 at most",
+                    advice.into(),
+                );
+            }
+        }
         // In a dip the constant number of rows is stretched to (1 + bound / height) dx; beyond 1.5 dx fewer
         // than two rows lie within the usual support of 3 dx.
         let limit = 0.5 * channel.height / walls;
@@ -817,9 +865,10 @@ pub(super) fn is_whole(count: f64) -> bool {
     count.round() >= 1.0 && (count - count.round()).abs() <= WHOLE
 }
 
-/// The next larger and the next smaller spacing that divide both extents, if there are any nearby.
-fn nearest_spacings(dx: f64, length: f64, height: f64) -> Vec<f64> {
-    let fits = |columns: &usize| *columns > 0 && is_whole(height / length * *columns as f64);
+/// The next larger and the next smaller spacing that divide the length and all extents across it, if there are any nearby.
+fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
+    let divides = |columns: usize, extent: f64| is_whole(extent / length * columns as f64);
+    let fits = |columns: &usize| *columns > 0 && across.iter().all(|(_, extent)| divides(*columns, *extent));
     let start = (length / dx).floor() as usize;
     let larger = (start.saturating_sub(10_000)..=start).rev().find(fits);
     let smaller = (start + 1..start + 10_000).find(fits);
@@ -833,9 +882,13 @@ mod tests {
 
     #[test]
     fn nearest_spacings_divide_both() {
-        let near = nearest_spacings(0.03, 1.0, 0.2);
-        assert_eq!(near, [1.0 / 30.0, 1.0 / 35.0]);
-        assert_eq!(nearest_spacings(0.021, 1.0, 0.26), [0.02]);
-        assert!(nearest_spacings(0.02, 1.0, std::f64::consts::FRAC_1_PI).is_empty());
+        let near = |dx: f64, across: &[f64]| {
+            let across: Vec<(&str, f64)> = across.iter().map(|&extent| ("", extent)).collect();
+            nearest_spacings(dx, 1.0, &across)
+        };
+        assert_eq!(near(0.03, &[0.2]), [1.0 / 30.0, 1.0 / 35.0]);
+        assert_eq!(near(0.021, &[0.26]), [0.02]);
+        assert_eq!(near(0.03, &[0.2, 0.25]), [1.0 / 20.0, 1.0 / 40.0]);
+        assert!(near(0.02, &[std::f64::consts::FRAC_1_PI]).is_empty());
     }
 }

@@ -98,7 +98,7 @@ impl Recipe {
             Family::Poiseuille | Family::Couette => ([4, 2, 2], 147, 0, 0),
             Family::ReversePoiseuille | Family::ReversePoiseuille3d => ([4, 2, 2], 500, 20_000, 5000),
             Family::LidDrivenCavity | Family::LidDrivenCavity3d => ([4, 2, 2], 500, 50_000, 5000),
-            Family::Slab | Family::IsothermalChannel => ([4, 2, 2], 147, 0, 0),
+            Family::Slab | Family::IsothermalChannel | Family::HeatedChannel3d => ([4, 2, 2], 147, 0, 0),
             Family::Custom => ([4, 2, 2], 147, 0, 0),
             // Their blocks differ by time.jitter: without gravity water with a free surface does not relax.
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
@@ -119,7 +119,7 @@ impl Recipe {
     /// An error if the numbers cannot be used with the scene.
     pub fn check(&self, loaded: &Loaded) -> Result<(), BadInput> {
         let config = &loaded.config;
-        if matches!(config.scene, Family::Slab | Family::IsothermalChannel) {
+        if matches!(config.scene, Family::Slab | Family::IsothermalChannel | Family::HeatedChannel3d) {
             // What walls a frame has tells a heated channel's, and nothing else's.
             return Err(BadInput::new(format!("there are no data sets of scene {}", config.scene.name()))
                 .place("generate")
@@ -188,6 +188,7 @@ impl Recipe {
         let limits = config.time_step_limits();
         let courant = match config.scene {
             Family::HeatedChannel
+            | Family::HeatedChannel3d
             | Family::Poiseuille
             | Family::Couette
             | Family::Slab

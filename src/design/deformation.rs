@@ -7,12 +7,13 @@
 //! and the density stays what it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is
 //! linear in the heights.
 
+use super::relief::Relief;
 use crate::numerics::lanes::Real;
 
 /// The map from heights `[C]` to the initial state `[F, N]`.
 #[derive(Debug, Clone)]
 pub struct Deformation {
-    /// Heights C: of particle columns, or of points on the wall's surface.
+    /// Heights C: of particle columns, of points on the wall's surface, or at the places that a relief asks for.
     pub columns: usize,
     /// State of the undeformed channel, `[F, N]`.
     pub base: Vec<f64>,
@@ -27,6 +28,8 @@ pub enum Map {
     Columns(Columns),
     /// The bottom wall, and the top wall if it is shaped too: their heights one behind the other.
     Surfaces(Vec<Surface>),
+    /// The bottom wall over x and z.
+    Relief(Relief),
 }
 
 /// The standard formulation's: column by column.
@@ -51,6 +54,7 @@ impl Deformation {
                     surface.deform(self.particles, &self.base, heights, &mut state);
                 }
             }
+            Map::Relief(relief) => relief.deform(self.particles, heights, &mut state),
         }
         state.into_iter().map(R::of).collect()
     }
@@ -68,6 +72,7 @@ impl Deformation {
                     rest = behind;
                 }
             }
+            Map::Relief(relief) => relief.pull_back(self.particles, heights, state_bar, &mut heights_bar),
         }
         heights_bar
     }
@@ -79,7 +84,9 @@ impl Deformation {
         for i in (0..n).filter(|&i| is_fluid(i)) {
             match self.map {
                 Map::Columns(_) => state_bar[n + i] = R::default(),
-                Map::Surfaces(_) => state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default()),
+                Map::Surfaces(_) | Map::Relief(_) => {
+                    state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default())
+                }
             }
         }
     }

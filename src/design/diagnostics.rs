@@ -106,7 +106,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
 
     fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (design, sums) = (self.design, &mut self.sums);
-        let (model, outlet) = (&design.model, &design.outlet);
+        let (model, outlet, depth) = (&design.model, &design.outlet, design.depth);
         let (n, l) = (model.particles(), model.layout);
         let flows = outlet.numbers(&dynamics.look(solver)?)?;
         let scale = outlet.spacing;
@@ -115,7 +115,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         sums.flow += scale * flows.volume;
         sums.mass_flow += scale * flows.mass;
         let target_x = outlet.place();
-        sums.wall += solver.wall_heat_flux(target_x);
+        sums.wall += solver.wall_heat_flux(target_x) / depth;
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat, mut momentum) = (0.0, 0.0, f64::NEG_INFINITY, 0.0, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
@@ -133,8 +133,8 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         sums.u_max += fastest;
         let force = solver.driving_force();
         sums.force += force;
-        sums.power += force * momentum;
-        sums.heat.push((solver.step as f64 * model.dt, heat));
+        sums.power += force * momentum / depth;
+        sums.heat.push((solver.step as f64 * model.dt, heat / depth));
         Ok(())
     }
 

@@ -15,6 +15,7 @@ pub mod optimise;
 pub mod optimisers;
 pub mod parametrisations;
 pub mod problem;
+pub mod relief;
 pub mod shape;
 pub mod start_shape;
 

@@ -37,6 +37,8 @@ pub struct Problem<R> {
     pub first: Vec<f64>,
     /// Where the flow is measured, whatever the objective is.
     pub outlet: Outlet,
+    /// Depth of what is simulated: 1 in two dimensions.
+    pub depth: f64,
     /// Steps of the objective's window, at the run's end.
     pub window: usize,
     /// Whether gradients are those of the steady state.

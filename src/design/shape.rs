@@ -23,6 +23,8 @@ const EDGE: f64 = 1e-9;
 pub struct Shape {
     /// Positions, strictly increasing, in `hot_from ..= hot_to`.
     pub nodes: Vec<f64>,
+    /// z of each node, of a wall over x and z at points: then nodes are in no order, and there are no heights between them.
+    pub across: Option<Vec<f64>>,
     /// Heights; positive narrows the channel.
     pub offsets: Vec<f64>,
     /// Those of the top wall below y = H, if that is shaped too; positive narrows the channel.
@@ -82,7 +84,7 @@ impl Shape {
                 .advice("a smoother shape, or a smaller design.amplitude or design.periods"));
             }
         }
-        Ok(Self { nodes, offsets, top: None, hot_from, hot_to })
+        Ok(Self { nodes, across: None, offsets, top: None, hot_from, hot_to })
     }
 
     /// With a top wall, checked like the other.
@@ -99,6 +101,11 @@ impl Shape {
     pub fn top_wall(&self) -> Self {
         let offsets = self.top.clone().unwrap_or_else(|| vec![0.0; self.nodes.len()]);
         Self { offsets, top: None, ..self.clone() }
+    }
+
+    /// What files call its heights.
+    pub fn column(&self) -> &'static str {
+        if self.across.is_some() { SURFACE } else { PROFILE }.1
     }
 
     /// The same without heights.
@@ -320,29 +327,44 @@ pub const TOP: &str = "top";
 #[derive(Debug, Clone, PartialEq)]
 pub struct Columns {
     pub nodes: Vec<f64>,
+    /// z of each node, in the file of a wall over x and z.
+    pub across: Option<Vec<f64>>,
     pub offsets: Vec<f64>,
 }
+
+/// Names of the columns with the places and with the heights of a wall over x, and of one over x and z.
+const PROFILE: (&[&str], &str) = (&["x"], "offset");
+const SURFACE: (&[&str], &str) = (&["x", "z"], "height");
 
 /// Reads the columns `x` and `offset` of a CSV file with a header line; other columns, empty lines and lines
 /// that begin with `#` are skipped.
 pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
-    read(path, "offset")
+    read(path, PROFILE.0, PROFILE.1)
 }
 
-/// [`read_columns`] with another column in place of `offset`, such as a run's `first`; none if the file has no such column.
+/// [`read_columns`] of a wall over x and z: columns `x`, `z` and `height`.
+pub fn read_surface(path: &Path) -> Result<Columns, BadInput> {
+    read(path, SURFACE.0, SURFACE.1)
+}
+
+/// [`read_columns`], or [`read_surface`], with another column in place of the heights, such as a run's `first`; none if the file
+/// has no such column.
 ///
 /// # Errors
 /// As for [`read_columns`].
-pub fn read_column(path: &Path, name: &str) -> Result<Option<Columns>, BadInput> {
+pub fn read_column(path: &Path, name: &str, is_surface: bool) -> Result<Option<Columns>, BadInput> {
     let is_header = |line: &&str| !line.trim().is_empty() && !line.starts_with('#');
     let text = std::fs::read_to_string(path).unwrap_or_default();
     let has_it = text.lines().find(is_header).is_some_and(|line| line.split(',').any(|cell| cell.trim() == name));
-    has_it.then(|| read(path, name)).transpose()
+    has_it.then(|| read(path, if is_surface { SURFACE } else { PROFILE }.0, name)).transpose()
 }
 
-/// Reads the columns `x` and `name`.
-fn read(path: &Path, name: &str) -> Result<Columns, BadInput> {
-    let form = "a CSV file with the header x,offset and one line of two finite numbers per node";
+/// Reads the columns of places and the column `name`.
+fn read(path: &Path, places: &[&str], name: &str) -> Result<Columns, BadInput> {
+    let form = match places.len() {
+        1 => "a CSV file with the header x,offset and one line of two finite numbers per node",
+        _ => "a CSV file with the header x,z,height and one line of three finite numbers per point",
+    };
     let file = path.display();
     let bad = |line: Option<usize>, problem: String| {
         let place = line.map_or(format!("{file}"), |line| format!("{file}, line {}", line + 1));
@@ -364,23 +386,28 @@ fn read(path: &Path, name: &str) -> Result<Columns, BadInput> {
             .position(|cell| cell == name)
             .ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
     };
-    let (x, offset) = (column("x")?, column(name)?);
-    let mut columns = Columns { nodes: vec![], offsets: vec![] };
+    let names: Vec<&str> = places.iter().copied().chain([name]).collect();
+    let wanted = names.iter().map(|name| column(name)).collect::<Result<Vec<usize>, _>>()?;
+    let mut columns = vec![vec![]; names.len()];
     for (number, line) in lines {
         let row = cells(line);
         if row.len() != header.len() {
             let problem = format!("`{line}` has {} cells, the header {}", row.len(), header.len());
             return Err(bad(Some(number), problem));
         }
-        for (index, name, numbers) in [(x, "x", &mut columns.nodes), (offset, name, &mut columns.offsets)] {
+        for ((&index, name), numbers) in wanted.iter().zip(&names).zip(&mut columns) {
             match row[index].parse::<f64>() {
                 Ok(value) if value.is_finite() => numbers.push(value),
                 _ => return Err(bad(Some(number), format!("{name} is `{}`, not a finite number", row[index]))),
             }
         }
     }
-    match columns.nodes.is_empty() {
-        true => Err(bad(None, "there are no lines after the header".into())),
-        false => Ok(columns),
+    if columns[0].is_empty() {
+        return Err(bad(None, "there are no lines after the header".into()));
     }
+    let mut columns = columns.into_iter();
+    let mut next = || columns.next().unwrap_or_default();
+    let nodes = next();
+    let across = (places.len() > 1).then(&mut next);
+    Ok(Columns { nodes, across, offsets: next() })
 }

@@ -7,7 +7,8 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::scene::{Config, ShapeName};
-use crate::design::shape::{default_nodes, read_columns, Shape};
+use crate::design::parametrisations::{Parametrisation, SplineSurface};
+use crate::design::shape::{default_nodes, read_columns, read_surface, Shape};
 use crate::error::BadInput;
 use crate::numerics::random::uniform;
 
@@ -46,6 +47,54 @@ impl Shape {
             false => bad,
         })
     }
+}
+
+/// The control points that a wall over x and z begins with: those of `design.offsets`, those whose wall is nearest to the heights
+/// of `design.file`, or the values of `design.shape` there, times cos(2 pi q z/span) with q = `design.periods_across` but for
+/// `random`.
+///
+/// # Errors
+/// Numbers that are too many or too few, not finite or out of bounds; a file that can not be read.
+pub fn control_points(config: &Config, surface: &SplineSurface) -> Result<Vec<f64>, BadInput> {
+    let (design, span) = (&config.design, config.channel.span);
+    let (offsets, key) = match (&design.offsets, &design.file) {
+        (Some(offsets), _) => (offsets.clone(), "design.offsets"),
+        (None, Some(file)) => {
+            let read = read_surface(Path::new(file))?;
+            let across = read.across.unwrap_or_default();
+            if let Some(k) = read.offsets.iter().position(|height| height.abs() > design.bound * (1.0 + 1e-9)) {
+                let place = format!("x = {}, z = {}", read.nodes[k], across[k]);
+                return Err(BadInput::new(format!("the height {} at {place} is out of bounds", read.offsets[k]))
+                    .place(file)
+                    .key("design.file")
+                    .allowed(format!("-{0} ... {0} (design.bound)", design.bound))
+                    .advice("a larger design.bound"));
+            }
+            (surface.fitted(&read.nodes, &across, &read.offsets), "design.file")
+        }
+        (None, None) => {
+            let mut named = named(config, surface.positions());
+            if design.shape != ShapeName::Random {
+                let factor = |z: f64| (TAU * design.periods_across as f64 * z / span).cos();
+                named
+                    .iter_mut()
+                    .zip(surface.across().unwrap_or_default())
+                    .for_each(|(offset, z)| *offset *= factor(*z));
+            }
+            (named, "design.shape")
+        }
+    };
+    if offsets.len() != surface.variables() {
+        let (along, across) = (design.control_points, design.control_points_across);
+        return Err(BadInput::new(format!("design.offsets has {} numbers", offsets.len()))
+            .key("design.offsets")
+            .allowed(format!(
+                "{}, one for each of design.control_points = {along} times design.control_points_across = {across}",
+                surface.variables()
+            )));
+    }
+    surface.check(&offsets).map_err(|bad| bad.key(key))?;
+    Ok(offsets)
 }
 
 /// Offsets of `design.shape` at the nodes.

@@ -2,7 +2,7 @@
 //!
 //! A `.vtp` is XML PolyData with the arrays as raw little-endian bytes after the text (`<AppendedData
 //! encoding="raw">`), each preceded by its length in bytes as u64. Every particle is one vertex cell, so that it
-//! shows without a filter.
+//! shows without a filter. Surfaces are `.vtp` files of quadrilaterals.
 
 use super::atomic::{prepare_output_folder, write_atomically, write_bytes_atomically};
 use super::FileError;
@@ -137,26 +137,83 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
     if !frame.tag.is_empty() {
         point_data.push(Block::new("UInt8", "tag", 1, frame.tag.to_vec()));
     }
-    let points = [Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64)];
+    let points = Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64);
     let vertices = [Block::integers("connectivity", 0..count), Block::integers("offsets", 1..count + 1)];
+    write_poly_data(path, Some(frame.time), point_data, points, Cells { name: "Verts", count, blocks: vertices })
+}
 
+/// Writes a surface of quadrilaterals as a `.vtp` file, atomically: `points` in scene length units, the numbers of each
+/// quadrilateral's corners in order, and scalars at the points.
+///
+/// # Errors
+/// [`FileError::Input`] if lengths do not fit or a corner is no point, else system errors.
+pub fn write_surface(
+    path: &Path,
+    points: &[[f64; 3]],
+    corners: &[[usize; 4]],
+    scalars: &[(&str, &[f64])],
+) -> Result<(), FileError> {
+    if let Some((name, values)) = scalars.iter().find(|(_, values)| values.len() != points.len()) {
+        let problem = format!("{name} has {} values", values.len());
+        return Err(FileError::input(path, problem, format!("{}, one for each point", points.len())));
+    }
+    if let Some(corner) = corners.iter().flatten().find(|&&corner| corner >= points.len()) {
+        return Err(FileError::input(
+            path,
+            format!("a corner is point {corner}"),
+            format!("less than {}", points.len()),
+        ));
+    }
+    let scalar = |(name, values): &(&str, &[f64])| Block::reals(name, 1, values.iter().copied(), Precision::F64);
+    let all = points.iter().flatten().copied();
+    let blocks = [
+        Block::integers("connectivity", corners.iter().flatten().copied()),
+        Block::integers("offsets", (1..=corners.len()).map(|k| 4 * k)),
+    ];
+    let cells = Cells { name: "Polys", count: corners.len(), blocks };
+    let point_data = scalars.iter().map(scalar).collect();
+    write_poly_data(path, None, point_data, Block::reals("Points", 3, all, Precision::F64), cells)
+}
+
+/// The cells of a file, all of one kind.
+struct Cells {
+    /// `Verts` or `Polys`.
+    name: &'static str,
+    count: usize,
+    /// Connectivity and offsets.
+    blocks: [Block; 2],
+}
+
+fn write_poly_data(
+    path: &Path,
+    time: Option<f64>,
+    point_data: Vec<Block>,
+    points: Block,
+    cells: Cells,
+) -> Result<(), FileError> {
     let mut offset = 0;
     let mut header = String::from(
         "<?xml version=\"1.0\"?>\n\
          <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
          <PolyData>\n",
     );
-    // ParaView and PyVista read this name as the time of a single file.
-    let _ = write!(
-        header,
-        "<FieldData>\n<DataArray type=\"Float64\" Name=\"TimeValue\" NumberOfTuples=\"1\" format=\"ascii\">\
-         {:?}</DataArray>\n</FieldData>\n",
-        frame.time
-    );
+    if let Some(time) = time {
+        // ParaView and PyVista read this name as the time of a single file.
+        let _ = write!(
+            header,
+            "<FieldData>\n<DataArray type=\"Float64\" Name=\"TimeValue\" NumberOfTuples=\"1\" format=\"ascii\">\
+             {time:?}</DataArray>\n</FieldData>\n"
+        );
+    }
+    // Three numbers of eight bytes each.
+    let count = points.bytes.len() / 24;
+    let cells_of = |name: &str| if name == cells.name { cells.count } else { 0 };
     let _ = writeln!(
         header,
-        "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{count}\" NumberOfLines=\"0\" \
-         NumberOfStrips=\"0\" NumberOfPolys=\"0\">"
+        "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{}\" NumberOfLines=\"0\" \
+         NumberOfStrips=\"0\" NumberOfPolys=\"{}\">",
+        cells_of("Verts"),
+        cells_of("Polys")
     );
     let mut section = |name: &str, blocks: &[Block]| {
         let _ = writeln!(header, "<{name}>");
@@ -166,14 +223,15 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
         }
         let _ = writeln!(header, "</{name}>");
     };
+    let points = [points];
     section("PointData", &point_data);
     section("Points", &points);
-    section("Verts", &vertices);
+    section(cells.name, &cells.blocks);
     header.push_str("</Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_");
 
     write_atomically(path, |writer| {
         writer.write_all(header.as_bytes())?;
-        for block in point_data.iter().chain(&points).chain(&vertices) {
+        for block in point_data.iter().chain(&points).chain(&cells.blocks) {
             writer.write_all(&(block.bytes.len() as u64).to_le_bytes())?;
             writer.write_all(&block.bytes)?;
         }

@@ -140,7 +140,7 @@ impl Run {
     fn work(&self) -> f64 {
         let config = &self.config;
         let particles = match config.scene.has_design() {
-            true => (config.columns() * config.rows()) as f64,
+            true => (config.columns() * config.rows() * config.layers()) as f64,
             false => config.resolution.dx.powi(-(config.dimension() as i32)),
         };
         particles * config.steps() as f64

@@ -562,8 +562,8 @@ mod tests {
 
     #[test]
     fn configured_kernels_and_laws_reach_every_scene() {
-        // What is at rest has no artificial viscosity.
-        for built_in in SCENES.iter().filter(|built_in| built_in.name != "slab") {
+        // What is at rest has no artificial viscosity, and one scene is not solved with the standard formulation.
+        for built_in in SCENES.iter().filter(|built_in| !["slab", "heated-channel-3d"].contains(&built_in.name)) {
             let usual = scene(built_in.name, &[STANDARD]);
             assert_eq!(usual.name, built_in.name);
             assert_eq!(usual.model.artificial_viscosity.is_some(), built_in.name.starts_with("dam-break"));

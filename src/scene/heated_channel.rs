@@ -1,9 +1,11 @@
 //! The heated channel: a periodic channel driven by a body force, with a hot section in its bottom wall.
 //!
 //! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
-//! rows of dummy particles below and above. Particles stand on a lattice in rows from the bottom, x fastest.
+//! rows of dummy particles below and above; in three dimensions z across the flow, where the channel is periodic too. Particles
+//! stand on a lattice in rows from the bottom, x fastest, and layers along z.
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::heated_channel_3d;
 use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
 use super::{Exact, Scene};
 use crate::config::scene::{
@@ -12,9 +14,9 @@ use crate::config::scene::{
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
-use crate::design::parametrisations::first_column;
+use crate::design::parametrisations::{first_column, SplineSurface};
 use crate::design::shape::{HotSection, Shape};
-use crate::design::{parametrisations, Deformation, Problem};
+use crate::design::{parametrisations, start_shape, Deformation, Parametrisation, Problem};
 use crate::error::Error;
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
@@ -31,9 +33,8 @@ use std::sync::Arc;
 /// # Errors
 /// A wall shape that its file or its numbers do not allow.
 pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
-    let shape = Shape::from_config(config)?;
     let lattice = lattice(config);
-    let share = shape.hot_share(config.resolution.dx, config.channel.length);
+    let share = hot_section(config).share();
     let hot = |i: usize| if lattice.is_below(i, 1) { share[lattice.rows(i)[0]] } else { 0.0 };
     let hot: Vec<f64> = (0..lattice.particles()).map(hot).collect();
     let mut parts = Parts {
@@ -64,6 +65,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
     let (model, deformation) = match config.fluid.formulation {
+        _ if model.layout.dimension == 3 => heated_channel_3d::consistent(config, &parts, Assembled { model, base }),
         Formulation::Standard => {
             let deformation = deformation(config, &parts.lattice, &model, base);
             (model, deformation)
@@ -72,7 +74,14 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         Formulation::Consistent => consistent(config, &parts, Assembled { model, base }),
     };
     let deformation = Arc::new(deformation);
-    let (parametrisation, first) = parametrisations::of_config(config, &shape)?;
+    let (parametrisation, first): (Arc<dyn Parametrisation>, _) = match &deformation.map {
+        Map::Relief(relief) => {
+            let surface = SplineSurface::of_config(config, &relief.places);
+            let first = start_shape::control_points(config, &surface)?;
+            (Arc::new(surface), first)
+        }
+        _ => parametrisations::of_config(config, &Shape::from_config(config)?)?,
+    };
     let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
     let samples = Samples::window(steps, window, config.objective.samples);
     let design = Problem {
@@ -86,6 +95,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         steps,
         first,
         outlet,
+        depth: config.depth(),
         window,
         is_steady: config.optimise.gradient == GradientMode::Steady,
     };
@@ -96,23 +106,31 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
 fn lattice(config: &Config) -> Lattice {
     let (dx, walls) = (config.resolution.dx, config.channel.wall_rows);
     let height = config.channel.height + 2.0 * walls as f64 * dx;
+    let dimension = config.dimension();
     Lattice {
         wall_rows: [0, walls, 0],
-        periodic: [true, false, false],
-        size: Some([config.channel.length, height, 1.0]),
+        periodic: [true, false, dimension == 3],
+        size: Some([config.channel.length, height, config.depth()]),
         before: [0.0, walls as f64, 0.0],
-        ..Lattice::new(2, dx, [config.columns(), config.rows() + 2 * walls, 1])
+        ..Lattice::new(dimension, dx, [config.columns(), config.rows() + 2 * walls, config.layers()])
     }
 }
 
-/// What holds the flow rate or the power.
+/// The hot section of the bottom wall.
+pub(super) fn hot_section(config: &Config) -> HotSection {
+    let channel = &config.channel;
+    HotSection { from: channel.hot_from, to: channel.hot_to, dx: config.resolution.dx, length: channel.length }
+}
+
+/// What holds the flow rate or the power, over the whole depth.
 fn drive(config: &Config) -> Option<Drive> {
+    let depth = config.depth();
     match config.fluid.drive {
         DriveName::BodyForce => None,
         DriveName::FlowRate => {
-            Some(Drive::Momentum(config.fluid.density * config.channel.length * config.plane_flow_rate()))
+            Some(Drive::Momentum(depth * (config.fluid.density * config.channel.length * config.plane_flow_rate())))
         }
-        DriveName::PumpingPower => Some(Drive::Power(config.plane_power())),
+        DriveName::PumpingPower => Some(Drive::Power(depth * config.plane_power())),
     }
 }
 
@@ -176,7 +194,7 @@ fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, ba
 fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembled<R>) -> (Model<R>, Deformation) {
     let (channel, lattice) = (&config.channel, &parts.lattice);
     let (dx, length, height, columns) = (config.resolution.dx, channel.length, channel.height, config.columns());
-    let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    let section = hot_section(config);
     let vertices = section.vertices();
     let (hot, cold) = section.heat_points();
     let n = assembled.model.particles();
@@ -334,16 +352,22 @@ fn window(config: &Config) -> usize {
     ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
 }
 
-/// A column of targets across the flow.
+/// A column of targets across the flow; in three dimensions one in front of each layer.
 fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
     let dx = config.resolution.dx;
     // Fluxes: more targets beyond each wall, so that every particle counts with its whole kernel.
     let beyond = if config.objective.interpolation == Mode::Flux { config.least_wall_rows().max(3) } else { 0 };
     let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
-    let targets = (0..config.rows() + 2 * beyond).map(|k| [config.objective.target_x, height_of(k), 0.0]).collect();
+    let rows = config.rows() + 2 * beyond;
+    let depth_of = |layer: usize| if model.layout.dimension == 3 { (layer as f64 + 0.5) * dx } else { 0.0 };
+    let places = (0..config.layers()).flat_map(|layer| (0..rows).map(move |k| (layer, k)));
+    let targets = places.map(|(layer, k)| [config.objective.target_x, height_of(k), depth_of(layer)]).collect();
     let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
     let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
     let mut outlet = Outlet { interpolation, mode: config.objective.interpolation, spacing: dx };
+    if model.layout.dimension == 3 {
+        outlet.spacing *= dx / config.channel.span;
+    }
     if config.fluid.motion == Motion::Fixed && config.objective.interpolation == Mode::Flux {
         // Particles that stand still see the kernel at the same few places: its sum over them is not quite its integral.
         outlet.spacing /= section_sum(config, &outlet);

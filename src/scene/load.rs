@@ -13,8 +13,9 @@ use crate::config::scene::{
     Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, IntegratorName, Motion, Search, Start, Trust,
 };
 use crate::config::schema::Schema;
-use crate::design::shape;
-use crate::design::shape::Shape;
+use crate::design::parametrisations::SplineSurface;
+use crate::design::shape::{self, Shape};
+use crate::design::start_shape;
 use crate::error::{BadInput, Error};
 
 /// Where a configuration began.
@@ -121,7 +122,7 @@ impl Loaded {
     /// As for [`Self::with`].
     pub fn for_search(&self) -> Result<Self, Error> {
         let fluid = &self.config.fluid;
-        let has_both = fluid.formulation == Formulation::Consistent;
+        let has_both = fluid.formulation == Formulation::Consistent && self.config.dimension() == 2;
         match self.config.optimise.search {
             Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
                 let mut settings = vec![Setting::set("fluid.motion=fixed")];
@@ -160,7 +161,7 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     }
     if let Some(layer) = file {
         base.accepts(&layer)?;
-        if is_from_before(&layer) {
+        if base.name == SCENES[0].name && is_from_before(&layer) {
             for text in provenance::BEFORE {
                 merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::set(text))?);
             }
@@ -225,7 +226,7 @@ fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
 
 fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     let mut config: Config = merged.read();
-    if let Some(file) = config.design.file.clone() {
+    if let Some(file) = config.design.file.clone().filter(|_| config.scene == Family::HeatedChannel) {
         if config.design.offsets.is_none() && config.design.nodes.is_none() {
             let columns =
                 shape::read_columns(Path::new(&file)).map_err(|bad| match merged.places().get("design.file") {
@@ -240,7 +241,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let says = |key: &str| merged.places().contains_key(key);
             let (walls, offsets) = (says("design.walls"), says("design.top_offsets"));
             let takes = config.design.walls == DesignWalls::Both || !walls;
-            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP)?.filter(|_| takes && !offsets) {
+            if let Some(top) = shape::read_column(Path::new(&file), shape::TOP, false)?.filter(|_| takes && !offsets) {
                 merged.set("design.top_offsets", array(top.offsets), &file);
                 merged.set("design.walls", Value::from("both"), &file);
             }
@@ -265,14 +266,14 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
-    let given = merged.clone();
+    let mut given = merged.clone();
     // Scenes whose own formulation it is have its defaults already.
     let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;
     if chosen && config.fluid.formulation == Formulation::Standard {
         standard_defaults(&mut merged, &config);
         config = merged.read();
     }
-    if config.scene == Family::HeatedChannel {
+    if config.scene.has_design() {
         if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
             merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
             config = merged.read();
@@ -295,14 +296,29 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
         fit_defaults(&mut merged, &config);
     }
-    let config = merged.checked(check_shape)?;
+    let mut config = merged.checked(check_shape)?;
+    // A wall over x and z is fitted to its file, which takes numbers that are in their ranges.
+    if let Some(file) = config.design.file.clone().filter(|_| config.scene == Family::HeatedChannel3d) {
+        let points = start_shape::control_points(&config, &SplineSurface::of_config(&config, &[]))?;
+        for all in [&mut merged, &mut given] {
+            all.remove("design.file");
+            all.set("design.offsets", Value::Array(Array::from_iter(points.iter().copied())), &file);
+        }
+        config = merged.read();
+    }
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone(), given })
 }
 
 /// What configurations know nothing of: the wall's shape, and what shapes and formulas come to at every particle.
-fn check_shape(config: &Config) -> Result<(), BadInput> {
+///
+/// # Errors
+/// A wall or shapes that can not be built.
+pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     match config.scene {
         Family::HeatedChannel => Shape::from_config(config).map(|_| ()),
+        Family::HeatedChannel3d => {
+            start_shape::control_points(config, &SplineSurface::of_config(config, &[])).map(|_| ())
+        }
         Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
         _ => Ok(()),
     }
@@ -333,7 +349,7 @@ fn standard_defaults(merged: &mut Merged, config: &Config) {
 /// dummy rows.
 fn fit_defaults(merged: &mut Merged, config: &Config) {
     // A value equal to the built-in one is no wish: `hydrograd scenes NAME > my.toml` writes all of them.
-    let usual = Config::default();
+    let usual = config.usual().0;
     let given = |merged: &Merged, key: &str| {
         let differs = match key {
             "objective.window" => config.objective.window != usual.objective.window,

@@ -13,6 +13,7 @@ pub mod exact;
 pub mod falling_block;
 pub mod figures;
 pub mod heated_channel;
+mod heated_channel_3d;
 pub mod hydrostatic_tank;
 pub mod isothermal_channel;
 pub mod lid_driven_cavity;
@@ -68,7 +69,7 @@ impl<R: Real> Scene<R> {
     /// A wall shape that its file or its numbers do not allow.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
         Ok(match config.scene {
-            Family::HeatedChannel => heated_channel::build(config)?,
+            Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
             Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
             Family::Couette => couette::Couette::from_config(config).build(),

@@ -74,7 +74,7 @@ impl Findings {
         let mut all = Vec::new();
         let (fluid, dx, u, c) = (&config.fluid, config.resolution.dx, self.speed, config.sound_speed());
         let reference = fluid.reference_velocity;
-        let own = matches!(config.scene, Family::Custom | Family::HeatedChannel);
+        let own = config.scene == Family::Custom || config.scene.has_design();
         if own && u > reference * (1.0 + 1e-9) {
             all.push(format!(
                 "the flow may become as fast as {u:.3}, a Mach number of {:.2}, and fluid.reference_velocity is {reference}: density \
@@ -161,7 +161,7 @@ impl Findings {
 /// nu of a scene.
 fn kinematic(config: &Config) -> f64 {
     match config.scene {
-        Family::HeatedChannel | Family::Custom => config.kinematic_viscosity(),
+        Family::HeatedChannel | Family::HeatedChannel3d | Family::Custom => config.kinematic_viscosity(),
         _ if config.scene.has_surface() => config.kinematic_viscosity(),
         // At rest; its model has this one.
         Family::Slab => 1.0,
@@ -207,7 +207,7 @@ fn speed<R: Real>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64
     let square = |i: usize| (0..l.dimension).map(|d| scene.start.state[(l.velocity() + d) * n + i].f64().powi(2)).sum();
     let start = (0..n).filter(|&i| is_velocity(i)).map(square).fold(0.0, f64::max).sqrt();
     let driven = match config.scene {
-        Family::HeatedChannel => config.plane_speed(),
+        Family::HeatedChannel | Family::HeatedChannel3d => config.plane_speed(),
         Family::Custom => grid.map_or(0.0, |grid| grid.driven(config)),
         _ => config.fluid.reference_velocity,
     };

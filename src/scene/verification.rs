@@ -11,6 +11,7 @@ use crate::adjoint::RunError;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, DesignWalls, Formulation, GradientMode, Motion, Precision};
 use crate::design::objectives::Figure;
+use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
@@ -23,8 +24,8 @@ use std::time::Instant;
 pub enum Check {
     /// Nothing: as it was optimised.
     AsOptimised,
-    /// Half of `resolution.dx`.
-    HalfSpacing,
+    /// Half of `resolution.dx`; in three dimensions, where that is 16 times the work, the largest that fits up to four fifths.
+    FinerSpacing,
     /// Fixed particles instead of moving ones, or the reverse.
     OtherMotion,
     /// A run of twice the time, measured over a window of the same length at its end.
@@ -35,7 +36,12 @@ pub enum Check {
 
 impl Check {
     pub const EACH: [Self; 5] =
-        [Self::AsOptimised, Self::HalfSpacing, Self::OtherMotion, Self::TwiceTime, Self::OtherSeed];
+        [Self::AsOptimised, Self::FinerSpacing, Self::OtherMotion, Self::TwiceTime, Self::OtherSeed];
+
+    /// Whether there is such a thing for a scene: there are no fixed particles in three dimensions.
+    fn is_for(self, config: &Config) -> bool {
+        self != Self::OtherMotion || config.dimension() == 2
+    }
 }
 
 /// A configuration whose walls are compared, and what they are.
@@ -102,12 +108,13 @@ impl Verification {
         for wall in [&self.reference, &self.best] {
             self.loaded.with(&self.wall(wall))?;
         }
-        let pairs: Vec<Result<Pair, Error>> = Check::EACH.iter().map(|check| self.pair(*check)).collect();
+        let checks = Check::EACH.into_iter().filter(|check| check.is_for(&self.loaded.config));
+        let pairs: Vec<(Check, Result<Pair, Error>)> = checks.map(|check| (check, self.pair(check))).collect();
         let work = |pair: &Result<Pair, Error>| pair.as_ref().map_or(0.0, |[one, _]| work(one));
-        let total: f64 = pairs.iter().map(work).sum();
+        let total: f64 = pairs.iter().map(|(_, pair)| work(pair)).sum();
         let mut done = 0.0;
         let mut checks = Vec::new();
-        for (check, pair) in Check::EACH.into_iter().zip(pairs) {
+        for (check, pair) in pairs {
             let share = work(&pair) / total;
             let mut name = self.describe(check);
             let mut progress = |part: f64| progress((done + part * share).min(1.0));
@@ -140,7 +147,7 @@ impl Verification {
     }
 
     fn wall(&self, wall: &Shape) -> Vec<Setting> {
-        wall_settings(wall, self.loaded.config.design.walls)
+        wall_settings(wall, &self.loaded.config)
     }
 
     /// The keys that a check changes.
@@ -151,8 +158,8 @@ impl Verification {
         let mut set = |key: &str, value: &dyn std::fmt::Display| settings.push(Setting::set(&format!("{key}={value}")));
         match check {
             Check::AsOptimised => return Ok(settings),
-            Check::HalfSpacing => {
-                let dx = 0.5 * before.resolution.dx;
+            Check::FinerSpacing => {
+                let dx = before.finer_spacing();
                 after.resolution.dx = dx;
                 set("resolution.dx", &dx);
                 // The standard formulation's walls are as deep as its bound.
@@ -173,7 +180,9 @@ impl Verification {
             Check::OtherSeed => {
                 after.fluid.motion = Motion::Moving;
                 set("run.seed", &next_seed(before.run.seed));
-                set("fluid.motion", &Motion::Moving.name());
+                if before.fluid.motion != Motion::Moving {
+                    set("fluid.motion", &Motion::Moving.name());
+                }
             }
         }
         // Moving particles have no steady state to take a gradient of (none is taken here, but the key must fit).
@@ -207,7 +216,10 @@ impl Verification {
         let config = &self.loaded.config;
         match check {
             Check::AsOptimised => "as optimised".into(),
-            Check::HalfSpacing => format!("half the spacing ({})", rounded(0.5 * config.resolution.dx)),
+            Check::FinerSpacing => match config.dimension() {
+                2 => format!("half the spacing ({})", rounded(config.finer_spacing())),
+                _ => format!("a finer spacing ({})", rounded(config.finer_spacing())),
+            },
             Check::OtherMotion => format!("{} particles", config.fluid.motion.other().name()),
             Check::TwiceTime => format!("twice the time ({})", rounded(2.0 * config.duration())),
             Check::OtherSeed => match config.fluid.motion {
@@ -234,13 +246,17 @@ fn rounded(x: f64) -> String {
 }
 
 /// The keys of a wall.
-fn wall_settings(wall: &Shape, walls: DesignWalls) -> Vec<Setting> {
+fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
+    if let Some(across) = &wall.across {
+        let points = SplineSurface::of_config(config, &[]).fitted(&wall.nodes, across, &wall.offsets);
+        return vec![Setting::set(&format!("design.offsets={points:?}"))];
+    }
     let mut settings = vec![
         format!("design.nodes={:?}", wall.nodes),
         format!("design.offsets={:?}", wall.offsets),
         "design.parametrisation=nodes".to_string(),
     ];
-    if wall.top.is_some() || walls == DesignWalls::Both {
+    if wall.top.is_some() || config.design.walls == DesignWalls::Both {
         // A wall without a top has a flat one, whatever the scene's is.
         settings.push(format!("design.top_offsets={:?}", wall.top_wall().offsets));
         settings.push("design.walls=both".to_string());
@@ -251,7 +267,7 @@ fn wall_settings(wall: &Shape, walls: DesignWalls) -> Vec<Setting> {
 /// Particles times steps: what a run costs.
 fn work(loaded: &Loaded) -> f64 {
     let config = &loaded.config;
-    (config.columns() * (config.rows() + 2 * config.channel.wall_rows) * config.steps()) as f64
+    (config.columns() * (config.rows() + 2 * config.channel.wall_rows) * config.layers() * config.steps()) as f64
 }
 
 /// The same runs with half the time step.

@@ -29,7 +29,7 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
             Arc::new(HeatOutflow { outlet, scale, samples })
         }
         ObjectiveKind::OutletTemperature => Arc::new(OutletTemperature { outlet, samples }),
-        ObjectiveKind::WallHeat => Arc::new(WallHeat { samples }),
+        ObjectiveKind::WallHeat => Arc::new(WallHeat { samples, depth: config.depth() }),
     }
 }
 

@@ -23,7 +23,8 @@ use std::sync::Arc;
 pub struct Outlet {
     pub interpolation: Interpolation,
     pub mode: Mode,
-    /// Of the targets.
+    /// Of the targets; in three dimensions, where they stand in a square lattice, its square over the channel's span: flows are
+    /// per depth in both.
     pub spacing: f64,
 }
 

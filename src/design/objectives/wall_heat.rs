@@ -9,10 +9,12 @@ use super::Samples;
 use crate::adjoint::{Fields, Objective};
 use candle_core::{Result, Tensor};
 
-/// Mean of the walls' heat of the states that are looked at, in units of density * temperature * volume per time.
+/// Mean of the walls' heat of the states that are looked at, in units of density * temperature * area per time.
 #[derive(Debug, Clone)]
 pub struct WallHeat {
     pub samples: Samples,
+    /// Of what is simulated: heat is per depth.
+    pub depth: f64,
 }
 
 impl Objective for WallHeat {
@@ -26,7 +28,7 @@ impl Objective for WallHeat {
 
     fn value(&self, fields: &Fields) -> Result<Tensor> {
         match &fields.wall_heat {
-            Some(heat) => Ok(heat.clone()),
+            Some(heat) => heat.affine(1.0 / self.depth, 0.0),
             None => candle_core::bail!("fields without the walls' heat"),
         }
     }

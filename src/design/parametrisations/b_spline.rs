@@ -13,16 +13,13 @@
 //! is the line p + q x. It lies in the convex hull of its control points, so |c_j| <= bound limits |y|; and dy/dx is a
 //! quadratic B-spline curve with the control points (c_{j+1} - c_j) / (g_{j+1} - g_j), so limits on those limit the slope.
 
-use super::{ColumnAverages, Parametrisation};
+use super::{fitted, ColumnAverages, Parametrisation};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
 
 /// Four control points make one cubic.
 pub const FEWEST: usize = 4;
-
-/// Steps of the conjugate gradients of [`BSpline::fitted`], as a multiple of the number of control points.
-const FIT_STEPS: usize = 4;
 
 /// A cubic B-spline curve.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +62,7 @@ impl BSpline {
     pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
         if let Some(points) = points {
             let count = self.greville.len();
-            self.averages = ColumnAverages::at_points(count, points, |variables, x| self.height(variables, x));
+            self.averages = ColumnAverages::at_points(count, points, |variables, x| self.height(variables, x, 0.0));
         }
         self
     }
@@ -125,44 +122,20 @@ impl BSpline {
         values.iter().zip(&variables[first..]).map(|(n, c)| n * c).sum()
     }
 
-    /// Control points whose curve comes nearest to a wall's offsets at its nodes: those with the least squared distance
-    /// there, and of these, where nodes are few, those nearest to the wall's heights at the Greville abscissae. A curve's
-    /// own [`Parametrisation::sampled`] wall gives its control points back, up to rounding, if every control point is seen
-    /// by a node. Conjugate gradients for least squares (Björck 1996, algorithm 7.4.1), then the limits.
+    /// Control points whose curve comes nearest to a wall's offsets at its nodes, and, where nodes are few, to the wall's heights
+    /// at the Greville abscissae: see [`fitted`]. Then the limits.
     pub fn fitted(&self, wall: &Shape) -> Vec<f64> {
-        let rows: Vec<(usize, [f64; 4])> = wall.nodes.iter().map(|&x| self.basis(x)).collect();
+        let weights = wall.nodes.iter().map(|&x| {
+            let (first, values) = self.basis(x);
+            values.into_iter().enumerate().map(|(k, value)| (first + k, value)).collect()
+        });
+        let map = ColumnAverages::new(self.greville.len(), weights.collect());
         let inside = |x: f64| {
             let margin = 1e-9 * (self.section.to - self.section.from);
             x.clamp(self.section.from + margin, self.section.to - margin)
         };
-        let mut points: Vec<f64> = self.greville.iter().map(|&g| wall.height(inside(g))).collect();
-        let apply = |points: &[f64]| -> Vec<f64> {
-            rows.iter().map(|(j, n)| n.iter().zip(&points[*j..]).map(|(n, c)| n * c).sum()).collect()
-        };
-        let adjoint = |residual: &[f64]| {
-            let mut bar = vec![0.0; self.greville.len()];
-            for ((j, n), r) in rows.iter().zip(residual) {
-                n.iter().enumerate().for_each(|(k, n)| bar[j + k] += n * r);
-            }
-            bar
-        };
-        let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
-        let mut residual: Vec<f64> = apply(&points).iter().zip(&wall.offsets).map(|(y, o)| o - y).collect();
-        let mut slope = adjoint(&residual);
-        let mut direction = slope.clone();
-        let (mut norm, first) = (square(&slope), square(&slope));
-        for _ in 0..FIT_STEPS * self.greville.len() {
-            if norm <= 1e-32 * first || norm == 0.0 {
-                break;
-            }
-            let moved = apply(&direction);
-            let step = norm / square(&moved);
-            points.iter_mut().zip(&direction).for_each(|(c, d)| *c += step * d);
-            residual.iter_mut().zip(&moved).for_each(|(r, m)| *r -= step * m);
-            slope = adjoint(&residual);
-            let before = std::mem::replace(&mut norm, square(&slope));
-            direction.iter_mut().zip(&slope).for_each(|(d, s)| *d = s + norm / before * *d);
-        }
+        let first = self.greville.iter().map(|&g| wall.height(inside(g))).collect();
+        let mut points = fitted(&map, &wall.offsets, first);
         self.limits.project(&mut points);
         points
     }
@@ -186,7 +159,7 @@ impl Parametrisation for BSpline {
         self.averages.pull_back(heights_bar)
     }
 
-    fn height(&self, variables: &[f64], x: f64) -> f64 {
+    fn height(&self, variables: &[f64], x: f64, _: f64) -> f64 {
         match self.section.from < x && x < self.section.to {
             true => self.curve(variables, x),
             false => 0.0,
@@ -209,6 +182,6 @@ impl Parametrisation for BSpline {
         let width = (section.to - section.from) / count as f64;
         let nodes: Vec<f64> = (0..count).map(|k| section.from + (k as f64 + 0.5) * width).collect();
         let offsets = nodes.iter().map(|&x| self.curve(variables, x)).collect();
-        Shape { nodes, offsets, top: None, hot_from: section.from, hot_to: section.to }
+        Shape { nodes, across: None, offsets, top: None, hot_from: section.from, hot_to: section.to }
     }
 }

@@ -9,10 +9,12 @@
 
 pub mod b_spline;
 pub mod nodes;
+pub mod spline_surface;
 pub mod two_walls;
 
 pub use b_spline::BSpline;
 pub use nodes::Nodes;
+pub use spline_surface::SplineSurface;
 pub use two_walls::TwoWalls;
 
 use super::limits::Limits;
@@ -79,8 +81,13 @@ pub trait Parametrisation: std::fmt::Debug + Send + Sync {
     /// What it is called in tables and files.
     fn name(&self) -> &str;
 
-    /// Where along the wall each variable acts, increasing, `[K]`.
+    /// x of the place where each variable acts, `[K]`; of a wall over x alone increasing.
     fn positions(&self) -> &[f64];
+
+    /// z of these places, if the wall varies along z.
+    fn across(&self) -> Option<&[f64]> {
+        None
+    }
 
     /// Average height of the wall over each particle column, `[K]` -> `[C]`, in length units: linear.
     fn column_heights(&self, variables: &[f64]) -> Vec<f64>;
@@ -89,8 +96,8 @@ pub trait Parametrisation: std::fmt::Debug + Send + Sync {
     /// variables, `[K]`.
     fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64>;
 
-    /// Height of the wall at x, in length units; 0 outside the hot section.
-    fn height(&self, variables: &[f64], x: f64) -> f64;
+    /// Height of the wall at (x, z), in length units; 0 outside the hot section. Most walls do not vary along z.
+    fn height(&self, variables: &[f64], x: f64, z: f64) -> f64;
 
     /// Where the variables may be. A parametrisation chooses limits that keep |y| and |dy/dx| in theirs.
     fn limits(&self) -> &Limits;
@@ -167,4 +174,32 @@ impl ColumnAverages {
         }
         gradient
     }
+}
+
+/// Steps of the conjugate gradients of [`fitted`], as a multiple of the number of variables.
+const FIT_STEPS: usize = 4;
+
+/// Variables whose heights come nearest to given ones: those with the least sum of squared distances, and of these, where heights
+/// are few, those nearest to `first`. Heights that the map made of variables give these back, up to rounding, if every variable
+/// is seen. Conjugate gradients for least squares (Björck 1996, algorithm 7.4.1).
+fn fitted(map: &ColumnAverages, heights: &[f64], first: Vec<f64>) -> Vec<f64> {
+    let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+    let mut variables = first;
+    let mut residual: Vec<f64> = map.heights(&variables).iter().zip(heights).map(|(y, o)| o - y).collect();
+    let mut slope = map.pull_back(&residual);
+    let mut direction = slope.clone();
+    let (mut norm, begin) = (square(&slope), square(&slope));
+    for _ in 0..FIT_STEPS * variables.len() {
+        if norm <= 1e-32 * begin || norm == 0.0 {
+            break;
+        }
+        let moved = map.heights(&direction);
+        let step = norm / square(&moved);
+        variables.iter_mut().zip(&direction).for_each(|(c, d)| *c += step * d);
+        residual.iter_mut().zip(&moved).for_each(|(r, m)| *r -= step * m);
+        slope = map.pull_back(&residual);
+        let before = std::mem::replace(&mut norm, square(&slope));
+        direction.iter_mut().zip(&slope).for_each(|(d, s)| *d = s + norm / before * *d);
+    }
+    variables
 }

@@ -58,7 +58,7 @@ impl Parametrisation for Nodes {
         self.averages.pull_back(heights_bar)
     }
 
-    fn height(&self, variables: &[f64], x: f64) -> f64 {
+    fn height(&self, variables: &[f64], x: f64, _: f64) -> f64 {
         self.sampled(variables).height(x)
     }
 

@@ -46,8 +46,8 @@ impl<P: Parametrisation> Parametrisation for TwoWalls<P> {
     }
 
     /// The bottom wall's.
-    fn height(&self, variables: &[f64], x: f64) -> f64 {
-        self.one.height(self.each(variables).0, x)
+    fn height(&self, variables: &[f64], x: f64, z: f64) -> f64 {
+        self.one.height(self.each(variables).0, x, z)
     }
 
     fn limits(&self) -> &Limits {

@@ -8,6 +8,7 @@ mod compare;
 mod drawing;
 mod history;
 mod legend;
+mod relief;
 mod side_by_side;
 mod temperature;
 mod training;
@@ -15,6 +16,7 @@ mod wall_shapes;
 
 pub use compare::compare;
 pub use history::{history, HistoryPoint};
+pub use relief::{relief, ReliefPanel};
 pub use side_by_side::{side_by_side, SideBySide};
 pub use temperature::{colored_particles, temperature_particles, TemperaturePanel};
 pub use training::{training_curves, ErrorCurve};

@@ -1,0 +1,78 @@
+//! Walls over x and z, seen from above: colours for their heights.
+
+use super::axis::{Axis, PlotArea, INK};
+use super::colors;
+use super::drawing::{text_width, Anchor, Drawing};
+use super::temperature::{color_bar, ticks_for};
+use crate::io::FileError;
+use std::path::{Path, PathBuf};
+
+/// One wall.
+#[derive(Clone, Copy, Debug)]
+pub struct ReliefPanel<'a> {
+    pub title: &'a str,
+    /// At the middles of a grid of cells, `[Z, X]`: all along x at the first z first.
+    pub heights: &'a [f64],
+}
+
+/// Draws walls under each other, true to scale. `x` and `z`: both ends of the grid and its number of cells. Colours are
+/// those of heights from -most to most.
+///
+/// # Errors
+/// [`FileError::Input`] if there is no wall, a range is empty, or lengths do not fit; system errors.
+pub fn relief(
+    path_stem: &Path,
+    panels: &[ReliefPanel],
+    most: f64,
+    x: (f64, f64, usize),
+    z: (f64, f64, usize),
+) -> Result<[PathBuf; 2], FileError> {
+    let cells = x.2 * z.2;
+    if panels.is_empty() || panels.iter().any(|panel| panel.heights.len() != cells) {
+        let lengths: Vec<usize> = panels.iter().map(|panel| panel.heights.len()).collect();
+        return Err(FileError::input(path_stem, format!("walls have {lengths:?} heights"), format!("{cells} each")));
+    }
+    for (name, low, high) in [("height", -most, most), ("x", x.0, x.1), ("z", z.0, z.1)] {
+        if !(low < high && low.is_finite() && high.is_finite()) {
+            let problem = format!("the {name} range is {low} to {high}");
+            return Err(FileError::input(path_stem, problem, "finite limits, the first below the second"));
+        }
+    }
+    let pixels = f64::min(760.0 / (x.1 - x.0), 460.0 / (z.1 - z.0));
+    let (width, height) = (pixels * (x.1 - x.0), pixels * (z.1 - z.0));
+    let (left, first_top, gap) = (110.0, 48.0, 62.0);
+    let bottom = first_top + panels.len() as f64 * (height + gap) - gap;
+    let bar_left = left + width + 30.0;
+    let title_width = panels.iter().map(|panel| text_width(panel.title, 18.0)).fold(0.0, f64::max);
+    let mut drawing = Drawing::new((bar_left + 135.0).max(left + title_width + 20.0), bottom + 75.0);
+    for (index, panel) in panels.iter().enumerate() {
+        let frame = PlotArea {
+            left,
+            top: first_top + index as f64 * (height + gap),
+            width,
+            height,
+            x: Axis::linear(x.0, x.1),
+            y: Axis::linear_with(z.0, z.1, ticks_for(height)),
+        };
+        let x_label = if index + 1 == panels.len() { "x (scene units)" } else { "" };
+        drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
+        frame.draw(&mut drawing, x_label, "z (scene units)", INK);
+        let (cell_width, cell_height) = (width / x.2 as f64, height / z.2 as f64);
+        for (k, value) in panel.heights.iter().enumerate() {
+            // z grows upwards.
+            let corner =
+                (left + (k % x.2) as f64 * cell_width, frame.top + height - (k / x.2 + 1) as f64 * cell_height);
+            let color = colors::heat((value + most) / (2.0 * most));
+            drawing.rectangle(corner, cell_width, cell_height, color, 1.0);
+        }
+        frame.outline(&mut drawing);
+    }
+    color_bar(
+        &mut drawing,
+        (bar_left, first_top),
+        bottom - first_top,
+        (-most, most),
+        "height of the wall (scene units)",
+    );
+    drawing.save(path_stem)
+}
