@@ -487,6 +487,9 @@ fn what_there_is_not_is_refused() {
     refuses(&["optimize", SCENE, "--gradient", "steady"], &["optimise.gradient = steady", "no fixed particles"]);
     refuses(&["optimize", SCENE, "--dynamics", "surrogate"], &["--dynamics surrogate", "is not a key of scene"]);
     refuses(&["optimize", SCENE, "--compare"], &["--compare", "is not a key of scene heated-channel-3d"]);
-    refuses(&["generate", SCENE, "--out", "data"], &["no data sets of scene heated-channel-3d"]);
+    refuses(
+        &["generate", SCENE, "--set", "fluid.drive=body-force", "--out", "data"],
+        &["no data sets of scene heated-channel-3d"],
+    );
     refuses(&["optimize", SCENE, "--preset", "report"], &["preset report", "not a key"]);
 }
