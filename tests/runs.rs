@@ -139,6 +139,35 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
     refuses(at, &["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"], &["checkpoint.safetensors"]);
 }
 
+/// What makes figures doubtful is said on the screen, with options to try, and in the summary; nothing is said of a sound run.
+#[test]
+fn doubtful_figures_are_warned_of() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let warnings = |out: &str| json(&at.join(out).join("summary.json"))["warnings"].as_array().unwrap().clone();
+    let says = |output: &std::process::Output| String::from_utf8(output.stderr.clone()).unwrap();
+    let short = hydrograd(at, &with(&["simulate"], &["--out", "short"]));
+    assert!(short.status.success());
+    assert!(
+        says(&short).contains("warning: Q is not steady") && says(&short).contains("try: --set time.end=0.6"),
+        "{}",
+        says(&short)
+    );
+    assert!(warnings("short").iter().any(|one| one["problem"].as_str().unwrap().contains("not steady")));
+    // A column of water that was said to be slow.
+    let sets =
+        ["resolution.dx=0.1", "tank.length=3.0", "time.end=2", "output.frames=0", "fluid.reference_velocity=0.4"];
+    let mut arguments = vec!["simulate", "dam-break", "--out", "fast"];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    let fast = hydrograd(at, &arguments);
+    assert!(fast.status.success() && says(&fast).contains("Mach 0."), "{}", says(&fast));
+    assert!(json(&at.join("fast/summary.json"))["divided_steps"].as_u64().unwrap() > 0);
+    arguments.truncate(arguments.len() - 2);
+    arguments[3] = "sound";
+    let sound = hydrograd(at, &arguments);
+    assert!(sound.status.success() && says(&sound).is_empty() && warnings("sound").is_empty(), "{}", says(&sound));
+}
+
 #[test]
 fn simulation_resumes_bit_for_bit_from_any_checkpoint() {
     let folder = TempDir::new().unwrap();

@@ -345,7 +345,7 @@ mod tests {
         // g H^2 / (8 nu) = 0.64 * 0.25 / 0.16.
         assert!((plane.speed - 1.0).abs() < 1e-9, "{}", plane.speed);
         assert_eq!((plane.narrowest, plane.thinnest), (Some(20), None));
-        assert_eq!(plane.particles, [("fluid", 800), ("wall at rest", 240)]);
+        assert_eq!(plane.particles, [("fluid", 800), ("wall at rest", 240), ("point on a wall's surface", 80)]);
         assert_eq!(plane.warnings, [] as [&str; 0]);
         let dts: Vec<f64> = plane.criteria.iter().map(|criterion| criterion.dt).collect();
         let expected = [0.025 / 11.0, 0.25 * 0.025 * 0.025 / 0.02, 0.25 * (0.025_f64 / 0.64).sqrt()];

@@ -134,7 +134,7 @@ mod tests {
             (of(&|found| found.u_max = 2.0 * reference), "2.0 times as fast as fluid.reference_velocity"),
             (of(&|found| found.u_max = 0.4 * sound), "Mach 0.40"),
             (of(&|found| found.mean_density *= 1.19), "+19.0 %"),
-            (of(&|found| found.wall_heat_flux *= 4.55), "% open"),
+            (of(&|found| found.energy_imbalance = 3.55), "+355 % open"),
         ] {
             assert_eq!(found.len(), 1, "{found:?}");
             assert!(found[0].problem.contains(part) && !found[0].advice.is_empty(), "{found:?}");
