@@ -7,14 +7,14 @@
 # HYDROGRAD  the program (default: target/release/hydrograd)
 # OUT        folder of data set and training (default: runs/taylor-green); what is there already is gone on with
 # THREADS    worker threads (default: 1); the parameters are the same with any number
-# STEPS      updates (default: 4000, as the model that is there; a core makes them in half a minute, and a longer training is a better one)
+# STEPS      updates (default: 40000, as the model that is there: a quarter of an hour of a core)
 # MODEL      where model and curves go (default: models/taylor-green)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 HYDROGRAD=${HYDROGRAD:-target/release/hydrograd}
 OUT=${OUT:-runs/taylor-green}
 THREADS=${THREADS:-1}
-STEPS=${STEPS:-4000}
+STEPS=${STEPS:-40000}
 MODEL=${MODEL:-models/taylor-green}
 command -v "$HYDROGRAD" >/dev/null || { echo "train_taylor_green.sh: no $HYDROGRAD; cargo build --release, or name it in HYDROGRAD" >&2; exit 2; }
 mkdir -p "$OUT" "$MODEL"
