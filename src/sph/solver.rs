@@ -204,10 +204,14 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// Particles that are lost or too fast.
     pub fn advance(&mut self) -> Result<(), RunError> {
+        self.advance_by(Self::advance_part)
+    }
+
+    fn advance_by(&mut self, make_part: fn(&mut Self) -> Result<(), RunError>) -> Result<(), RunError> {
         let parts = division::parts(&self.model, &self.state);
         for part in 0..parts {
             self.pace = self.pace.next(part, parts);
-            self.advance_part()?;
+            make_part(self)?;
             self.finish_part(part);
         }
         self.step += 1;
@@ -252,14 +256,7 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// As for [`Self::advance`]; tensor errors.
     pub fn advance_composed(&mut self) -> Result<(), RunError> {
-        let parts = division::parts(&self.model, &self.state);
-        for part in 0..parts {
-            self.pace = self.pace.next(part, parts);
-            self.advance_part_composed()?;
-            self.finish_part(part);
-        }
-        self.step += 1;
-        Ok(())
+        self.advance_by(Self::advance_part_composed)
     }
 
     fn advance_part_composed(&mut self) -> Result<(), RunError> {
