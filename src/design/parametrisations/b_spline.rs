@@ -123,7 +123,7 @@ impl BSpline {
     }
 
     /// Control points whose curve comes nearest to a wall's offsets at its nodes, and, where nodes are few, to the wall's heights
-    /// at the Greville abscissae: see [`fitted`]. Then the limits.
+    /// at the Greville abscissae: see `fitted`. Then the limits.
     pub fn fitted(&self, wall: &Shape) -> Vec<f64> {
         let weights = wall.nodes.iter().map(|&x| {
             let (first, values) = self.basis(x);
