@@ -91,7 +91,7 @@ impl SplineSurface {
         (0..self.counts[1]).map(|k| (k, value(k))).filter(|(_, value)| *value > 0.0).collect()
     }
 
-    /// The control points whose wall is nearest to one that is given at points (x, z): see `fitted` beside it.
+    /// The control points whose wall is nearest to one that is given at points (x, z).
     pub fn fitted(&self, x: &[f64], z: &[f64], heights: &[f64]) -> Vec<f64> {
         let map = self.map(x.iter().zip(z).map(|(&x, &z)| [x, z]));
         let mut points = fitted(&map, heights, vec![0.0; self.variables()]);
