@@ -405,7 +405,7 @@ fn heat_outflow(fixed: &Fixed<f64>, state: &[f64]) -> (f64, Vec<f64>) {
 
 /// Rows of nodes and Q of finite elements.
 fn reference_shapes() -> Vec<(String, f64, Vec<f64>)> {
-    let path = std::env::var("FIXED_SHAPES").unwrap_or("/work/shared/reference/fem/shapes_H0.2.csv".into());
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/reference/fem-shapes-H0.2.csv");
     let text = std::fs::read_to_string(path).unwrap();
     let row = |line: &str| {
         let cells: Vec<&str> = line.split(',').collect();
