@@ -112,6 +112,17 @@ pub enum Axis {
     Z,
 }
 
+impl Axis {
+    /// 0, 1, 2 for x, y, z.
+    pub fn direction(self) -> usize {
+        match self {
+            Self::X => 0,
+            Self::Y => 1,
+            Self::Z => 2,
+        }
+    }
+}
+
 impl Kind {
     fn name(self) -> &'static str {
         match self {

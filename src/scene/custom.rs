@@ -5,15 +5,15 @@
 //! Walls with a velocity stay where they are ([`crate::sph::model::Model::walls_slide`]).
 
 use super::assembly::{Assembled, Lattice, Numerics, Parts};
-use super::distance::{Foot, Walls};
+use super::distance::{images, Foot, Walls};
 use super::surface::{Dummy, Knows, Point, Settings, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Axis, Fill, Kind, ShapeEntry};
+use crate::config::custom::{Fill, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function};
 use crate::config::scene::{Config, HotIsotherm};
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
-use crate::particles::tag;
+use crate::particles::{tag, Domain};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::model::Heat;
 use crate::sph::solver::Snapshot;
@@ -52,11 +52,7 @@ impl<'a> Shape<'a> {
             Kind::Box => (0..dimension).all(|d| lower[d] <= p[d] && p[d] < upper[d]),
             Kind::Disc => (0..dimension).map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius,
             Kind::Cylinder => {
-                let along = match axis.unwrap_or_default() {
-                    Axis::X => 0,
-                    Axis::Y => 1,
-                    Axis::Z => 2,
-                };
+                let along = axis.unwrap_or_default().direction();
                 let across = (0..dimension).filter(|&d| d != along);
                 across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius
             }
@@ -155,19 +151,12 @@ impl Geometry {
 struct Holder<'a> {
     shapes: &'a [Shape<'a>],
     dimension: usize,
-    /// A shape that reaches through a periodic side is seen from the other one.
     images: Vec<[f64; 3]>,
 }
 
 impl<'a> Holder<'a> {
     fn new(config: &Config, shapes: &'a [Shape<'a>]) -> Self {
-        let (d, size) = (config.dimension(), &config.region.size);
-        let images = (0..27)
-            .map(|k| [k % 3, k / 3 % 3, k / 9])
-            .filter(|image| (0..3).all(|e| image[e] == 1 || e < d && config.region.periodic[e]))
-            .map(|image| std::array::from_fn(|e| if e < d { (image[e] as f64 - 1.0) * size[e] } else { 0.0 }))
-            .collect();
-        Self { shapes, dimension: d, images }
+        Self { shapes, dimension: config.dimension(), images: images(&box_of(config)) }
     }
 
     /// The last of those that hold it.
@@ -309,13 +298,17 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
 
 /// The walls as surfaces.
 fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
-    let (d, region) = (config.dimension(), &config.region);
-    Walls {
-        shapes,
-        dimension: d,
-        size: std::array::from_fn(|e| if e < d { region.size[e] } else { 1.0 }),
-        periodic: std::array::from_fn(|e| e < d && region.periodic[e]),
-        spacing: config.resolution.dx,
+    let domain = box_of(config);
+    Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
+}
+
+/// The box between the walls that close it.
+fn box_of(config: &Config) -> Domain {
+    let (dimension, region) = (config.dimension(), &config.region);
+    Domain {
+        dimension,
+        size: std::array::from_fn(|d| if d < dimension { region.size[d] } else { 1.0 }),
+        periodic: std::array::from_fn(|d| d < dimension && region.periodic[d]),
     }
 }
 

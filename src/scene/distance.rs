@@ -5,16 +5,28 @@
 //! order beside its surface. A place p has its foot on the surface at p - s grad s.
 
 use super::custom::Shape;
-use crate::config::custom::{Axis, Fill, Kind, ShapeEntry};
+use crate::config::custom::{Fill, Kind, ShapeEntry};
+use crate::particles::Domain;
 use std::collections::HashMap;
 
 /// Walls in a box whose corner is at 0.
 pub(super) struct Walls<'a> {
     pub shapes: &'a [Shape<'a>],
-    pub dimension: usize,
-    pub size: [f64; 3],
-    pub periodic: [bool; 3],
+    pub domain: Domain,
+    /// See [`images`].
+    pub images: Vec<[f64; 3]>,
     pub spacing: f64,
+}
+
+/// How far the periodic images of a shape in a box, itself among them, are from it: what reaches through a periodic side is seen
+/// from the other one.
+pub(super) fn images(domain: &Domain) -> Vec<[f64; 3]> {
+    let has = |d: usize| d < domain.dimension && domain.periodic[d];
+    (0..27)
+        .map(|k| [k % 3, k / 3 % 3, k / 9])
+        .filter(|image| (0..3).all(|d| image[d] == 1 || has(d)))
+        .map(|image| std::array::from_fn(|d| if has(d) { (image[d] as f64 - 1.0) * domain.size[d] } else { 0.0 }))
+        .collect()
 }
 
 /// Over which a slope is taken, in spacings.
@@ -48,7 +60,9 @@ impl Walls<'_> {
             };
         }
         // What closes the box is a wall whatever fluid is cut out of it.
-        let sides = (0..self.dimension).filter(|&d| !self.periodic[d]).map(|d| p[d].min(self.size[d] - p[d]));
+        let sides = (0..self.domain.dimension)
+            .filter(|&d| !self.domain.periodic[d])
+            .map(|d| p[d].min(self.domain.size[d] - p[d]));
         let outside = sides.clone().map(|s| s.min(0.0).powi(2)).sum::<f64>().sqrt();
         walls.min(if outside > 0.0 { -outside } else { sides.fold(f64::INFINITY, f64::min) })
     }
@@ -58,27 +72,14 @@ impl Walls<'_> {
         if shape.entry.kind == Kind::Where {
             return self.of_formula(shape, p);
         }
-        let images = |d: usize| if d < self.dimension && self.periodic[d] { -1..=1 } else { 0..=0 };
-        let mut least = f64::INFINITY;
-        for i in images(0) {
-            for j in images(1) {
-                for k in images(2) {
-                    let moved = std::array::from_fn(|d| p[d] + [i, j, k][d] as f64 * self.size[d]);
-                    least = least.min(of_entry(shape.entry, moved, self.dimension));
-                }
-            }
-        }
-        least
+        let of =
+            |image: &[f64; 3]| of_entry(shape.entry, std::array::from_fn(|d| p[d] + image[d]), self.domain.dimension);
+        self.images.iter().map(of).fold(f64::INFINITY, f64::min)
     }
 
     fn of_formula(&self, shape: &Shape, p: [f64; 3]) -> f64 {
         let Some(positive) = &shape.positive else { return f64::INFINITY };
-        let h = STEP * self.spacing;
-        let slope = |d: usize| {
-            let at = |h: f64| positive.at(std::array::from_fn(|e| if e == d { p[e] + h } else { p[e] }));
-            (at(h) - at(-h)) / (2.0 * h)
-        };
-        let steep = (0..self.dimension).map(|d| slope(d).powi(2)).sum::<f64>().sqrt();
+        let (_, steep) = self.slope_of(|p| positive.at(p), p);
         -positive.at(p) / steep.max(f64::MIN_POSITIVE)
     }
 
@@ -90,12 +91,17 @@ impl Walls<'_> {
 
     /// grad s, and how long it is: 1 but where several walls are as near.
     fn slope(&self, p: [f64; 3]) -> ([f64; 3], f64) {
+        self.slope_of(|p| self.distance(p), p)
+    }
+
+    /// The gradient of a function, and how long it is.
+    fn slope_of(&self, f: impl Fn([f64; 3]) -> f64, p: [f64; 3]) -> ([f64; 3], f64) {
         let h = STEP * self.spacing;
         let slope: [f64; 3] = std::array::from_fn(|d| {
-            if d >= self.dimension {
+            if d >= self.domain.dimension {
                 return 0.0;
             }
-            let at = |h: f64| self.distance(std::array::from_fn(|e| if e == d { p[e] + h } else { p[e] }));
+            let at = |h: f64| f(std::array::from_fn(|e| if e == d { p[e] + h } else { p[e] }));
             (at(h) - at(-h)) / (2.0 * h)
         });
         (slope, slope.iter().map(|x| x * x).sum::<f64>().sqrt())
@@ -106,7 +112,7 @@ impl Walls<'_> {
         let mut place = p;
         for _ in 0..TURNS {
             let (s, normal) = (self.distance(place), self.normal(place)?);
-            (0..self.dimension).for_each(|d| place[d] -= s * normal[d]);
+            (0..self.domain.dimension).for_each(|d| place[d] -= s * normal[d]);
         }
         if self.distance(place).abs() > CLOSE * self.spacing {
             return None;
@@ -160,14 +166,8 @@ impl Walls<'_> {
 
     /// The distance of two places, or of the nearest periodic images.
     fn apart(&self, a: [f64; 3], b: [f64; 3]) -> f64 {
-        let along = |d: usize| {
-            let gap = b[d] - a[d];
-            match self.periodic[d] {
-                true => gap - self.size[d] * (gap / self.size[d]).round(),
-                false => gap,
-            }
-        };
-        (0..self.dimension).map(|d| along(d).powi(2)).sum::<f64>().sqrt()
+        let along = |d: usize| self.domain.nearest(d, b[d] - a[d]);
+        (0..self.domain.dimension).map(|d| along(d).powi(2)).sum::<f64>().sqrt()
     }
 }
 
@@ -182,10 +182,12 @@ struct Cells {
 
 impl Cells {
     fn new(walls: &Walls) -> Self {
-        let counts = |d: usize| if walls.periodic[d] { (walls.size[d] / walls.spacing).floor().max(1.0) } else { 0.0 };
-        let width = |d: usize| if walls.periodic[d] { walls.size[d] / counts(d) } else { walls.spacing };
+        let domain = &walls.domain;
+        let counts =
+            |d: usize| if domain.periodic[d] { (domain.size[d] / walls.spacing).floor().max(1.0) } else { 0.0 };
+        let width = |d: usize| if domain.periodic[d] { domain.size[d] / counts(d) } else { walls.spacing };
         Self {
-            dimension: walls.dimension,
+            dimension: domain.dimension,
             counts: std::array::from_fn(|d| counts(d) as i64),
             widths: std::array::from_fn(width),
             members: HashMap::new(),
@@ -238,11 +240,7 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], dimension: usize) -> f64 {
             outside + beyond.iter().fold(f64::NEG_INFINITY, |most, x| most.max(*x)).min(0.0)
         }
         Kind::Disc => from_axis(None),
-        Kind::Cylinder => from_axis(Some(match axis.unwrap_or_default() {
-            Axis::X => 0,
-            Axis::Y => 1,
-            Axis::Z => 2,
-        })),
+        Kind::Cylinder => from_axis(Some(axis.unwrap_or_default().direction())),
         Kind::Polyline => {
             from_lines(&mut points.windows(2).map(|ends| (ends[0], ends[1]))) - 0.5 * thickness.unwrap_or_default()
         }
@@ -268,7 +266,8 @@ mod tests {
     fn with<T>(entries: &[ShapeEntry], periodic: [bool; 3], dimension: usize, go: impl Fn(&Walls) -> T) -> T {
         let shapes: Vec<Shape> =
             entries.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, dimension).unwrap()).collect();
-        go(&Walls { shapes: &shapes, dimension, size: [1.0; 3], periodic, spacing: 0.02 })
+        let domain = Domain { dimension, size: [1.0; 3], periodic };
+        go(&Walls { shapes: &shapes, images: images(&domain), domain, spacing: 0.02 })
     }
 
     fn disc(radius: f64, fill: Fill) -> ShapeEntry {
