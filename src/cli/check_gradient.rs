@@ -74,7 +74,12 @@ const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11]
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     use_threads(loaded.config.run.threads);
-    let config = &loaded.config;
+    // What is checked is the adjoint, whatever an optimiser takes.
+    let mut config = loaded.config.clone();
+    if config.optimise.gradient == GradientMode::Differences {
+        config.optimise.gradient = GradientMode::Segments;
+    }
+    let config = &config;
     let by_variables = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,

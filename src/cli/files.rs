@@ -92,16 +92,32 @@ pub fn plot_scene(
     values: &[f64],
     dx: f64,
 ) -> anyhow::Result<()> {
-    let section = Section::of(fields, values, dx);
-    let fluid = section.values.iter().zip(&section.tag).filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
-    let (low, high) = fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (&x, _)| (a.min(x), b.max(x)));
+    plot_scenes(folder, (name, label), &[(title, fields)], &[values.to_vec()], dx)
+}
+
+/// [`plot_scene`] of several states, panel by panel, in the same colours.
+pub fn plot_scenes(
+    folder: &Path,
+    (name, label): (&str, &str),
+    panels: &[(&str, &ParticleFields)],
+    values: &[Vec<f64>],
+    dx: f64,
+) -> anyhow::Result<()> {
+    let sections: Vec<Section> =
+        panels.iter().zip(values).map(|((_, fields), values)| Section::of(fields, values, dx)).collect();
+    let all = sections.iter().flat_map(|section| section.values.iter().zip(&section.tag));
+    let fluid = all.filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
+    let widest = |(a, b): (f64, f64), (low, high): (f64, f64)| (a.min(low), b.max(high));
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) = fluid.fold(none, |range, (&x, _)| widest(range, (x, x)));
     let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0)) };
-    let panel = section.panel(title, dx);
     let wide = |d: usize| {
-        let (low, high) = ends(fields, d);
+        let (low, high) = panels.iter().map(|(_, fields)| ends(fields, d)).fold(none, widest);
         (low - 0.5 * dx, high + 0.5 * dx)
     };
-    colored_particles(&folder.join(name), label, &[panel], range, wide(0), wide(1))?;
+    let panels: Vec<TemperaturePanel> =
+        panels.iter().zip(&sections).map(|((title, _), section)| section.panel(title, dx)).collect();
+    colored_particles(&folder.join(name), label, &panels, range, wide(0), wide(1))?;
     Ok(())
 }
 

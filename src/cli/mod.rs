@@ -14,6 +14,7 @@ mod guard;
 mod model_data;
 mod optimize;
 mod optimize_compare;
+mod optimize_shapes;
 mod prepare;
 mod recover;
 mod rollout;

@@ -4,13 +4,13 @@ use super::arguments::{name_of, option, CommonArguments, ExplainArgument, Gradie
 use super::explain::explain;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::verify;
-use super::{files, optimize_compare};
+use super::{files, optimize_compare, optimize_shapes};
 use crate::adjoint::gradient::Progress as Share;
 use crate::adjoint::run::Observer;
 use crate::adjoint::schedule::Schedule;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, DynamicsName, Kernels, Precision, Trust};
+use crate::config::scene::{Config, DynamicsName, Family, Kernels, Precision, Trust};
 use crate::design::diagnostics::{simulate, Diagnostics, Finished};
 use crate::design::objectives::Figure;
 use crate::design::optimise::Epoch;
@@ -154,7 +154,7 @@ fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
     }
 }
 
-const CHECKPOINT: &str = "checkpoint.safetensors";
+pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Work units of the progress bar per epoch.
 const UNITS: u64 = 1000;
 
@@ -173,18 +173,31 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let resume = arguments.resume.resume.as_deref();
     let outcome = one(&loaded, &folder, resume, "", &Tasks::default())?;
     println!("{}", outcome.text);
-    println!(
-        "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
-        folder.join("config.toml").display(),
-        std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
-        loaded.config.resolution.dx / 2.0
-    );
+    println!("{}", next(&loaded, &folder));
     if arguments.no_verify {
         return Ok(());
     }
     let Outcome { first: reference, best, summary, .. } = outcome;
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
     verified(&folder, summary, &verification)
+}
+
+/// What to do with what was found.
+fn next(loaded: &Loaded, folder: &Path) -> String {
+    let finer = loaded.config.finer_spacing();
+    if loaded.config.scene == Family::Custom {
+        let best = folder.join(optimize_shapes::BEST);
+        return format!(
+            "next: hydrograd simulate {} --set resolution.dx={finer} --out runs/finer    runs the best shapes at a finer spacing",
+            best.display()
+        );
+    }
+    let shape = folder.join("shape.csv");
+    format!(
+        "next: hydrograd simulate {} --set design.file={} --set resolution.dx={finer} --out runs/finer    runs the best wall at a finer spacing",
+        folder.join("config.toml").display(),
+        std::path::absolute(&shape).unwrap_or(shape).display(),
+    )
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
@@ -198,13 +211,13 @@ fn verified(folder: &Path, mut summary: Map<String, Value>, verification: &Verif
 
 /// What `--start all` compares, and what is verified.
 pub struct Outcome {
-    text: String,
+    pub text: String,
     pub summary: Map<String, Value>,
     pub history: Vec<Epoch>,
     /// The objective per epoch, as it is reported.
-    values: Vec<f64>,
-    first: Shape,
-    best: Shape,
+    pub values: Vec<f64>,
+    pub first: Shape,
+    pub best: Shape,
 }
 
 pub fn one(
@@ -549,6 +562,9 @@ fn report<R: Sweeps>(
     optimisation: &Optimisation,
 ) -> anyhow::Result<Outcome> {
     let config = &loaded.config;
+    if config.scene == Family::Custom {
+        return optimize_shapes::report(loaded, folder, problem, optimisation);
+    }
     let history = &optimisation.history;
     write_walls(folder, config, &*problem.parametrisation, optimisation)?;
     plot_history(folder, problem, optimisation)?;
@@ -572,6 +588,7 @@ fn report<R: Sweeps>(
     let (summary_before, summary_after) =
         (files::summary(loaded, b, problem.steps, before.seconds), files::summary(loaded, a, problem.steps, seconds));
     let mut summary = summary(problem, optimisation, summary_before, summary_after);
+    wall_summary(&*problem.parametrisation, optimisation, &mut summary);
     summary.insert("search".into(), json!(config.optimise.search));
     // The loop's Q is not that of what is shown.
     let motion = (own.is_some() && note.is_empty()).then(|| config.fluid.motion.name());
@@ -594,7 +611,7 @@ fn report<R: Sweeps>(
 }
 
 /// Runs a design and writes ParaView frames of it.
-fn simulate_with_frames<R: Sweeps>(
+pub fn simulate_with_frames<R: Sweeps>(
     config: &Config,
     folder: &Path,
     problem: &Problem<R>,
@@ -646,7 +663,7 @@ fn write_walls(
     Ok(())
 }
 
-fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisation) -> anyhow::Result<()> {
+pub fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisation) -> anyhow::Result<()> {
     let predicts = optimisation.history.iter().any(|e| e.predicted.is_some());
     let points: Vec<HistoryPoint> = optimisation
         .history
@@ -669,14 +686,13 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
 }
 
 /// `summary.json`, from those of the first and the best design's runs.
-fn summary<R>(
+pub fn summary<R>(
     problem: &Problem<R>,
     optimisation: &Optimisation,
     mut before: Map<String, Value>,
     mut after: Map<String, Value>,
 ) -> Map<String, Value> {
     let (history, best) = (&optimisation.history, optimisation.best);
-    let last = history.len() - 1;
     let name = problem.figure.symbol.to_lowercase();
     // By the objective's own samples, so that the best is one of those per epoch.
     for (map, epoch) in [(&mut before, 0), (&mut after, best)] {
@@ -702,15 +718,21 @@ fn summary<R>(
     put("loss_per_epoch", json!(optimisation.column(|e| e.loss)));
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
     put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
-    put("nodes", json!(problem.parametrisation.positions()));
-    if let Some(across) = problem.parametrisation.across() {
+    put("before", Value::Object(before));
+    after
+}
+
+/// The variables of walls in `summary.json`.
+fn wall_summary(parametrisation: &dyn Parametrisation, optimisation: &Optimisation, summary: &mut Map<String, Value>) {
+    let history = &optimisation.history;
+    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
+    put("nodes", json!(parametrisation.positions()));
+    if let Some(across) = parametrisation.across() {
         put("nodes_z", json!(across));
     }
     put("offsets_first", json!(history[0].variables));
-    put("offsets_best", json!(history[best].variables));
-    put("offsets_last", json!(history[last].variables));
-    put("before", Value::Object(before));
-    after
+    put("offsets_best", json!(history[optimisation.best].variables));
+    put("offsets_last", json!(history.last().map(|epoch| &epoch.variables)));
 }
 
 /// What is printed at the end; with the `motion` of the particles that are shown, if the optimiser saw others.
@@ -741,22 +763,9 @@ fn text(
     row("mean density", b.mean_density, a.mean_density);
     row("fastest particle", b.u_max, a.u_max);
     let mut text = table.to_text();
-    text.push_str(&format!(
-        "\n{} {} in epoch {} of {}, {seconds:.1} s\n",
-        figure.symbol,
-        change(first, best),
-        optimisation.best,
-        optimisation.history.len() - 1
-    ));
+    text.push_str(&found_text(figure, optimisation, seconds));
     text.push_str(&surrogate_text(figure, optimisation));
-    match optimisation.rejected() {
-        0 => {}
-        1 => text.push_str("1 design was rejected: its run diverged\n"),
-        count => text.push_str(&format!("{count} designs were rejected: their runs diverged\n")),
-    }
-    if optimisation.optimiser.is_done() {
-        text.push_str(&format!("{} stopped: no wall near by is better\n", optimisation.optimiser.name()));
-    }
+    text.push_str(&end_text(optimisation));
     let balanced = a.energy_imbalance.abs() < 0.02;
     let unsteady = a.stored_heat_rate.abs() > 0.005 * a.wall_heat_flux.abs();
     text.push_str(&format!(
@@ -773,6 +782,30 @@ fn text(
         "files in {}: summary.json, history.png, shapes.png, temperature.png, flow.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView)",
         folder.display()
     ));
+    text
+}
+
+/// What was gained, where and when.
+pub fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> String {
+    let (history, best) = (&optimisation.history, optimisation.best);
+    format!(
+        "\n{} {} in epoch {best} of {}, {seconds:.1} s\n",
+        figure.symbol,
+        change(history[0].shown(), history[best].shown()),
+        history.len() - 1
+    )
+}
+
+/// What was rejected, and whether the optimiser stopped by itself.
+pub fn end_text(optimisation: &Optimisation) -> String {
+    let mut text = match optimisation.rejected() {
+        0 => String::new(),
+        1 => "1 design was rejected: its run diverged\n".into(),
+        count => format!("{count} designs were rejected: their runs diverged\n"),
+    };
+    if optimisation.optimiser.is_done() {
+        text.push_str(&format!("{} stopped: no design near by is better\n", optimisation.optimiser.name()));
+    }
     text
 }
 

@@ -3,7 +3,7 @@
 use crate::adjoint::RunError;
 use crate::config::builtin::SCENES;
 pub use crate::config::difference::difference;
-use crate::config::scene::Config;
+use crate::config::scene::{Config, Family};
 use crate::design::shape::Shape;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
@@ -72,8 +72,14 @@ pub fn share_out<J: Sync, T: Send>(
 
 /// An error for scenes without a design.
 pub fn require_design(config: &Config) -> Result<(), BadInput> {
-    if config.scene.has_design() {
+    if config.has_design() {
         return Ok(());
+    }
+    if config.scene == Family::Custom {
+        return Err(BadInput::new("the scene names no number of a shape that may change")
+            .key("variables")
+            .allowed("variables = [{ number = \"shapes[0].radius\", lower = 0.05, upper = 0.1 }] or the like, with objective.kind")
+            .advice("data/scenes/examples/cylinder.toml, which has some"));
     }
     let with_design = SCENES.iter().filter(|built_in| built_in.family().has_design());
     let with_design: Vec<&str> = with_design.map(|built_in| built_in.name).collect();
@@ -86,7 +92,7 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
 /// Builds a scene with a design, and its start shape.
 pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     require_design(config)?;
-    let design = Scene::from_config(config)?.design;
+    let design = Scene::problem(config)?;
     let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
     let shape = design.first_wall();
     Ok((design, shape))

@@ -1,7 +1,7 @@
 //! Scenes of one's own: a box, the shapes in it, what the fluid begins with.
 
 use crate::config::formula::Formula;
-use crate::config::scene::Config;
+use crate::config::scene::{Config, Formulation, GradientMode, ObjectiveKind};
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
@@ -74,6 +74,74 @@ pub struct ShapeEntry {
     /// Of a wall. None: no heat flows through it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<Formula>,
+}
+
+/// A number of a shape that an optimiser may change, and how far.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct VariableEntry {
+    /// Its key, such as `shapes[0].centre[1]`.
+    pub number: String,
+    pub lower: f64,
+    pub upper: f64,
+}
+
+/// Which number of which shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ShapeNumber {
+    pub shape: usize,
+    pub part: Part,
+}
+
+/// Which number of a shape: of vectors the component, of points the point and its component.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    Lower(usize),
+    Upper(usize),
+    Centre(usize),
+    Radius,
+    Point(usize, usize),
+    Thickness,
+}
+
+impl ShapeNumber {
+    /// Those that shape number `shape` has.
+    fn all(shape: usize, entry: &ShapeEntry) -> Vec<Self> {
+        let vector = |vector: &Option<Vec<f64>>| 0..vector.as_ref().map_or(0, Vec::len);
+        let points = 0..entry.points.as_ref().map_or(0, Vec::len);
+        let parts = vector(&entry.lower).map(Part::Lower);
+        let parts = parts.chain(vector(&entry.upper).map(Part::Upper)).chain(vector(&entry.centre).map(Part::Centre));
+        let parts = parts.chain(entry.radius.map(|_| Part::Radius));
+        let parts = parts.chain(points.flat_map(|point| [Part::Point(point, 0), Part::Point(point, 1)]));
+        parts.chain(entry.thickness.map(|_| Part::Thickness)).map(|part| Self { shape, part }).collect()
+    }
+
+    /// The number itself; none if there is no such one.
+    pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
+        let entry = shapes.get_mut(self.shape)?;
+        match self.part {
+            Part::Lower(d) => entry.lower.as_mut()?.get_mut(d),
+            Part::Upper(d) => entry.upper.as_mut()?.get_mut(d),
+            Part::Centre(d) => entry.centre.as_mut()?.get_mut(d),
+            Part::Radius => entry.radius.as_mut(),
+            Part::Point(point, d) => entry.points.as_mut()?.get_mut(point)?.get_mut(d),
+            Part::Thickness => entry.thickness.as_mut(),
+        }
+    }
+}
+
+impl std::fmt::Display for ShapeNumber {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "shapes[{}].", self.shape)?;
+        match self.part {
+            Part::Lower(d) => write!(out, "lower[{d}]"),
+            Part::Upper(d) => write!(out, "upper[{d}]"),
+            Part::Centre(d) => write!(out, "centre[{d}]"),
+            Part::Radius => write!(out, "radius"),
+            Part::Point(point, d) => write!(out, "points[{point}][{d}]"),
+            Part::Thickness => write!(out, "thickness"),
+        }
+    }
 }
 
 /// Kinds of shapes, each with keys of its own.
@@ -307,6 +375,97 @@ impl Config {
             shape.check(place, d, has_heat)?;
         }
         Ok(())
+    }
+
+    /// The numbers that `variables` names, in their order; those of a checked configuration.
+    pub fn shape_numbers(&self) -> Vec<ShapeNumber> {
+        let all: Vec<ShapeNumber> =
+            self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry)).collect();
+        let named = |variable: &VariableEntry| all.iter().find(|number| number.to_string() == variable.number).copied();
+        self.variables.iter().filter_map(named).collect()
+    }
+
+    /// What an optimiser may change: numbers that there are, between limits that the shapes allow, and what it is judged by.
+    pub(super) fn check_variables(&self) -> Result<(), BadInput> {
+        let (dimension, has_heat) = (self.dimension(), self.initial.temperature.is_some());
+        for (k, variable) in self.variables.iter().enumerate() {
+            let VariableEntry { number, lower, upper } = variable;
+            let bad = |name: &str, problem: String| {
+                let key = format!("variables[{k}].{name}");
+                BadInput::new(format!("{key} = {problem}")).key(key)
+            };
+            let numbers = self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry));
+            let numbers: Vec<ShapeNumber> = numbers.collect();
+            let Some(found) = numbers.iter().find(|one| one.to_string() == *number) else {
+                let names: Vec<String> = numbers.iter().map(ShapeNumber::to_string).collect();
+                return Err(bad("number", format!("\"{number}\": no shape has such a number")).allowed(
+                    if names.is_empty() { "those of shapes, and there are none".into() } else { names.join(", ") },
+                ));
+            };
+            if self.variables[..k].iter().any(|other| other.number == *number) {
+                return Err(bad("number", format!("\"{number}\" for the second time")).allowed("each number once"));
+            }
+            let mut shapes = self.shapes.clone();
+            let now = found.of(&mut shapes).copied().unwrap_or(f64::NAN);
+            if !(lower.is_finite() && upper.is_finite() && lower < upper) {
+                return Err(
+                    bad("upper", format!("{upper} with lower = {lower}")).allowed("finite numbers, upper above lower")
+                );
+            }
+            if !(*lower..=*upper).contains(&now) {
+                return Err(bad("number", format!("\"{number}\" is {now}, outside of its limits"))
+                    .allowed(format!("{lower} ... {upper} (variables[{k}].lower ... variables[{k}].upper)")));
+            }
+            for limit in [lower, upper] {
+                if let Some(it) = found.of(&mut shapes) {
+                    *it = *limit;
+                }
+                shapes[found.shape].check(found.shape, dimension, has_heat).map_err(|wrong| {
+                    let wrong = wrong.to_string();
+                    let problem = wrong.lines().next().unwrap_or_default();
+                    bad("number", format!("\"{number}\" may become {limit}, but {problem}"))
+                        .allowed("limits between which the shape is one")
+                })?;
+            }
+            let entry = &self.shapes[found.shape];
+            let formulas = entry.velocity.iter().flatten().chain(&entry.temperature);
+            if let Some(formula) = formulas.into_iter().find(|formula| formula.0.trim().parse::<f64>().is_err()) {
+                return Err(bad(
+                    "number",
+                    format!("\"{number}\" moves a wall whose values are formulas: {}", formula.0),
+                )
+                .allowed("shapes whose velocity and temperature are numbers, or none"));
+            }
+        }
+        if self.variables.is_empty() {
+            return Ok(());
+        }
+        if self.fluid.formulation == Formulation::Standard {
+            return Err(BadInput::new("variables in the standard formulation, whose walls are cells of the lattice")
+                .key("fluid.formulation")
+                .allowed("consistent with them")
+                .advice("fluid.formulation=consistent"));
+        }
+        if self.optimise.gradient == GradientMode::Steady {
+            return Err(BadInput::new("optimise.gradient = steady with particles that move")
+                .key("optimise.gradient")
+                .allowed("differences, segments, taped, truncated")
+                .advice("optimise.gradient=differences"));
+        }
+        let (objective, along) = (&self.objective, self.region.size[0]);
+        if !has_heat && objective.kind != ObjectiveKind::FlowRate {
+            return Err(BadInput::new("objective.kind is about heat, and the scene has none")
+                .key("objective.kind")
+                .allowed("flow-rate; the others with initial.temperature")
+                .advice("objective.kind=flow-rate, or initial.temperature=1.0"));
+        }
+        if objective.target_x > along {
+            return Err(BadInput::new(format!("objective.target_x = {} is outside the box", objective.target_x))
+                .key("objective.target_x")
+                .allowed(format!("0 ... {along}, region.size[0]")));
+        }
+        self.check_window()?;
+        self.check_store()
     }
 
     /// dx divides the box, which is large enough and not too large.

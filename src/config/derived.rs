@@ -64,6 +64,11 @@ impl Config {
         self.fluid.density * self.plane_force() * self.channel.length * self.plane_flow_rate()
     }
 
+    /// Whether there is something to optimise.
+    pub fn has_design(&self) -> bool {
+        self.scene.has_design() || !self.variables.is_empty()
+    }
+
     /// 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
@@ -202,6 +207,7 @@ impl Config {
     /// Depth of what is simulated: the span, and 1 in two dimensions.
     pub fn depth(&self) -> f64 {
         match self.dimension() {
+            3 if self.scene == Family::Custom => self.region.size[2],
             3 => self.channel.span,
             _ => 1.0,
         }

@@ -4,7 +4,7 @@
 //! density 1). Every section has defaults, so a user's file needs only what differs; unknown keys are
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
-use crate::config::custom::{Initial, Region, ShapeEntry};
+use crate::config::custom::{Initial, Region, ShapeEntry, VariableEntry};
 use crate::config::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,9 @@ pub struct Config {
     pub region: Region,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub shapes: Vec<ShapeEntry>,
+    /// Numbers of shapes that an optimiser may change.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub variables: Vec<VariableEntry>,
     pub initial: Initial,
     pub resolution: Resolution,
     pub channel: Channel,
@@ -505,6 +508,8 @@ pub enum ObjectiveKind {
     OutletTemperature,
     /// What the walls heat the fluid with upstream of it.
     WallHeat,
+    /// The volume that flows through the target column.
+    FlowRate,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
@@ -615,6 +620,8 @@ pub struct Optimise {
     pub segment: usize,
     /// Steps that `truncated` looks back.
     pub horizon: usize,
+    /// How far `differences` go to both sides: a share of the way between a number's limits.
+    pub difference: f64,
     /// Who says how good a wall is while the optimiser searches.
     pub dynamics: DynamicsName,
 }
@@ -713,6 +720,8 @@ pub enum GradientMode {
     Truncated,
     /// Of the steady state, for fixed particles: one state, no run.
     Steady,
+    /// Of runs with numbers a little larger and smaller, for the few numbers of shapes.
+    Differences,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -905,6 +914,7 @@ impl Default for Optimise {
             store: Precision::F64,
             segment: 0,
             horizon: 200,
+            difference: 0.05,
             dynamics: DynamicsName::Solver,
         }
     }

@@ -1,7 +1,7 @@
 //! Scenes for the loader: the range of every number, and the conditions that link them.
 
 use crate::config::builtin::SCENES;
-use crate::config::custom::ShapeEntry;
+use crate::config::custom::{ShapeEntry, VariableEntry};
 use crate::config::formula::Formula;
 use crate::config::range::{Number, Range};
 use crate::config::scene::{
@@ -38,6 +38,7 @@ impl Schema for Config {
         let mut config = Self::default();
         config.time.steps = Some(1);
         config.shapes = vec![ShapeEntry::complete()];
+        config.variables = vec![VariableEntry::default()];
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
@@ -66,7 +67,8 @@ impl Schema for Config {
         if self.scene == Family::Custom {
             self.check_custom()?;
             self.check_flow()?;
-            return self.check_steps();
+            self.check_steps()?;
+            return self.check_variables();
         }
         if !self.scene.has_design() {
             match self.scene.has_surface() {
@@ -103,6 +105,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         scene: _,
         region,
         shapes: _,
+        variables: _,
         initial: _,
         resolution,
         channel,
@@ -186,6 +189,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("optimise.learning_rate", optimise.learning_rate, Positive),
         ("optimise.smoothing", optimise.smoothing, NotNegative),
         ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
+        ("optimise.difference", optimise.difference, Within(1e-6, 0.5)),
         ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.settle", surrogate.settle as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.steps", surrogate.steps as f64, Within(1.0, 10_000.0)),
@@ -550,6 +554,11 @@ impl Config {
                 .key("fluid.body_force_region")
                 .allowed("fluid, or fluid.motion = moving"));
         }
+        if self.optimise.gradient == GradientMode::Differences {
+            return Err(BadInput::new("optimise.gradient = differences for a wall of many variables")
+                .key("optimise.gradient")
+                .allowed("segments, taped, truncated or steady; differences for `variables` of a scene of your own"));
+        }
         if self.optimise.gradient == GradientMode::Steady && !fixed {
             let all = "segments, taped or truncated";
             return Err(BadInput::new("optimise.gradient = steady with particles that move")
@@ -600,7 +609,7 @@ impl Config {
     }
 
     /// Rounded states belong to schedules that keep every state.
-    fn check_store(&self) -> Result<(), BadInput> {
+    pub(super) fn check_store(&self) -> Result<(), BadInput> {
         let optimise = &self.optimise;
         let every_state = optimise.gradient != GradientMode::Taped && optimise.segment <= 1;
         if optimise.store == Precision::F32 && self.run.precision == Precision::F64 && !every_state {
@@ -661,6 +670,13 @@ impl Config {
         let (dx, channel) = (self.resolution.dx, &self.channel);
         if self.dimension() == 2 {
             return 0.5 * dx;
+        }
+        if self.scene == Family::Custom {
+            let size = &self.region.size;
+            let divides = |finer: f64| size.iter().all(|size| is_whole(size / finer));
+            let first = (size[0] / (0.8 * dx) - 1e-9).ceil() as usize;
+            let finer = (first..=2 * (size[0] / dx).round() as usize).map(|count| size[0] / count as f64);
+            return finer.into_iter().find(|&finer| divides(finer)).unwrap_or(0.5 * dx);
         }
         let across = [("channel.height", channel.height), ("channel.span", channel.span)];
         // A millionth finer than what is asked for first: the search is for what is below or above a spacing.
@@ -758,6 +774,11 @@ impl Config {
 
     fn check_time(&self) -> Result<(), BadInput> {
         self.check_steps()?;
+        self.check_window()
+    }
+
+    /// The objective's window is a part of the run with enough steps.
+    pub(super) fn check_window(&self) -> Result<(), BadInput> {
         let (window, duration) = (self.objective.window, self.duration());
         if window > duration * (1.0 + 1e-9) {
             return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))

@@ -8,6 +8,7 @@
 //! linear in the heights.
 
 use super::relief::Relief;
+use super::shapes::Shapes;
 use crate::numerics::lanes::Real;
 
 /// The map from heights `[C]` to the initial state `[F, N]`.
@@ -30,6 +31,8 @@ pub enum Map {
     Surfaces(Vec<Surface>),
     /// The bottom wall over x and z.
     Relief(Relief),
+    /// Shapes whose numbers change: "heights" are the changes.
+    Shapes(Shapes),
 }
 
 /// The standard formulation's: column by column.
@@ -55,6 +58,7 @@ impl Deformation {
                 }
             }
             Map::Relief(relief) => relief.deform(self.particles, heights, &mut state),
+            Map::Shapes(shapes) => shapes.deform(self.particles, heights, &mut state),
         }
         state.into_iter().map(R::of).collect()
     }
@@ -73,6 +77,7 @@ impl Deformation {
                 }
             }
             Map::Relief(relief) => relief.pull_back(self.particles, heights, state_bar, &mut heights_bar),
+            Map::Shapes(shapes) => shapes.pull_back(self.particles, &self.base, heights, state_bar, &mut heights_bar),
         }
         heights_bar
     }
@@ -84,7 +89,7 @@ impl Deformation {
         for i in (0..n).filter(|&i| is_fluid(i)) {
             match self.map {
                 Map::Columns(_) => state_bar[n + i] = R::default(),
-                Map::Surfaces(_) | Map::Relief(_) => {
+                Map::Surfaces(_) | Map::Relief(_) | Map::Shapes(_) => {
                     state_bar.iter_mut().skip(i).step_by(n).for_each(|bar| *bar = R::default())
                 }
             }

@@ -17,6 +17,7 @@ pub mod parametrisations;
 pub mod problem;
 pub mod relief;
 pub mod shape;
+pub mod shapes;
 pub mod start_shape;
 
 pub use deformation::Deformation;

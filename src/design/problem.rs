@@ -43,6 +43,8 @@ pub struct Problem<R> {
     pub window: usize,
     /// Whether gradients are those of the steady state.
     pub is_steady: bool,
+    /// Whether they are differences of runs, and how far to both sides.
+    pub differences: Option<f64>,
 }
 
 /// How the steady state is found: by Anderson's acceleration of blocks of so many steps, so many blocks deep, until nothing
@@ -179,6 +181,9 @@ impl<R: Sweeps> Problem<R> {
         if self.is_steady {
             return self.differentiate_steady(variables, progress);
         }
+        if let Some(step) = self.differences {
+            return self.differentiate_by_runs(variables, step, progress);
+        }
         let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
             .map_err(|error| error.advised(self.model.remedy()))?;
@@ -186,6 +191,42 @@ impl<R: Sweeps> Problem<R> {
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
         Ok(Derivative { value: found.value, by_variables, solver_steps })
+    }
+
+    /// [`Self::differentiate`] by central differences of runs, at a limit by one-sided ones. Over a long time two runs whose particles
+    /// began a little differently have them elsewhere: the exact derivative of one run grows without end then, while the
+    /// averages that the runs agree on are smooth at steps like these.
+    fn differentiate_by_runs(&self, variables: &[f64], step: f64, progress: Progress<'_>) -> Result<Derivative, Error> {
+        let runs = 2 * variables.len() + 1;
+        let mut done = 0;
+        let mut value = |variables: &[f64]| {
+            let found = self.evaluate_watched(variables, &mut |part| progress((done as f64 + part) / runs as f64));
+            done += 1;
+            found.map_err(|error| self.advised(error))
+        };
+        let limits = self.parametrisation.limits();
+        let middle = value(variables)?;
+        let mut by_variables = Vec::with_capacity(variables.len());
+        for k in 0..variables.len() {
+            let mut at = |x: f64| {
+                let mut moved = variables.to_vec();
+                moved[k] = x.clamp(limits.lower[k], limits.upper[k]);
+                let value = if moved[k] == variables[k] { Ok(middle) } else { value(&moved) };
+                value.map(|value| (moved[k], value))
+            };
+            let ((above, more), (below, less)) = (at(variables[k] + step)?, at(variables[k] - step)?);
+            by_variables.push((more - less) / (above - below));
+        }
+        check_gradient(&by_variables)?;
+        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps })
+    }
+
+    /// A run's failure with advice.
+    fn advised(&self, error: anyhow::Error) -> Error {
+        match error.downcast::<RunError>() {
+            Ok(error) => error.advised(self.model.remedy()),
+            Err(error) => Error::run(error.to_string(), "report this"),
+        }
     }
 
     /// The objective at the steady state of fixed particles, where nothing changes by more than `tolerance` per time.
@@ -303,10 +344,7 @@ impl<R: Sweeps> Problem<R> {
         let (value, steps) = match self.is_steady {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
-                let found = self.evaluate(variables).map_err(|error| match error.downcast::<RunError>() {
-                    Ok(error) => error.advised(self.model.remedy()),
-                    Err(error) => Error::run(error.to_string(), "report this"),
-                });
+                let found = self.evaluate(variables).map_err(|error| self.advised(error));
                 (found?, self.steps)
             }
         };
@@ -343,7 +381,7 @@ impl<R: Sweeps> Problem<R> {
     /// # Errors
     /// A schedule that would not fit, and a budget that is too small for any.
     pub fn schedule(&self, wanted: &Optimise, precision: Precision) -> Result<Schedule, Error> {
-        if self.is_steady {
+        if self.is_steady || self.differences.is_some() {
             // One state is kept, and nothing taped.
             return Ok(Schedule::taped(self.steps));
         }

@@ -8,14 +8,20 @@ use super::assembly::{Assembled, Lattice, Numerics, Parts};
 use super::distance::{images, Foot, Walls};
 use super::surface::{Dummy, Knows, Point, Settings, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Fill, Kind, ShapeEntry};
+use crate::config::custom::{Fill, Kind, ShapeEntry, VariableEntry};
 use crate::config::formula::{Formula, Function};
-use crate::config::scene::{Config, HotIsotherm};
+use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, ObjectiveKind};
+use crate::design::deformation::Map;
+use crate::design::objectives::{self, Figure, Outlet, Samples};
+use crate::design::parametrisations::Numbers;
+use crate::design::shapes::{self, Shapes};
+use crate::design::{Deformation, Problem};
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::particles::{tag, Domain};
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::model::Heat;
+use crate::sph::model::{Heat, Model};
+use crate::sph::operators::interpolation::Interpolation;
 use crate::sph::solver::Snapshot;
 use std::sync::Arc;
 
@@ -192,6 +198,84 @@ fn lattice(config: &Config) -> Lattice {
 /// # Errors
 /// Formulas that are no number somewhere, shapes that hold nothing.
 pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
+    let Built { parts, model, base, .. } = assemble(config)?;
+    let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
+    Ok(parts.scene(Arc::new(model), start))
+}
+
+/// What is optimised in a checked configuration with `variables`.
+///
+/// # Errors
+/// As for [`build`].
+pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> {
+    let Built { parts, mut model, base, points, dummies } = assemble::<R>(config)?;
+    if config.objective.kind == ObjectiveKind::WallHeat {
+        model.wall_heat_until = Some(config.objective.target_x);
+    }
+    let (numbers, mut entries) = (config.shape_numbers(), config.shapes.clone());
+    let first = numbers.iter().filter_map(|number| number.of(&mut entries).copied()).collect();
+    let limits = |of: fn(&VariableEntry) -> f64| config.variables.iter().map(of).collect();
+    let parametrisation = Numbers::new(first, limits(|variable| variable.lower), limits(|variable| variable.upper));
+    let shapes = Shapes {
+        entries,
+        domain: model.domain,
+        vector: model.layout.velocity(),
+        points,
+        dummies,
+        fluid: (0..model.particles()).filter(|&i| model.is_fluid(i)).collect(),
+        numbers,
+    };
+    let (columns, particles) = (shapes.numbers.len(), model.particles());
+    let base = super::assembly::rounded(&model, &base).into_iter().map(R::f64).collect();
+    let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), parts.numerics.steps);
+    let samples = Samples::window(steps, window, config.objective.samples);
+    Ok(Problem {
+        model: Arc::new(model),
+        kernels: config.run.kernels,
+        deformation: Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) }),
+        first: parametrisation.start(),
+        parametrisation: Arc::new(parametrisation),
+        objective: objectives::of_config(config, outlet.clone(), samples),
+        figure: Figure::of_config(config),
+        smoothing: 0.0,
+        steps,
+        outlet,
+        depth: config.depth(),
+        window,
+        is_steady: false,
+        differences: (config.optimise.gradient == GradientMode::Differences).then_some(config.optimise.difference),
+    })
+}
+
+/// Targets all across the box, and three spacings beyond its walls: each particle counts with its whole kernel.
+fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
+    let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
+    let across = |e: usize| -> Vec<f64> {
+        if e >= d {
+            return vec![0.0];
+        }
+        let (count, beyond) = ((region.size[e] / dx).round() as i64, if region.periodic[e] { 0 } else { 3 });
+        (-beyond..count + beyond).map(|k| (k as f64 + 0.5) * dx).collect()
+    };
+    let places = across(2).into_iter().flat_map(|z| across(1).into_iter().map(move |y| (y, z)));
+    let targets = places.map(|(y, z)| [config.objective.target_x, y, z]).collect();
+    let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
+    let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
+    let spacing = if d == 3 { dx * dx / config.depth() } else { dx };
+    Outlet { interpolation, mode: Mode::Flux, spacing }
+}
+
+/// Particles of a configuration, and what of them moves with its shapes.
+struct Built<R> {
+    parts: Parts<R>,
+    model: Model<R>,
+    /// The first state.
+    base: Vec<f64>,
+    points: Vec<shapes::Point>,
+    dummies: Vec<shapes::Dummy>,
+}
+
+fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
     let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
@@ -277,9 +361,10 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
             base[l.temperature() * n + i] = value(warmth, || "initial.temperature".into(), p)? - reference;
         }
     }
+    let (mut points, mut dummies) = (vec![], vec![]);
     if let Some(settings) = settings {
         let (dx, holder) = (config.resolution.dx, Holder::new(config, &shapes));
-        let surface = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
+        let (surface, feet) = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
             knows_at(config, &shapes, &holder, foot, warmth.is_some())
         })?;
         let old = base.clone();
@@ -291,9 +376,17 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
             let fluid = (0..n).filter(|&i| !is_wall[i]);
             fluid.for_each(|i| base[model.layout.temperature() * more + i] = old[l.temperature() * n + i]);
         }
+        for (k, (point, foot)) in surface.points.iter().zip(&feet.points).enumerate() {
+            let (leans, leads) = (point.knows == Knows::NoHeatFlux, matches!(point.knows, Knows::Velocity(_)));
+            points.push(shapes::Point { particle: n + k, on: surroundings.on(foot), leans, leads });
+        }
+        for (dummy, foot) in surface.dummies.iter().zip(&feet.dummies) {
+            let on = surroundings.on(foot);
+            let depth = -surroundings.distance(parts.lattice.place(dummy.particle));
+            dummies.extend(on.map(|foot| shapes::Dummy { particle: dummy.particle, foot, depth }));
+        }
     }
-    let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
-    Ok(parts.scene(Arc::new(model), start))
+    Ok(Built { parts, model, base, points, dummies })
 }
 
 /// The walls as surfaces.
@@ -343,19 +436,20 @@ fn surface_of(
     lattice: &Lattice,
     is_wall: &[bool],
     knows: impl Fn(&Foot) -> Result<Vec<Knows>, BadInput>,
-) -> Result<Surface, BadInput> {
+) -> Result<(Surface, Feet), BadInput> {
     let dx = walls.spacing;
     let near = |i: usize| walls.distance(lattice.place(i)).abs() <= dx;
     let all = 0..lattice.particles();
     // Those in front of particles first: along a plane wall none are left for those behind it.
     let beside = all.clone().filter(|&i| !is_wall[i] && near(i)).chain(all.clone().filter(|&i| is_wall[i] && near(i)));
     let feet = walls.points(beside.map(|i| lattice.place(i)));
-    let mut surface = Surface::default();
+    let (mut surface, mut found) = (Surface::default(), Feet::default());
     let mut first = Vec::with_capacity(feet.len());
     for foot in &feet {
         first.push(surface.points.len());
         for knows in knows(foot)? {
             surface.points.push(Point { position: foot.place, normal: foot.normal, knows });
+            found.points.push(*foot);
         }
     }
     let nearest = walls.finder(&feet);
@@ -365,6 +459,14 @@ fn surface_of(
         let Some(point) = nearest(foot.place) else { continue };
         let mirror = std::array::from_fn(|e| 2.0 * foot.place[e] - p[e]);
         surface.dummies.push(Dummy { particle: i, point: first[point], mirror });
+        found.dummies.push(foot);
     }
-    Ok(surface)
+    Ok((surface, found))
+}
+
+/// Feet of a surface's points and of its dummy particles.
+#[derive(Default)]
+struct Feet {
+    points: Vec<Foot>,
+    dummies: Vec<Foot>,
 }

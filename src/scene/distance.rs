@@ -6,6 +6,7 @@
 
 use super::custom::Shape;
 use crate::config::custom::{Fill, Kind, ShapeEntry};
+use crate::design::shapes::On;
 use crate::particles::Domain;
 use std::collections::HashMap;
 
@@ -60,11 +61,41 @@ impl Walls<'_> {
             };
         }
         // What closes the box is a wall whatever fluid is cut out of it.
+        walls.min(self.of_sides(p))
+    }
+
+    /// The distance from the sides of the box.
+    fn of_sides(&self, p: [f64; 3]) -> f64 {
         let sides = (0..self.domain.dimension)
             .filter(|&d| !self.domain.periodic[d])
             .map(|d| p[d].min(self.domain.size[d] - p[d]));
         let outside = sides.clone().map(|s| s.min(0.0).powi(2)).sum::<f64>().sqrt();
-        walls.min(if outside > 0.0 { -outside } else { sides.fold(f64::INFINITY, f64::min) })
+        if outside > 0.0 {
+            -outside
+        } else {
+            sides.fold(f64::INFINITY, f64::min)
+        }
+    }
+
+    /// Where on which shape a foot is; none on a side of the box, or on what is given by a formula.
+    pub fn on(&self, foot: &Foot) -> Option<On> {
+        let mut nearest = (self.of_sides(foot.place).abs(), None);
+        for (k, shape) in self.shapes.iter().enumerate() {
+            if shape.entry.kind == Kind::Where {
+                let s = self.of_formula(shape, foot.place).abs();
+                nearest = if s < nearest.0 { (s, None) } else { nearest };
+                continue;
+            }
+            for image in &self.images {
+                let place = std::array::from_fn(|d| foot.place[d] + image[d]);
+                let s = of_entry(shape.entry, place, self.domain.dimension).abs();
+                if s < nearest.0 {
+                    nearest = (s, Some((k, place)));
+                }
+            }
+        }
+        let (k, place) = nearest.1?;
+        On::of(k, self.shapes[k].entry, place, foot.normal)
     }
 
     /// The distance from one shape or the nearest of its periodic images.

@@ -98,6 +98,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         depth: config.depth(),
         window,
         is_steady: config.optimise.gradient == GradientMode::Steady,
+        differences: None,
     };
     let (model, start) = (design.model.clone(), design.start(&design.first));
     Ok(Scene { design: Some(design), ..parts.scene(model, start) })
@@ -348,7 +349,7 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
 }
 
 /// Steps of the objective's window.
-fn window(config: &Config) -> usize {
+pub(super) fn window(config: &Config) -> usize {
     ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
 }
 

@@ -122,7 +122,9 @@ impl Loaded {
     /// As for [`Self::with`].
     pub fn for_search(&self) -> Result<Self, Error> {
         let fluid = &self.config.fluid;
-        let has_both = fluid.formulation == Formulation::Consistent && self.config.dimension() == 2;
+        let has_both = fluid.formulation == Formulation::Consistent
+            && self.config.scene.has_design()
+            && self.config.dimension() == 2;
         match self.config.optimise.search {
             Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
                 let mut settings = vec![Setting::set("fluid.motion=fixed")];
@@ -294,7 +296,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             }
             config = merged.read();
         }
-        fit_defaults(&mut merged, &config);
+        fit_window(&mut merged, &config);
+        fit_rows(&mut merged, &config);
+    } else if config.has_design() {
+        fit_window(&mut merged, &config);
     }
     let mut config = merged.checked(check_shape)?;
     // A wall over x and z is fitted to its file, which takes numbers that are in their ranges.
@@ -345,37 +350,42 @@ fn standard_defaults(merged: &mut Merged, config: &Config) {
     }
 }
 
-/// Defaults that nobody gave give way to what was given: a short run gets a short window, a deep wall or a wide kernel more
-/// dummy rows.
-fn fit_defaults(merged: &mut Merged, config: &Config) {
-    // A value equal to the built-in one is no wish: `hydrograd scenes NAME > my.toml` writes all of them.
-    let usual = config.usual().0;
-    let given = |merged: &Merged, key: &str| {
-        let differs = match key {
-            "objective.window" => config.objective.window != usual.objective.window,
-            "objective.samples" => config.objective.samples != usual.objective.samples,
-            _ => config.channel.wall_rows != usual.channel.wall_rows,
-        };
-        differs && merged.places().contains_key(key)
-    };
+/// Whether a layer gave a key another value than the built-in one: `hydrograd scenes NAME > my.toml` writes all of them, and an
+/// equal one is no wish.
+fn is_wish(merged: &Merged, key: &str, differs: bool) -> bool {
+    differs && merged.places().contains_key(key)
+}
+
+/// A window that nobody gave gives way to a short run, and its samples to a short window.
+fn fit_window(merged: &mut Merged, config: &Config) {
+    let usual = config.usual().0.objective;
     let (dx, dt, end) = (config.resolution.dx, config.time_step(), config.duration());
     if !(dx > 0.0 && dx.is_finite() && dt > 0.0 && end.is_finite()) {
         return; // `check` has something to say about these.
     }
     let mut window = config.objective.window;
-    if window > end && !given(merged, "objective.window") {
+    if window > end && !is_wish(merged, "objective.window", window != usual.window) {
         window = 0.25 * end;
         merged.set("objective.window", Value::from(window), "a quarter of the run");
     }
-    let steps = ((window / dt).round() as i64).max(1);
-    if config.objective.samples as i64 > steps && window <= end && !given(merged, "objective.samples") {
+    let (samples, steps) = (config.objective.samples, ((window / dt).round() as i64).max(1));
+    if samples as i64 > steps && window <= end && !is_wish(merged, "objective.samples", samples != usual.samples) {
         merged.set("objective.samples", Value::from(steps), "the steps in objective.window");
+    }
+}
+
+/// Rows of dummy particles that nobody gave give way to a deep wall or a wide kernel.
+fn fit_rows(merged: &mut Merged, config: &Config) {
+    let (dx, given) = (config.resolution.dx, config.channel.wall_rows);
+    if !(dx > 0.0 && dx.is_finite()) {
+        return;
     }
     let standard = config.fluid.formulation == Formulation::Standard;
     let deep = if standard { (config.design.bound / dx - 1e-9).ceil() } else { 0.0 };
     let wide = config.least_wall_rows() as f64;
     let rows = deep.max(wide);
-    if rows > config.channel.wall_rows as f64 && rows < 1000.0 && !given(merged, "channel.wall_rows") {
+    let differs = given != config.usual().0.channel.wall_rows;
+    if rows > given as f64 && rows < 1000.0 && !is_wish(merged, "channel.wall_rows", differs) {
         let place = if wide < deep { "design.bound / resolution.dx" } else { "the kernel's support" };
         merged.set("channel.wall_rows", Value::from(rows as i64), place);
     }

@@ -88,6 +88,18 @@ impl<R: Real> Scene<R> {
         })
     }
 
+    /// What is optimised in the scene of a checked configuration; none without a design.
+    ///
+    /// # Errors
+    /// As for [`Self::from_config`].
+    pub fn problem(config: &Config) -> Result<Option<Problem<R>>, Error> {
+        Ok(match config.scene {
+            Family::Custom if config.variables.is_empty() => None,
+            Family::Custom => Some(custom::problem(config)?),
+            _ => Self::from_config(config)?.design,
+        })
+    }
+
     /// The same particles with nothing that moves them but their disorder.
     ///
     /// # Errors

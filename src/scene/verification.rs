@@ -9,7 +9,8 @@ use super::load::Loaded;
 use super::Scene;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, DesignWalls, Formulation, GradientMode, Motion, Precision};
+use crate::config::scene::{Config, DesignWalls, Family, Formulation, GradientMode, Motion, Precision};
+use crate::config::schema::values;
 use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
@@ -38,9 +39,14 @@ impl Check {
     pub const EACH: [Self; 5] =
         [Self::AsOptimised, Self::FinerSpacing, Self::OtherMotion, Self::TwiceTime, Self::OtherSeed];
 
-    /// Whether there is such a thing for a scene: there are no fixed particles in three dimensions.
+    /// Whether there is such a thing for a scene: fixed particles are for the channel in two dimensions, and a scene of one's own
+    /// that draws no random numbers is the same from another seed.
     fn is_for(self, config: &Config) -> bool {
-        self != Self::OtherMotion || config.dimension() == 2
+        match self {
+            Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
+            Self::OtherSeed => config.scene.has_design() || config.time.jitter > 0.0,
+            _ => true,
+        }
     }
 }
 
@@ -245,8 +251,18 @@ fn rounded(x: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
 
-/// The keys of a wall.
-fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
+/// The keys of a wall, or of shapes.
+pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
+    if config.scene == Family::Custom {
+        let mut changed = config.clone();
+        for (number, value) in config.shape_numbers().iter().zip(&wall.offsets) {
+            if let Some(it) = number.of(&mut changed.shapes) {
+                *it = *value;
+            }
+        }
+        let shapes = values(&changed).into_iter().filter(|(path, _)| path == "shapes");
+        return shapes.map(|(path, value)| Setting::set(&format!("{path}={value}"))).collect();
+    }
     if let Some(across) = &wall.across {
         let points = SplineSurface::of_config(config, &[]).fitted(&wall.nodes, across, &wall.offsets);
         return vec![Setting::set(&format!("design.offsets={points:?}"))];
@@ -267,6 +283,10 @@ fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
 /// Particles times steps: what a run costs.
 fn work(loaded: &Loaded) -> f64 {
     let config = &loaded.config;
+    if config.scene == Family::Custom {
+        let region = &config.region;
+        return region.size.iter().map(|size| size / config.resolution.dx).product::<f64>() * config.steps() as f64;
+    }
     (config.columns() * (config.rows() + 2 * config.channel.wall_rows) * config.layers() * config.steps()) as f64
 }
 
@@ -304,6 +324,6 @@ fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::
 }
 
 fn problem<R: Real>(loaded: &Loaded) -> Result<Problem<R>, Error> {
-    let design = Scene::from_config(&loaded.config)?.design;
+    let design = Scene::problem(&loaded.config)?;
     design.ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))
 }

@@ -3,11 +3,13 @@
 //! Another one is a file here that implements [`Objective`], and a line in [`of_config`] and in
 //! [`Figure::of_config`].
 
+pub mod flow_rate;
 pub mod heat_outflow;
 pub mod outlet;
 pub mod outlet_temperature;
 pub mod wall_heat;
 
+pub use flow_rate::FlowRate;
 pub use heat_outflow::HeatOutflow;
 pub use outlet::Outlet;
 pub use outlet_temperature::OutletTemperature;
@@ -30,6 +32,7 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
         }
         ObjectiveKind::OutletTemperature => Arc::new(OutletTemperature { outlet, samples }),
         ObjectiveKind::WallHeat => Arc::new(WallHeat { samples, depth: config.depth() }),
+        ObjectiveKind::FlowRate => Arc::new(FlowRate { outlet, samples }),
     }
 }
 
@@ -60,6 +63,7 @@ impl Figure {
             ObjectiveKind::WallHeat => {
                 Self { symbol: "W", quantity: "heat from the walls", unit: "rho u T length", factor: 1.0 }
             }
+            ObjectiveKind::FlowRate => Self { symbol: "V", quantity: "flow rate", unit: "u length", factor: 1.0 },
             ObjectiveKind::OutletTemperature => Self {
                 symbol: "T",
                 quantity: "mixed outlet temperature above the inlet's",

@@ -9,11 +9,13 @@
 
 pub mod b_spline;
 pub mod nodes;
+pub mod numbers;
 pub mod spline_surface;
 pub mod two_walls;
 
 pub use b_spline::BSpline;
 pub use nodes::Nodes;
+pub use numbers::Numbers;
 pub use spline_surface::SplineSurface;
 pub use two_walls::TwoWalls;
 

@@ -1,0 +1,101 @@
+//! Numbers of shapes themselves, see [`crate::design::shapes`].
+//!
+//! A variable is the share of the way between a number's limits, 0 ... 1, so that an optimiser sees numbers of one size; what is
+//! handed on is the number less its first value.
+
+use super::Parametrisation;
+use crate::design::limits::Limits;
+use crate::design::shape::Shape;
+use crate::error::BadInput;
+
+/// Numbers, each between limits of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Numbers {
+    first: Vec<f64>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    /// Of the variables.
+    limits: Limits,
+    /// 0, 1, 2, ...: numbers have no place.
+    order: Vec<f64>,
+}
+
+impl Numbers {
+    /// Numbers that begin with `first`, between their limits.
+    pub fn new(first: Vec<f64>, lower: Vec<f64>, upper: Vec<f64>) -> Self {
+        let count = first.len();
+        let limits = Limits::within(vec![0.0; count], vec![1.0; count]);
+        Self { first, lower, upper, limits, order: (0..count).map(|k| k as f64).collect() }
+    }
+
+    /// The variables at the first numbers.
+    pub fn start(&self) -> Vec<f64> {
+        (0..self.first.len()).map(|k| (self.first[k] - self.lower[k]) / (self.upper[k] - self.lower[k])).collect()
+    }
+
+    /// The numbers; those of unchanged variables to the bit.
+    pub fn values(&self, variables: &[f64]) -> Vec<f64> {
+        let start = self.start();
+        let value = |k: usize| self.first[k] + (variables[k] - start[k]) * (self.upper[k] - self.lower[k]);
+        (0..start.len()).map(|k| value(k).clamp(self.lower[k], self.upper[k])).collect()
+    }
+}
+
+impl Parametrisation for Numbers {
+    fn name(&self) -> &str {
+        "numbers"
+    }
+
+    fn positions(&self) -> &[f64] {
+        &self.order
+    }
+
+    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
+        let start = self.start();
+        (0..start.len()).map(|k| (variables[k] - start[k]) * (self.upper[k] - self.lower[k])).collect()
+    }
+
+    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
+        heights_bar.iter().enumerate().map(|(k, bar)| bar * (self.upper[k] - self.lower[k])).collect()
+    }
+
+    fn height(&self, _: &[f64], _: f64, _: f64) -> f64 {
+        0.0
+    }
+
+    fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
+        self.limits.check("variables", variables)
+    }
+
+    /// The numbers in place of offsets.
+    fn sampled(&self, variables: &[f64]) -> Shape {
+        let (nodes, offsets) = (self.order.clone(), self.values(variables));
+        Shape { nodes, across: None, offsets, top: None, hot_from: 0.0, hot_to: 0.0 }
+    }
+
+    /// Numbers have no neighbours.
+    fn penalty(&self, _: f64, variables: &[f64]) -> (f64, Vec<f64>) {
+        (0.0, vec![0.0; variables.len()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variables_are_shares_of_the_way() {
+        let numbers = Numbers::new(vec![0.3, -1.0], vec![0.1, -2.0], vec![0.5, 2.0]);
+        assert_eq!(numbers.start(), [0.4999999999999999, 0.25]);
+        assert_eq!(numbers.values(&numbers.start()), [0.3, -1.0]);
+        let ends = numbers.values(&[0.0, 1.0]);
+        assert!((ends[0] - 0.1).abs() < 1e-15 && (ends[1] - 2.0).abs() < 1e-15);
+        assert_eq!(numbers.pull_back(&[1.0, 10.0]), [0.4, 40.0]);
+        let changes = numbers.column_heights(&[1.0, 0.0]);
+        assert!((changes[0] - 0.2).abs() < 1e-15 && (changes[1] + 1.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,522 @@
+//! From the numbers of shapes (a radius, a corner, a point of a line) to the initial state of a scene of one's own.
+//!
+//! A point on the surface stays the same part of its shape: at the same angle on a disc, at the same share of an edge. With the
+//! shape's numbers it moves by d, and an edge's normal turns from m to n. Then
+//!
+//! ```text
+//!   points on the surface   move by d, and those that carry the normal get n
+//!   dummy particles         move with their foot: by d - a (n - m), a their depth; their mirror image by d + a (n - m)
+//!   fluid                   moves by sum_k w_k d_k / sum_k w_k over the points k, w_k = 1 / r_k^4 at the first numbers
+//! ```
+//!
+//! so that fluid beside a wall moves as the wall does, and far from those that move hardly (inverse distance weighting, as
+//! meshes are deformed: Witteveen and Bijl, AIAA 2009-3996). Which particles there are does not change: the state is a smooth
+//! function of the numbers.
+
+use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber};
+use crate::numerics::lanes::Real;
+use crate::particles::Domain;
+
+/// A vector; in two dimensions the last component is 0.
+type Vector = [f64; 3];
+
+/// Everything that moves with the shapes.
+#[derive(Debug, Clone)]
+pub struct Shapes {
+    /// At the first numbers.
+    pub entries: Vec<ShapeEntry>,
+    /// What the variables are.
+    pub numbers: Vec<ShapeNumber>,
+    pub domain: Domain,
+    /// Where normals and mirror images stand in the state: the first of as many rows as there are dimensions.
+    pub vector: usize,
+    /// On the surface.
+    pub points: Vec<Point>,
+    pub dummies: Vec<Dummy>,
+    pub fluid: Vec<usize>,
+}
+
+/// A place on a shape's surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct On {
+    pub shape: usize,
+    pub at: At,
+}
+
+/// Where on the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum At {
+    /// Of a disc, a ball or a cylinder: seen from the centre in this direction.
+    Round(Vector),
+    /// Of a box: at these shares of its sides.
+    Box(Vector),
+    /// Of a line: beside the edge that ends at point `to`, at a share of its length. `away`: on which side of a thick line,
+    /// 1 or -1; `faces`: on which side of the edge the fluid is.
+    Edge { to: usize, share: f64, away: f64, faces: f64 },
+    /// At the end or the corner of a line, in this direction from the point.
+    Corner(usize, Vector),
+}
+
+/// A point on the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    pub particle: usize,
+    /// None: on what never moves.
+    pub on: Option<On>,
+    /// Whether its vector is the normal.
+    pub leans: bool,
+    /// Whether it moves the fluid. (Of points at the same place one does.)
+    pub leads: bool,
+}
+
+/// A dummy particle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Dummy {
+    pub particle: usize,
+    pub foot: On,
+    /// Behind the surface.
+    pub depth: f64,
+}
+
+/// How a place and the normal there change with a variable.
+struct Slope {
+    variable: usize,
+    place: Vector,
+    normal: Vector,
+}
+
+/// What a place does when the numbers change.
+#[derive(Default)]
+struct Moved {
+    /// d.
+    by: Vector,
+    /// n - m.
+    turned: Vector,
+    /// n.
+    normal: Option<Vector>,
+}
+
+fn unit(d: usize) -> Vector {
+    std::array::from_fn(|e| if e == d { 1.0 } else { 0.0 })
+}
+
+fn scaled(factor: f64, a: Vector) -> Vector {
+    a.map(|a| factor * a)
+}
+
+fn sum(a: Vector, b: Vector) -> Vector {
+    std::array::from_fn(|e| a[e] + b[e])
+}
+
+fn minus(a: Vector, b: Vector) -> Vector {
+    std::array::from_fn(|e| a[e] - b[e])
+}
+
+fn dot(a: Vector, b: Vector) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// An edge's ends, its length, and the directions along it and to its left.
+struct Edge {
+    ends: [Vector; 2],
+    length: f64,
+    along: Vector,
+    left: Vector,
+}
+
+impl Edge {
+    fn of(entry: &ShapeEntry, to: usize) -> Self {
+        let points = entry.points.as_deref().unwrap_or_default();
+        let ends = [(to + points.len() - 1) % points.len(), to].map(|k| [points[k][0], points[k][1], 0.0]);
+        let difference = minus(ends[1], ends[0]);
+        let length = dot(difference, difference).sqrt();
+        let along = scaled(1.0 / length, difference);
+        Self { ends, length, along, left: [-along[1], along[0], 0.0] }
+    }
+}
+
+/// Half the thickness of a line; 0 of a polygon's edges.
+fn half(entry: &ShapeEntry) -> f64 {
+    0.5 * entry.thickness.unwrap_or(0.0)
+}
+
+/// Shares nearer than this to an edge's ends count as the ends.
+const END: f64 = 1e-9;
+
+impl On {
+    /// A place on a shape's surface where the normal into the fluid is this; none on a shape that is given by a formula.
+    pub fn of(shape: usize, entry: &ShapeEntry, place: Vector, normal: Vector) -> Option<Self> {
+        let vector = |numbers: &Option<Vec<f64>>| {
+            let numbers = numbers.as_deref().unwrap_or_default();
+            std::array::from_fn(|d| numbers.get(d).copied().unwrap_or(0.0))
+        };
+        let at = match entry.kind {
+            Kind::Disc | Kind::Cylinder => {
+                let along = (entry.kind == Kind::Cylinder).then(|| entry.axis.unwrap_or_default().direction());
+                let mut away: Vector = minus(place, vector(&entry.centre));
+                along.into_iter().for_each(|d| away[d] = 0.0);
+                At::Round(scaled(1.0 / dot(away, away).sqrt(), away))
+            }
+            Kind::Box => {
+                let (lower, upper): (Vector, Vector) = (vector(&entry.lower), vector(&entry.upper));
+                let share = |d: usize| match upper[d] > lower[d] {
+                    true => (place[d] - lower[d]) / (upper[d] - lower[d]),
+                    false => 0.0,
+                };
+                At::Box(std::array::from_fn(share))
+            }
+            Kind::Polyline | Kind::Polygon => {
+                let count = entry.points.as_ref().map_or(0, Vec::len);
+                let first = if entry.kind == Kind::Polygon { 0 } else { 1 };
+                let flat = [place[0], place[1], 0.0];
+                let share = |edge: &Edge| (dot(minus(flat, edge.ends[0]), edge.along) / edge.length).clamp(0.0, 1.0);
+                let foot = |edge: &Edge| sum(edge.ends[0], scaled(share(edge) * edge.length, edge.along));
+                let square = |a: Vector| dot(a, a);
+                let edges = (first..count).map(|to| (to, Edge::of(entry, to)));
+                let nearest = |a: &(usize, Edge), b: &(usize, Edge)| {
+                    square(minus(flat, foot(&a.1))).total_cmp(&square(minus(flat, foot(&b.1))))
+                };
+                let (to, edge) = edges.min_by(nearest)?;
+                let (share, away) = (share(&edge), minus(flat, foot(&edge)));
+                let corner = match share {
+                    share if share < END => Some((to + count - 1) % count),
+                    share if share > 1.0 - END => Some(to),
+                    _ => None,
+                };
+                match corner {
+                    Some(point) => {
+                        let size = square(away).sqrt();
+                        At::Corner(point, scaled(if size > 0.0 { 1.0 / size } else { 0.0 }, away))
+                    }
+                    None => {
+                        let away = dot(away, edge.left).signum();
+                        At::Edge { to, share, away, faces: dot(normal, edge.left).signum() }
+                    }
+                }
+            }
+            Kind::Where => return None,
+        };
+        Some(Self { shape, at })
+    }
+
+    /// What it does from one shape to another.
+    fn moved(&self, from: &ShapeEntry, to: &ShapeEntry) -> Moved {
+        let of = |numbers: &Option<Vec<f64>>| numbers.clone().unwrap_or_default();
+        let change = |from: &Option<Vec<f64>>, to: &Option<Vec<f64>>| -> Vector {
+            let (from, to) = (of(from), of(to));
+            std::array::from_fn(|d| if d < from.len() { to[d] - from[d] } else { 0.0 })
+        };
+        match self.at {
+            At::Round(direction) => {
+                let grown = to.radius.unwrap_or_default() - from.radius.unwrap_or_default();
+                Moved { by: sum(change(&from.centre, &to.centre), scaled(grown, direction)), ..Moved::default() }
+            }
+            At::Box(share) => {
+                let (lower, upper) = (change(&from.lower, &to.lower), change(&from.upper, &to.upper));
+                let by = std::array::from_fn(|d| (1.0 - share[d]) * lower[d] + share[d] * upper[d]);
+                Moved { by, ..Moved::default() }
+            }
+            At::Edge { to: point, share, away, faces } => {
+                let [from_edge, to_edge] = [from, to].map(|entry| Edge::of(entry, point));
+                let place = |entry: &ShapeEntry, edge: &Edge| {
+                    let between = sum(scaled(1.0 - share, edge.ends[0]), scaled(share, edge.ends[1]));
+                    sum(between, scaled(half(entry) * away, edge.left))
+                };
+                let normal = scaled(faces, to_edge.left);
+                Moved {
+                    by: minus(place(to, &to_edge), place(from, &from_edge)),
+                    turned: minus(normal, scaled(faces, from_edge.left)),
+                    normal: Some(normal),
+                }
+            }
+            At::Corner(point, direction) => {
+                let at = |entry: &ShapeEntry| {
+                    let [x, y] = entry.points.as_deref().unwrap_or_default()[point];
+                    sum([x, y, 0.0], scaled(half(entry), direction))
+                };
+                Moved { by: minus(at(to), at(from)), ..Moved::default() }
+            }
+        }
+    }
+
+    /// How place and normal change with a number of its shape, if they do.
+    fn slope(&self, entry: &ShapeEntry, part: Part) -> Option<(Vector, Vector)> {
+        let still = [0.0; 3];
+        match (self.at, part) {
+            (At::Round(_), Part::Centre(d)) => Some((unit(d), still)),
+            (At::Round(direction), Part::Radius) => Some((direction, still)),
+            (At::Box(share), Part::Lower(d)) => Some((scaled(1.0 - share[d], unit(d)), still)),
+            (At::Box(share), Part::Upper(d)) => Some((scaled(share[d], unit(d)), still)),
+            (At::Edge { to, away, .. }, Part::Thickness) => Some((scaled(0.5 * away, Edge::of(entry, to).left), still)),
+            (At::Edge { to, share, away, faces }, Part::Point(point, d)) => {
+                let count = entry.points.as_ref().map_or(0, Vec::len);
+                let (end, sign) = match point {
+                    point if point == to => (share, 1.0),
+                    point if (point + 1) % count == to => (1.0 - share, -1.0),
+                    _ => return None,
+                };
+                let edge = Edge::of(entry, to);
+                // The direction to the left turns by -along (left . change of the edge) / length.
+                let turn = scaled(-sign * edge.left[d] / edge.length, edge.along);
+                Some((sum(scaled(end, unit(d)), scaled(half(entry) * away, turn)), scaled(faces, turn)))
+            }
+            (At::Corner(at, _), Part::Point(point, d)) if at == point => Some((unit(d), still)),
+            (At::Corner(_, direction), Part::Thickness) => Some((scaled(0.5, direction), still)),
+            _ => None,
+        }
+    }
+}
+
+impl Shapes {
+    /// With changes of the variables.
+    pub fn changed(&self, changes: &[f64]) -> Vec<ShapeEntry> {
+        let mut entries = self.entries.clone();
+        for (number, change) in self.numbers.iter().zip(changes) {
+            if let Some(it) = number.of(&mut entries) {
+                *it += change;
+            }
+        }
+        entries
+    }
+
+    fn moved(&self, on: Option<On>, entries: &[ShapeEntry]) -> Moved {
+        on.map_or_else(Moved::default, |on| on.moved(&self.entries[on.shape], &entries[on.shape]))
+    }
+
+    fn slopes<'a>(&'a self, on: On, entries: &'a [ShapeEntry]) -> impl Iterator<Item = Slope> + 'a {
+        let own = self.numbers.iter().enumerate().filter(move |(_, number)| number.shape == on.shape);
+        own.filter_map(move |(variable, number)| {
+            let (place, normal) = on.slope(&entries[on.shape], number.part)?;
+            Some(Slope { variable, place, normal })
+        })
+    }
+
+    /// The weight of each point that moves the fluid, at a place of the first state, and their sum.
+    fn weights(&self, n: usize, base: &[f64], particle: usize) -> (Vec<f64>, f64) {
+        let dimension = self.domain.dimension;
+        let weight = |point: &Point| {
+            let apart = |d: usize| self.domain.nearest(d, base[d * n + particle] - base[d * n + point.particle]);
+            let square: f64 = (0..dimension).map(|d| apart(d).powi(2)).sum();
+            1.0 / (square * square)
+        };
+        let weights: Vec<f64> = self.points.iter().map(|point| if point.leads { weight(point) } else { 0.0 }).collect();
+        let sum = weights.iter().sum();
+        (weights, sum)
+    }
+
+    /// Moves the particles of the first state `[F, N]`.
+    pub(super) fn deform(&self, n: usize, changes: &[f64], state: &mut [f64]) {
+        // Nothing to the bit where nothing changes.
+        if changes.iter().all(|&change| change == 0.0) {
+            return;
+        }
+        let (dimension, entries, base) = (self.domain.dimension, self.changed(changes), state.to_vec());
+        let points: Vec<Moved> = self.points.iter().map(|point| self.moved(point.on, &entries)).collect();
+        let mut step = |particle: usize, by: Vector| {
+            for d in 0..dimension {
+                let x = &mut state[d * n + particle];
+                *x = self.domain.wrapped(d, *x + by[d]);
+            }
+        };
+        for (point, moved) in self.points.iter().zip(&points) {
+            step(point.particle, moved.by);
+        }
+        for &i in &self.fluid {
+            let (weights, total) = self.weights(n, &base, i);
+            let mut by = [0.0; 3];
+            for (weight, moved) in weights.iter().zip(&points) {
+                by = sum(by, scaled(weight / total, moved.by));
+            }
+            step(i, by);
+        }
+        let mut mirrors = Vec::with_capacity(self.dummies.len());
+        for dummy in &self.dummies {
+            let moved = self.moved(Some(dummy.foot), &entries);
+            step(dummy.particle, minus(moved.by, scaled(dummy.depth, moved.turned)));
+            mirrors.push(sum(moved.by, scaled(dummy.depth, moved.turned)));
+        }
+        for (dummy, by) in self.dummies.iter().zip(mirrors) {
+            (0..dimension).for_each(|d| state[(self.vector + d) * n + dummy.particle] += by[d]);
+        }
+        for (point, moved) in self.points.iter().zip(&points) {
+            if let Some(normal) = moved.normal.filter(|_| point.leans) {
+                (0..dimension).for_each(|d| state[(self.vector + d) * n + point.particle] = normal[d]);
+            }
+        }
+    }
+
+    /// The adjoint of [`Self::deform`]: adds to the derivative by the changes.
+    pub(super) fn pull_back<R: Real>(
+        &self,
+        n: usize,
+        base: &[f64],
+        changes: &[f64],
+        state_bar: &[R],
+        changes_bar: &mut [f64],
+    ) {
+        let (dimension, entries) = (self.domain.dimension, self.changed(changes));
+        let bar = |row: usize, i: usize| -> Vector {
+            std::array::from_fn(|d| if d < dimension { state_bar[(row + d) * n + i].f64() } else { 0.0 })
+        };
+        let mut places: Vec<Vector> = self.points.iter().map(|point| bar(0, point.particle)).collect();
+        for &i in &self.fluid {
+            let (weights, total) = self.weights(n, base, i);
+            let fluid = bar(0, i);
+            for (place, weight) in places.iter_mut().zip(weights) {
+                *place = sum(*place, scaled(weight / total, fluid));
+            }
+        }
+        let mut add = |on: On, place: Vector, normal: Vector| {
+            for slope in self.slopes(on, &entries) {
+                changes_bar[slope.variable] += dot(slope.place, place) + dot(slope.normal, normal);
+            }
+        };
+        for (point, place) in self.points.iter().zip(places) {
+            if let Some(on) = point.on {
+                add(on, place, if point.leans { bar(self.vector, point.particle) } else { [0.0; 3] });
+            }
+        }
+        for dummy in &self.dummies {
+            let (place, mirror) = (bar(0, dummy.particle), bar(self.vector, dummy.particle));
+            add(dummy.foot, sum(place, mirror), scaled(dummy.depth, minus(mirror, place)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::custom::Fill;
+
+    fn entry(kind: Kind) -> ShapeEntry {
+        let two = |x: f64, y: f64| Some(vec![x, y]);
+        let points = || Some(vec![[0.2, 0.2], [0.7, 0.3], [0.4, 0.8]]);
+        let entry = ShapeEntry { kind, fill: Fill::Wall, ..ShapeEntry::default() };
+        match kind {
+            Kind::Disc => ShapeEntry { centre: two(0.4, 0.5), radius: Some(0.2), ..entry },
+            Kind::Box => ShapeEntry { lower: two(0.3, 0.2), upper: two(0.6, 0.7), ..entry },
+            Kind::Polyline => ShapeEntry { points: points(), thickness: Some(0.1), ..entry },
+            _ => ShapeEntry { points: points(), ..entry },
+        }
+    }
+
+    /// A shape with a point, a dummy particle and some fluid, whose numbers are all variables; and its first state.
+    fn shapes(kind: Kind, place: [f64; 2], normal: [f64; 2]) -> (Shapes, Vec<f64>) {
+        let entry = entry(kind);
+        let parts: Vec<Part> = match kind {
+            Kind::Disc => vec![Part::Centre(0), Part::Centre(1), Part::Radius],
+            Kind::Box => vec![Part::Lower(0), Part::Lower(1), Part::Upper(0), Part::Upper(1)],
+            Kind::Polyline => (0..6).map(|k| Part::Point(k / 2, k % 2)).chain([Part::Thickness]).collect(),
+            _ => (0..6).map(|k| Part::Point(k / 2, k % 2)).collect(),
+        };
+        let numbers = parts.into_iter().map(|part| ShapeNumber { shape: 0, part }).collect();
+        let (place, normal) = ([place[0], place[1], 0.0], [normal[0], normal[1], 0.0]);
+        let on = On::of(0, &entry, place, normal).unwrap();
+        let point = |particle, on, leans| Point { particle, on, leans, leads: true };
+        let domain = Domain { dimension: 2, size: [2.0; 3], periodic: [true, false, false] };
+        let shapes = Shapes {
+            entries: vec![entry],
+            numbers,
+            domain,
+            vector: 2,
+            points: vec![point(0, Some(on), true), point(1, None, false)],
+            dummies: vec![Dummy { particle: 2, foot: on, depth: 0.03 }],
+            fluid: vec![3, 4],
+        };
+        let mut state = vec![0.0; 20];
+        let mut put = |i: usize, at: Vector, vector: Vector| {
+            for d in 0..2 {
+                (state[d * 5 + i], state[(2 + d) * 5 + i]) = (at[d], vector[d]);
+            }
+        };
+        put(0, place, normal);
+        put(1, [1.5, 1.2, 0.0], [0.0; 3]);
+        put(2, minus(place, scaled(0.03, normal)), sum(place, scaled(0.03, normal)));
+        put(3, sum(place, scaled(0.1, normal)), [0.3, 0.1, 0.0]);
+        put(4, [1.2, 0.9, 0.0], [0.2, 0.4, 0.0]);
+        (shapes, state)
+    }
+
+    /// Places on each kind of shape, with normals: on edges and sides, at a corner and at a round end.
+    fn cases() -> Vec<(Kind, [f64; 2], [f64; 2])> {
+        let edge = [0.5 / 0.26f64.sqrt(), 0.1 / 0.26f64.sqrt()];
+        let below = [edge[1], -edge[0]];
+        vec![
+            (Kind::Disc, [0.4 + 0.2 * 0.6, 0.5 + 0.2 * 0.8], [0.6, 0.8]),
+            (Kind::Box, [0.6, 0.45], [1.0, 0.0]),
+            (Kind::Polygon, [0.45, 0.25], below),
+            (Kind::Polygon, [0.2, 0.2], [-0.8, -0.6]),
+            (Kind::Polyline, [0.45 + 0.05 * below[0], 0.25 + 0.05 * below[1]], below),
+            (Kind::Polyline, [0.2 - 0.05 * 0.8, 0.2 - 0.05 * 0.6], [-0.8, -0.6]),
+        ]
+    }
+
+    fn deformed(shapes: &Shapes, base: &[f64], changes: &[f64]) -> Vec<f64> {
+        let mut state = base.to_vec();
+        shapes.deform(5, changes, &mut state);
+        state
+    }
+
+    #[test]
+    fn what_is_moved_stays_on_its_shape() {
+        for (kind, place, normal) in cases() {
+            let (shapes, base) = shapes(kind, place, normal);
+            assert_eq!(deformed(&shapes, &base, &vec![0.0; shapes.numbers.len()]), base);
+            let changes: Vec<f64> = (0..shapes.numbers.len()).map(|k| 0.02 * ((k * k + 1) as f64).sin()).collect();
+            let state = deformed(&shapes, &base, &changes);
+            let at = |i: usize, row: usize| [state[row * 5 + i], state[(row + 1) * 5 + i], 0.0];
+            // The same place of the changed shape: and so it has no further to go.
+            let entries = shapes.changed(&changes);
+            let (found, before) = (On::of(0, &entries[0], at(0, 0), at(0, 2)).unwrap(), shapes.points[0].on.unwrap());
+            let same = found.moved(&entries[0], &entries[0]).by == [0.0; 3];
+            let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
+            assert!(same);
+            match (found.at, before.at) {
+                (At::Round(a), At::Round(b)) | (At::Box(a), At::Box(b)) => {
+                    assert!((0..2).all(|d| close(a[d], b[d])), "{a:?} {b:?}")
+                }
+                (
+                    At::Edge { to, share, away, faces },
+                    At::Edge { to: to_b, share: b, away: away_b, faces: faces_b },
+                ) => {
+                    assert!(to == to_b && close(share, b) && faces == faces_b);
+                    assert!(kind == Kind::Polygon || away == away_b);
+                }
+                (At::Corner(a, u), At::Corner(b, v)) => {
+                    assert!(a == b && (kind == Kind::Polygon || (0..2).all(|d| close(u[d], v[d]))))
+                }
+                other => panic!("{other:?}"),
+            }
+            // The dummy particle is as deep as before, and its mirror image as far in front, along the normal.
+            let (dummy, mirror) = (at(2, 0), at(2, 2));
+            let middle = scaled(0.5, sum(dummy, mirror));
+            assert!((0..2).all(|d| close(middle[d], at(0, 0)[d])));
+            let across = scaled(0.5 / 0.03, minus(mirror, dummy));
+            assert!(close(dot(across, across), 1.0) && (0..2).all(|d| close(across[d], at(0, 2)[d])), "{kind:?}");
+            // What is near moves more than what is far, and the wall at rest stays.
+            let step = |i: usize| (state[i] - base[i]).hypot(state[5 + i] - base[5 + i]);
+            assert!(step(1) == 0.0 && step(3) > 10.0 * step(4), "{} {}", step(3), step(4));
+        }
+    }
+
+    #[test]
+    fn adjoint_is_the_derivative() {
+        for (kind, place, normal) in cases() {
+            let (shapes, base) = shapes(kind, place, normal);
+            let count = shapes.numbers.len();
+            let changes: Vec<f64> = (0..count).map(|k| 0.02 * ((k * k + 2) as f64).cos()).collect();
+            let bar: Vec<f64> = (0..20).map(|k| ((3 * k + 1) as f64).sin()).collect();
+            let mut found = vec![0.0; count];
+            shapes.pull_back(5, &base, &changes, &bar, &mut found);
+            for k in 0..count {
+                let value = |h: f64| -> f64 {
+                    let mut changes = changes.clone();
+                    changes[k] += h;
+                    deformed(&shapes, &base, &changes).iter().zip(&bar).map(|(x, bar)| x * bar).sum()
+                };
+                let difference = (value(1e-5) - value(-1e-5)) / 2e-5;
+                assert!((found[k] - difference).abs() < 1e-8, "{kind:?}, {k}: {} {difference}", found[k]);
+            }
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! Designs of scenes of one's own: gradients by the numbers of shapes, moved particles against particles placed anew, wrong
+//! variables, and the program as users run it.
+
+use assert_cmd::Command;
+use hydrograd::adjoint::schedule::Schedule;
+use hydrograd::config::scene::Config;
+use hydrograd::design::Problem;
+use hydrograd::particles::tag;
+use hydrograd::scene::Scene;
+use std::path::Path;
+
+fn load(text: &str) -> Result<Config, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    std::fs::write(&file, format!("scene = \"custom\"\n{text}")).unwrap();
+    let loaded = Config::load(file.to_str(), None, &[]).map_err(|error| error.to_string())?;
+    // What a run writes down is what it was given.
+    assert_eq!(toml::from_str::<Config>(&loaded.text).unwrap(), loaded.config);
+    Ok(loaded.config)
+}
+
+pub fn problem(text: &str) -> Problem<f64> {
+    let config = load(text).unwrap_or_else(|error| panic!("{error}"));
+    Scene::problem(&config).unwrap().unwrap()
+}
+
+pub fn variable(number: &str, lower: f64, upper: f64) -> String {
+    format!("[[variables]]\nnumber = \"shapes[0].{number}\"\nlower = {lower}\nupper = {upper}\n")
+}
+
+/// A warm obstacle in a short channel, so that everything is seen after a few steps.
+pub fn channel(shape: &str, variables: &[String], kind: &str) -> String {
+    format!(
+        "[[shapes]]\n{shape}\ntemperature = 2.0\n{}[region]\nsize = [0.6, 0.4]\nacceleration = [0.6, 0.0]\n\
+         [initial]\nvelocity = [\"9*y*(0.4 - y)\", 0]\ntemperature = \"1 + x\"\n[resolution]\ndx = 0.04\n\
+         [fluid]\nviscosity = 0.02\nconductivity = 0.02\n[time]\nsteps = 12\n\
+         [objective]\nkind = \"{kind}\"\ntarget_x = 0.5\nwindow = 0.01\nsamples = 2\n[optimise]\ngradient = \"segments\"\n",
+        variables.concat()
+    )
+}
+
+/// Relative difference of the gradient and central differences along a direction in which every variable takes part.
+pub fn gradient_error(problem: &Problem<f64>) -> f64 {
+    let direction: Vec<f64> = (0..problem.first.len()).map(|k| 0.6 + 0.4 * ((k * k) as f64).cos()).collect();
+    let schedule = Schedule::every_state(problem.steps, 0, false);
+    let gradient = problem.differentiate(&problem.first, &schedule, &mut |_| ()).unwrap().by_variables;
+    let along: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    let value = |h: f64| {
+        let at: Vec<f64> = problem.first.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
+        problem.evaluate(&at).unwrap()
+    };
+    for h in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] { println!("{h:e} {:e} along {along:e} value {:e}", (value(h) - value(-h)) / (2.0 * h) / along - 1.0, value(0.0)); }
+    [1e-4, 1e-5, 1e-6, 1e-7]
+        .map(|h| ((value(h) - value(-h)) / (2.0 * h) / along - 1.0).abs())
+        .into_iter()
+        .fold(1.0, f64::min)
+}
+
+#[test]
+fn gradients_are_those_of_differences() {
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.19]\nradius = 0.08";
+    let of_disc =
+        [variable("centre[0]", 0.2, 0.4), variable("centre[1]", 0.1, 0.3), variable("radius", 0.05, 0.1)].to_vec();
+    let boxed = "kind = \"box\"\nlower = [0.22, 0.0]\nupper = [0.38, 0.1]";
+    let of_box = [variable("upper[0]", 0.3, 0.45), variable("upper[1]", 0.05, 0.15)].to_vec();
+    let line = "kind = \"polyline\"\npoints = [[0.2, 0.15], [0.4, 0.22]]\nthickness = 0.1";
+    let of_line =
+        [variable("points[0][1]", 0.1, 0.2), variable("points[1][1]", 0.15, 0.25), variable("thickness", 0.08, 0.12)];
+    let polygon = "kind = \"polygon\"\npoints = [[0.15, -0.1], [0.45, -0.1], [0.4, 0.12], [0.25, 0.1]]";
+    let of_polygon = [variable("points[2][1]", 0.05, 0.15), variable("points[3][0]", 0.2, 0.3)];
+    for (shape, variables, kind) in [
+        (disc, &of_disc, "heat-outflow"),
+        (disc, &of_disc, "flow-rate"),
+        (disc, &of_disc, "wall-heat"),
+        (disc, &of_disc, "outlet-temperature"),
+        (boxed, &of_box, "heat-outflow"),
+        (line, &of_line.to_vec(), "heat-outflow"),
+        (polygon, &of_polygon.to_vec(), "heat-outflow"),
+    ] {
+        let error = gradient_error(&problem(&channel(shape, variables, kind)));
+        assert!(error < 1e-6, "{shape}, {kind}: {error:e}");
+    }
+}
+
+#[test]
+fn gradients_in_three_dimensions_are_those_of_differences() {
+    let text = format!(
+        "[[shapes]]\nkind = \"disc\"\ncentre = [0.4, 0.3, 0.4]\nradius = 0.15\n{}{}[region]\nsize = [0.8, 0.6, 0.8]\n\
+         periodic = [true, false, true]\nacceleration = [0.6, 0.0, 0.0]\n[resolution]\ndx = 0.1\n[time]\nsteps = 8\n\
+         [objective]\ntarget_x = 0.6\nwindow = 0.0\n[optimise]\ngradient = \"segments\"\n",
+        variable("centre[1]", 0.2, 0.4),
+        variable("radius", 0.1, 0.2)
+    );
+    let error = gradient_error(&problem(&text));
+    assert!(error < 1e-6, "{error:e}");
+}
+
+/// Particles that were moved stand on the surface that particles placed anew stand on, and a flow past them is the same.
+#[test]
+fn moved_shapes_are_shapes() {
+    let of = |y: f64, radius: f64| {
+        let disc = format!("kind = \"disc\"\ncentre = [0.6, {y}]\nradius = {radius}");
+        let variables = [variable("centre[1]", 0.15, 0.25), variable("radius", 0.06, 0.1)];
+        let text = channel(&disc, &variables, "flow-rate")
+            .replace("dx = 0.04", "dx = 0.02")
+            .replace("steps = 12", "end = 1.0");
+        problem(&text.replace("size = [0.6, 0.4]", "size = [1.2, 0.4]").replace("window = 0.01", "window = 0.2"))
+    };
+    let (first, anew) = (of(0.2, 0.08), of(0.21, 0.09));
+    // 0.21 and 0.09 are these shares of the ways.
+    let variables = [0.6, 0.75];
+    let start = first.start(&variables);
+    let n = first.model.particles();
+    let on_disc = (0..n).filter(|&i| {
+        let tag = first.model.tags[i];
+        let y = start.state[n + i];
+        (tag == tag::SURFACE || tag == tag::HOT_SURFACE) && y > 0.05 && y < 0.35
+    });
+    let mut count = 0;
+    for i in on_disc {
+        let away = (start.state[i] - 0.6).hypot(start.state[n + i] - 0.21);
+        assert!((away - 0.09).abs() < 1e-12, "{away}");
+        count += 1;
+    }
+    assert!(count > 40, "{count} points");
+    // No fluid in the disc, or nearer to it than it may begin.
+    let nearest =
+        (0..n).filter(|&i| first.model.is_fluid(i)).map(|i| (start.state[i] - 0.6).hypot(start.state[n + i] - 0.21));
+    assert!(nearest.fold(1.0, f64::min) > 0.09 + 0.25 * 0.02);
+    let (moved, placed) = (first.evaluate(&variables).unwrap(), anew.evaluate(&anew.first).unwrap());
+    let before = first.evaluate(&first.first).unwrap();
+    assert!(placed < 0.95 * before, "a thicker disc resists more: {before} {placed}");
+    assert!((moved / placed - 1.0).abs() < 0.01, "{moved} {placed}");
+}
+
+#[test]
+fn differences_of_runs_are_a_gradient() {
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.2]\nradius = 0.08";
+    let text = channel(disc, &[variable("centre[1]", 0.1, 0.3), variable("radius", 0.08, 0.1)], "flow-rate");
+    let exact = problem(&text);
+    let differences = problem(&text.replace("segments\"", "differences\"\ndifference = 1e-3"));
+    let schedule = Schedule::every_state(exact.steps, 0, false);
+    let [exact, found] =
+        [&exact, &differences].map(|one| one.differentiate(&one.first, &schedule, &mut |_| ()).unwrap());
+    assert_eq!(exact.value, found.value);
+    // At its lower limit the radius has a one-sided difference.
+    assert!((exact.by_variables[1] / found.by_variables[1] - 1.0).abs() < 1e-2, "{exact:?} {found:?}");
+    // One run as it is, two by the centre, one by the radius, which can not become smaller.
+    assert!(found.solver_steps >= 4 * 12);
+}
+
+#[test]
+fn wrong_variables_are_one_clear_error() {
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.2]\nradius = 0.08";
+    let with = |variables: &[String]| channel(disc, variables, "heat-outflow");
+    let radius = || variable("radius", 0.06, 0.1);
+    let good = with(&[radius()]);
+    load(&good).unwrap();
+    let cases = [
+        (
+            with(&[variable("height", 0.0, 1.0)]),
+            &["variables[0].number", "no shape has such a number", "shapes[0].radius"][..],
+        ),
+        (with(&[variable("centre[2]", 0.0, 1.0)]), &["shapes[0].centre[2]", "shapes[0].centre[1]"]),
+        (with(&[radius(), radius()]), &["variables[1].number", "for the second time"]),
+        (with(&[variable("radius", 0.1, 0.06)]), &["variables[0].upper = 0.06 with lower = 0.1", "upper above lower"]),
+        (with(&[variable("radius", 0.09, 0.1)]), &["is 0.08, outside of its limits", "0.09 ... 0.1"]),
+        (with(&[variable("radius", -0.1, 0.1)]), &["may become -0.1, but shapes[0].radius"]),
+        (
+            good.replace("temperature = 2.0", "temperature = \"2 + x\""),
+            &["values are formulas: 2 + x", "numbers, or none"],
+        ),
+        (good.replace("\"heat-outflow\"", "\"nothing\""), &["nothing", "flow-rate"]),
+        (
+            good.replace("temperature = \"1 + x\"\n", "").replace("temperature = 2.0\n", ""),
+            &["about heat", "flow-rate"],
+        ),
+        (good.replace("target_x = 0.5", "target_x = 5.0"), &["objective.target_x = 5 is outside", "0 ... 0.6"]),
+        (good.replace("\"segments\"", "\"steady\""), &["optimise.gradient = steady", "differences"]),
+        (good.replace("[fluid]", "[fluid]\nformulation = \"standard\""), &["variables in the standard formulation"]),
+        (good.replace("window = 0.01", "window = 10.0"), &["objective.window = 10 is longer than the run"]),
+        (format!("variables = 3\n{disc}"), &["variables", "mine.toml"]),
+    ];
+    for (text, parts) in cases {
+        let error = load(&text).err().unwrap_or_else(|| panic!("accepted: {text}"));
+        for part in parts {
+            assert!(error.contains(part), "{text}\n{error}\nhas no `{part}`");
+        }
+    }
+}
+
+fn hydrograd(folder: &Path, arguments: &[&str]) -> (bool, String) {
+    let mut command = Command::cargo_bin("hydrograd").unwrap();
+    let output = command.current_dir(folder).args(arguments).args(["--threads", "1"]).output().unwrap();
+    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    (output.status.success(), text)
+}
+
+/// A thinner obstacle lets more through: found, verified on particles placed anew, resumable, and its file runs.
+#[test]
+fn optimize_finds_a_better_shape() {
+    let folder = tempfile::tempdir().unwrap();
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.2]\nradius = 0.09";
+    let text = channel(disc, &[variable("centre[1]", 0.18, 0.22), variable("radius", 0.06, 0.1)], "flow-rate");
+    let text = text
+        .replace("steps = 12", "end = 0.4")
+        .replace("window = 0.01", "window = 0.1")
+        .replace("segments", "differences");
+    std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{text}")).unwrap();
+    let (done, text) =
+        hydrograd(folder.path(), &["optimize", "mine.toml", "--epochs", "2", "--out", "a", "--no-verify"]);
+    assert!(done, "{text}");
+    let (done, text) = hydrograd(folder.path(), &["optimize", "--resume", "a", "--epochs", "4"]);
+    assert!(
+        done && text.contains("gain that survives: +") && text.contains("shapes[0].radius (0.06 ... 0.1)"),
+        "{text}"
+    );
+    let (done, text) =
+        hydrograd(folder.path(), &["optimize", "mine.toml", "--epochs", "4", "--out", "b", "--no-verify"]);
+    assert!(done, "{text}");
+    let read = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(folder.path().join(name).join("summary.json")).unwrap()).unwrap()
+    };
+    let (resumed, whole) = (read("a"), read("b"));
+    assert_eq!(resumed["variables"], whole["variables"]);
+    assert_eq!(resumed["v_per_epoch"], whole["v_per_epoch"]);
+    assert!(whole["v"].as_f64().unwrap() > 1.02 * whole["v_first"].as_f64().unwrap());
+    assert!(whole["variables"][1]["best"].as_f64().unwrap() < 0.08 && whole.get("wall_heat_flux").is_some());
+    for file in ["best.toml", "history.png", "flow.png", "temperature.png", "state.h5", "particles/particles.pvd"] {
+        assert!(folder.path().join("a").join(file).exists(), "{file}");
+    }
+    let (done, text) = hydrograd(
+        folder.path(),
+        &["simulate", "a/best.toml", "--set", "time.steps=3", "--set", "objective.window=0", "--out", "c"],
+    );
+    assert!(done, "{text}");
+    // What a scene without variables, and what variables, do not have.
+    std::fs::write(folder.path().join("none.toml"), "scene = \"custom\"\n").unwrap();
+    let (done, text) = hydrograd(folder.path(), &["optimize", "none.toml"]);
+    assert!(!done && text.contains("names no number of a shape that may change"), "{text}");
+    for more in [&["--start", "sine"][..], &["--dynamics", "surrogate"], &["--compare"], &["--start", "all"]] {
+        let (done, text) = hydrograd(folder.path(), &[&["optimize", "mine.toml"][..], more].concat());
+        assert!(!done && text.contains("is not a key of scene custom"), "{more:?}: {text}");
+    }
+}
