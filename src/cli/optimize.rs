@@ -60,6 +60,8 @@ Examples:
       the solver judges what the corrected model proposes near the best wall so far
   hydrograd optimize --compare --out runs/compared
       solver, surrogate, both, a trust region and CMA-ES: gain, steps of the solver, time, memory, gradients
+  hydrograd optimize data/scenes/examples/cylinder.toml
+      a scene of your own: the numbers of its shapes that its `variables` name
   hydrograd optimize --resume runs/optimize-heated-channel --epochs 80
       go on with a run, up to 80 epochs in all")]
 pub struct OptimizeArguments {

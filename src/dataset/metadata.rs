@@ -63,6 +63,9 @@ impl Heat {
     }
 }
 
+/// A box is at most this long, in spacings: its cells are counted.
+const MOST_SPACINGS: f64 = 1e6;
+
 impl Metadata {
     /// Reads `metadata.json` of a data set's folder.
     ///
@@ -99,6 +102,35 @@ impl Metadata {
             Some(value) => Err(damaged(format!("{name} is {value}, must be > 0"))),
             None => Ok(()),
         };
+        let finite = |name: &str, values: &[f64]| match values.iter().find(|v| !v.is_finite()) {
+            Some(value) => Err(damaged(format!("{name} is {value}, must be a finite number"))),
+            None => Ok(()),
+        };
+        finite("vel_mean", &metadata.vel_mean[..d])?;
+        finite("acc_mean", &metadata.acc_mean[..d])?;
+        positive("dt", &[metadata.dt])?;
+        if metadata.write_every == 0 {
+            return Err(damaged("write_every is 0, must be at least 1".into()));
+        }
+        for (k, bounds) in metadata.bounds[..d].iter().enumerate() {
+            let size = bounds[1] - bounds[0];
+            let most = MOST_SPACINGS * metadata.dx;
+            if !(size > 0.0 && size <= most) {
+                return Err(damaged(format!(
+                    "bounds[{k}] is {bounds:?}, must go up, by at most {most:e} ({MOST_SPACINGS:e} dx)"
+                )));
+            }
+        }
+        if let Some(heat) = &metadata.heat {
+            positive("heat.temperature_std", &[heat.temperature_std])?;
+            positive("heat.change_std", &[heat.change_std])?;
+            positive(
+                "heat.diffusivity, .conductivity, .heat_capacity",
+                &[heat.diffusivity, heat.conductivity, heat.heat_capacity],
+            )?;
+            finite("heat.temperature_mean", &[heat.temperature_mean])?;
+            finite("heat.change_mean", &[heat.change_mean])?;
+        }
         positive("dx", &[metadata.dx])?;
         positive("default_connectivity_radius", &[metadata.default_connectivity_radius])?;
         positive("vel_std", &metadata.vel_std[..d])?;

@@ -5,7 +5,7 @@
 //! f64 (the shape of the wall).
 
 use super::metadata::Metadata;
-use crate::io::hdf5_file::{failed, missing, open, read_dataset};
+use crate::io::hdf5_file::{failed, mismatch, missing, open, read_dataset};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -93,7 +93,46 @@ pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Ve
     let file = open(path, "data set")?;
     let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
     names.sort();
-    names.into_iter().map(|name| read_trajectory(path, &file, metadata.dim, name)).collect()
+    names
+        .into_iter()
+        .map(|name| {
+            let trajectory = read_trajectory(path, &file, metadata.dim, name)?;
+            check(path, metadata, &trajectory)?;
+            Ok(trajectory)
+        })
+        .collect()
+}
+
+/// Places are in the box or not far from it (walls stand around it), and temperatures are there if the data have heat.
+fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<(), FileError> {
+    let (d, size, name) = (metadata.dim, metadata.size(), &trajectory.name);
+    let is_near = |k: usize, x: f32| {
+        let [lower, upper] = metadata.bounds[k % d];
+        (lower - size[k % d]..=upper + size[k % d]).contains(&f64::from(x))
+    };
+    let place = |k: usize| format!("frame {}, particle {}", k / d / trajectory.particles, k / d % trajectory.particles);
+    if let Some((k, x)) = trajectory.position.iter().enumerate().find(|(k, x)| !is_near(*k, **x)) {
+        let allowed = format!("within a box's length of the bounds {:?}", metadata.bounds[k % d]);
+        return Err(mismatch(path, &format!("{name}/position"), format!("{x} in {}", place(k)), &allowed));
+    }
+    let temperature = trajectory.temperature.as_deref();
+    if let Some((k, t)) = temperature.into_iter().flatten().enumerate().find(|(_, t)| !t.is_finite()) {
+        return Err(mismatch(
+            path,
+            &format!("{name}/temperature"),
+            format!("{t} in {}", place(k * d)),
+            "finite numbers",
+        ));
+    }
+    if metadata.heat.is_some() && temperature.is_none() {
+        return Err(missing(
+            path,
+            "dataset",
+            &format!("{name}/temperature"),
+            vec!["what metadata.json without heat has".into()],
+        ));
+    }
+    Ok(())
 }
 
 /// One trajectory of an open file; `dim` is D.
@@ -112,15 +151,10 @@ pub(super) fn read_trajectory(
     }
     let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
     let &[frames, particles, dimension] = shape.as_slice() else {
-        return Err(crate::io::hdf5_file::mismatch(
-            path,
-            &format!("{name}/position"),
-            format!("of shape {shape:?}"),
-            "of shape [T, N, D]",
-        ));
+        return Err(mismatch(path, &format!("{name}/position"), format!("of shape {shape:?}"), "of shape [T, N, D]"));
     };
     if dimension != dim {
-        return Err(crate::io::hdf5_file::mismatch(
+        return Err(mismatch(
             path,
             &format!("{name}/position"),
             format!("of shape {shape:?}"),
@@ -136,7 +170,7 @@ pub(super) fn read_trajectory(
     };
     let kinds: Vec<i32> = read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default();
     if let Some(odd) = kinds.iter().find(|k| !(kind::PADDING..kind::COUNT).contains(*k)) {
-        return Err(crate::io::hdf5_file::mismatch(
+        return Err(mismatch(
             path,
             &format!("{name}/particle_type"),
             format!("{odd} for a particle"),

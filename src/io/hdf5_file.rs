@@ -25,6 +25,11 @@ pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> 
     })
 }
 
+/// A new file, whose structure carries checksums (HDF5 1.10 and later read it).
+pub fn create(path: &Path) -> hdf5::Result<hdf5::File> {
+    hdf5::File::with_options().with_fapl(|access| access.libver_v110()).create(path)
+}
+
 /// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
 pub fn failed<'a>(
     path: &'a Path,
@@ -55,7 +60,7 @@ pub fn write_dataset<T: H5Type>(
     write_chunked(path, group, name, shape, &chunk, values)
 }
 
-/// The same in chunks of a shape. No time of writing is stored: equal values give equal bytes.
+/// The same in chunks of a shape, each with a checksum. No time of writing is stored: equal values give equal bytes.
 pub fn write_chunked<T: H5Type>(
     path: &Path,
     group: &hdf5::Group,
@@ -66,7 +71,7 @@ pub fn write_chunked<T: H5Type>(
 ) -> Result<(), FileError> {
     let builder = group.new_dataset::<T>().shape(shape).obj_track_times(false);
     // A chunk of no particles is not allowed. Shuffle before deflate: HDF5 refuses the other order.
-    let builder = if values.is_empty() { builder } else { builder.chunk(chunk).shuffle().deflate(4) };
+    let builder = if values.is_empty() { builder } else { builder.chunk(chunk).shuffle().deflate(4).fletcher32() };
     builder.create(name).and_then(|dataset| dataset.write_raw(values)).map_err(failed(path, "write")(name))
 }
 

@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// The metadata entry with the CRC-32C of the tensors' bytes; files of other programs have none.
+const CHECKSUM: &str = "crc32c";
 const FORMAT: &str = "safetensors file";
 const HINT_FILE: &str = "take an earlier checkpoint or start without one";
 const HINT_TENSOR: &str = "the file may come from another version or another kind of run";
@@ -92,10 +94,15 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
     let mut ordered: Vec<_> = tensors.iter().collect();
     ordered.sort_by_key(|(_, (_, data))| std::cmp::Reverse(data.kind().1));
 
+    let mut checksum = Checksum(0);
+    ordered
+        .iter()
+        .try_for_each(|(_, (_, data))| data.write_to(&mut checksum))
+        .map_err(|e| FileError::write(path, e))?;
+    let mut metadata = metadata.clone();
+    metadata.insert(CHECKSUM.to_owned(), checksum.text());
     let mut header = serde_json::Map::new();
-    if !metadata.is_empty() {
-        header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
-    }
+    header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
     let mut offset = 0;
     for (name, (shape, data)) in &ordered {
         let (dtype, bytes) = data.kind();
@@ -114,6 +121,26 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
         writer.write_all(&header)?;
         ordered.iter().try_for_each(|(_, (_, data))| data.write_to(writer))
     })
+}
+
+/// The CRC-32C of what is written to it.
+struct Checksum(u32);
+
+impl Checksum {
+    fn text(&self) -> String {
+        format!("{:08x}", self.0)
+    }
+}
+
+impl Write for Checksum {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0 = crc32c::crc32c_append(self.0, bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Contents of a tensor file, with access by name that explains what is wrong.
@@ -145,8 +172,18 @@ impl TensorFile {
             what: format!("{error} ({} bytes)", bytes.len()),
             hint: HINT_FILE,
         };
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
-        let metadata = header.metadata().clone().unwrap_or_default();
+        let (size, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
+        let mut metadata = header.metadata().clone().unwrap_or_default();
+        // Behind the header's own length, eight bytes.
+        let found = Checksum(crc32c::crc32c(&bytes[size + 8..]));
+        if metadata.remove(CHECKSUM).is_some_and(|expected| expected != found.text()) {
+            return Err(FileError::Damaged {
+                path: path.to_owned(),
+                format: FORMAT,
+                what: "its numbers are not those that were written (checksum)".to_owned(),
+                hint: HINT_FILE,
+            });
+        }
         let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
         let mut tensors = Tensors::new();
         for (name, view) in file.iter() {

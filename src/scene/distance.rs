@@ -88,7 +88,7 @@ impl Walls<'_> {
             }
             for image in &self.images {
                 let place = std::array::from_fn(|d| foot.place[d] + image[d]);
-                let s = of_entry(shape.entry, place, self.domain.dimension).abs();
+                let s = of_entry(shape.entry, place, &self.domain).abs();
                 if s < nearest.0 {
                     nearest = (s, Some((k, place)));
                 }
@@ -103,8 +103,7 @@ impl Walls<'_> {
         if shape.entry.kind == Kind::Where {
             return self.of_formula(shape, p);
         }
-        let of =
-            |image: &[f64; 3]| of_entry(shape.entry, std::array::from_fn(|d| p[d] + image[d]), self.domain.dimension);
+        let of = |image: &[f64; 3]| of_entry(shape.entry, std::array::from_fn(|d| p[d] + image[d]), &self.domain);
         self.images.iter().map(of).fold(f64::INFINITY, f64::min)
     }
 
@@ -138,7 +137,7 @@ impl Walls<'_> {
         (slope, slope.iter().map(|x| x * x).sum::<f64>().sqrt())
     }
 
-    /// The foot of a place; none where there is no wall near enough to have one.
+    /// The foot of a place; none where there is no wall near enough to have one, and deep between two walls that touch.
     pub fn foot(&self, p: [f64; 3]) -> Option<Foot> {
         let mut place = p;
         for _ in 0..TURNS {
@@ -155,7 +154,14 @@ impl Walls<'_> {
             true => along.map(|x| x * self.distance(p).signum() / length),
             false => self.normal(place)?,
         };
-        Some(Foot { place, normal })
+        let foot = Foot { place, normal };
+        // Where two walls touch, s is 0 within them too.
+        (self.distance(self.in_front(&foot)) > 0.0).then_some(foot)
+    }
+
+    /// A place in front of a foot.
+    fn in_front(&self, foot: &Foot) -> [f64; 3] {
+        std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
     }
 
     /// A place in the fluid, or if it is nearer to a wall than [`BESIDE`] the place that is so far in front of it.
@@ -171,10 +177,9 @@ impl Walls<'_> {
     /// Feet of places, each at least [`APART`] from all before it. None in a corner that walls meet in: they would tell it
     /// different things.
     pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
-        let in_front = |foot: &Foot| std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d]);
         let mut feet: Vec<Foot> = Vec::new();
         let mut cells = Cells::new(self);
-        for foot in places.filter_map(|place| self.foot(place)).filter(|foot| self.slope(in_front(foot)).1 > 0.9) {
+        for foot in places.filter_map(|place| self.foot(place)).filter(|foot| self.slope(self.in_front(foot)).1 > 0.9) {
             let near = |&k: &usize| self.apart(feet[k].place, foot.place) < APART * self.spacing;
             if !cells.around(foot.place).any(near) {
                 cells.add(foot.place, feet.len());
@@ -250,8 +255,9 @@ impl Cells {
     }
 }
 
-/// The distance from a shape itself.
-fn of_entry(entry: &ShapeEntry, p: [f64; 3], dimension: usize) -> f64 {
+/// The distance from a shape itself. A box that stands on a closed side of the domain has no surface there.
+fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
+    let dimension = domain.dimension;
     let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = entry;
     // Checked configurations have what their kind needs.
     let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
@@ -266,7 +272,18 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], dimension: usize) -> f64 {
     };
     match kind {
         Kind::Box => {
-            let beyond: Vec<f64> = (0..dimension).map(|d| (lower[d] - p[d]).max(p[d] - upper[d])).collect();
+            let reaches = |d: usize| -> (f64, f64) {
+                let touches = |place: f64, side: f64| (place - side).abs() < 1e-9 * domain.size[d];
+                let closed = !domain.periodic[d];
+                let low = if closed && touches(lower[d], 0.0) { f64::NEG_INFINITY } else { lower[d] };
+                (low, if closed && touches(upper[d], domain.size[d]) { f64::INFINITY } else { upper[d] })
+            };
+            let beyond: Vec<f64> = (0..dimension)
+                .map(|d| {
+                    let (low, high) = reaches(d);
+                    (low - p[d]).max(p[d] - high)
+                })
+                .collect();
             let outside = beyond.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
             outside + beyond.iter().fold(f64::NEG_INFINITY, |most, x| most.max(*x)).min(0.0)
         }
@@ -333,6 +350,11 @@ mod tests {
             let found = with(std::slice::from_ref(shape), all, 2, |walls| walls.distance([place[0], place[1], 0.0]));
             assert!((found - expected).abs() < 1e-9, "{shape:?} at {place:?}: {found} is not {expected}");
         }
+        // What stands on a side reaches into it.
+        let standing = ShapeEntry { lower: Some(vec![0.2, 0.0]), ..boxed.clone() };
+        let inside =
+            |periodic| with(std::slice::from_ref(&standing), periodic, 2, |walls| walls.distance([0.4, 0.05, 0.0]));
+        assert!((inside([true, false, true]) + 0.2).abs() < 1e-12 && (inside([true; 3]) + 0.05).abs() < 1e-12);
         // Through a periodic side; beside a side that is closed; fluid cut out of a wall.
         let near = [0.05, 0.5, 0.0];
         let at_edge = ShapeEntry { centre: Some(vec![0.95, 0.5]), ..disc(0.02, Fill::Wall) };

@@ -1,6 +1,7 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
 use crate::config::scene::Kernels;
+use crate::io::tensor_file::TensorFile;
 use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
@@ -29,6 +30,25 @@ pub struct Sizes {
     pub linears: usize,
     /// Columns of the embedding of the particle type.
     pub embedding: usize,
+}
+
+impl Sizes {
+    /// What a file is too small for: each of these sizes needs at least as many numbers. Asked before anything is made of them.
+    pub fn beyond(&self, file: &TensorFile) -> Option<String> {
+        let numbers: usize = file.tensors.values().map(|(_, data)| data.len()).sum();
+        let Self { node_features, edge_features, outputs, latent, rounds, linears, embedding } = *self;
+        let needed = [
+            ("node_features", node_features, latent),
+            ("edge_features", edge_features, latent),
+            ("outputs", outputs, latent),
+            ("latent", latent, latent),
+            ("rounds", rounds, latent.saturating_mul(latent)),
+            ("linears", linears, latent.saturating_mul(latent)),
+            ("embedding", embedding, latent),
+        ];
+        let found = needed.into_iter().find(|(_, size, each)| size.saturating_mul(*each) > numbers);
+        found.map(|(name, size, _)| format!("{name} = {size}, but the file has {numbers} numbers in all"))
+    }
 }
 
 pub struct Gns {

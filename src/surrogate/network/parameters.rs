@@ -72,7 +72,7 @@ impl Parameter {
     /// The numbers of all parts in a file, in their order.
     ///
     /// # Errors
-    /// One is missing or of another shape.
+    /// One is missing, of another shape, or has a number that is none: rectifiers would hide it.
     pub fn read(&self, file: &TensorFile, prefix: &str) -> std::result::Result<Vec<f64>, FileError> {
         let mut values = vec![0.0; self.count()];
         for (name, at, shape) in &self.parts {
@@ -85,6 +85,15 @@ impl Parameter {
                     found: format!("of shape {found:?}"),
                     allowed: format!("of shape {shape:?}"),
                     hint: "the file belongs to a model of other sizes",
+                });
+            }
+            if let Some(k) = numbers.iter().position(|x| !x.is_finite()) {
+                return Err(FileError::Mismatch {
+                    path: file.path.clone(),
+                    name,
+                    found: format!("{} at place {k}", numbers[k]),
+                    allowed: "of finite numbers".to_owned(),
+                    hint: "its training failed: take an earlier checkpoint",
                 });
             }
             values[at.clone()].copy_from_slice(&numbers);

@@ -108,6 +108,9 @@ pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
     };
     let mut setup: Setup =
         serde_json::from_str(text("setup")?).map_err(|error| bad(format!("its `setup`: {error}")))?;
+    if let Some(problem) = setup.sizes.beyond(&file) {
+        return Err(bad(format!("its `setup`: {problem}")));
+    }
     // Models that say nothing of their data are from before there was a choice.
     setup.features.unset_walls |= setup.data.is_none();
     let settings = toml::from_str(text("settings")?).map_err(|error| bad(format!("its `settings`: {error}")))?;
