@@ -1,0 +1,185 @@
+//! Configurations drawn at random: each is either refused with one clear error, or runs, or says that the run has diverged.
+//! Nothing panics. `HYDROGRAD_RANDOM=60` draws so many of each scene (about a thousand in all).
+
+use hydrograd::adjoint::run::run;
+use hydrograd::config::builtin::SCENES;
+use hydrograd::config::range::Range;
+use hydrograd::config::scene::{Config, Formulation, Kernels};
+use hydrograd::config::schema::{described, Schema};
+use hydrograd::error::Error;
+use hydrograd::numerics::random::{numbered, uniform};
+use hydrograd::scene::Scene;
+use hydrograd::sph::dynamics::Sph;
+use rand_chacha::ChaCha8Rng;
+use std::panic::{catch_unwind, AssertUnwindSafe};
+
+fn count() -> u32 {
+    std::env::var("HYDROGRAD_RANDOM").ok().and_then(|count| count.parse().ok()).unwrap_or(6)
+}
+
+fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
+    ((uniform(random) * count as f64) as usize).min(count - 1)
+}
+
+/// A value for a number: most are near the usual one, some at an end of what is allowed.
+fn value(random: &mut ChaCha8Rng, usual: f64, range: Range) -> f64 {
+    let near = if usual == 0.0 { uniform(random) } else { usual * 10f64.powf(2.0 * uniform(random) - 1.0) };
+    let ends = match range {
+        Range::Within(low, high) | Range::Above(low, high) | Range::Below(low, high) => [low, high],
+        Range::Positive => [1e-12, 1e12],
+        Range::NotNegative | Range::AtLeast(_) => [0.0, 1e12],
+        Range::Finite => [-1e12, 1e12],
+    };
+    match below(random, 8) {
+        0 => ends[0],
+        1 => ends[1],
+        2 => ends[0] + uniform(random) * (ends[1] - ends[0]),
+        _ => near,
+    }
+}
+
+/// What makes a scene large, or its run long: left as it is, or coarse.
+const LEFT: [&str; 7] = [
+    "time.end",
+    "time.steps",
+    "run.threads",
+    "design.control_points",
+    "design.control_points_across",
+    "channel.length",
+    "region.size",
+];
+
+fn coarse(scene: &str) -> &'static [&'static str] {
+    match scene {
+        "heated-channel" => &["resolution.dx=0.025"],
+        "heated-channel-3d" => {
+            &["resolution.dx=0.04", "channel.span=0.24", "design.bound=0.008", "design.amplitude=0.005"]
+        }
+        "dam-break" => &["resolution.dx=0.1"],
+        "dam-break-3d" => &["resolution.dx=0.2"],
+        "taylor-green-3d" | "lid-driven-cavity-3d" | "reverse-poiseuille-3d" => &["resolution.dx=0.1"],
+        "falling-block" => &[],
+        _ => &["resolution.dx=0.05"],
+    }
+}
+
+/// Most particles times steps that are waited for.
+const MOST: usize = 20_000;
+const STEPS: usize = 20;
+
+/// Whether the scene ran; what it did that it may not do.
+fn attempt(scene: &str, sets: &[String]) -> Result<bool, String> {
+    let loaded = match Config::load(Some(scene), None, sets) {
+        Ok(loaded) => loaded,
+        Err(Error::Input(bad)) if bad.to_string().len() < 4000 => return Ok(false),
+        Err(error) => return Err(format!("another error than of bad input, or a very long one: {error}")),
+    };
+    let scene = match Scene::<f64>::from_config(&loaded.config) {
+        Ok(scene) => scene,
+        Err(Error::Input(_)) => return Ok(false),
+        Err(error) => return Err(error.to_string()),
+    };
+    if scene.model.particles() * STEPS > 20 * MOST {
+        return Ok(false);
+    }
+    let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
+    let ended = run(&dynamics, &scene.start, STEPS, &mut []);
+    Ok(ended.is_ok())
+}
+
+#[test]
+fn random_numbers_run_or_are_refused() {
+    let (mut ran, mut all) = (0, 0);
+    for (place, scene) in SCENES.iter().enumerate() {
+        let keys: Vec<String> = described::<Config>(scene.text).into_iter().map(|(key, _)| key).collect();
+        let mut usual = scene.family().defaults();
+        usual.fluid.formulation = Formulation::Consistent;
+        let numbers: Vec<_> =
+            usual.numbers().into_iter().filter(|(key, ..)| keys.iter().any(|own| own == key)).collect();
+        let numbers: Vec<_> =
+            numbers.into_iter().filter(|(key, ..)| !LEFT.contains(key) && *key != "resolution.dx").collect();
+        for number in 0..count() {
+            let mut random = numbered(9, "rand", (1000 * place) as u32 + number);
+            let mut sets: Vec<String> = coarse(scene.name).iter().map(|set| set.to_string()).collect();
+            sets.push(format!("time.steps={STEPS}"));
+            if keys.iter().any(|key| key == "objective.window") {
+                sets.push("objective.window=0".into());
+            }
+            for _ in 0..1 + below(&mut random, 3) {
+                let (key, usual, range) = numbers[below(&mut random, numbers.len())];
+                let x = value(&mut random, usual, range);
+                let whole = usual.fract() == 0.0 && toml_is_whole(scene.text, key);
+                sets.push(if whole { format!("{key}={}", x.round() as i64) } else { format!("{key}={x:e}") });
+            }
+            if number % 3 == 0 && keys.iter().any(|key| key == "fluid.formulation") {
+                sets.push("fluid.formulation=standard".into());
+            }
+            let outcome = catch_unwind(AssertUnwindSafe(|| attempt(scene.name, &sets)));
+            match outcome {
+                Ok(Ok(done)) => ran += usize::from(done),
+                Ok(Err(problem)) => panic!("{} {sets:?}: {problem}", scene.name),
+                Err(_) => panic!("{} {sets:?} panicked", scene.name),
+            }
+            all += 1;
+        }
+    }
+    assert!(4 * ran > all, "only {ran} of {all} ran: they say little");
+}
+
+/// Whether a key's value in a scene's text is a whole number.
+fn toml_is_whole(text: &str, key: &str) -> bool {
+    let (section, name) = key.split_once('.').unwrap_or(("", key));
+    let section = text.split(&format!("[{section}]\n")).nth(1).unwrap_or_default();
+    let section = section.split("\n[").next().unwrap_or_default();
+    let start = format!("{name} = ");
+    let line = section.lines().map(|line| line.trim_start_matches("# ")).find(|line| line.starts_with(&start));
+    line.is_some_and(|line| line[start.len()..].parse::<i64>().is_ok())
+}
+
+/// Texts of scenes with lines lost, doubled, or with other characters in them.
+#[test]
+fn mutilated_files_are_read_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mine.toml");
+    let mut refused = 0;
+    let mut all = 0;
+    for (place, scene) in SCENES.iter().enumerate() {
+        let lines: Vec<&str> = scene.text.lines().filter(|line| !line.starts_with('#')).collect();
+        for number in 0..10 * count() {
+            let mut random = numbered(4, "mutt", (10_000 * place) as u32 + number);
+            let mut lines: Vec<String> = lines.iter().map(|line| line.to_string()).collect();
+            for _ in 0..1 + below(&mut random, 3) {
+                let at = below(&mut random, lines.len());
+                match below(&mut random, 4) {
+                    0 => drop(lines.remove(at)),
+                    1 => lines.insert(at, lines[at].clone()),
+                    2 => {
+                        let other = below(&mut random, lines.len());
+                        lines.swap(at, other);
+                    }
+                    _ => {
+                        let mut text: Vec<char> = lines[at].chars().collect();
+                        const ODD: [char; 16] =
+                            ['"', '[', ']', '=', '-', '.', '0', '9', 'e', '#', '{', '\'', ',', '\\', 'ü', '\u{0}'];
+                        let odd = ODD[below(&mut random, ODD.len())];
+                        match text.is_empty() {
+                            true => text.push(odd),
+                            false => text[below(&mut random, lines[at].chars().count())] = odd,
+                        }
+                        lines[at] = text.into_iter().collect();
+                    }
+                }
+            }
+            std::fs::write(&path, lines.join("\n")).unwrap();
+            let found = catch_unwind(|| Config::load(path.to_str(), None, &[]));
+            match found {
+                Ok(Ok(_)) => {}
+                Ok(Err(Error::Input(bad))) if bad.to_string().len() < 4000 => refused += 1,
+                Ok(Err(error)) => panic!("{}, {number}: another or a very long error: {error}", scene.name),
+                Err(_) => panic!("{}, {number}: panicked on\n{}", scene.name, lines.join("\n")),
+            }
+            all += 1;
+        }
+    }
+    assert!(2 * refused > all, "only {refused} of {all} were refused");
+}
