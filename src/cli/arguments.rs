@@ -70,6 +70,14 @@ pub struct ResumeArgument {
     pub resume: Option<PathBuf>,
 }
 
+/// Losing an earlier run.
+#[derive(Debug, Clone, Args)]
+pub struct OverwriteArgument {
+    /// Begin anew in a folder that holds an earlier run of this command: its files are lost.
+    #[arg(long, conflicts_with = "resume")]
+    pub overwrite: bool,
+}
+
 /// What gradients may use.
 #[derive(Debug, Clone, Args)]
 pub struct MemoryArgument {
@@ -155,17 +163,6 @@ impl CommonArguments {
         let folder = given.unwrap_or_else(|| Path::new("runs").join(format!("{subcommand}-{}", loaded.source.name())));
         check_writable(&folder)?;
         Ok(folder)
-    }
-}
-
-/// An error if a folder holds a file that only another command leaves.
-pub(super) fn check_own(folder: &Path, others: &[&str], allowed: &str) -> Result<(), BadInput> {
-    match others.iter().find(|file| folder.join(file).exists()) {
-        Some(file) => Err(BadInput::new(format!("the folder holds {file}, so it belongs to another command"))
-            .place(format!("--out {}", folder.display()))
-            .allowed(allowed)
-            .advice("another --out")),
-        None => Ok(()),
     }
 }
 

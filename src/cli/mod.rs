@@ -17,6 +17,7 @@ mod optimize_compare;
 mod prepare;
 mod recover;
 mod rollout;
+mod run_folder;
 mod scenes;
 mod simulate;
 mod simulate_report;

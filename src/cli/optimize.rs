@@ -1,8 +1,11 @@
 //! `hydrograd optimize`: the main job.
 
-use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
+use super::arguments::{
+    name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
+};
 use super::explain::explain;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
+use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
 use super::verify;
 use super::{files, optimize_compare};
 use crate::adjoint::gradient::Progress as Share;
@@ -19,7 +22,6 @@ use crate::design::problem::{Evaluation, ADJOINT};
 use crate::design::shape::{Shape, TOP};
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::{Progress, Tasks};
@@ -67,6 +69,8 @@ pub struct OptimizeArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub overwrite: OverwriteArgument,
     #[command(flatten)]
     pub explain: ExplainArgument,
     #[command(flatten)]
@@ -132,9 +136,24 @@ impl OptimizeArguments {
         self.common.load(self.resume.resume.as_deref(), vec![], options)
     }
 
-    /// Where results go; an error if nothing can be written there.
+    /// Where results go; an error if nothing can be written there. A finished run in the folder that nobody has named stays as it
+    /// is, and the new one goes to a folder with the next number.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+        let folder = self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)?;
+        if self.common.out.is_some() || self.resume.resume.is_some() || self.overwrite.overwrite {
+            return Ok(folder);
+        }
+        let numbered = |k: usize| PathBuf::from(format!("{}-{k}", folder.display()));
+        Ok(std::iter::once(folder.clone()).chain((2..).map(numbered)).find(|free| !is_finished(free)).unwrap_or(folder))
+    }
+
+    /// What its folder is marked with.
+    fn kind(&self) -> &'static str {
+        match self.start {
+            _ if self.compare => "optimize --compare",
+            Some(StartName::All) => "optimize --start all",
+            _ => KIND,
+        }
     }
 }
 
@@ -154,6 +173,8 @@ fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
     }
 }
 
+/// What the folder of a single run is marked with.
+const KIND: &str = "optimize";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Work units of the progress bar per epoch.
 const UNITS: u64 = 1000;
@@ -164,14 +185,21 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
     }
-    if arguments.compare {
-        return optimize_compare::run(&loaded, &folder);
-    }
-    if arguments.start == Some(StartName::All) {
-        return every_start(&loaded, &folder, &arguments);
-    }
     let resume = arguments.resume.resume.as_deref();
-    let outcome = one(&loaded, &folder, resume, "", &Tasks::default())?;
+    let otherwise = Earlier::of_options(false, arguments.overwrite.overwrite);
+    let (kind, earlier) = (arguments.kind(), earlier(&folder, resume, otherwise));
+    RunFolder::check(&folder, kind, earlier)?;
+    if kind != KIND {
+        let own = RunFolder::take(&folder, kind, earlier)?;
+        // Its parts only when all of it is there: what they have in common is made of each.
+        let parts = match arguments.compare {
+            true => optimize_compare::run(&loaded, &folder, earlier)?,
+            false => every_start(&loaded, &folder, earlier, &arguments)?,
+        };
+        own.finish()?;
+        return parts.iter().try_for_each(RunFolder::finish);
+    }
+    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier }, "", &Tasks::default())?;
     println!("{}", outcome.text);
     println!(
         "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
@@ -179,12 +207,21 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
         loaded.config.resolution.dx / 2.0
     );
-    if arguments.no_verify {
-        return Ok(());
+    if !arguments.no_verify {
+        let Outcome { first: reference, best, summary, .. } = outcome;
+        let verification =
+            Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
+        verified(&folder, summary, &verification)?;
     }
-    let Outcome { first: reference, best, summary, .. } = outcome;
-    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
-    verified(&folder, summary, &verification)
+    own.finish()
+}
+
+/// How a run begins.
+#[derive(Clone, Copy)]
+pub struct Begin<'a> {
+    /// The folder of the run that it goes on with.
+    pub resume: Option<&'a Path>,
+    pub earlier: Earlier,
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
@@ -210,23 +247,23 @@ pub struct Outcome {
 pub fn one(
     loaded: &Loaded,
     folder: &Path,
-    resume: Option<&Path>,
+    how: Begin<'_>,
     label: &str,
     tasks: &Tasks,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<(RunFolder, Outcome)> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, resume, label, tasks),
-        Precision::F64 => go::<f64>(loaded, folder, resume, label, tasks),
+        Precision::F32 => go::<f32>(loaded, folder, how, label, tasks),
+        Precision::F64 => go::<f64>(loaded, folder, how, label, tasks),
     }
 }
 
-fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) -> anyhow::Result<()> {
-    if arguments.resume.resume.is_some() {
-        return Err(BadInput::new("--resume together with --start all")
-            .allowed("one of them")
-            .advice(format!("--resume {}/flat (or random, linear, sine)", folder.display()))
-            .into());
-    }
+fn every_start(
+    loaded: &Loaded,
+    folder: &Path,
+    earlier: Earlier,
+    arguments: &OptimizeArguments,
+) -> anyhow::Result<Vec<RunFolder>> {
+    files::write_config(folder, loaded)?;
     let figure = Figure::of_config(&loaded.config);
     let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
@@ -244,9 +281,13 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let (tasks, threads) = (Tasks::default(), loaded.config.run.threads);
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
-        one(loaded, &folder.join(name), None, name, &tasks)
+        let folder = folder.join(name);
+        let resume = Some(folder.as_path()).filter(|own| earlier == Earlier::Resumed && is_unfinished(own, KIND));
+        one(loaded, &folder, Begin { resume, earlier }, name, &tasks)
     })?;
-    for ((name, loaded), outcome) in runs.into_iter().zip(outcomes) {
+    let mut owned = Vec::new();
+    for ((name, loaded), (own, outcome)) in runs.into_iter().zip(outcomes) {
+        owned.push(own);
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
@@ -279,12 +320,14 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
     println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
-    let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) else { return Ok(()) };
-    println!("the best of all began {name}");
-    all.insert("verified_start".into(), json!(name));
-    let reference = best.flat();
-    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
-    verified(folder, all, &verification)
+    if let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) {
+        println!("the best of all began {name}");
+        all.insert("verified_start".into(), json!(name));
+        let reference = best.flat();
+        let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
+        verified(folder, all, &verification)?;
+    }
+    Ok(owned)
 }
 
 /// `walls.png`, and `walls-top.png` where the top wall is shaped too: walls of several runs, the chosen one highlighted.
@@ -313,30 +356,30 @@ fn capitalised(text: &str) -> String {
 fn go<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    resume: Option<&Path>,
+    how: Begin<'_>,
     label: &str,
     tasks: &Tasks,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<(RunFolder, Outcome)> {
     let config = &loaded.config;
     let search = loaded.for_search()?;
     let (problem, _) = build::<R>(&search.config)?;
     // What pictures and reports show, if that is not what the optimiser sees.
-    let own = match search.config == *config {
+    let scene = match search.config == *config {
         true => None,
         false => Some(build::<R>(config)?.0),
     };
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     let judges = Judges { config, problem: &problem, schedule: &schedule, surrogate: surrogate::<R>(loaded)? };
-    let mut optimisation = begin(config, &problem, resume)?;
+    let mut optimisation = begin(config, &problem, how.resume)?;
     let mut notes = notes(loaded).to_vec();
     if judges.surrogate.is_some() {
         notes.push((MODEL, identity(model_of(config))?));
     }
-    prepare_output_folder(folder)?;
+    let own = RunFolder::take(folder, KIND, how.earlier)?;
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
-    let bar = Progress::among(tasks, (config.optimise.epochs - done) as u64 * UNITS, &label);
+    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
     let reason = RefCell::new(String::new());
     // Steps of the solver that proposals took, which belong to the epoch behind them.
     let proposals = Cell::new(0);
@@ -394,7 +437,7 @@ fn go<R: Sweeps>(
         keep(&optimisation)?;
     }
     bar.finish();
-    report(loaded, folder, (&problem, own.as_ref()), &optimisation)
+    Ok((own, report(loaded, folder, (&problem, scene.as_ref()), &optimisation)?))
 }
 
 /// What surrogate and solver say of an epoch, for its line.
@@ -505,6 +548,10 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
         return Ok(Optimisation::new(new(&problem.first)));
     };
     let path = from.join(CHECKPOINT);
+    if !path.exists() && is_unfinished(from, KIND) {
+        // It was ended before its first epoch was.
+        return Ok(Optimisation::new(new(&problem.first)));
+    }
     let file = open(&path, checkpoint::KIND, config, &FREE)?;
     let optimisation = checkpoint::restore(&file, &*problem.parametrisation, new)?;
     if let Some(before) = file.metadata.get(MODEL).filter(|_| config.optimise.dynamics != DynamicsName::Solver) {
@@ -519,6 +566,8 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
     let epochs = optimisation.history.len();
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
+        // Pictures, figures or checks are missing.
+        true if is_unfinished(from, KIND) => return Ok(optimisation),
         true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),

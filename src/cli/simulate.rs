@@ -4,6 +4,7 @@ use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files;
 use super::prepare::{diverged, use_threads};
+use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
@@ -11,7 +12,6 @@ use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History};
@@ -64,6 +64,8 @@ const CHECKPOINTS: usize = 10;
 /// Rows of history.csv.
 const HISTORY: usize = 400;
 const CHECKPOINT: &str = "checkpoint.safetensors";
+/// What its folders are marked with.
+const KIND: &str = "simulate";
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
@@ -72,6 +74,7 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
         return explain(&loaded, false);
     }
     let resume = arguments.resume.resume.as_deref();
+    RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &folder, resume),
         Precision::F64 => go::<f64>(&loaded, &folder, resume),
@@ -82,6 +85,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let config = &loaded.config;
     let scene = Scene::<R>::from_config(config)?;
     let first = match resume {
+        // It was ended before its first checkpoint.
+        Some(from) if !from.join(CHECKPOINT).exists() && is_unfinished(from, KIND) => scene.start.clone(),
         Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
         None => scene.start.clone(),
     };
@@ -90,7 +95,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     check_unfinished(began, scene.steps)?;
     let failed = diverged(scene.model.remedy());
     let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
-    prepare_output_folder(folder)?;
+    let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
         let mut columns = vec![(wall.column(), wall.offsets.as_slice())];
@@ -153,9 +158,12 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
     let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, divided, pictures };
     match (&scene.design, measurement) {
-        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start),
-        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt)),
+        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start)?,
+        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
     }
+    // Last, so that a run which has this one has everything: the averages of its end are in no checkpoint.
+    checkpoint::write(&folder.join(CHECKPOINT), &solver, &loaded.text)?;
+    own.finish()
 }
 
 /// An error if a resumed run has nothing left to do.

@@ -1,8 +1,9 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_own, check_writable, set_option};
+use super::arguments::{set_option, OverwriteArgument};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
@@ -55,6 +56,8 @@ pub struct TrainArguments {
     /// Go on with the training in --out.
     #[arg(long, conflicts_with = "init")]
     pub resume: bool,
+    #[command(flatten)]
+    pub overwrite: OverwriteArgument,
     /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
@@ -72,6 +75,9 @@ pub struct TrainArguments {
     pub print_config: bool,
 }
 
+/// What its folders are marked with.
+const KIND: &str = "train";
+
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let folder = &arguments.out;
     let init = arguments.init.as_deref().map(|from| checkpoint::read(from).map_err(of_init(from))).transpose()?;
@@ -86,12 +92,8 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
             .advice("--data data/heated")
             .into());
     };
-    check_writable(folder)?;
-    check_own(
-        folder,
-        &["metadata.json", "generate.json", "study.csv", "summary.json"],
-        "a new folder, or with --resume that of a training",
-    )?;
+    let earlier = Earlier::of_options(arguments.resume, arguments.overwrite.overwrite);
+    RunFolder::check(folder, KIND, earlier)?;
     use_threads(arguments.threads.unwrap_or(0));
     let metadata = Metadata::read(data).map_err(unreadable(data))?;
     let setup = Setup::new(&settings, &metadata)?;
@@ -102,7 +104,9 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let bar = Progress::new(settings.steps, "train");
     let (trajectories, frames) = (data_set.train.len(), data_set.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
+    let own = RunFolder::take(folder, KIND, earlier)?;
     let outcome = training.run(&bar)?;
+    own.finish()?;
     bar.finish();
     show(&outcome, &settings, training.state.seconds);
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
@@ -146,14 +150,11 @@ impl TrainArguments {
                 false => bad.advice("begin anew in another --out; --init takes over the parameters"),
             });
         }
-        let new = Origin::new(folder).map_err(|bad| {
-            bad.place(place).allowed("a new folder").advice("--resume to go on with it, or another --out")
-        })?;
         match (init, &self.init) {
             (Some(header), Some(from)) => Origin::taken_over(header, setup)
                 .map_err(of_init(from))
                 .map_err(|bad| bad.advice("leave --config and --set model.* out: the sizes are the file's then")),
-            _ => Ok(new),
+            _ => Ok(Origin::New),
         }
     }
 }

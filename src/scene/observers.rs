@@ -96,7 +96,7 @@ impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
     }
 }
 
-/// Writes [`checkpoint`]s.
+/// Writes [`checkpoint`]s, but not that of the end.
 pub struct Checkpoints<'a> {
     pub path: PathBuf,
     /// The text of the configuration.
@@ -104,15 +104,15 @@ pub struct Checkpoints<'a> {
     pub steps: EvenSteps,
     /// Where the run began: it has that checkpoint already.
     pub began: usize,
-    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them but the last.
+    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them.
     pub window: usize,
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (step, last) = (solver.step, self.steps.last);
-        let is_averaged = step + self.window > last && step < last;
-        if step > self.began && self.steps.contains(step) && !is_averaged {
+        let is_averaged = step + self.window > last;
+        if step > self.began && step < last && self.steps.contains(step) && !is_averaged {
             checkpoint::write(&self.path, solver, self.configuration)?;
         }
         Ok(())

@@ -18,7 +18,7 @@ use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
 use crate::surrogate::network::parameters::{detached, tracked, Network, Parameter};
-use crate::surrogate::training::begin::{Lock, Origin, TrainingData, LAST};
+use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::loss::loss;
@@ -140,11 +140,10 @@ impl Training<'_> {
     /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
     ///
     /// # Errors
-    /// Another training that writes there, a loss or gradient that is not finite, files, tensors.
+    /// A loss or gradient that is not finite, files, tensors.
     pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
         let settings = self.settings;
         prepare_output_folder(&self.folder)?;
-        let _lock = Lock::take(&self.folder)?;
         write_bytes_atomically(&self.folder.join("config.toml"), settings.text().as_bytes())?;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
