@@ -47,10 +47,10 @@ fn a_folder_belongs_to_one_command() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     succeeds(at, &optimize(&["--epochs", "1", "--out", "run"]));
-    for command in ["simulate", "check-gradient", "recover"] {
+    for command in ["simulate", "check-gradient"] {
         refuses(at, &with(&[command], &["--out", "run"]), &["--out run", "`hydrograd optimize`", "another --out"]);
     }
-    for command in ["validate", "generate"] {
+    for command in ["validate", "generate", "recover"] {
         refuses(at, &[command, "--out", "run"], &["`hydrograd optimize`", "another --out"]);
     }
     // What is there can still be resumed, and looked at.

@@ -51,7 +51,7 @@ pub struct CommonArguments {
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
     /// Worker threads, 0 for every core (run.threads).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Seed of every random number (run.seed).
     // TOML's integers are signed.
@@ -261,6 +261,17 @@ fn is_of_key(c: char) -> bool {
 pub(super) fn name_of(value: impl ValueEnum) -> String {
     let value = value.to_possible_value().expect("no value is hidden");
     value.get_name().to_string()
+}
+
+/// Most threads that can be asked for: beyond this it is a slip of the pen.
+const MOST_THREADS: usize = 1024;
+
+/// A number of threads, for every command the same.
+pub(super) fn threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if count <= MOST_THREADS => Ok(count),
+        _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
+    }
 }
 
 pub(super) fn at_least_one(text: &str) -> Result<usize, String> {

@@ -1,6 +1,6 @@
 //! `hydrograd calibrate`: viscosity and conductivity from a trajectory that was seen.
 
-use super::arguments::{at_least_one, set_option};
+use super::arguments::{at_least_one, set_option, threads};
 use super::files;
 use super::model_data::{read_data, unreadable};
 use super::prepare::use_threads;
@@ -61,7 +61,7 @@ pub struct CalibrateArguments {
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = at_least_one)]
     pub epochs: usize,
     /// Worker threads, 0 for every core.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
     /// Folder for the results.
     #[arg(long, value_name = "DIR", default_value = "runs/calibrate")]

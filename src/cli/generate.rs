@@ -13,6 +13,7 @@ use crate::dataset::walls::{read_walls, Walls};
 use crate::error::{BadInput, Error};
 use crate::io::hdf5_file::open;
 use crate::io::FileError;
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use clap::Args;
@@ -201,6 +202,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
                 .advice(format!("remove {} and give the same command again", store.part(job).display()))
         })?;
     }
+    interrupt::listen("the same command again: finished trajectories are kept")?;
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();

@@ -23,6 +23,7 @@ use crate::design::shape::{Shape, TOP};
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
 use crate::io::csv::write_rows;
+use crate::numerics::interrupt;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
@@ -30,7 +31,7 @@ use crate::scene::checkpoint::open;
 use crate::scene::load::{check_shape, Loaded};
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
-use crate::scene::verification::Verification;
+use crate::scene::verification::{wall_settings, Verification};
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
@@ -189,6 +190,10 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let otherwise = Earlier::of_options(false, arguments.overwrite.overwrite);
     let (kind, earlier) = (arguments.kind(), earlier(&folder, resume, otherwise));
     RunFolder::check(&folder, kind, earlier)?;
+    interrupt::listen(match kind {
+        "optimize --compare" => "the same command with --overwrite: a comparison begins anew".to_string(),
+        _ => format!("hydrograd {kind} --resume {}", folder.display()),
+    })?;
     if kind != KIND {
         let own = RunFolder::take(&folder, kind, earlier)?;
         // Its parts only when all of it is there: what they have in common is made of each.
@@ -202,9 +207,8 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier }, "", &Tasks::default())?;
     println!("{}", outcome.text);
     println!(
-        "next: hydrograd simulate {} --set design.file={} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
-        folder.join("config.toml").display(),
-        std::path::absolute(folder.join("shape.csv")).unwrap_or(folder.join("shape.csv")).display(),
+        "next: hydrograd simulate {} --set resolution.dx={} --out runs/finer    runs the best wall at half the spacing",
+        folder.join(files::BEST).display(),
         loaded.config.resolution.dx / 2.0
     );
     if !arguments.no_verify {
@@ -227,6 +231,8 @@ pub struct Begin<'a> {
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
 fn verified(folder: &Path, mut summary: Map<String, Value>, verification: &Verification) -> anyhow::Result<()> {
     let found = verify::verify(verification, "verify")?;
+    // Then a check failed for this, and not of itself.
+    interrupt::check()?;
     summary.extend(verify::data(&found));
     files::write_summary(folder, summary)?;
     println!("\nverification: both walls again, with one thing changed\n{}", verify::text_of(&found));
@@ -271,6 +277,7 @@ fn every_start(
     let mut all = Map::new();
     let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
+    let mut least = (f64::INFINITY, String::new());
     // Every start is built before the first runs: a bad one must not be found out after an hour.
     for start in StartName::EACH {
         let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
@@ -291,6 +298,9 @@ fn every_start(
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
+        if outcome.history[best].loss < least.0 {
+            least = (outcome.history[best].loss, name.clone());
+        }
         walls.push((format!("from {name}"), outcome.best.clone()));
         if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
             best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
@@ -300,7 +310,7 @@ fn every_start(
             format!("{:.6}", values[0]),
             format!("{:.6}", values[best]),
             format!("{:+.2} %", 100.0 * (values[best] / values[0] - 1.0)),
-            best.to_string(),
+            (best + 1).to_string(),
             format!("{seconds:.1}"),
         ]);
         curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| (k as f64, q)).collect()));
@@ -319,9 +329,12 @@ fn every_start(
     plot_walls(folder, &loaded.config, &walls, chosen)?;
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
+    if let Some((value, name, ..)) = &best_of_all {
+        let (loss, other) = &least;
+        println!("best {}: {value:.6}, began {name}; least loss: {loss:+.6}, began {other}", figure.symbol);
+    }
     println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
     if let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) {
-        println!("the best of all began {name}");
         all.insert("verified_start".into(), json!(name));
         let reference = best.flat();
         let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
@@ -378,6 +391,8 @@ fn go<R: Sweeps>(
     let own = RunFolder::take(folder, KIND, how.earlier)?;
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
+    // Several may go on at once.
+    let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
     let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
     let reason = RefCell::new(String::new());
@@ -407,18 +422,15 @@ fn go<R: Sweeps>(
     optimisation.run_prepared(config.optimise.epochs, limits, prepare, evaluate, |optimisation| {
         keep(optimisation)?;
         if let Some(last) = optimisation.history.last() {
-            let (epoch, symbol) = (optimisation.history.len() - 1, problem.figure.symbol);
+            let (epoch, symbol) = (format!("{name}epoch {:3}", optimisation.history.len()), problem.figure.symbol);
             if last.is_rejected() {
                 let seconds = last.seconds;
-                bar.line(&format!(
-                    "epoch {epoch:3}  rejected, the next step is shorter: {}  {seconds:.1} s",
-                    reason.borrow()
-                ));
+                bar.log(&format!("{epoch}  rejected, the next step is shorter: {}  {seconds:.1} s", reason.borrow()));
                 return Ok(());
             }
             bar.message(format!("{symbol} {:.6} |gradient| {:.2e}", last.figure, last.gradient_norm));
-            bar.line(&format!(
-                "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}{}  {:.1} s",
+            bar.log(&format!(
+                "{epoch}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}{}  {:.1} s",
                 last.figure,
                 last.loss,
                 last.gradient_norm,
@@ -600,6 +612,8 @@ fn report<R: Sweeps>(
     let config = &loaded.config;
     let history = &optimisation.history;
     write_walls(folder, config, &*problem.parametrisation, optimisation)?;
+    let best = problem.parametrisation.sampled(&history[optimisation.best].variables);
+    files::write_best(folder, &loaded.with(&wall_settings(&best, config))?)?;
     plot_history(folder, problem, optimisation)?;
     let [first, best] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
     let both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
@@ -674,7 +688,7 @@ fn write_walls(
     }
     files::write_shape(folder, &walls[0], &columns)?;
     if walls[0].across.is_some() {
-        let best = format!("best: epoch {}", optimisation.best);
+        let best = format!("best: epoch {}", optimisation.best + 1);
         files::write_wall(folder, config, parametrisation, &optimisation.history[optimisation.best].variables)?;
         return files::plot_relief(
             folder,
@@ -685,7 +699,7 @@ fn write_walls(
     }
     let picture = |name: &str, offsets: &mut dyn Iterator<Item = &Vec<f64>>| {
         let shapes: Vec<(String, Vec<f64>)> =
-            offsets.enumerate().map(|(k, offsets)| (format!("epoch {k}"), offsets.clone())).collect();
+            offsets.enumerate().map(|(k, offsets)| (format!("epoch {}", k + 1), offsets.clone())).collect();
         wall_shapes(&folder.join(name), &walls[0].nodes, &shapes, Some(optimisation.best), config.design.bound)
     };
     picture("shapes", &mut walls.iter().map(|wall| &wall.offsets))?;
@@ -707,7 +721,7 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
                 true => (e.predicted.unwrap_or(f64::NAN), e.truth.map_or(f64::NAN, |truth| truth.figure)),
                 false => (e.figure, f64::NAN),
             };
-            HistoryPoint { epoch, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
+            HistoryPoint { epoch: epoch + 1, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
         })
         .collect();
     let first = Some(("first design", optimisation.history[0].shown()));
@@ -794,8 +808,8 @@ fn text(
         "\n{} {} in epoch {} of {}, {seconds:.1} s\n",
         figure.symbol,
         change(first, best),
-        optimisation.best,
-        optimisation.history.len() - 1
+        optimisation.best + 1,
+        optimisation.history.len()
     ));
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
@@ -832,8 +846,12 @@ fn surrogate_text(figure: Figure, optimisation: &Optimisation) -> String {
     else {
         return String::new();
     };
-    let mut text =
-        format!("the surrogate's best is epoch {promised}: it predicted {} {}", figure.symbol, change(before, after));
+    let mut text = format!(
+        "the surrogate's best is epoch {}: it predicted {} {}",
+        promised + 1,
+        figure.symbol,
+        change(before, after)
+    );
     if let Some(truth) = history[promised].truth {
         text.push_str(&format!("; in the solver {}", change(history[0].shown(), truth.figure)));
     }

@@ -258,6 +258,7 @@ fn stems(kind: &str) -> &'static [&'static str] {
             "walls",
             "walls-top",
             "starts",
+            "best",
             "temperature",
             "flow",
             "state",

@@ -8,10 +8,12 @@ use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
-use crate::config::scene::Precision;
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History};
@@ -37,6 +39,8 @@ Examples:
       what a step would do, and nothing is run
   hydrograd simulate taylor-green --set resolution.dx=0.01
       a flow with an exact solution (`hydrograd scenes` lists more), and how far from it the particles end
+  hydrograd simulate --resume runs/simulate-heated-channel --set time.end=8
+      a finished run made longer, to the bit as if it had been so long (an interrupted one goes on without --set)
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -50,7 +54,16 @@ pub struct SimulateArguments {
 
 impl SimulateArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(self.resume.resume.as_deref(), vec![], vec![])
+        let resume = self.resume.resume.as_deref();
+        let loaded = self.common.load(resume, vec![], vec![])?;
+        let Some(folder) = resume else { return Ok(loaded) };
+        // Steps are made to fit the time; those of a run that becomes longer stay what they were.
+        let before = Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])?.config;
+        let (time, earlier) = (&loaded.config.time, &before.time);
+        match (time.end, time.steps) == (earlier.end, earlier.steps) || time.step.is_some() {
+            true => Ok(loaded),
+            false => loaded.with(&[Setting::option("--resume", "time.step", format!("{:?}", before.time_step()))]),
+        }
     }
 
     /// Where results go; an error if nothing can be written there.
@@ -75,6 +88,7 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
     let resume = arguments.resume.resume.as_deref();
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
+    interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &folder, resume),
         Precision::F64 => go::<f64>(&loaded, &folder, resume),
@@ -92,7 +106,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     };
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
-    check_unfinished(began, scene.steps)?;
+    check_unfinished(began, &scene)?;
     let failed = diverged(scene.model.remedy());
     let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
@@ -166,13 +180,22 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     own.finish()
 }
 
-/// An error if a resumed run has nothing left to do.
-fn check_unfinished(step: usize, steps: usize) -> Result<(), BadInput> {
-    if step < steps {
-        return Ok(());
+/// An error if a resumed run has nothing left to do, or not enough for the averages of its end.
+fn check_unfinished<R>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
+    let (steps, window) = (scene.steps, scene.design.as_ref().map_or(0, |design| design.window));
+    let time = |steps: usize| steps as f64 * scene.model.dt;
+    let advice = format!("time.end={:.3}", 2.0 * time(step));
+    if step >= steps {
+        return Err(BadInput::new(format!("the run has its {step} steps already"))
+            .place("--resume")
+            .allowed("a run that was interrupted, or a longer time.end")
+            .advice(advice));
     }
-    Err(BadInput::new(format!("the run has its {step} steps already"))
-        .place("--resume")
-        .allowed("a run that was interrupted")
-        .advice("a new run with a longer time.end"))
+    if step > 0 && step + window > steps {
+        return Err(BadInput::new("the last part of the run, whose averages are taken, began before what is to come")
+            .place("--resume")
+            .allowed(format!("time.end of at least {:.6}: objective.window more than there is", time(step + window)))
+            .advice(advice));
+    }
+    Ok(())
 }

@@ -1,11 +1,12 @@
 //! `hydrograd study`: a grid over training settings, one table and plots.
 
-use super::arguments::at_least_one;
+use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::io::csv::{write_table, Cell};
+use crate::numerics::interrupt;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -40,7 +41,7 @@ pub struct StudyArguments {
     #[arg(long, value_name = "DIR", default_value = "runs/study")]
     pub out: PathBuf,
     /// Worker threads of a training, 0 for every core; 1 is best on a busy machine.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }
 
@@ -65,6 +66,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     // A study never discards what another one trained: what differs is refused.
     let own = RunFolder::take(&study.out, KIND, Earlier::Resumed)?;
 
+    interrupt::listen("the same command again: what is trained is kept")?;
     let bar = Progress::new(points.len() as u64, "study");
     let mut outcomes = Vec::new();
     for (point, known) in points.iter().zip(known) {

@@ -1,14 +1,15 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{set_option, OverwriteArgument};
+use super::arguments::{set_option, threads, OverwriteArgument};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
-use super::run_folder::{Earlier, RunFolder};
+use super::run_folder::{is_unfinished, Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::Metadata;
 use crate::error::BadInput;
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::models::setup::Setup;
@@ -62,7 +63,7 @@ pub struct TrainArguments {
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
     /// Worker threads, 0 for every core.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Implementation of the network; a training can go on with the other one.
     #[arg(long, value_enum, default_value_t)]
@@ -105,6 +106,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let (trajectories, frames) = (data_set.train.len(), data_set.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
     let own = RunFolder::take(folder, KIND, earlier)?;
+    interrupt::listen(format!("hydrograd train --data {} --out {} --resume", data.display(), folder.display()))?;
     let outcome = training.run(&bar)?;
     own.finish()?;
     bar.finish();
@@ -137,7 +139,7 @@ impl TrainArguments {
     fn origin(&self, init: Option<Header>, settings: &Settings, setup: &Setup) -> Result<Origin, BadInput> {
         let folder = &self.out;
         let place = format!("--out {}", folder.display());
-        if self.resume {
+        if self.resume && !ended_early(folder) {
             let last = folder.join(LAST);
             let header = checkpoint::read(&last).map_err(|bad| {
                 bad.advice(match last.exists() {
@@ -157,6 +159,11 @@ impl TrainArguments {
             _ => Ok(Origin::New),
         }
     }
+}
+
+/// Whether a folder's training was ended before its first checkpoint: then it begins with its settings.
+pub(super) fn ended_early(folder: &Path) -> bool {
+    is_unfinished(folder, KIND) && folder.join("config.toml").is_file() && !folder.join(LAST).exists()
 }
 
 /// An error in a file that --init names.

@@ -1,5 +1,6 @@
 //! `hydrograd validate`: every scene with a known answer, run and compared with it.
 
+use super::arguments::threads;
 use super::files::VERSION;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
@@ -42,7 +43,7 @@ pub struct ValidateArguments {
     #[arg(long, value_name = "DIR", default_value = "runs/validate")]
     pub out: PathBuf,
     /// Cases at a time, each on one thread; 0 for every core.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }
 

@@ -1,6 +1,6 @@
 //! `hydrograd verify`: whether the gain of a design is one of its wall; and what `optimize` says of it.
 
-use super::arguments::{name_of, option, set_option, with_options};
+use super::arguments::{name_of, option, set_option, threads, with_options};
 use super::files::VERSION;
 use super::prepare::{require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
@@ -47,7 +47,7 @@ pub struct VerifyArguments {
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
     /// Worker threads, 0 for every core (run.threads).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
 }
 

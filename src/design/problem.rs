@@ -305,7 +305,10 @@ impl<R: Sweeps> Problem<R> {
             false => {
                 let found = self.evaluate(variables).map_err(|error| match error.downcast::<RunError>() {
                     Ok(error) => error.advised(self.model.remedy()),
-                    Err(error) => Error::run(error.to_string(), "report this"),
+                    Err(error) => match error.downcast::<Error>() {
+                        Ok(error) => error,
+                        Err(error) => Error::run(error.to_string(), "report this"),
+                    },
                 });
                 (found?, self.steps)
             }

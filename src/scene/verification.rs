@@ -246,7 +246,7 @@ fn rounded(x: f64) -> String {
 }
 
 /// The keys of a wall.
-fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
+pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
     if let Some(across) = &wall.across {
         let points = SplineSurface::of_config(config, &[]).fitted(&wall.nodes, across, &wall.offsets);
         return vec![Setting::set(&format!("design.offsets={points:?}"))];
