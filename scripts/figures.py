@@ -231,7 +231,7 @@ def gain():
     rows = [[check["check"], "failed" if check["gain"] is None else f"{check['q_reference']:.6f}",
              "" if check["gain"] is None else f"{check['q_best']:.6f}", "" if check["gain"] is None else f"{100 * check['gain']:+.2f} %"]
             for check in found]
-    return "\n".join([f"Q {s['q_first']:.6f} -> {max(s['q_per_epoch']):.6f} ({percent(max(s['q_per_epoch']), s['q_first'])}) in epoch {s['best_epoch']}, "
+    return "\n".join([f"Q {s['q_first']:.6f} -> {max(s['q_per_epoch']):.6f} ({percent(max(s['q_per_epoch']), s['q_first'])}) in epoch {s['best_epoch'] + 1}, "
                       f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
 
 
@@ -391,7 +391,7 @@ def surrogate_compare():
     result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     if result.returncode != 0:
         sys.exit(result.stderr)
-    lines = [line for line in result.stdout.splitlines() if not line.startswith("files in")]
+    lines = [line for line in result.stdout.splitlines() if not line.startswith("files in") and ": epoch " not in line]
     for name in ("compare.png", "horizons.png"):
         shutil.copy(os.path.join(folder, name), os.path.join(ROOT, "data/pictures", f"surrogate-{name}"))
     return "```text\n" + "\n".join(lines).strip() + "\n```"

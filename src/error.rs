@@ -21,6 +21,9 @@ pub enum Error {
     /// A run whose numbers left all bounds: its input is not one to use, but another may be.
     #[error("{problem}\n  try: {advice}")]
     Diverged { problem: String, advice: String },
+    /// Somebody asked to stop, see [`crate::numerics::interrupt`].
+    #[error("stopped by a signal")]
+    Stopped,
 }
 
 impl Error {

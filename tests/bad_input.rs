@@ -616,3 +616,33 @@ fn methods_and_tanks_that_do_not_fit() {
     refuses("falling-block", &["water.x=0.8"], &["reaches out of the tank"]);
     refuses("falling-block", &["tank.height=0.2"], &["tank.height = 0.2 is too small", "six spacings"]);
 }
+
+#[test]
+fn threads_are_refused_alike_everywhere() {
+    for command in [
+        &["simulate"][..],
+        &["train", "--data", "x"],
+        &["study", "--data", "x", "--grid", "seed=1", "--steps", "1"],
+        &["evaluate", "--data", "x", "--model", "y"],
+        &["calibrate", "--data", "x"],
+        &["validate"],
+        &["verify", "x"],
+        &["bench"],
+    ] {
+        for threads in ["5000", "-1", "two"] {
+            let arguments = [command, &["--threads", threads]].concat();
+            let parts = [&format!("'{threads}'"), "--threads", "allowed: whole numbers from 0 (every core) to 1024"];
+            Case::new(&[]).refuses(&arguments, &parts);
+        }
+    }
+}
+
+#[test]
+fn tiny_steps_are_not_blamed_on_the_time() {
+    let case = Case::new(&[]);
+    let run = |set: &str, parts: &[&str]| case.refuses(&["simulate", "--out", "out", "--set", set], parts);
+    run("time.cfl=1e-9", &["--set time.cfl=1e-9: time.cfl = 0.000000001", "at most 1e9 steps"]);
+    run("time.end=1e12", &["--set time.end=1e12: time.end = 1000000000000", "at most 1e9 steps"]);
+    run("time.step=1", &["--set time.step=1: time.step = 1 is too large", "steps of at most"]);
+    run("time.step=0", &["time.step = 0"]);
+}

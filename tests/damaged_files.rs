@@ -3,7 +3,7 @@
 
 mod support;
 
-use hydrograd::dataset::Split;
+use hydrograd::dataset::{Split, Trajectory};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
 use hydrograd::numerics::random::{numbered, uniform};
 use rand_chacha::ChaCha8Rng;
@@ -133,18 +133,14 @@ fn a_data_set_and_a_model() {
         refused(&evaluate, &hydrograd(folder.path(), &evaluate), &["metadata.json", part]);
     }
     std::fs::write(data.join("metadata.json"), text).unwrap();
-    for (change, part) in [
-        (
-            &(|t: &mut hydrograd::dataset::Trajectory| t.position[7] = f32::NAN) as &dyn Fn(&mut _),
-            "`00000/position` is NaN in frame 0, particle 3",
-        ),
-        (&|t| t.position[7] = 1e30, "within a box's length"),
-        (
-            &|t| t.temperature.as_mut().unwrap()[105] = f32::INFINITY,
-            "`00000/temperature` is inf in frame 1, particle 5",
-        ),
-        (&|t| t.temperature = None, "00000/temperature"),
-    ] {
+    type Change = fn(&mut Trajectory);
+    let changes: [(Change, &str); 4] = [
+        (|t| t.position[7] = f32::NAN, "`00000/position` is NaN in frame 0, particle 3"),
+        (|t| t.position[7] = 1e30, "within a box's length"),
+        (|t| t.temperature.as_mut().unwrap()[105] = f32::INFINITY, "`00000/temperature` is inf in frame 1, particle 5"),
+        (|t| t.temperature = None, "00000/temperature"),
+    ];
+    for (change, part) in changes {
         let mut other = warm.clone();
         change(&mut other);
         write(&data, &heated_metadata(), Split::Test, &[other]);

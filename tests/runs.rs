@@ -91,6 +91,11 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
     assert!(numbers(&summary["offsets_first"]).iter().all(|o| *o == 0.0));
     assert!(numbers(&summary["offsets_last"]).iter().all(|o| *o != 0.0 && o.abs() <= 0.02));
 
+    // The best wall has a file of its own, which runs as it was shown.
+    succeeds(at, &["simulate", "whole/best.toml", "--out", "best"]);
+    let shown = summary["q_scene"].as_f64().unwrap();
+    assert!((json(&at.join("best/summary.json"))["q"].as_f64().unwrap() / shown - 1.0).abs() < 1e-9, "{shown}");
+
     // The same in two parts, and with another number of threads: every bit of design and moments.
     succeeds(at, &with(&["optimize", "--no-verify"], &["--epochs", "2", "--out", "parts"]));
     succeeds(at, &["optimize", "--no-verify", "--resume", "parts", "--epochs", "4", "--threads", "1"]);
@@ -380,8 +385,7 @@ fn flows_resume_and_agree_between_kernels_and_precisions() {
     assert_ne!(energy("other", &["--seed", "1"]), fused);
     refuses(at, &["simulate", "--resume", "fused", "--out", "unwritten"], &["steps already", "time.end"]);
 
-    // An interrupted run: the same scene stopped by its disk, here a run of the same step size with fewer steps, whose
-    // checkpoint and configuration are those of the longer one but for the number of steps.
+    // A finished run that is made longer, and one of that length.
     let dt = json(&at.join("fused/summary.json"))["time_step"].as_f64().unwrap();
     let by_steps = |steps: &str, out: &str| {
         let cfl = format!("time.cfl={}", dt * 11.0 / 0.05);
@@ -393,14 +397,6 @@ fn flows_resume_and_agree_between_kernels_and_precisions() {
     };
     by_steps("88", "whole");
     by_steps("30", "part");
-    let checkpoint = at.join("part/checkpoint.safetensors");
-    let bytes = std::fs::read(&checkpoint).unwrap();
-    // In the bytes themselves: text made of them moves where they are no UTF-8.
-    let from =
-        bytes.windows(10).position(|part| part == b"steps = 30").expect("the checkpoint holds its configuration");
-    let mut longer = bytes.clone();
-    longer[from..from + 10].copy_from_slice(b"steps = 88");
-    std::fs::write(&checkpoint, longer).unwrap();
     succeeds(at, &["simulate", "--resume", "part", "--set", "time.steps=88"]);
     let [whole, part] = ["whole", "part"].map(|name| {
         let file = hdf5::File::open(at.join(name).join("state.h5")).unwrap();
@@ -409,6 +405,42 @@ fn flows_resume_and_agree_between_kernels_and_precisions() {
     assert!(whole == part, "a resumed run ends with other bits");
     let history = |name: &str| std::fs::read_to_string(at.join(name).join("history.csv")).unwrap();
     assert_eq!(history("whole"), history("part"));
+}
+
+/// By its end, whose steps were made to fit the shorter run.
+#[test]
+fn a_finished_simulation_becomes_longer_to_the_bit() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &with(&["simulate"], &["--out", "run", "--set", "design.shape=sine"]));
+    let before = json(&at.join("run/summary.json"))["time_step"].clone();
+    // Averages of the last 0.1 would begin before what the run is at.
+    refuses(
+        at,
+        &["simulate", "--resume", "run", "--set", "time.end=0.35", "--out", "unwritten"],
+        &["averages", "objective.window", "--set time.end=0.6"],
+    );
+    refuses(
+        at,
+        &["simulate", "--resume", "run", "--set", "time.end=0.7", "--set", "time.cfl=1.6", "--out", "unwritten"],
+        &["run/checkpoint.safetensors", "time.cfl"],
+    );
+    succeeds(at, &["simulate", "--resume", "run", "--set", "time.end=0.7"]);
+    // What it has become, in one go.
+    succeeds(at, &["simulate", "run/config.toml", "--out", "whole"]);
+    let [run, whole] = ["run", "whole"].map(|name| json(&at.join(name).join("summary.json")));
+    assert_eq!(run["time_step"], before);
+    assert!(run["steps"].as_f64().unwrap() * before.as_f64().unwrap() >= 0.7 - 1e-9);
+    for key in ["q", "flow_rate", "wall_heat_flux", "stored_heat_rate", "mean_density", "u_max", "steps"] {
+        assert_eq!(run[key], whole[key], "{key}");
+    }
+    let state = |name: &str| {
+        let file = hdf5::File::open(at.join(name).join("state.h5")).unwrap();
+        ["position", "velocity", "temperature", "density"]
+            .map(|field| file.dataset(field).unwrap().read_raw::<f64>().unwrap())
+    };
+    assert!(state("run") == state("whole"));
+    refuses(at, &["simulate", "--resume", "run", "--out", "unwritten"], &["steps already", "a longer time.end"]);
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn leaves_checkpoints_tables_and_curves() {
     // Acceleration and temperature change.
     assert_eq!(file.shape("param.dec.1.bias").unwrap(), [3]);
     // Another training there would overwrite it, and so would other commands.
-    fails(&mut train(&out, &["--steps", "9"]), 2, "holds a training already");
+    fails(&mut train(&out, &["--steps", "9"]), 2, "a finished run of `hydrograd train` already");
     fails(&mut train(&out, &["--steps", "9", "--resume", "--set", "noise=1e-3"]), 2, "noise was 0.0003 and is 0.001");
     fails(&mut train(&out, &["--steps", "5", "--resume"]), 2, "the training is at step 9");
     fails(hydrograd().args(["generate", "--out"]).arg(&out), 2, "belongs to another command");
@@ -176,12 +176,14 @@ fn two_trainings_do_not_share_a_folder() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     std::fs::create_dir(&out).unwrap();
-    let other = std::fs::File::create(out.join("train.lock")).unwrap();
+    let other = std::fs::File::create(out.join(".hydrograd")).unwrap();
     other.lock().unwrap();
-    fails(&mut train(&out, &["--steps", "2"]), 2, "another training is writing");
+    fails(&mut train(&out, &["--steps", "2"]), 2, "another hydrograd is writing");
     drop(other);
     train(&out, &["--steps", "2"]).assert().success();
-    assert!(!out.join("train.lock").exists());
+    // Begun anew only where that is said.
+    train(&out, &["--steps", "3", "--overwrite"]).assert().success();
+    assert_eq!(TensorFile::read(&out.join("last.safetensors")).unwrap().text("step").unwrap(), "3");
 }
 
 #[test]

@@ -166,7 +166,7 @@ fn the_best_of_all_starts_is_verified_against_the_flat_wall() {
     let found = checks(&summary);
     assert!((number(&found[0]["q_best"]) / q(name) - 1.0).abs() < 1e-12);
     let output = hydrograd(at, &["verify", "starts"]);
-    refused(&["verify", "starts"], &output, &["starts is not the folder of a run", "config.toml", "starts/flat"]);
+    refused(&["verify", "starts"], &output, &["starts is not the folder of a run", "shape.csv", "starts/flat"]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The run loop, without a graph: advance, check, show.
 
 use super::dynamics::Dynamics;
+use crate::numerics::interrupt;
 
 /// Steps between two checks that all numbers are finite, and possible.
 pub(super) const CHECK_EVERY: usize = 64;
@@ -24,7 +25,7 @@ impl<D: Dynamics, F: FnMut(&D, &mut D::Run) -> anyhow::Result<()>> Observer<D> f
 /// checked every 64 steps and at the end, before observers see them.
 ///
 /// # Errors
-/// A [`super::RunError`] if the run can not go on; an observer's.
+/// A [`super::RunError`] if the run can not go on; an observer's; [`crate::error::Error::Stopped`].
 pub fn run<D: Dynamics>(
     dynamics: &D,
     start: &D::Start,
@@ -47,6 +48,8 @@ pub fn go_on<D: Dynamics>(
     observers: &mut [&mut dyn Observer<D>],
 ) -> anyhow::Result<()> {
     loop {
+        // Asked for before the observers look, so that who keeps the state then does it before the run ends.
+        let stop = interrupt::check();
         let step = dynamics.step(run);
         if step.is_multiple_of(CHECK_EVERY) || step >= steps {
             dynamics.check(run)?;
@@ -57,6 +60,7 @@ pub fn go_on<D: Dynamics>(
         if step >= steps {
             return Ok(());
         }
+        stop?;
         dynamics.advance(run)?;
     }
 }

@@ -51,7 +51,7 @@ pub struct CommonArguments {
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
     /// Worker threads, 0 for every core (run.threads).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Seed of every random number (run.seed).
     // TOML's integers are signed.
@@ -68,6 +68,14 @@ pub struct ResumeArgument {
     /// Go on with the run in this folder, with its configuration; results go there too unless --out is given.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "preset"])]
     pub resume: Option<PathBuf>,
+}
+
+/// Losing an earlier run.
+#[derive(Debug, Clone, Args)]
+pub struct OverwriteArgument {
+    /// Begin anew in a folder that holds an earlier run of this command: its files are lost.
+    #[arg(long, conflicts_with = "resume")]
+    pub overwrite: bool,
 }
 
 /// What gradients may use.
@@ -155,17 +163,6 @@ impl CommonArguments {
         let folder = given.unwrap_or_else(|| Path::new("runs").join(format!("{subcommand}-{}", loaded.source.name())));
         check_writable(&folder)?;
         Ok(folder)
-    }
-}
-
-/// An error if a folder holds a file that only another command leaves.
-pub(super) fn check_own(folder: &Path, others: &[&str], allowed: &str) -> Result<(), BadInput> {
-    match others.iter().find(|file| folder.join(file).exists()) {
-        Some(file) => Err(BadInput::new(format!("the folder holds {file}, so it belongs to another command"))
-            .place(format!("--out {}", folder.display()))
-            .allowed(allowed)
-            .advice("another --out")),
-        None => Ok(()),
     }
 }
 
@@ -264,6 +261,17 @@ fn is_of_key(c: char) -> bool {
 pub(super) fn name_of(value: impl ValueEnum) -> String {
     let value = value.to_possible_value().expect("no value is hidden");
     value.get_name().to_string()
+}
+
+/// Most threads that can be asked for: beyond this it is a slip of the pen.
+const MOST_THREADS: usize = 1024;
+
+/// A number of threads, for every command the same.
+pub(super) fn threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if count <= MOST_THREADS => Ok(count),
+        _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
+    }
 }
 
 pub(super) fn at_least_one(text: &str) -> Result<usize, String> {

@@ -1,10 +1,11 @@
 //! `hydrograd calibrate`: viscosity and conductivity from a trajectory that was seen.
 
-use super::arguments::{at_least_one, check_writable, set_option};
+use super::arguments::{at_least_one, set_option, threads};
 use super::files;
 use super::model_data::{read_data, unreadable};
 use super::prepare::use_threads;
 use super::rollout::find;
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::difference::differences;
 use crate::config::layers::Setting;
 use crate::config::scene::Config;
@@ -14,7 +15,7 @@ use crate::design::optimisers::{LBfgsB, Optimiser};
 use crate::error::BadInput;
 use crate::inverse::calibration::{Calibration, Parameter};
 use crate::inverse::search::{search, Epoch};
-use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_rows;
 use crate::io::hdf5_file::open;
 use crate::report::plots::compare;
@@ -60,18 +61,20 @@ pub struct CalibrateArguments {
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = at_least_one)]
     pub epochs: usize,
     /// Worker threads, 0 for every core.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
     /// Folder for the results.
     #[arg(long, value_name = "DIR", default_value = "runs/calibrate")]
     pub out: PathBuf,
 }
 
+/// What its folders are marked with.
+const KIND: &str = "calibrate";
 /// The most that a parameter may be away from what is assumed.
 const FACTOR: f64 = 10.0;
 
 pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
-    check_writable(&arguments.out)?;
+    RunFolder::check(&arguments.out, KIND, Earlier::Replaced)?;
     use_threads(arguments.threads);
     let folder = &arguments.data;
     let (metadata, trajectories) = read_data(folder, arguments.split)?;
@@ -101,7 +104,7 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
     let assumed = loaded.text.clone();
     let problem = Calibration::<f64>::new(loaded, &metadata, trajectory, arguments.frames, parameters.clone())?;
-    prepare_output_folder(&arguments.out)?;
+    let _own = RunFolder::take(&arguments.out, KIND, Earlier::Replaced)?;
     write_bytes_atomically(&arguments.out.join("config.toml"), assumed.as_bytes())?;
     let count = parameters.len();
     let limits = Limits::within(vec![-FACTOR.ln(); count], vec![FACTOR.ln(); count]);

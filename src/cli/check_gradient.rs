@@ -3,11 +3,12 @@
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files;
 use super::prepare::{build, use_threads};
+use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::error::Error;
-use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::atomic::write_bytes_atomically;
 use crate::numerics::random::{stream, uniform};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
@@ -62,6 +63,8 @@ impl CheckGradientArguments {
     }
 }
 
+/// What its folders are marked with.
+const KIND: &str = "check-gradient";
 /// Largest relative error of a directional derivative.
 const TOLERANCE_F64: f64 = 1e-5;
 /// The adjoint of a steady state is solved to 1e-4.
@@ -74,6 +77,7 @@ const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11]
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     use_threads(loaded.config.run.threads);
+    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     // What is checked is the adjoint, whatever an optimiser takes.
     let mut config = loaded.config.clone();
     if config.optimise.gradient == GradientMode::Differences {
@@ -99,6 +103,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         };
         Ok::<f64, anyhow::Error>(value * figure.factor)
     };
+    let _own = RunFolder::take(&folder, KIND, Earlier::Replaced)?;
     let value = f(first).map_err(|e| Error::run(e.to_string(), "time.cfl=0.5"))?;
     let results = check(value, &gradient, first, &directions, &STEPS, f)
         .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5, or a wall further from its limits"))?;
@@ -125,7 +130,6 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         ]);
     }
     let passed = worst <= tolerance;
-    prepare_output_folder(&folder)?;
     files::write_config(&folder, &loaded)?;
     let curves: Vec<(String, Vec<(f64, f64)>)> = results
         .iter()

@@ -1,10 +1,10 @@
 //! `hydrograd dataset inspect`: what a data set holds.
 
-use super::arguments::{at_least_one, check_writable};
+use super::arguments::at_least_one;
+use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::store::{read_provenance, Store};
 use crate::dataset::{kind, read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
-use crate::io::atomic::prepare_output_folder;
 use crate::io::hdf5_file::{failed, open};
 use crate::particles::tag;
 use crate::report::plots::{colored_particles, TemperaturePanel};
@@ -54,11 +54,15 @@ const KINDS: [(i32, &str); 5] = [
     (kind::PADDING, "padding"),
 ];
 
+/// What folders of its own are marked with.
+const KIND: &str = "dataset inspect";
+
 pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
     let folder = &arguments.folder;
     let metadata = load_metadata(folder)?;
     let out = arguments.out.as_deref().unwrap_or(folder);
-    check_writable(out)?;
+    let earlier = if out == folder { Earlier::Visited } else { Earlier::Replaced };
+    RunFolder::check(out, KIND, earlier)?;
     print_metadata(folder, &metadata);
     let mut table = Table::new(["split", "trajectories", "frames", "particles", "temperature", "MB"]);
     let mut walls: BTreeMap<String, usize> = BTreeMap::new();
@@ -107,7 +111,7 @@ pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
         let walls: Vec<String> = walls.iter().map(|(name, count)| format!("{count} {name}")).collect();
         println!("walls               {}", walls.join(", "));
     }
-    prepare_output_folder(out)?;
+    let _own = RunFolder::take(out, KIND, earlier)?;
     let picture = plot(out, &metadata, &trajectory, arguments.frames)?;
     println!("{picture} of {}/{} in {}", arguments.split.name(), trajectory.name, out.join("frames.png").display());
     Ok(())

@@ -1,9 +1,10 @@
 //! `hydrograd evaluate`: a model against the truth, and against two baselines.
 
-use super::arguments::{at_least_one, check_writable};
+use super::arguments::at_least_one;
 use super::files::VERSION;
 use super::model_data::{ModelData, ModelDataArguments};
-use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use super::run_folder::{Earlier, RunFolder};
+use crate::io::atomic::write_bytes_atomically;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -59,8 +60,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let ModelData { model, metadata, trajectories } = arguments.source.read()?;
     let options = Options { steps: arguments.steps, windows: arguments.windows, ..Options::default() };
     let windows = chosen_windows(&trajectories, &options)?;
-    check_writable(&arguments.out)?;
-    prepare_output_folder(&arguments.out)?;
+    let _own = RunFolder::take(&arguments.out, "evaluate", Earlier::Replaced)?;
 
     let mut models = vec![model];
     let baselines: [Box<dyn Predictor>; 2] = [Box::new(ConstantVelocity), Box::new(Still)];

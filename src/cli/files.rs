@@ -21,6 +21,14 @@ pub fn write_config(folder: &Path, loaded: &Loaded) -> anyhow::Result<()> {
     Ok(write_bytes_atomically(&folder.join("config.toml"), loaded.text.as_bytes())?)
 }
 
+/// The configuration of an optimisation's best wall.
+pub const BEST: &str = "best.toml";
+
+/// [`BEST`]: what runs the best wall as a scene file; `config.toml` begins the search.
+pub fn write_best(folder: &Path, best: &Loaded) -> anyhow::Result<()> {
+    Ok(write_bytes_atomically(&folder.join(BEST), best.text.as_bytes())?)
+}
+
 /// `shape.csv`: x, z of a wall that varies along it, and columns of heights there.
 pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> anyhow::Result<()> {
     let mut all = vec![("x", wall.nodes.as_slice())];

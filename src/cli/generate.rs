@@ -1,8 +1,9 @@
 //! `hydrograd generate` and `hydrograd merge`: data sets of trajectories for the surrogate.
 
-use super::arguments::{check_own, CommonArguments};
+use super::arguments::CommonArguments;
 use super::files::VERSION;
 use super::prepare::{difference, share_out, workers};
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
 use crate::dataset::recipe::{Job, Recipe, Starts};
 use crate::dataset::record::record;
@@ -12,6 +13,7 @@ use crate::dataset::walls::{read_walls, Walls};
 use crate::error::{BadInput, Error};
 use crate::io::hdf5_file::open;
 use crate::io::FileError;
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use clap::Args;
@@ -149,8 +151,8 @@ impl GenerateArguments {
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-/// What other commands leave: a training, a study, a run.
-const FOREIGN: [&str; 4] = ["last.safetensors", "train.lock", "study.csv", "summary.json"];
+/// What its folders are marked with.
+const KIND: &str = "generate";
 
 /// A share of the trajectories: those whose number is `index` modulo `count`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -175,6 +177,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         recipe.ready(&loaded, job).map_err(of_line)?;
     }
     let folder = arguments.folder(&loaded)?;
+    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     let store = Store::new(&folder);
     check_same(&store, &loaded, &recipe)?;
     let jobs = recipe.jobs();
@@ -182,6 +185,8 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         println!("{} is complete: {} trajectories", folder.display(), jobs.len());
         return Ok(());
     }
+    // Shards write there together; nothing of an earlier run of the same set is discarded.
+    let own = RunFolder::share(&folder, KIND)?;
     if store.begun()?.is_none() {
         store.begin(&loaded.text, &Begun { recipe: recipe.clone(), version: VERSION.into() })?;
     }
@@ -197,6 +202,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
                 .advice(format!("remove {} and give the same command again", store.part(job).display()))
         })?;
     }
+    interrupt::listen("the same command again: finished trajectories are kept")?;
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();
@@ -222,7 +228,8 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         println!("next: hydrograd merge {}    if none does", folder.display());
         return Ok(());
     }
-    finish(&store, &loaded.config, &recipe)
+    finish(&store, &loaded.config, &recipe)?;
+    own.finish()
 }
 
 /// The option, as it was given, of a number of the recipe.
@@ -245,7 +252,9 @@ pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
             .into());
     };
     let config = Config::load(Some(&store.config_path().to_string_lossy()), None, &[])?.config;
-    finish(&store, &config, &begun.recipe)
+    let own = RunFolder::share(&arguments.folder, KIND)?;
+    finish(&store, &config, &begun.recipe)?;
+    own.finish()
 }
 
 fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()> {
@@ -269,7 +278,6 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
             .advice("another --out, or remove the folder")
     };
     let Some(begun) = store.begun()? else {
-        check_own(&store.folder, &FOREIGN, "a new folder, or one that `hydrograd generate` began")?;
         if Split::ALL.iter().any(|split| split.path(&store.folder).exists()) {
             return Err(BadInput::new("the folder holds a data set that `hydrograd generate` did not make")
                 .place(&place)

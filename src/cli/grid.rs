@@ -1,14 +1,18 @@
 //! A grid over training settings: every point trained by this program in a process of its own, finished ones kept.
 
+use super::train::ended_early;
 use crate::config::training::Settings;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::read_columns;
+use crate::numerics::interrupt;
 use crate::surrogate::training::train::METRICS;
 use serde::{Deserialize, Serialize};
 use std::io::Read;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::Duration;
 
 /// More points than this are a slip of the keyboard.
 const MOST_POINTS: usize = 10_000;
@@ -247,17 +251,17 @@ impl Study {
         command.arg("train").arg("--data").arg(&self.data).arg("--out").arg(&folder);
         command.args(["--steps", &self.steps.to_string(), "--threads", &self.threads.to_string()]);
         // Killed on the way: goes on with the settings it was begun with.
-        if folder.join("last.safetensors").is_file() {
+        if folder.join("last.safetensors").is_file() || ended_early(&folder) {
             command.arg("--resume");
         }
         for set in self.all_sets(point) {
             command.args(["--set", &set]);
         }
-        let status = command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?).status().map_err(
-            |error| {
-                Error::run(format!("can not start {}: {error}", self.program.display()), "check that it is still there")
-            },
-        )?;
+        command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?);
+        let status = attended(&mut command).map_err(|error| {
+            Error::run(format!("can not start {}: {error}", self.program.display()), "check that it is still there")
+        })?;
+        interrupt::check()?;
         let mut text = String::new();
         std::io::Seek::rewind(&mut log)?;
         log.read_to_string(&mut text)?;
@@ -289,6 +293,34 @@ impl Study {
             (serde_json::to_string_pretty(&finished)? + "\n").as_bytes(),
         )?;
         Ok(PointOutcome::Trained { seconds, validation })
+    }
+}
+
+/// Runs a process that keeps what it has and stops when this one is asked to, and does not outlive it.
+fn attended(command: &mut Command) -> std::io::Result<ExitStatus> {
+    // In a group of its own, Ctrl-C reaches it once, from here.
+    command.process_group(0);
+    #[cfg(target_os = "linux")]
+    {
+        let with_parent = || match unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) } {
+            0 => Ok(()),
+            _ => Err(std::io::Error::last_os_error()),
+        };
+        // SAFETY: a system call is all that happens between fork and exec.
+        unsafe { command.pre_exec(with_parent) };
+    }
+    let mut child = command.spawn()?;
+    let mut is_told = false;
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        if interrupt::asked().is_some() && !is_told {
+            // SAFETY: sends a signal to a process that is ours and not yet waited for.
+            unsafe { libc::kill(child.id() as libc::pid_t, libc::SIGTERM) };
+            is_told = true;
+        }
+        std::thread::sleep(Duration::from_millis(10));
     }
 }
 

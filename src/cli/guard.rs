@@ -5,7 +5,8 @@ use std::io::Write;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 
 use super::arguments::with_options;
-use crate::error::{exit_code, EXIT_INTERNAL};
+use crate::error::{exit_code, Error, EXIT_INTERNAL};
+use crate::numerics::interrupt;
 
 /// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
 const BROKEN_PIPE: &str = "failed printing to std";
@@ -32,11 +33,19 @@ pub fn install_panic_hook() {
 }
 
 /// Runs a command, prints its error and the causes to stderr, and returns the exit code: 0, 1 for a failed
-/// run, 2 for bad input, 70 for a panic.
+/// run, 2 for bad input, 70 for a panic, 130 and 143 for one that SIGINT and SIGTERM stopped.
 pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
         Ok(Err(error)) => {
+            let is_stop = |cause: &(dyn std::error::Error + 'static)| {
+                matches!(cause.downcast_ref::<Error>(), Some(Error::Stopped))
+            };
+            if let Some(signal) = interrupt::asked().filter(|_| error.chain().any(is_stop)) {
+                complain(&interrupt::farewell(signal));
+                // As a shell reports a program that the signal ended.
+                return u8::try_from(128 + signal).unwrap_or(EXIT_INTERNAL);
+            }
             complain(&with_options(&format!("error: {error}")));
             for cause in error.chain().skip(1) {
                 complain(&with_options(&format!("  cause: {cause}")));

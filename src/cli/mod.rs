@@ -18,6 +18,7 @@ mod optimize_shapes;
 mod prepare;
 mod recover;
 mod rollout;
+mod run_folder;
 mod scenes;
 mod simulate;
 mod simulate_report;

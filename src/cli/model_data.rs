@@ -1,5 +1,6 @@
 //! What `evaluate` and `rollout` begin with: a model and a split of a data set.
 
+use super::arguments::threads;
 use super::prepare::use_threads;
 use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
@@ -25,7 +26,7 @@ pub struct ModelDataArguments {
     #[arg(long, value_enum, default_value_t)]
     pub kernels: Kernels,
     /// Worker threads, 0 for every core; 1 is best on a busy machine.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }
 

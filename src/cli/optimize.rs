@@ -1,8 +1,11 @@
 //! `hydrograd optimize`: the main job.
 
-use super::arguments::{name_of, option, CommonArguments, ExplainArgument, GradientArguments, ResumeArgument};
+use super::arguments::{
+    name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
+};
 use super::explain::explain;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
+use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
 use super::verify;
 use super::{files, optimize_compare, optimize_shapes};
 use crate::adjoint::gradient::Progress as Share;
@@ -19,8 +22,8 @@ use crate::design::problem::{Evaluation, ADJOINT};
 use crate::design::shape::{Shape, TOP};
 use crate::design::{checkpoint, optimisers, Optimisation, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
+use crate::numerics::interrupt;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
@@ -28,7 +31,7 @@ use crate::scene::checkpoint::open;
 use crate::scene::load::{check_shape, Loaded};
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
-use crate::scene::verification::Verification;
+use crate::scene::verification::{wall_settings, Verification};
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
@@ -69,6 +72,8 @@ pub struct OptimizeArguments {
     pub common: CommonArguments,
     #[command(flatten)]
     pub resume: ResumeArgument,
+    #[command(flatten)]
+    pub overwrite: OverwriteArgument,
     #[command(flatten)]
     pub explain: ExplainArgument,
     #[command(flatten)]
@@ -134,9 +139,24 @@ impl OptimizeArguments {
         self.common.load(self.resume.resume.as_deref(), vec![], options)
     }
 
-    /// Where results go; an error if nothing can be written there.
+    /// Where results go; an error if nothing can be written there. A finished run in the folder that nobody has named stays as it
+    /// is, and the new one goes to a folder with the next number.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+        let folder = self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)?;
+        if self.common.out.is_some() || self.resume.resume.is_some() || self.overwrite.overwrite {
+            return Ok(folder);
+        }
+        let numbered = |k: usize| PathBuf::from(format!("{}-{k}", folder.display()));
+        Ok(std::iter::once(folder.clone()).chain((2..).map(numbered)).find(|free| !is_finished(free)).unwrap_or(folder))
+    }
+
+    /// What its folder is marked with.
+    fn kind(&self) -> &'static str {
+        match self.start {
+            _ if self.compare => "optimize --compare",
+            Some(StartName::All) => "optimize --start all",
+            _ => KIND,
+        }
     }
 }
 
@@ -156,6 +176,8 @@ fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
     }
 }
 
+/// What the folder of a single run is marked with.
+const KIND: &str = "optimize";
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Work units of the progress bar per epoch.
 const UNITS: u64 = 1000;
@@ -166,45 +188,53 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
     }
-    if arguments.compare {
-        return optimize_compare::run(&loaded, &folder);
-    }
-    if arguments.start == Some(StartName::All) {
-        return every_start(&loaded, &folder, &arguments);
-    }
     let resume = arguments.resume.resume.as_deref();
-    let outcome = one(&loaded, &folder, resume, "", &Tasks::default())?;
-    println!("{}", outcome.text);
-    println!("{}", next(&loaded, &folder));
-    if arguments.no_verify {
-        return Ok(());
+    let otherwise = Earlier::of_options(false, arguments.overwrite.overwrite);
+    let (kind, earlier) = (arguments.kind(), earlier(&folder, resume, otherwise));
+    RunFolder::check(&folder, kind, earlier)?;
+    interrupt::listen(match kind {
+        "optimize --compare" => "the same command with --overwrite: a comparison begins anew".to_string(),
+        _ => format!("hydrograd {kind} --resume {}", folder.display()),
+    })?;
+    if kind != KIND {
+        let own = RunFolder::take(&folder, kind, earlier)?;
+        // Its parts only when all of it is there: what they have in common is made of each.
+        let parts = match arguments.compare {
+            true => optimize_compare::run(&loaded, &folder, earlier)?,
+            false => every_start(&loaded, &folder, earlier, &arguments)?,
+        };
+        own.finish()?;
+        return parts.iter().try_for_each(RunFolder::finish);
     }
-    let Outcome { first: reference, best, summary, .. } = outcome;
-    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
-    verified(&folder, summary, &verification)
+    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier }, "", &Tasks::default())?;
+    println!("{}", outcome.text);
+    println!(
+        "next: hydrograd simulate {} --set resolution.dx={} --out runs/finer    runs the best design at a finer spacing",
+        folder.join(files::BEST).display(),
+        loaded.config.finer_spacing()
+    );
+    if !arguments.no_verify {
+        let Outcome { first: reference, best, summary, .. } = outcome;
+        let verification =
+            Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
+        verified(&folder, summary, &verification)?;
+    }
+    own.finish()
 }
 
-/// What to do with what was found.
-fn next(loaded: &Loaded, folder: &Path) -> String {
-    let finer = loaded.config.finer_spacing();
-    if loaded.config.scene == Family::Custom {
-        let best = folder.join(optimize_shapes::BEST);
-        return format!(
-            "next: hydrograd simulate {} --set resolution.dx={finer} --out runs/finer    runs the best shapes at a finer spacing",
-            best.display()
-        );
-    }
-    let shape = folder.join("shape.csv");
-    format!(
-        "next: hydrograd simulate {} --set design.file={} --set resolution.dx={finer} --out runs/finer    runs the best wall at a finer spacing",
-        folder.join("config.toml").display(),
-        std::path::absolute(&shape).unwrap_or(shape).display(),
-    )
+/// How a run begins.
+#[derive(Clone, Copy)]
+pub struct Begin<'a> {
+    /// The folder of the run that it goes on with.
+    pub resume: Option<&'a Path>,
+    pub earlier: Earlier,
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
 fn verified(folder: &Path, mut summary: Map<String, Value>, verification: &Verification) -> anyhow::Result<()> {
     let found = verify::verify(verification, "verify")?;
+    // Then a check failed for this, and not of itself.
+    interrupt::check()?;
     summary.extend(verify::data(&found));
     files::write_summary(folder, summary)?;
     println!("\nverification: both walls again, with one thing changed\n{}", verify::text_of(&found));
@@ -225,23 +255,23 @@ pub struct Outcome {
 pub fn one(
     loaded: &Loaded,
     folder: &Path,
-    resume: Option<&Path>,
+    how: Begin<'_>,
     label: &str,
     tasks: &Tasks,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<(RunFolder, Outcome)> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, resume, label, tasks),
-        Precision::F64 => go::<f64>(loaded, folder, resume, label, tasks),
+        Precision::F32 => go::<f32>(loaded, folder, how, label, tasks),
+        Precision::F64 => go::<f64>(loaded, folder, how, label, tasks),
     }
 }
 
-fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) -> anyhow::Result<()> {
-    if arguments.resume.resume.is_some() {
-        return Err(BadInput::new("--resume together with --start all")
-            .allowed("one of them")
-            .advice(format!("--resume {}/flat (or random, linear, sine)", folder.display()))
-            .into());
-    }
+fn every_start(
+    loaded: &Loaded,
+    folder: &Path,
+    earlier: Earlier,
+    arguments: &OptimizeArguments,
+) -> anyhow::Result<Vec<RunFolder>> {
+    files::write_config(folder, loaded)?;
     let figure = Figure::of_config(&loaded.config);
     let (before, after) = (format!("{} before", figure.symbol), format!("{} best", figure.symbol));
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
@@ -249,6 +279,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let mut all = Map::new();
     let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
+    let mut least = (f64::INFINITY, String::new());
     // Every start is built before the first runs: a bad one must not be found out after an hour.
     for start in StartName::EACH {
         let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
@@ -259,12 +290,19 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     let (tasks, threads) = (Tasks::default(), loaded.config.run.threads);
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
-        one(loaded, &folder.join(name), None, name, &tasks)
+        let folder = folder.join(name);
+        let resume = Some(folder.as_path()).filter(|own| earlier == Earlier::Resumed && is_unfinished(own, KIND));
+        one(loaded, &folder, Begin { resume, earlier }, name, &tasks)
     })?;
-    for ((name, loaded), outcome) in runs.into_iter().zip(outcomes) {
+    let mut owned = Vec::new();
+    for ((name, loaded), (own, outcome)) in runs.into_iter().zip(outcomes) {
+        owned.push(own);
         let seconds = outcome.summary.get("wall_seconds").and_then(Value::as_f64).unwrap_or(0.0);
         let best = outcome.summary.get("best_epoch").and_then(Value::as_u64).unwrap_or(0) as usize;
         let values = outcome.values;
+        if outcome.history[best].loss < least.0 {
+            least = (outcome.history[best].loss, name.clone());
+        }
         walls.push((format!("from {name}"), outcome.best.clone()));
         if best_of_all.as_ref().is_none_or(|(value, ..)| values[best] > *value) {
             best_of_all = Some((values[best], name.clone(), loaded, outcome.best));
@@ -274,7 +312,7 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
             format!("{:.6}", values[0]),
             format!("{:.6}", values[best]),
             format!("{:+.2} %", 100.0 * (values[best] / values[0] - 1.0)),
-            best.to_string(),
+            (best + 1).to_string(),
             format!("{seconds:.1}"),
         ]);
         curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| (k as f64, q)).collect()));
@@ -293,13 +331,18 @@ fn every_start(loaded: &Loaded, folder: &Path, arguments: &OptimizeArguments) ->
     plot_walls(folder, &loaded.config, &walls, chosen)?;
     files::write_summary(folder, all.clone())?;
     println!("{}", table.to_text());
+    if let Some((value, name, ..)) = &best_of_all {
+        let (loss, other) = &least;
+        println!("best {}: {value:.6}, began {name}; least loss: {loss:+.6}, began {other}", figure.symbol);
+    }
     println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
-    let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) else { return Ok(()) };
-    println!("the best of all began {name}");
-    all.insert("verified_start".into(), json!(name));
-    let reference = best.flat();
-    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
-    verified(folder, all, &verification)
+    if let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) {
+        all.insert("verified_start".into(), json!(name));
+        let reference = best.flat();
+        let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FLAT };
+        verified(folder, all, &verification)?;
+    }
+    Ok(owned)
 }
 
 /// `walls.png`, and `walls-top.png` where the top wall is shaped too: walls of several runs, the chosen one highlighted.
@@ -328,30 +371,32 @@ fn capitalised(text: &str) -> String {
 fn go<R: Sweeps>(
     loaded: &Loaded,
     folder: &Path,
-    resume: Option<&Path>,
+    how: Begin<'_>,
     label: &str,
     tasks: &Tasks,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<(RunFolder, Outcome)> {
     let config = &loaded.config;
     let search = loaded.for_search()?;
     let (problem, _) = build::<R>(&search.config)?;
     // What pictures and reports show, if that is not what the optimiser sees.
-    let own = match search.config == *config {
+    let scene = match search.config == *config {
         true => None,
         false => Some(build::<R>(config)?.0),
     };
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     let judges = Judges { config, problem: &problem, schedule: &schedule, surrogate: surrogate::<R>(loaded)? };
-    let mut optimisation = begin(config, &problem, resume)?;
+    let mut optimisation = begin(config, &problem, how.resume)?;
     let mut notes = notes(loaded).to_vec();
     if judges.surrogate.is_some() {
         notes.push((MODEL, identity(model_of(config))?));
     }
-    prepare_output_folder(folder)?;
+    let own = RunFolder::take(folder, KIND, how.earlier)?;
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
+    // Several may go on at once.
+    let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
     let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
-    let bar = Progress::among(tasks, (config.optimise.epochs - done) as u64 * UNITS, &label);
+    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
     let reason = RefCell::new(String::new());
     // Steps of the solver that proposals took, which belong to the epoch behind them.
     let proposals = Cell::new(0);
@@ -379,18 +424,15 @@ fn go<R: Sweeps>(
     optimisation.run_prepared(config.optimise.epochs, limits, prepare, evaluate, |optimisation| {
         keep(optimisation)?;
         if let Some(last) = optimisation.history.last() {
-            let (epoch, symbol) = (optimisation.history.len() - 1, problem.figure.symbol);
+            let (epoch, symbol) = (format!("{name}epoch {:3}", optimisation.history.len()), problem.figure.symbol);
             if last.is_rejected() {
                 let seconds = last.seconds;
-                bar.line(&format!(
-                    "epoch {epoch:3}  rejected, the next step is shorter: {}  {seconds:.1} s",
-                    reason.borrow()
-                ));
+                bar.log(&format!("{epoch}  rejected, the next step is shorter: {}  {seconds:.1} s", reason.borrow()));
                 return Ok(());
             }
             bar.message(format!("{symbol} {:.6} |gradient| {:.2e}", last.figure, last.gradient_norm));
-            bar.line(&format!(
-                "epoch {epoch:3}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}{}  {:.1} s",
+            bar.log(&format!(
+                "{epoch}  {symbol} {:.6}  loss {:+.6}  |gradient| {:.3e}{}  {:.1} s",
                 last.figure,
                 last.loss,
                 last.gradient_norm,
@@ -409,7 +451,7 @@ fn go<R: Sweeps>(
         keep(&optimisation)?;
     }
     bar.finish();
-    report(loaded, folder, (&problem, own.as_ref()), &optimisation)
+    Ok((own, report(loaded, folder, (&problem, scene.as_ref()), &optimisation)?))
 }
 
 /// What surrogate and solver say of an epoch, for its line.
@@ -520,6 +562,10 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
         return Ok(Optimisation::new(new(&problem.first)));
     };
     let path = from.join(CHECKPOINT);
+    if !path.exists() && is_unfinished(from, KIND) {
+        // It was ended before its first epoch was.
+        return Ok(Optimisation::new(new(&problem.first)));
+    }
     let file = open(&path, checkpoint::KIND, config, &FREE)?;
     let optimisation = checkpoint::restore(&file, &*problem.parametrisation, new)?;
     if let Some(before) = file.metadata.get(MODEL).filter(|_| config.optimise.dynamics != DynamicsName::Solver) {
@@ -534,6 +580,8 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
     let epochs = optimisation.history.len();
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
+        // Pictures, figures or checks are missing.
+        true if is_unfinished(from, KIND) => return Ok(optimisation),
         true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),
@@ -569,6 +617,8 @@ fn report<R: Sweeps>(
     }
     let history = &optimisation.history;
     write_walls(folder, config, &*problem.parametrisation, optimisation)?;
+    let best = problem.parametrisation.sampled(&history[optimisation.best].variables);
+    files::write_best(folder, &loaded.with(&wall_settings(&best, config))?)?;
     plot_history(folder, problem, optimisation)?;
     let [first, best] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
     let both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
@@ -644,7 +694,7 @@ fn write_walls(
     }
     files::write_shape(folder, &walls[0], &columns)?;
     if walls[0].across.is_some() {
-        let best = format!("best: epoch {}", optimisation.best);
+        let best = format!("best: epoch {}", optimisation.best + 1);
         files::write_wall(folder, config, parametrisation, &optimisation.history[optimisation.best].variables)?;
         return files::plot_relief(
             folder,
@@ -655,7 +705,7 @@ fn write_walls(
     }
     let picture = |name: &str, offsets: &mut dyn Iterator<Item = &Vec<f64>>| {
         let shapes: Vec<(String, Vec<f64>)> =
-            offsets.enumerate().map(|(k, offsets)| (format!("epoch {k}"), offsets.clone())).collect();
+            offsets.enumerate().map(|(k, offsets)| (format!("epoch {}", k + 1), offsets.clone())).collect();
         wall_shapes(&folder.join(name), &walls[0].nodes, &shapes, Some(optimisation.best), config.design.bound)
     };
     picture("shapes", &mut walls.iter().map(|wall| &wall.offsets))?;
@@ -677,7 +727,7 @@ pub fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optim
                 true => (e.predicted.unwrap_or(f64::NAN), e.truth.map_or(f64::NAN, |truth| truth.figure)),
                 false => (e.figure, f64::NAN),
             };
-            HistoryPoint { epoch, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
+            HistoryPoint { epoch: epoch + 1, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
         })
         .collect();
     let first = Some(("first design", optimisation.history[0].shown()));
@@ -791,10 +841,11 @@ fn text(
 pub fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> String {
     let (history, best) = (&optimisation.history, optimisation.best);
     format!(
-        "\n{} {} in epoch {best} of {}, {seconds:.1} s\n",
+        "\n{} {} in epoch {} of {}, {seconds:.1} s\n",
         figure.symbol,
         change(history[0].shown(), history[best].shown()),
-        history.len() - 1
+        best + 1,
+        history.len()
     )
 }
 
@@ -818,8 +869,12 @@ fn surrogate_text(figure: Figure, optimisation: &Optimisation) -> String {
     else {
         return String::new();
     };
-    let mut text =
-        format!("the surrogate's best is epoch {promised}: it predicted {} {}", figure.symbol, change(before, after));
+    let mut text = format!(
+        "the surrogate's best is epoch {}: it predicted {} {}",
+        promised + 1,
+        figure.symbol,
+        change(before, after)
+    );
     if let Some(truth) = history[promised].truth {
         text.push_str(&format!("; in the solver {}", change(history[0].shown(), truth.figure)));
     }

@@ -1,8 +1,9 @@
 //! `hydrograd optimize --compare`: solver, surrogate, both, a trust region, and a search without gradients, side by side.
 
 use super::files;
-use super::optimize::{one, surrogate, Outcome};
+use super::optimize::{one, surrogate, Begin, Outcome};
 use super::prepare::build;
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::{ParametrisationName, Precision};
 use crate::design::cma_es;
@@ -60,14 +61,14 @@ impl Way {
 ///
 /// # Errors
 /// A way that fails.
-pub fn run(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder),
-        Precision::F64 => go::<f64>(loaded, folder),
+        Precision::F32 => go::<f32>(loaded, folder, earlier),
+        Precision::F64 => go::<f64>(loaded, folder, earlier),
     }
 }
 
-fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
     let set = |pairs: &[(&str, &str)]| -> Result<Loaded, Error> {
         let settings: Vec<Setting> =
             pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect();
@@ -88,12 +89,14 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         surrogate::<R>(loaded)?;
     }
     let splines = set(&[trust("none"), dynamics("solver"), ("design.parametrisation", "b-spline")])?;
-    let (mut found, mut path, mut all) = (Vec::new(), Vec::new(), Map::new());
+    let (mut found, mut path, mut all, mut owned) = (Vec::new(), Vec::new(), Map::new(), Vec::new());
     for (name, loaded) in &ways {
         reset_peak_memory();
         let clock = Instant::now();
         let label = name.replace(", ", "-").replace(' ', "-");
-        let outcome = one(loaded, &folder.join(&label), None, name, &Tasks::default())?;
+        let begin = Begin { resume: None, earlier };
+        let (own, outcome) = one(loaded, &folder.join(&label), begin, name, &Tasks::default())?;
+        owned.push(own);
         let seconds = clock.elapsed().as_secs_f64();
         let first = outcome.history[0].shown();
         found.push(Way { name, first, course: course(&outcome.history), seconds, bytes: peak_memory_bytes() });
@@ -105,7 +108,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     found.push(without_gradient::<R>(&splines)?);
     let cosines = cosines::<R>(&ways[1].1, &path)?;
     let horizons = horizons::<R>(&ways[1].1)?;
-    report(loaded, folder, &found, (&cosines, &horizons), all)
+    report(loaded, folder, &found, (&cosines, &horizons), all)?;
+    Ok(owned)
 }
 
 /// Steps of the solver, and the best that it has confirmed, epoch by epoch.

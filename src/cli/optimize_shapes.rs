@@ -6,7 +6,6 @@ use super::prepare::diverged;
 use crate::design::diagnostics::{simulate, Diagnostics};
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::design::Problem;
-use crate::io::atomic::write_bytes_atomically;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
@@ -14,9 +13,6 @@ use crate::scene::verification::wall_settings;
 use crate::sph::Sweeps;
 use serde_json::{json, Value};
 use std::path::Path;
-
-/// The configuration with the best shapes.
-pub const BEST: &str = "best.toml";
 
 /// Runs the first and the best shapes once more and writes everything that is made of them.
 pub fn report<R: Sweeps>(
@@ -30,7 +26,7 @@ pub fn report<R: Sweeps>(
     let sampled = |epoch: usize| problem.parametrisation.sampled(&history[epoch].variables);
     let (first, best) = (sampled(0), sampled(optimisation.best));
     let found = loaded.with(&wall_settings(&best, config))?;
-    write_bytes_atomically(&folder.join(BEST), found.text.as_bytes())?;
+    files::write_best(folder, &found)?;
     let failed = diverged(problem.model.remedy());
     let [before, after] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
     let before = simulate(problem, config.run.kernels, &problem.start(before), &mut []).map_err(&failed)?;
@@ -91,8 +87,9 @@ pub fn report<R: Sweeps>(
         + &optimize::found_text(figure, optimisation, seconds)
         + &optimize::end_text(optimisation)
         + &format!(
-            "files in {}: summary.json, {BEST}, history.png, flow.png{}, state.h5, {}, particles/particles.pvd (ParaView)",
+            "files in {}: summary.json, {}, history.png, flow.png{}, state.h5, {}, particles/particles.pvd (ParaView)",
             folder.display(),
+            files::BEST,
             if has_heat { ", temperature.png" } else { "" },
             optimize::CHECKPOINT
         );

@@ -3,12 +3,12 @@
 use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
 use super::prepare::use_threads;
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Family, Kernels, Precision};
 use crate::error::{BadInput, Error};
 use crate::inverse::initial_state::{InitialState, Target, Unknown};
 use crate::inverse::search::{search, Epoch};
-use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::write_rows;
 use crate::io::state_file::read_state;
 use crate::report::plots::{colored_particles, compare, TemperaturePanel};
@@ -174,8 +174,12 @@ impl RecoverArguments {
     }
 }
 
+/// What its folders are marked with.
+const KIND: &str = "recover";
+
 pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
-    let folder = arguments.common.folder(None, "recover", &loaded)?;
+    let folder = arguments.common.folder(None, KIND, &loaded)?;
+    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &arguments, &folder),
@@ -212,7 +216,7 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     let problem = InitialState::<R>::new(&loaded.config, unknown, assumed_config, target);
     let problem = problem.map_err(located(assumed.as_ref().unwrap_or(loaded)))?;
     check_worth(loaded, &problem, is_twin)?;
-    prepare_output_folder(folder)?;
+    let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     files::write_config(folder, loaded)?;
     let mut evaluate = |x: &[f64], progress: Share<'_>| problem.evaluate(x, progress);
     let found = recover(&problem, "", arguments.epochs, is_twin, &mut evaluate)?;
@@ -282,7 +286,7 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     let learned = LearnedVelocities::<R>::new(loaded, arguments.surrogate()?, frames).map_err(located(loaded))?;
     let problem = &learned.problem;
     check_worth(loaded, problem, true)?;
-    prepare_output_folder(folder)?;
+    let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     files::write_config(folder, loaded)?;
     let mut by_model = |x: &[f64], progress: Share<'_>| learned.evaluate(x, progress);
     let model = recover(problem, "surrogate  ", arguments.epochs, true, &mut by_model)?;

@@ -1,11 +1,11 @@
 //! `hydrograd rollout`: what a model predicts, beside what happened, to look at.
 
-use super::arguments::{at_least_one, check_writable};
+use super::arguments::at_least_one;
 use super::model_data::{ModelData, ModelDataArguments};
+use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::io::vtk::{ParticleFrame, VtkSeries};
 use crate::report::plots::{side_by_side, SideBySide, TemperaturePanel};
 use crate::report::table::Table;
@@ -45,11 +45,14 @@ pub struct RolloutArguments {
     pub out: PathBuf,
 }
 
+/// What its folders are marked with.
+const KIND: &str = "rollout";
+
 pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     let ModelData { model, metadata, trajectories } = arguments.source.read()?;
     let trajectory = find(&trajectories, arguments.trajectory.as_deref())?;
     check_length(trajectory, arguments.start, arguments.steps)?;
-    check_writable(&arguments.out)?;
+    RunFolder::check(&arguments.out, KIND, Earlier::Replaced)?;
     let run = rollout(&*model, &metadata, trajectory, arguments.start, arguments.steps)?;
     if let (true, Some(broken)) = (run.frames.is_empty(), &run.broken) {
         let problem = format!("{} gives no usable frame: {}", model.name(), broken.reason);
@@ -60,7 +63,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     let truth: Vec<Frame> = (first..first + run.frames.len()).map(|frame| Frame::of(trajectory, frame)).collect();
 
     let folder = &arguments.out;
-    prepare_output_folder(folder)?;
+    let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     let scene = Scene { metadata: &metadata, trajectory, tag: tags(trajectory) };
     let predicted = scene.fields(&last_seen, &run.frames);
     let truth_fields = scene.fields(&last_seen, &truth);

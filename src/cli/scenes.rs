@@ -4,13 +4,13 @@ use super::arguments::check_preset;
 use super::arguments::CommonArguments;
 use super::files;
 use super::prepare::use_threads;
+use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
 use crate::config::scene::Config;
 use crate::config::scene::Precision;
 use crate::error::Error;
-use crate::io::atomic::prepare_output_folder;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
@@ -89,9 +89,13 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     }
 }
 
+/// What the folders of a check are marked with.
+const KIND: &str = "scenes check";
+
 fn check(common: &CommonArguments) -> anyhow::Result<()> {
     let loaded = common.load(None, vec![], vec![])?;
     let folder = common.folder(None, "check", &loaded)?;
+    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
     match loaded.config.run.precision {
         Precision::F32 => report::<f32>(&loaded, &folder),
@@ -136,7 +140,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     print!("{table}");
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let mut run = dynamics.start(&scene.start)?;
-    prepare_output_folder(folder)?;
+    let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     let start = ParticleFields::of(&mut run);
     let (label, values) = match &start.temperature {
         Some(temperature) => ("temperature T (scene units)", temperature.clone()),

@@ -4,14 +4,16 @@ use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files;
 use super::prepare::{diverged, use_threads};
+use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
-use crate::config::scene::Precision;
+use crate::config::layers::Setting;
+use crate::config::scene::{Config, Precision};
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History};
@@ -37,6 +39,8 @@ Examples:
       what a step would do, and nothing is run
   hydrograd simulate taylor-green --set resolution.dx=0.01
       a flow with an exact solution (`hydrograd scenes` lists more), and how far from it the particles end
+  hydrograd simulate --resume runs/simulate-heated-channel --set time.end=8
+      a finished run made longer, to the bit as if it had been so long (an interrupted one goes on without --set)
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -50,7 +54,16 @@ pub struct SimulateArguments {
 
 impl SimulateArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(self.resume.resume.as_deref(), vec![], vec![])
+        let resume = self.resume.resume.as_deref();
+        let loaded = self.common.load(resume, vec![], vec![])?;
+        let Some(folder) = resume else { return Ok(loaded) };
+        // Steps are made to fit the time; those of a run that becomes longer stay what they were.
+        let before = Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])?.config;
+        let (time, earlier) = (&loaded.config.time, &before.time);
+        match (time.end, time.steps) == (earlier.end, earlier.steps) || time.step.is_some() {
+            true => Ok(loaded),
+            false => loaded.with(&[Setting::option("--resume", "time.step", format!("{:?}", before.time_step()))]),
+        }
     }
 
     /// Where results go; an error if nothing can be written there.
@@ -64,6 +77,8 @@ const CHECKPOINTS: usize = 10;
 /// Rows of history.csv.
 const HISTORY: usize = 400;
 const CHECKPOINT: &str = "checkpoint.safetensors";
+/// What its folders are marked with.
+const KIND: &str = "simulate";
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
@@ -72,6 +87,8 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
         return explain(&loaded, false);
     }
     let resume = arguments.resume.resume.as_deref();
+    RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
+    interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &folder, resume),
         Precision::F64 => go::<f64>(&loaded, &folder, resume),
@@ -82,15 +99,17 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let config = &loaded.config;
     let scene = Scene::<R>::from_config(config)?;
     let first = match resume {
+        // It was ended before its first checkpoint.
+        Some(from) if !from.join(CHECKPOINT).exists() && is_unfinished(from, KIND) => scene.start.clone(),
         Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
         None => scene.start.clone(),
     };
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
-    check_unfinished(began, scene.steps)?;
+    check_unfinished(began, &scene)?;
     let failed = diverged(scene.model.remedy());
     let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
-    prepare_output_folder(folder)?;
+    let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
         let mut columns = vec![(wall.column(), wall.offsets.as_slice())];
@@ -153,18 +172,30 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
     let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, divided, pictures };
     match (&scene.design, measurement) {
-        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start),
-        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt)),
+        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start)?,
+        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
     }
+    // Last, so that a run which has this one has everything: the averages of its end are in no checkpoint.
+    checkpoint::write(&folder.join(CHECKPOINT), &solver, &loaded.text)?;
+    own.finish()
 }
 
-/// An error if a resumed run has nothing left to do.
-fn check_unfinished(step: usize, steps: usize) -> Result<(), BadInput> {
-    if step < steps {
-        return Ok(());
+/// An error if a resumed run has nothing left to do, or not enough for the averages of its end.
+fn check_unfinished<R>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
+    let (steps, window) = (scene.steps, scene.design.as_ref().map_or(0, |design| design.window));
+    let time = |steps: usize| steps as f64 * scene.model.dt;
+    let advice = format!("time.end={:.3}", 2.0 * time(step));
+    if step >= steps {
+        return Err(BadInput::new(format!("the run has its {step} steps already"))
+            .place("--resume")
+            .allowed("a run that was interrupted, or a longer time.end")
+            .advice(advice));
     }
-    Err(BadInput::new(format!("the run has its {step} steps already"))
-        .place("--resume")
-        .allowed("a run that was interrupted")
-        .advice("a new run with a longer time.end"))
+    if step > 0 && step + window > steps {
+        return Err(BadInput::new("the last part of the run, whose averages are taken, began before what is to come")
+            .place("--resume")
+            .allowed(format!("time.end of at least {:.6}: objective.window more than there is", time(step + window)))
+            .advice(advice));
+    }
+    Ok(())
 }

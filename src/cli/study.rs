@@ -1,11 +1,12 @@
 //! `hydrograd study`: a grid over training settings, one table and plots.
 
-use super::arguments::{at_least_one, check_writable};
+use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
+use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::io::csv::{write_table, Cell};
+use crate::numerics::interrupt;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -40,9 +41,12 @@ pub struct StudyArguments {
     #[arg(long, value_name = "DIR", default_value = "runs/study")]
     pub out: PathBuf,
     /// Worker threads of a training, 0 for every core; 1 is best on a busy machine.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }
+
+/// What its folders are marked with.
+const KIND: &str = "study";
 
 pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     let grid = arguments.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
@@ -51,7 +55,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
         let place = format!("--data {}", arguments.data.display());
         return Err(BadInput::new(error.to_string()).place(place).allowed("the folder of a data set").into());
     }
-    check_writable(&arguments.out)?;
+    RunFolder::check(&arguments.out, KIND, Earlier::Resumed)?;
     let program = std::env::current_exe()?;
     let StudyArguments { data, sets, steps, out, threads, .. } = arguments;
     let study = Study { program, data, steps, sets, out, threads };
@@ -59,7 +63,10 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     // Found out before hours of training, not after.
     let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     let kept = known.iter().flatten().count();
+    // A study never discards what another one trained: what differs is refused.
+    let own = RunFolder::take(&study.out, KIND, Earlier::Resumed)?;
 
+    interrupt::listen("the same command again: what is trained is kept")?;
     let bar = Progress::new(points.len() as u64, "study");
     let mut outcomes = Vec::new();
     for (point, known) in points.iter().zip(known) {
@@ -69,7 +76,6 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
             None => study.train(point)?,
         };
         outcomes.push((point.clone(), outcome));
-        prepare_output_folder(&study.out)?;
         // After every point: a study that is killed leaves a table.
         write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
         bar.done(1);
@@ -91,7 +97,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
         })
         .collect();
     match failed.first() {
-        None => Ok(()),
+        None => own.finish(),
         Some(first) => {
             let problem = format!("{} of {} points failed; the first: {first}", failed.len(), outcomes.len());
             Err(Error::run(problem, "the same command again: only what is missing is trained").into())

@@ -1,13 +1,15 @@
 //! `hydrograd train`: a surrogate from a data set.
 
-use super::arguments::{check_own, check_writable, set_option};
+use super::arguments::{set_option, threads, OverwriteArgument};
 use super::model_data::unreadable;
 use super::prepare::use_threads;
+use super::run_folder::{is_unfinished, Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
 use crate::dataset::Metadata;
 use crate::error::BadInput;
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::models::setup::Setup;
@@ -55,11 +57,13 @@ pub struct TrainArguments {
     /// Go on with the training in --out.
     #[arg(long, conflicts_with = "init")]
     pub resume: bool,
+    #[command(flatten)]
+    pub overwrite: OverwriteArgument,
     /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
     /// Worker threads, 0 for every core.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Implementation of the network; a training can go on with the other one.
     #[arg(long, value_enum, default_value_t)]
@@ -71,6 +75,9 @@ pub struct TrainArguments {
     #[arg(long)]
     pub print_config: bool,
 }
+
+/// What its folders are marked with.
+const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let folder = &arguments.out;
@@ -86,12 +93,8 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
             .advice("--data data/heated")
             .into());
     };
-    check_writable(folder)?;
-    check_own(
-        folder,
-        &["metadata.json", "generate.json", "study.csv", "summary.json"],
-        "a new folder, or with --resume that of a training",
-    )?;
+    let earlier = Earlier::of_options(arguments.resume, arguments.overwrite.overwrite);
+    RunFolder::check(folder, KIND, earlier)?;
     use_threads(arguments.threads.unwrap_or(0));
     let metadata = Metadata::read(data).map_err(unreadable(data))?;
     let setup = Setup::new(&settings, &metadata)?;
@@ -102,7 +105,10 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let bar = Progress::new(settings.steps, "train");
     let (trajectories, frames) = (data_set.train.len(), data_set.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
+    let own = RunFolder::take(folder, KIND, earlier)?;
+    interrupt::listen(format!("hydrograd train --data {} --out {} --resume", data.display(), folder.display()))?;
     let outcome = training.run(&bar)?;
+    own.finish()?;
     bar.finish();
     show(&outcome, &settings, training.state.seconds);
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
@@ -133,7 +139,7 @@ impl TrainArguments {
     fn origin(&self, init: Option<Header>, settings: &Settings, setup: &Setup) -> Result<Origin, BadInput> {
         let folder = &self.out;
         let place = format!("--out {}", folder.display());
-        if self.resume {
+        if self.resume && !ended_early(folder) {
             let last = folder.join(LAST);
             let header = checkpoint::read(&last).map_err(|bad| {
                 bad.advice(match last.exists() {
@@ -146,16 +152,18 @@ impl TrainArguments {
                 false => bad.advice("begin anew in another --out; --init takes over the parameters"),
             });
         }
-        let new = Origin::new(folder).map_err(|bad| {
-            bad.place(place).allowed("a new folder").advice("--resume to go on with it, or another --out")
-        })?;
         match (init, &self.init) {
             (Some(header), Some(from)) => Origin::taken_over(header, setup)
                 .map_err(of_init(from))
                 .map_err(|bad| bad.advice("leave --config and --set model.* out: the sizes are the file's then")),
-            _ => Ok(new),
+            _ => Ok(Origin::New),
         }
     }
+}
+
+/// Whether a folder's training was ended before its first checkpoint: then it begins with its settings.
+pub(super) fn ended_early(folder: &Path) -> bool {
+    is_unfinished(folder, KIND) && folder.join("config.toml").is_file() && !folder.join(LAST).exists()
 }
 
 /// An error in a file that --init names.

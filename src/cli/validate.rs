@@ -1,10 +1,11 @@
 //! `hydrograd validate`: every scene with a known answer, run and compared with it.
 
-use super::arguments::check_writable;
+use super::arguments::threads;
 use super::files::VERSION;
 use super::prepare::{share_out, use_threads, workers};
+use super::run_folder::{Earlier, RunFolder};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
@@ -42,7 +43,7 @@ pub struct ValidateArguments {
     #[arg(long, value_name = "DIR", default_value = "runs/validate")]
     pub out: PathBuf,
     /// Cases at a time, each on one thread; 0 for every core.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }
 
@@ -66,7 +67,7 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         println!("{}", list(&chosen).to_text());
         return Ok(());
     }
-    check_writable(&arguments.out)?;
+    let _own = RunFolder::take(&arguments.out, "validate", Earlier::Replaced)?;
     use_threads(1);
     let bar = Progress::new(chosen.len() as u64 * PARTS as u64, "validate");
     let found = share_out(workers(arguments.threads, chosen.len()), &chosen, |case| {
@@ -83,7 +84,6 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     })?;
     bar.finish();
     let rows: Vec<&Row> = found.iter().flat_map(|found| &found.rows).collect();
-    prepare_output_folder(&arguments.out)?;
     write(&arguments.out, &rows)?;
     let pictures = draw(&arguments.out, &found)?;
     println!("{}", table(&rows).to_text());

@@ -1,12 +1,13 @@
 //! `hydrograd verify`: whether the gain of a design is one of its wall; and what `optimize` says of it.
 
-use super::arguments::{check_writable, name_of, option, set_option, with_options};
+use super::arguments::{name_of, option, set_option, threads, with_options};
 use super::files::VERSION;
 use super::prepare::{require_design, use_threads};
+use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
 use crate::design::shape::{self, read_column, read_columns, read_surface, Columns, Shape};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::atomic::write_bytes_atomically;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
@@ -46,7 +47,7 @@ pub struct VerifyArguments {
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
     /// Worker threads, 0 for every core (run.threads).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
 }
 
@@ -102,11 +103,16 @@ impl VerifyArguments {
     }
 }
 
+/// What folders of its own are marked with.
+const KIND: &str = "verify";
+
 pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let given = arguments.given()?;
     let loaded = arguments.load(&given)?;
     let folder = arguments.out.clone().unwrap_or_else(|| given.folder.clone());
-    check_writable(&folder)?;
+    // Into a folder of its own, or beside what is verified.
+    let earlier = if folder == given.folder { Earlier::Visited } else { Earlier::Replaced };
+    RunFolder::check(&folder, KIND, earlier)?;
     let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
     let located = |bad: BadInput| bad.located(|_| Some(given.wall.display().to_string()));
     let wall = |columns: Columns, top: &str| -> Result<Shape, BadInput> {
@@ -131,8 +137,8 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     };
     use_threads(loaded.config.run.threads);
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name };
+    let _own = RunFolder::take(&folder, KIND, earlier)?;
     let verified = verify(&verification, "verify")?;
-    prepare_output_folder(&folder)?;
     let mut map = data(&verified);
     map.insert("version".into(), json!(VERSION));
     let file = folder.join("verification.json");

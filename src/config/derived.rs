@@ -166,18 +166,21 @@ impl Config {
         self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()
     }
 
-    /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit.
+    /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit, or with `time.step`.
     pub fn steps(&self) -> usize {
         // The tolerance keeps an exact multiple from costing one more, tiny step.
-        let needed = (self.time.end / self.time_step_limit() - 1e-9).ceil().max(1.0);
+        let step = self.time.step.unwrap_or_else(|| self.time_step_limit());
+        let needed = (self.time.end / step - 1e-9).ceil().max(1.0);
         self.time.steps.unwrap_or(needed as usize)
     }
 
-    /// Time step: the limit itself when the steps are counted, else shortened so that the run ends at `time.end`.
+    /// Time step: the one that is given; else the limit itself when the steps are counted, or shortened so that the run ends at
+    /// `time.end`.
     pub fn time_step(&self) -> f64 {
-        match self.time.steps {
-            Some(_) => self.time_step_limit(),
-            None => self.time.end / self.steps() as f64,
+        match (self.time.step, self.time.steps) {
+            (Some(step), _) => step,
+            (None, Some(_)) => self.time_step_limit(),
+            (None, None) => self.time.end / self.steps() as f64,
         }
     }
 

@@ -446,6 +446,9 @@ pub struct Time {
     /// If given, this many steps instead of `end`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<usize>,
+    /// If given, the size of a step instead of the largest that is allowed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step: Option<f64>,
     /// Acoustic time step: dt <= cfl * dx / (sound speed + reference velocity).
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
@@ -857,6 +860,7 @@ impl Default for Time {
         Self {
             end: 2.5,
             steps: None,
+            step: None,
             cfl: 1.5,
             diffusion_number: 0.25,
             integrator: IntegratorName::SymplecticEuler,

@@ -37,6 +37,7 @@ impl Schema for Config {
     fn complete() -> Self {
         let mut config = Self::default();
         config.time.steps = Some(1);
+        config.time.step = Some(1.0);
         config.shapes = vec![ShapeEntry::complete()];
         config.variables = vec![VariableEntry::default()];
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
@@ -172,6 +173,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("wall.hot_temperature", wall.hot_temperature, Finite),
         ("time.end", time.end, Positive),
         ("time.steps", time.steps.unwrap_or(1) as f64, Within(1.0, MAX_STEPS)),
+        ("time.step", time.step.unwrap_or(1.0), Positive),
         ("time.cfl", time.cfl, Above(0.0, 4.0)),
         ("time.diffusion_number", time.diffusion_number, Above(0.0, 1.0)),
         ("time.jitter", time.jitter, Within(0.0, 0.3)),
@@ -806,11 +808,24 @@ impl Config {
                 .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
                 .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.name())));
         }
-        let needed = self.time.end / limit;
+        if let Some(step) = self.time.step.filter(|&step| step > limit * (1.0 + WHOLE)) {
+            return Err(BadInput::new(format!("time.step = {step} is too large"))
+                .key("time.step")
+                .allowed(format!("steps of at most {limit:.4e}, which time.cfl and time.diffusion_number allow"))
+                .advice("leave time.step out: the largest steps are taken then"));
+        }
+        let needed = self.time.end / self.time.step.unwrap_or(limit);
         if self.time.steps.is_none() && needed > MAX_STEPS {
-            return Err(BadInput::new(format!("time.end = {} needs {needed:.1e} steps", self.time.end))
-                .key("time.end")
-                .allowed(format!("at most {MAX_STEPS:.0e} steps")));
+            let limits = self.time_step_limits();
+            // A usual time is not to blame for tiny steps.
+            let (key, value) = match self.time.step {
+                _ if self.time.end > 1e3 * self.scene.defaults().time.end => ("time.end", self.time.end),
+                Some(step) => ("time.step", step),
+                None if limits.diffusive < limits.acoustic => ("time.diffusion_number", self.time.diffusion_number),
+                None => ("time.cfl", self.time.cfl),
+            };
+            let problem = format!("{key} = {value}: the run to t = {} needs {needed:.1e} steps", self.time.end);
+            return Err(BadInput::new(problem).key(key).allowed(format!("at most {MAX_STEPS:.0e} steps")));
         }
         Ok(())
     }

@@ -7,7 +7,7 @@ use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
 use crate::config::scene::{Config, DensityEquation, Family, FluxName, SlipName};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
+use crate::io::atomic::{is_temporary, write_bytes_atomically, write_path_atomically};
 use crate::io::hdf5_file::{create, failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
 use crate::io::FileError;
 use serde::{Deserialize, Serialize};
@@ -160,7 +160,7 @@ impl Store {
         // A merge that was killed leaves its half of a file, which may be large.
         for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            if Split::ALL.iter().any(|split| name.starts_with(&format!(".{}.partial-", split.name()))) {
+            if is_temporary(&name) {
                 let _ = std::fs::remove_file(entry.path());
             }
         }

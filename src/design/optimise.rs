@@ -4,6 +4,7 @@ use super::limits::Limits;
 use super::optimisers::Optimiser;
 use super::problem::{Evaluation, Truth};
 use crate::error::Error;
+use crate::numerics::interrupt;
 
 /// Everything that the next epoch depends on, and the record of those before.
 #[derive(Debug)]
@@ -134,7 +135,7 @@ impl Optimisation {
         self.run_prepared(epochs, limits, |_| Ok(()), |run, variables| evaluate(number(run), variables), seen)
     }
 
-    /// The same; `prepare` comes before each epoch, and before it is asked whether there is another one.
+    /// The same, until somebody asks to stop; `prepare` comes before each epoch, and before it is asked whether there is another one.
     ///
     /// # Errors
     /// Those of what it is given.
@@ -158,6 +159,7 @@ impl Optimisation {
             let found = evaluate(self, &variables);
             self.record(limits, variables, found, clock)?;
             seen(self)?;
+            interrupt::check()?;
         }
     }
 

@@ -225,7 +225,10 @@ impl<R: Sweeps> Problem<R> {
     fn advised(&self, error: anyhow::Error) -> Error {
         match error.downcast::<RunError>() {
             Ok(error) => error.advised(self.model.remedy()),
-            Err(error) => Error::run(error.to_string(), "report this"),
+            Err(error) => match error.downcast::<Error>() {
+                Ok(error) => error,
+                Err(error) => Error::run(error.to_string(), "report this"),
+            },
         }
     }
 

@@ -66,10 +66,20 @@ pub fn prepare_output_folder(path: &Path) -> Result<(), FileError> {
     fs::create_dir_all(path).map_err(|source| FileError::write(path, source))?;
     // Permission bits do not tell (root, read-only mounts, quotas), so try it.
     tempfile::Builder::new()
-        .prefix(".write-test-")
+        .prefix(TRIAL)
         .tempfile_in(path)
         .map(drop)
         .map_err(|error| FileError::write(path, without_temporary_path(error)))
+}
+
+/// What the names of unfinished files have between that of the target and a random part.
+const PARTIAL: &str = ".partial-";
+/// What that of [`prepare_output_folder`]'s trial begins with.
+const TRIAL: &str = ".write-test-";
+
+/// Whether a name is that of a file that was to be renamed, or removed, and was not: its process was killed.
+pub fn is_temporary(name: &str) -> bool {
+    name.starts_with(TRIAL) || (name.starts_with('.') && name.contains(PARTIAL))
 }
 
 /// The file that a rename must replace: behind symbolic links, and never a folder or a device.
@@ -105,7 +115,7 @@ fn temporary_beside(target: &Path) -> Result<tempfile::NamedTempFile, FileError>
         Some(extension) => format!(".{}", extension.to_string_lossy()),
         None => String::new(),
     };
-    let prefix = format!(".{stem}.partial-");
+    let prefix = format!(".{stem}{PARTIAL}");
     let mut builder = tempfile::Builder::new();
     builder.prefix(&prefix).suffix(&suffix);
     // Temporary files are private by default; results are to be shared as far as the umask allows.

@@ -36,8 +36,19 @@ pub fn failed<'a>(
     action: &'a str,
 ) -> impl Fn(&'a str) -> Box<dyn FnOnce(hdf5::Error) -> FileError + 'a> {
     move |what| {
-        Box::new(move |source| FileError::Hdf5 { path: path.to_owned(), action: format!("{action} {what}"), source })
+        Box::new(move |source| match system_error(&source.to_string()) {
+            Some(error) if ["write", "create"].contains(&action) => FileError::write(path, error),
+            Some(error) => FileError::read(path, error),
+            None => FileError::Hdf5 { path: path.to_owned(), action: format!("{action} {what}"), source },
+        })
     }
+}
+
+/// The system's error that a message of HDF5's is about (a full disk, ...), which says in some words what that says in many lines.
+fn system_error(message: &str) -> Option<std::io::Error> {
+    let (_, rest) = message.split_once("errno = ")?;
+    let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
+    digits.parse().ok().map(std::io::Error::from_raw_os_error)
 }
 
 pub fn missing(path: &Path, kind: &'static str, name: &str, present: Vec<String>) -> FileError {
@@ -138,4 +149,18 @@ pub fn write_text(path: &Path, group: &hdf5::Group, name: &str, text: &str) -> R
         .parse()
         .map_err(|_| FileError::input(path, format!("{name} holds a NUL character"), "text without NUL"))?;
     write_attribute(path, group, name, &[], &[text])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_one_line() {
+        let text = "H5F__close_cb(): can't close file: file write failed: time = Mon Nov 23 00:54:54 2026\n, filename = 'a.h5', \
+                    file descriptor = 3, errno = 28, error message = 'No space left on device', buf = 0x55f0";
+        let found = system_error(text).unwrap();
+        assert_eq!(found.kind(), std::io::ErrorKind::StorageFull);
+        assert!(system_error("no such dataset").is_none());
+    }
 }

@@ -2,6 +2,7 @@
 pub mod blocks;
 pub mod candle;
 pub mod exponential;
+pub mod interrupt;
 pub mod lanes;
 pub mod pool;
 pub mod random;

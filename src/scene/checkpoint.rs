@@ -24,8 +24,8 @@ use std::sync::Arc;
 /// What the metadata call it.
 pub const KIND: &str = "hydrograd simulation";
 
-/// Keys that may change between a simulation and its continuation.
-const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
+/// Keys that may change between a simulation and its continuation: it may be longer, but not of other steps.
+const FREE: [&str; 6] = ["output", "run.threads", "optimise", "time.end", "time.steps", "time.step"];
 
 /// Writes a run's present state, with the text of its configuration.
 ///
@@ -55,6 +55,15 @@ pub fn write<R: Sweeps>(path: &Path, solver: &Solver<R>, configuration: &str) ->
 pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<Snapshot<R>, BadInput> {
     let file = open(path, KIND, config, &FREE)?;
     let unreadable = |error: FileError| BadInput::new(error.to_string());
+    let theirs = Config::from_record(file.text("config").map_err(unreadable)?)
+        .map_err(|error| BadInput::new(format!("{}: {}", path.display(), error.message())))?;
+    let (before, now) = (theirs.time_step(), config.time_step());
+    if before != now {
+        return Err(BadInput::new(format!("the run has steps of {before:e}, not {now:e}"))
+            .place(path.display().to_string())
+            .allowed("the time step that it began with")
+            .advice(format!("time.step={before:?}")));
+    }
     let (n, l) = (model.particles(), model.layout);
     let rows = |name: &str, rows: usize| -> Result<Vec<R>, BadInput> {
         Ok(file.f64(name, &[rows, n]).map_err(unreadable)?.iter().map(|&x| R::of(x)).collect())

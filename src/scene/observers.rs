@@ -6,6 +6,7 @@ use crate::adjoint::run::Observer;
 use crate::io::csv::{read_columns, write_rows};
 use crate::io::vtk::VtkSeries;
 use crate::io::FileError;
+use crate::numerics::interrupt;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
@@ -96,7 +97,7 @@ impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
     }
 }
 
-/// Writes [`checkpoint`]s.
+/// Writes [`checkpoint`]s, but not that of the end; another one when the run is asked to stop.
 pub struct Checkpoints<'a> {
     pub path: PathBuf,
     /// The text of the configuration.
@@ -104,15 +105,16 @@ pub struct Checkpoints<'a> {
     pub steps: EvenSteps,
     /// Where the run began: it has that checkpoint already.
     pub began: usize,
-    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them but the last.
+    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them.
     pub window: usize,
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (step, last) = (solver.step, self.steps.last);
-        let is_averaged = step + self.window > last && step < last;
-        if step > self.began && self.steps.contains(step) && !is_averaged {
+        let is_averaged = step + self.window > last;
+        let is_due = self.steps.contains(step) || interrupt::asked().is_some();
+        if step > self.began && step < last && is_due && !is_averaged {
             checkpoint::write(&self.path, solver, self.configuration)?;
         }
         Ok(())

@@ -5,14 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::case::{Group, Size};
-use crate::cli::arguments::{at_least_one, check_writable};
+use crate::cli::arguments::{at_least_one, check_writable, threads};
 use crate::config::builtin;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::BadInput;
-
-/// Most threads that can be asked for: beyond this it is a slip of the pen.
-const MOST_THREADS: usize = 1024;
 
 /// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
 ///
@@ -55,7 +52,7 @@ pub struct BenchArguments {
     #[arg(long, value_enum, value_delimiter = ',', default_value = "f64,f32")]
     pub precision: Vec<Precision>,
     /// Numbers of threads, separated by commas; 0 for every core [default: 1,2].
-    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = threads)]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = threads, allow_hyphen_values = true)]
     pub threads: Vec<usize>,
     /// Implementation of the operators (`kernels` measures both).
     #[arg(long, value_enum, default_value = "fused")]
@@ -146,12 +143,5 @@ impl BenchArguments {
     /// Checks that results can be written.
     pub fn check_out(&self) -> Result<(), BadInput> {
         check_writable(&self.out)
-    }
-}
-
-fn threads(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count) if count <= MOST_THREADS => Ok(count),
-        _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
     }
 }

@@ -28,9 +28,9 @@ use cases::Cases;
 use compare::Earlier;
 use rows::Row;
 
+use super::run_folder::{self, RunFolder};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
-use crate::io::atomic::prepare_output_folder;
 use crate::report::progress::Progress;
 
 /// Largest difference that the plan of a scene may make: what it computes must agree to rounding.
@@ -70,7 +70,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
             .allowed("a part of group/scene/particles/precision/threads/kind/mode, e.g. step/heated-channel-report/950/f64/2/forward")
             .into());
     }
-    prepare_output_folder(&arguments.out)?;
+    let _own = RunFolder::take(&arguments.out, "bench", run_folder::Earlier::Replaced)?;
     let file = arguments.out.join("bench.json");
     let mut all: Vec<Row> = vec![];
     let bar = Progress::new((runs * arguments.repeats()) as u64, "bench");

@@ -14,8 +14,7 @@ use crate::surrogate::training::checkpoint::{Header, TrainingState};
 use crate::surrogate::training::train::fresh;
 use candle_core::DType;
 use serde_json::json;
-use std::fs::{File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// The checkpoint that a resumed training goes on with.
@@ -70,18 +69,6 @@ pub enum Origin {
 }
 
 impl Origin {
-    /// An error if a folder holds a training already.
-    ///
-    /// # Errors
-    /// [`BadInput`].
-    pub fn new(folder: &Path) -> Result<Self, BadInput> {
-        match folder.join(LAST).exists() {
-            true => Err(BadInput::new(format!("{} holds a training already", folder.display()))
-                .allowed("a new folder, or going on with that training")),
-            false => Ok(Self::New),
-        }
-    }
-
     /// The training that a checkpoint is of.
     ///
     /// # Errors
@@ -164,37 +151,4 @@ fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), Ba
     Err(BadInput::new(problem)
         .allowed("the same but for steps, log_every, validate_every, store_every and validation_*")
         .advice("begin anew in another folder; its parameters can be taken over"))
-}
-
-/// Held while a training writes to a folder: two would take turns in overwriting each other's checkpoints.
-pub struct Lock {
-    path: PathBuf,
-    _file: File,
-}
-
-impl Lock {
-    /// Of a folder that exists.
-    ///
-    /// # Errors
-    /// [`BadInput`] if another training holds it; the file can not be created.
-    pub fn take(folder: &Path) -> anyhow::Result<Self> {
-        let path = folder.join("train.lock");
-        let file = File::create(&path).map_err(|source| FileError::write(&path, source))?;
-        match file.try_lock() {
-            Err(TryLockError::WouldBlock) => Err(BadInput::new("another training is writing to this folder")
-                .place(folder.display().to_string())
-                .allowed("one training at a time")
-                .advice("wait until it ends, stop it, or another folder")
-                .into()),
-            // Some file systems have no locks: then nothing can be said.
-            _ => Ok(Self { path, _file: file }),
-        }
-    }
-}
-
-impl Drop for Lock {
-    fn drop(&mut self) {
-        // Best effort: a lock that nobody holds is in nobody's way.
-        let _ = std::fs::remove_file(&self.path);
-    }
 }

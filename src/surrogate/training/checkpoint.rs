@@ -2,7 +2,7 @@
 //!
 //! Tensors, all F32: `param.NAME` (weights `[in, out]`; NAME that of a perceptron's tensors behind `embed`, `enc.node`,
 //! `enc.edge`, `proc.K.edge`, `proc.K.node`, `dec`), `adam.first.NAME` and `adam.second.NAME` (moments), `ema.NAME` if an
-//! average is kept. Metadata, all text: `format`, `version`, `kind`, `step`, `seconds`, `best`, `settings` (TOML), `setup`
+//! average is kept. Metadata, all text: `format`, `version`, `kind`, `step`, `seconds`, `best`, `losses` (JSON), `settings` (TOML), `setup`
 //! (JSON: sizes, features, normalisation). Random numbers follow from seed and step, so the step is their position too.
 
 use crate::config::training::Settings;
@@ -26,6 +26,8 @@ pub struct TrainingState {
     pub seconds: f64,
     /// Best validation score so far; infinite before the first.
     pub best: f64,
+    /// Of the steps since the last row of the history.
+    pub losses: Vec<f64>,
     pub optimiser: AdamW,
     /// Moving averages of the parameters, if kept.
     pub average: Option<Vec<Tensor>>,
@@ -66,6 +68,7 @@ pub fn write(
         ("step", state.step.to_string()),
         ("seconds", state.seconds.to_string()),
         ("best", state.best.to_string()),
+        ("losses", serde_json::to_string(&state.losses)?),
         ("settings", settings.text()),
         ("setup", serde_json::to_string(setup)?),
     ];
@@ -81,6 +84,8 @@ pub struct Header {
     pub step: u64,
     pub seconds: f64,
     pub best: f64,
+    /// See [`TrainingState::losses`].
+    pub losses: Vec<f64>,
 }
 
 /// Reads a checkpoint of ours.
@@ -115,7 +120,12 @@ pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
     setup.features.unset_walls |= setup.data.is_none();
     let settings = toml::from_str(text("settings")?).map_err(|error| bad(format!("its `settings`: {error}")))?;
     let (step, seconds, best) = (number("step")? as u64, number("seconds")?, number("best")?);
-    Ok(Header { setup, settings, step, seconds, best, file })
+    // Earlier versions kept none.
+    let losses = match file.metadata.get("losses") {
+        Some(losses) => serde_json::from_str(losses).map_err(|error| bad(format!("its `losses`: {error}")))?,
+        None => Vec::new(),
+    };
+    Ok(Header { setup, settings, step, seconds, best, losses, file })
 }
 
 impl Header {
@@ -139,7 +149,8 @@ impl Header {
         }
         let optimiser = AdamW { moments, steps: self.step, weight_decay: self.settings.weight_decay };
         let average = (self.settings.ema > 0.0).then_some(average);
-        Ok(TrainingState { step: self.step, seconds: self.seconds, best: self.best, optimiser, average })
+        let (step, seconds, best, losses) = (self.step, self.seconds, self.best, self.losses.clone());
+        Ok(TrainingState { step, seconds, best, losses, optimiser, average })
     }
 
     /// Puts the file's parameters into a network of the same sizes: the average if there is one and `averaged` is set.

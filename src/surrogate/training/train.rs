@@ -10,6 +10,7 @@ use crate::error::Error;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::io::tensorboard::EventFile;
+use crate::numerics::interrupt;
 use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
@@ -18,7 +19,7 @@ use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
 use crate::surrogate::network::parameters::{detached, tracked, Network, Parameter};
-use crate::surrogate::training::begin::{Lock, Origin, TrainingData, LAST};
+use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::loss::loss;
@@ -98,7 +99,7 @@ pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<Train
     let mut optimiser = AdamW::new(&variables)?;
     optimiser.weight_decay = settings.weight_decay;
     let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
-    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, optimiser, average })
+    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, losses: Vec::new(), optimiser, average })
 }
 
 fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
@@ -140,11 +141,10 @@ impl Training<'_> {
     /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
     ///
     /// # Errors
-    /// Another training that writes there, a loss or gradient that is not finite, files, tensors.
+    /// Being asked to stop, a loss or gradient that is not finite, files, tensors.
     pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
         let settings = self.settings;
         prepare_output_folder(&self.folder)?;
-        let _lock = Lock::take(&self.folder)?;
         write_bytes_atomically(&self.folder.join("config.toml"), settings.text().as_bytes())?;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
@@ -152,7 +152,7 @@ impl Training<'_> {
         let linear = self.score(&ConstantVelocity)?;
         let before = self.state.seconds;
         let clock = Instant::now();
-        let (mut losses, mut working, mut steps) = (Vec::new(), 0.0, 0);
+        let (mut working, mut steps) = (0.0, 0);
         let mut scores = None;
         bar.set_position(self.state.step);
         while self.state.step < settings.steps {
@@ -166,7 +166,7 @@ impl Training<'_> {
                 step,
             );
             let value = self.update(&mut samples, &variables, rate)?;
-            losses.push(value);
+            self.state.losses.push(value);
             working += update.elapsed().as_secs_f64();
             steps += 1;
             self.state.step += 1;
@@ -174,8 +174,8 @@ impl Training<'_> {
             bar.done(1);
             let last = self.state.step == settings.steps;
             if self.state.step.is_multiple_of(settings.log_every) || last {
+                let losses = std::mem::take(&mut self.state.losses);
                 let mean = losses.iter().sum::<f64>() / losses.len() as f64;
-                losses.clear();
                 self.history.push(vec![self.state.step as f64, self.state.seconds, mean, rate]);
                 events.scalars(self.state.step, &[("loss", mean), ("learning_rate", rate)])?;
                 bar.message(format!("loss {mean:.4}"));
@@ -187,6 +187,9 @@ impl Training<'_> {
             }
             if self.state.step.is_multiple_of(settings.store_every) || last {
                 self.store(LAST)?;
+            } else if interrupt::asked().is_some() {
+                self.store(LAST)?;
+                interrupt::check()?;
             }
         }
         let scores = match scores {

@@ -1,0 +1,335 @@
+//! The folder of a run: of one kind of command, and written by one process at a time.
+//!
+//! A file in it, [`MARKER`], says whose it is and whether the run has left everything that it is to leave. Who writes there holds
+//! a lock on that file, which the system drops with the process, however that ends.
+
+use super::arguments::check_writable;
+use crate::error::BadInput;
+use crate::io::atomic::{is_temporary, prepare_output_folder};
+use crate::io::FileError;
+use std::fs::{File, TryLockError};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// The name of the command, and `finished` in a second line once there is nothing left to do.
+pub const MARKER: &str = ".hydrograd";
+const FINISHED: &str = "finished";
+
+/// What becomes of an earlier run of the same kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Earlier {
+    /// Its files make room for the new ones.
+    Replaced,
+    /// It took long: a new run must not discard it.
+    Kept,
+    /// It is the one that goes on.
+    Resumed,
+    /// It may be of any kind, and a file is added to it.
+    Visited,
+}
+
+impl Earlier {
+    /// Of a command whose runs take long.
+    pub fn of_options(resumes: bool, overwrite: bool) -> Self {
+        match (resumes, overwrite) {
+            (true, _) => Self::Resumed,
+            (false, true) => Self::Replaced,
+            (false, false) => Self::Kept,
+        }
+    }
+}
+
+/// A folder that this process may write to.
+#[derive(Debug)]
+pub struct RunFolder {
+    kind: &'static str,
+    path: PathBuf,
+    /// None in a visited folder that has none.
+    marker: Option<File>,
+}
+
+/// What a folder holds.
+#[derive(Debug, PartialEq, Eq)]
+enum Content {
+    Nothing,
+    Run {
+        kind: String,
+        finished: bool,
+    },
+    /// A file as runs leave it, and nothing says of which.
+    Unknown(&'static str),
+}
+
+/// Files that runs leave, for folders without a marker: from earlier versions, or by other programs.
+const TELLTALES: [(&str, Option<&str>); 7] = [
+    ("generate.json", Some("generate")),
+    ("last.safetensors", Some("train")),
+    ("study.csv", Some("study")),
+    ("metadata.json", None),
+    ("checkpoint.safetensors", None),
+    ("summary.json", None),
+    ("config.toml", None),
+];
+
+impl Content {
+    fn of(folder: &Path) -> Self {
+        let text = std::fs::read_to_string(folder.join(MARKER)).unwrap_or_default();
+        let mut lines = text.lines();
+        // A process that was killed when it had just begun leaves an empty one.
+        if let Some(kind) = lines.next() {
+            return Self::Run { kind: kind.to_string(), finished: lines.next() == Some(FINISHED) };
+        }
+        match TELLTALES.iter().find(|(file, _)| folder.join(file).exists()) {
+            None => Self::Nothing,
+            Some((_, Some(kind))) => Self::Run { kind: kind.to_string(), finished: false },
+            Some((file, None)) => Self::Unknown(file),
+        }
+    }
+}
+
+/// Whether a folder's run has left everything that it is to leave.
+pub fn is_finished(folder: &Path) -> bool {
+    matches!(Content::of(folder), Content::Run { finished: true, .. })
+}
+
+/// Whether a run of this kind began in a folder and has not left everything.
+pub fn is_unfinished(folder: &Path, kind: &str) -> bool {
+    Content::of(folder) == Content::Run { kind: kind.to_string(), finished: false }
+}
+
+impl RunFolder {
+    /// Whether [`Self::take`] could be done, without leaving anything behind.
+    ///
+    /// # Errors
+    /// A folder that can not be written to, of another command, or with a run that must not be discarded.
+    pub fn check(folder: &Path, kind: &'static str, earlier: Earlier) -> Result<(), BadInput> {
+        check_writable(folder)?;
+        if earlier == Earlier::Visited {
+            return Ok(());
+        }
+        let place = match earlier {
+            Earlier::Resumed => folder.display().to_string(),
+            _ => format!("--out {}", folder.display()),
+        };
+        let allowed = format!("a new folder, or one that `hydrograd {kind}` began");
+        match Content::of(folder) {
+            Content::Run { kind: theirs, .. } if theirs != kind => Err(BadInput::new(format!(
+                "the folder belongs to another command: it holds a run of `hydrograd {theirs}`"
+            ))
+            .place(place)
+            .allowed(allowed)
+            .advice("another --out")),
+            Content::Run { finished, .. } if earlier == Earlier::Kept && holds_results(folder) => {
+                let how_far = if finished { "a finished" } else { "an unfinished" };
+                Err(BadInput::new(format!("the folder holds {how_far} run of `hydrograd {kind}` already"))
+                    .place(place)
+                    .allowed("a new folder, unless the run goes on or is to be lost")
+                    .advice(format!(
+                        "{} to go on with it, --overwrite to lose it, or another --out",
+                        resume_option(kind, folder)
+                    )))
+            }
+            // A run that goes on looks at its files itself.
+            Content::Unknown(file) if earlier != Earlier::Resumed => {
+                Err(BadInput::new(format!("the folder holds {file}, which `hydrograd {kind}` did not make"))
+                    .place(place)
+                    .allowed(allowed)
+                    .advice("another --out"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Creates the folder, if need be, and keeps all others from it as long as this lives.
+    ///
+    /// # Errors
+    /// As for [`Self::check`]; another process writes there; system errors.
+    pub fn take(folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
+        Self::locked(folder, kind, earlier, false)
+    }
+
+    /// The same, together with other processes of this kind: nothing of what is there is removed.
+    ///
+    /// # Errors
+    /// As for [`Self::take`].
+    pub fn share(folder: &Path, kind: &'static str) -> anyhow::Result<Self> {
+        Self::locked(folder, kind, Earlier::Replaced, true)
+    }
+
+    fn locked(folder: &Path, kind: &'static str, earlier: Earlier, is_shared: bool) -> anyhow::Result<Self> {
+        Self::check(folder, kind, earlier)?;
+        prepare_output_folder(folder)?;
+        let (path, visits) = (folder.join(MARKER), earlier == Earlier::Visited);
+        let marker = match File::options().read(true).write(true).create(!visits).truncate(false).open(&path) {
+            Err(error) if visits && error.kind() == ErrorKind::NotFound => None,
+            marker => Some(marker.map_err(|source| FileError::write(&path, source))?),
+        };
+        if let Some(marker) = &marker {
+            hold(folder, if is_shared { marker.try_lock_shared() } else { marker.try_lock() })?;
+        }
+        // Another one may have come and gone since.
+        Self::check(folder, kind, earlier)?;
+        let own = Self { kind, path, marker };
+        if !visits {
+            let is_replaced = earlier == Earlier::Replaced && Content::of(folder) != Content::Nothing;
+            own.write("")?;
+            if is_replaced && !is_shared {
+                remove_outputs(folder, kind);
+            }
+            if !is_shared {
+                remove_temporaries(folder);
+            }
+        }
+        Ok(own)
+    }
+
+    /// Notes that the run has left everything that it is to leave.
+    ///
+    /// # Errors
+    /// System errors.
+    pub fn finish(&self) -> anyhow::Result<()> {
+        self.write(&format!("{FINISHED}\n"))
+    }
+
+    /// The kind, and more. In place, as the lock is on the file: what was there has the same first line, or is empty.
+    fn write(&self, more: &str) -> anyhow::Result<()> {
+        let Some(mut marker) = self.marker.as_ref() else { return Ok(()) };
+        let text = format!("{}\n{more}", self.kind);
+        let written = marker.seek(SeekFrom::Start(0)).and_then(|_| marker.write_all(text.as_bytes()));
+        let written = written.and_then(|()| marker.set_len(text.len() as u64));
+        Ok(written.map_err(|source| FileError::write(&self.path, source))?)
+    }
+}
+
+/// How a run of this kind is told to go on.
+fn resume_option(kind: &str, folder: &Path) -> String {
+    match kind {
+        "train" => "--resume".to_string(),
+        _ => format!("--resume {}", folder.display()),
+    }
+}
+
+fn hold(folder: &Path, lock: Result<(), TryLockError>) -> Result<(), BadInput> {
+    match lock {
+        Err(TryLockError::WouldBlock) => Err(BadInput::new("another hydrograd is writing to this folder")
+            .place(folder.display().to_string())
+            .allowed("one run at a time")
+            .advice("wait until it ends, stop it, or another --out")),
+        // Some file systems have no locks: then nothing can be said.
+        _ => Ok(()),
+    }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}
+
+/// Whether there is more than what a run writes when it begins.
+fn holds_results(folder: &Path) -> bool {
+    names(folder).iter().any(|name| name != MARKER && name != "config.toml" && !is_temporary(name))
+}
+
+/// What runs of a command leave, by name without extension, as far as another run might not write it again.
+fn stems(kind: &str) -> &'static [&'static str] {
+    match kind {
+        "simulate" => &[
+            "config",
+            "summary",
+            "history",
+            "shape",
+            "wall",
+            "temperature",
+            "flow",
+            "state",
+            "checkpoint",
+            "kinetic_energy",
+            "profile",
+        ],
+        "train" => &["config", "last", "best", "history", "validation", "curves"],
+        kind if kind.starts_with("optimize") => &[
+            "config",
+            "summary",
+            "history",
+            "shape",
+            "shapes",
+            "shapes-top",
+            "wall",
+            "walls",
+            "walls-top",
+            "starts",
+            "best",
+            "temperature",
+            "flow",
+            "state",
+            "checkpoint",
+            "verification",
+        ],
+        _ => &[],
+    }
+}
+
+/// Removes what an earlier run of this kind left and a new one might leave as it is, and nothing else. Best effort: what can not be
+/// removed is written over, or only in the way.
+fn remove_outputs(folder: &Path, kind: &str) {
+    for name in names(folder) {
+        let path = folder.join(&name);
+        let (stem, extension) = name.rsplit_once('.').unwrap_or((&name, ""));
+        let is_output = stems(kind).contains(&stem)
+            && ["toml", "json", "csv", "png", "svg", "vtp", "h5", "safetensors"].contains(&extension);
+        if path.is_dir() {
+            remove_series(&path);
+        } else if is_output || (kind == "train" && name.starts_with("events.out.tfevents.")) {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+}
+
+/// Removes the frames of a ParaView series, and its folder if there was nothing else in it.
+fn remove_series(folder: &Path) {
+    let Some(name) = folder.file_name().and_then(|name| name.to_str()) else { return };
+    let Some(series) = ["particles", "predicted", "true"]
+        .into_iter()
+        .find(|series| name.strip_prefix(series).is_some_and(|rest| rest.is_empty() || rest.starts_with("-from-")))
+    else {
+        return;
+    };
+    for name in names(folder) {
+        let is_frame = name.strip_prefix(series).is_some_and(|rest| {
+            rest == ".pvd" || rest.strip_prefix('_').and_then(|rest| rest.strip_suffix(".vtp")).is_some_and(is_number)
+        });
+        if is_frame || is_temporary(&name) {
+            let _ = std::fs::remove_file(folder.join(name));
+        }
+    }
+    let _ = std::fs::remove_dir(folder);
+}
+
+fn is_number(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+/// Removes files that a killed process had not finished, here and among frames.
+fn remove_temporaries(folder: &Path) {
+    for name in names(folder) {
+        let path = folder.join(&name);
+        if is_temporary(&name) {
+            let _ = std::fs::remove_file(path);
+        } else if name.starts_with("particles") && path.is_dir() {
+            remove_temporaries(&path);
+        }
+    }
+}
+
+/// The same, of what a command resumes: the folder itself, or another one that it goes on in.
+pub fn earlier(folder: &Path, resume: Option<&Path>, otherwise: Earlier) -> Earlier {
+    match resume {
+        Some(from) if same(from, folder) => Earlier::Resumed,
+        _ => otherwise,
+    }
+}
+
+fn same(a: &Path, b: &Path) -> bool {
+    let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
+    real(a) == real(b)
+}
