@@ -316,7 +316,7 @@ fn a_run_that_diverges_says_so() {
     let arguments = ["simulate", "--set", "time.cfl=4", "--set", "time.diffusion_number=1", "--out", "out"];
     let output = hydrograd(folder.path(), &arguments);
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("diverged") && error.contains("time.cfl"), "{error}");
     assert!(!folder.path().join("out/summary.json").exists());
 }
@@ -417,7 +417,7 @@ fn a_flow_that_diverges_says_so() {
     let sets = ["--set", "time.diffusion_number=1", "--set", "resolution.dx=0.1"];
     let output = hydrograd(folder.path(), &[&["simulate", "poiseuille", "--out", "out"], &sets[..]].concat());
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("diverged") && error.contains("time.diffusion_number"), "{error}");
     assert!(!folder.path().join("out/summary.json").exists());
 }

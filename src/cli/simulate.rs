@@ -88,7 +88,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
     check_unfinished(began, scene.steps)?;
-    let failed = diverged(scene.model.remedy());
+    let failed = diverged(&scene.model, &first);
     let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
     prepare_output_folder(folder)?;
     files::write_config(folder, loaded)?;

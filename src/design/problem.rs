@@ -10,6 +10,7 @@ use crate::adjoint::{run, Dynamics, Objective, RunError};
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
+use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::fixed::steady::SteadyOptions;
 use crate::sph::fixed::Fixed;
@@ -181,7 +182,7 @@ impl<R: Sweeps> Problem<R> {
         }
         let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
-            .map_err(|error| error.advised(self.model.remedy()))?;
+            .map_err(|error| told(&error, &self.model, &start))?;
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
@@ -304,7 +305,7 @@ impl<R: Sweeps> Problem<R> {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
                 let found = self.evaluate(variables).map_err(|error| match error.downcast::<RunError>() {
-                    Ok(error) => error.advised(self.model.remedy()),
+                    Ok(error) => told(&error, &self.model, &self.start(variables)),
                     Err(error) => Error::run(error.to_string(), "report this"),
                 });
                 (found?, self.steps)

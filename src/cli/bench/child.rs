@@ -152,7 +152,7 @@ impl Keeping {
 }
 
 fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
-    let failed = |e: RunError| Error::run(format!("{}: {e}", case.label()), "a smaller time.cfl");
+    let failed = |e: RunError| e.advised("a smaller time.cfl").of(case.label());
     let mut ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;
