@@ -317,7 +317,13 @@ impl<R: Sweeps> Dynamics for WithParameters<R> {
         held.map_err(RunError::tensor(step))?;
         let next = self.base.advance_taped(tape, state, after)?;
         // The neighbours that the step had: they may be of an older list.
-        let before = Snapshot { step, parts: 1, state: numbers, reference: tape.neighbourhood.reference.clone() };
+        let before = Snapshot {
+            step,
+            parts: 1,
+            least_parts: 1,
+            state: numbers,
+            reference: tape.neighbourhood.reference.clone(),
+        };
         let next = next.contiguous().and_then(|next| next.apply_op1(Tap { taps: self.taps.clone(), before }));
         next.map_err(RunError::tensor(step))
     }

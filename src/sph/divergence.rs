@@ -195,12 +195,12 @@ impl Divergence {
         })
     }
 
-    /// What a user is told.
-    pub fn told(&self) -> Error {
+    /// What a user is told; `more` goes on with what else there is to say of it.
+    pub fn told(&self, more: &str) -> Error {
         let place: Vec<String> = self.position.iter().map(|x| format!("{x:.4}")).collect();
         let Self { particle, tag, good_step, message, cause, .. } = self;
         let problem = format!(
-            "{message}\n  where: particle {particle} ({tag}), at ({}) after step {good_step}\n  likely cause: {}",
+            "{message}\n  where: particle {particle} ({tag}), at ({}) after step {good_step}\n  likely cause: {}{more}",
             place.join(", "),
             cause.why
         );
@@ -211,7 +211,7 @@ impl Divergence {
 /// What a user is told of a run that could not go on from a state that was good.
 pub fn told<R: Real>(error: &RunError, model: &Model<R>, good: &Snapshot<R>) -> Error {
     match Divergence::of(error, model, good) {
-        Some(divergence) => divergence.told(),
+        Some(divergence) => divergence.told(""),
         None => Error::run(error.to_string(), arrangement(model)),
     }
 }

@@ -127,7 +127,7 @@ fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
 
 /// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
 fn at_rest<R>(state: Vec<R>) -> Snapshot<R> {
-    Snapshot { step: 0, parts: 1, state, reference: Arc::new(Vec::new()) }
+    Snapshot { step: 0, parts: 1, least_parts: 1, state, reference: Arc::new(Vec::new()) }
 }
 
 impl Keeping {
