@@ -39,9 +39,8 @@ impl RunError {
     pub fn offender(&self) -> Option<(usize, Offender)> {
         let of = |particle: usize, quantity: &str, value: f64| Offender { particle, quantity: quantity.into(), value };
         Some(match self {
-            Self::NotFinite { step, field, particle, value } | Self::Impossible { step, field, particle, value, .. } => {
-                (*step, of(*particle, field, *value))
-            }
+            Self::NotFinite { step, field, particle, value }
+            | Self::Impossible { step, field, particle, value, .. } => (*step, of(*particle, field, *value)),
             Self::Neighbours { step, source } => match source {
                 NeighbourError::LostParticle { particle, component, value } => {
                     (*step, of(*particle, ["x", "y", "z"][*component], *value))

@@ -96,7 +96,10 @@ pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
 }
 
 /// What a user is told of a run that failed after a state that was good; other errors as they are.
-pub fn diverged<'a, R: Real>(model: &'a Model<R>, good: &'a Snapshot<R>) -> impl Fn(anyhow::Error) -> anyhow::Error + 'a {
+pub fn diverged<'a, R: Real>(
+    model: &'a Model<R>,
+    good: &'a Snapshot<R>,
+) -> impl Fn(anyhow::Error) -> anyhow::Error + 'a {
     move |error| match error.downcast::<RunError>() {
         Ok(error) => divergence::told(&error, model, good).into(),
         Err(error) => error,

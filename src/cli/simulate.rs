@@ -190,7 +190,9 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         history.go_back(step);
         measurement.iter_mut().for_each(|it| it.go_back(step));
         frames.iter_mut().for_each(|it| it.go_back(step as f64 * scene.model.dt));
-        bar.suspend(|| eprintln!("warning: {error}\n  try: nothing, it goes on from step {step} with every step in {parts} parts"));
+        bar.suspend(|| {
+            eprintln!("warning: {error}\n  try: nothing, it goes on from step {step} with every step in {parts} parts")
+        });
         recovered.push(Recovery { step: found.step, from_step: step, parts, cause: found.cause.why });
     };
     let seconds = clock.elapsed().as_secs_f64();
@@ -205,7 +207,12 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     );
     let divided = solver.divided;
     if let Some(last) = recovered.last() {
-        println!("recovered {} times; from step {} on every step was made in {} parts", recovered.len(), last.from_step, last.parts);
+        println!(
+            "recovered {} times; from step {} on every step was made in {} parts",
+            recovered.len(),
+            last.from_step,
+            last.parts
+        );
     } else if divided.steps > 0 {
         println!(
             "{} steps in up to {} parts each: the flow was faster than fluid.reference_velocity = {}, or pushed harder",

@@ -170,7 +170,9 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     );
     println!("files in {}: stress.json, stress.csv, a picture per map, runs/", out.display());
     match seen.len() < done.len() {
-        true => println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display()),
+        true => {
+            println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display())
+        }
         false => println!("next: hydrograd simulate SCENE --set time.cfl=...    with a number that is stable above"),
     }
     Ok(())
@@ -215,7 +217,8 @@ fn text_of(found: &Found) -> String {
     let map = &found.map;
     let columns = columns_seen(found);
     let values = columns.iter().map(|&x| map.x.values[x].label.clone());
-    let mut table = Table::new([format!("{} \\ {}", map.y.name, map.x.name), "formulation".into()].into_iter().chain(values));
+    let mut table =
+        Table::new([format!("{} \\ {}", map.y.name, map.x.name), "formulation".into()].into_iter().chain(values));
     for (panel, rows) in &found.panels {
         for y in rows_seen(found) {
             let letters = columns.iter().map(|&x| mark(rows[y][x].as_ref()).to_string());
@@ -228,8 +231,15 @@ fn text_of(found: &Found) -> String {
 
 /// The largest stable CFL number of each scene.
 fn largest(all: &[Found]) -> Table {
-    let header =
-        ["scene", "formulation", "precision", "largest stable CFL", "with any jitter", "without divergence", "with any jitter"];
+    let header = [
+        "scene",
+        "formulation",
+        "precision",
+        "largest stable CFL",
+        "with any jitter",
+        "without divergence",
+        "with any jitter",
+    ];
     let mut table = Table::new(header);
     for found in all.iter().filter(|found| found.map.name == "step") {
         for (panel, rows) in &found.panels {
@@ -254,8 +264,17 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
                     let precision = panel.precision.name();
                     runs.push(json!({ "formulation": panel.formulation, "precision": precision,
                         "x": at_x, "y": at_y, "record": record }));
-                    let words =
-                        [map.scene, map.name, panel.formulation, precision, map.x.name, at_x, map.y.name, at_y, record.verdict.name()];
+                    let words = [
+                        map.scene,
+                        map.name,
+                        panel.formulation,
+                        precision,
+                        map.x.name,
+                        at_x,
+                        map.y.name,
+                        at_y,
+                        record.verdict.name(),
+                    ];
                     let numbers = [
                         record.courant_number,
                         record.diffusion_number,
@@ -278,8 +297,27 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
             "edge": found.edge(), "largest": largest.collect::<Vec<_>>(), "runs": runs }));
     }
     let header = [
-        "scene", "map", "formulation", "precision", "x", "x_value", "y", "y_value", "verdict", "quantity", "value", "limit",
-        "step", "time", "particle", "cause", "courant_number", "diffusion_number", "cell_reynolds_number", "time_step", "seconds",
+        "scene",
+        "map",
+        "formulation",
+        "precision",
+        "x",
+        "x_value",
+        "y",
+        "y_value",
+        "verdict",
+        "quantity",
+        "value",
+        "limit",
+        "step",
+        "time",
+        "particle",
+        "cause",
+        "courant_number",
+        "diffusion_number",
+        "cell_reynolds_number",
+        "time_step",
+        "seconds",
     ];
     write_table(&folder.join("stress.csv"), &header, &rows)?;
     let text = serde_json::to_string_pretty(&json!({ "version": VERSION, "maps": maps }))? + "\n";

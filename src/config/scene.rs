@@ -444,6 +444,7 @@ pub struct Time {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<usize>,
     /// Acoustic time step: dt <= cfl * dx / (sound speed + reference velocity).
+    #[serde(deserialize_with = "crate::config::stability::cfl")]
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
     pub diffusion_number: f64,

@@ -15,6 +15,7 @@ use super::model::Model;
 use super::plan::sound_speed;
 use super::solver::Snapshot;
 use crate::adjoint::RunError;
+use crate::config::stability::{self, CflLimit};
 use crate::error::Error;
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
@@ -34,23 +35,20 @@ pub struct Numbers {
     pub cell_reynolds_number: f64,
 }
 
-/// Up to which numbers runs are stable, see `hydrograd stress`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Limits {
-    courant_number: f64,
-    diffusion_number: f64,
-    cell_reynolds_number: f64,
-}
+/// The step that a scene chooses has its diffusion number to rounding.
+const ROUNDING: f64 = 1.02;
+/// Above this cell Reynolds number some flows fail: the cavity, not the vortices nor the channel.
+const CELL_REYNOLDS: f64 = 100.0;
 
-/// The limits of a model's formulation and integrator, by the maps of src/validation/README.md.
-fn limits<R>(model: &Model<R>) -> Limits {
-    let (courant_number, diffusion_number) = match &model.consistent {
-        _ if model.fixed.is_some() => (1.2, 0.25),
-        Some(_) if model.layout.rates => (1.5, 0.125),
-        Some(_) => (1.75, 0.25),
-        None => (2.0, 0.25),
-    };
-    Limits { courant_number, diffusion_number, cell_reynolds_number: 100.0 }
+/// Up to which Courant and diffusion numbers the steps of a model are stable.
+fn limits<R>(model: &Model<R>) -> (CflLimit, f64) {
+    match &model.consistent {
+        _ if model.fixed.is_some() => (stability::FIXED, 0.25),
+        Some(_) if model.layout.rates => (stability::VERLET, 0.125),
+        Some(_) => (stability::SYMPLECTIC_EULER, 0.25),
+        None if model.layout.density => (stability::FREE_SURFACE, 0.25),
+        None => (stability::STANDARD, 0.25),
+    }
 }
 
 impl Numbers {
@@ -71,7 +69,12 @@ impl Numbers {
         let (fastest, sound, density) = (most.sqrt(), sound_speed(equation), equation.reference_density);
         let spacing = (model.mass / density).powf(1.0 / l.dimension as f64);
         let dt = model.dt / state.parts as f64;
-        let viscosity = model.viscosity / density;
+        // The artificial one amounts to alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
+        let artificial = model
+            .artificial_viscosity
+            .as_ref()
+            .map_or(0.0, |of| of.alpha * of.smoothing_length * of.sound_speed / (2.0 * (l.dimension as f64 + 2.0)));
+        let viscosity = model.viscosity / density + artificial;
         let conduction = model.heat.as_ref().map_or(0.0, |heat| heat.largest_diffusivity() / density);
         Self {
             fastest,
@@ -93,7 +96,7 @@ pub struct Cause {
 impl Cause {
     /// By the last good state of a run.
     pub fn of<R: Real>(model: &Model<R>, good: &Snapshot<R>) -> Self {
-        let (numbers, limits) = (Numbers::of(model, good), limits(model));
+        let (numbers, (cfl, most_diffusion)) = (Numbers::of(model, good), limits(model));
         let Numbers { fastest, mach, courant_number, diffusion_number, cell_reynolds_number } = numbers;
         let sound = sound_speed(&model.equation_of_state);
         if mach > MACH {
@@ -102,27 +105,26 @@ impl Cause {
                 advice: format!("fluid.reference_velocity={fastest:.3}, which makes the sound speed follow, or a slower flow"),
             };
         }
-        let (sound_share, diffusion_share) =
-            (courant_number / limits.courant_number, diffusion_number / limits.diffusion_number);
-        if sound_share.max(diffusion_share) > 1.0 {
+        let (sound_share, diffusion_share) = (courant_number / cfl.most, diffusion_number / most_diffusion);
+        if sound_share.max(diffusion_share) > ROUNDING {
             return match sound_share > diffusion_share {
                 true => Self {
                     why: format!(
                         "the step is too long for sound: its Courant number is {courant_number:.2}, above {}",
-                        limits.courant_number
+                        cfl.most
                     ),
-                    advice: format!("time.cfl={:.2}", 0.6 * limits.courant_number),
+                    advice: format!("time.cfl={}", cfl.safe),
                 },
                 false => Self {
                     why: format!(
                         "the step is too long for diffusion: its diffusion number is {diffusion_number:.3}, above {}",
-                        limits.diffusion_number
+                        most_diffusion
                     ),
-                    advice: format!("time.diffusion_number={:.3}", 0.5 * limits.diffusion_number),
+                    advice: format!("time.diffusion_number={:.3}", 0.5 * most_diffusion),
                 },
             };
         }
-        if cell_reynolds_number > limits.cell_reynolds_number {
+        if cell_reynolds_number > CELL_REYNOLDS {
             return Self {
                 why: format!(
                     "too little viscosity for the spacing: the cell Reynolds number u dx / nu is {cell_reynolds_number:.0}"
@@ -150,7 +152,8 @@ fn arrangement<R>(model: &Model<R>) -> &'static str {
         "over a rough wall fluid.motion=fixed or resolution.smoothing_length=1.1, or a gentler one (a smaller \
          design.amplitude or design.bound); over a flat one time.cfl=0.5"
     } else if model.layout.rates {
-        "time.cfl=0.5, time.diffusion_number=0.125 (a smaller time step) or time.integrator=symplectic-euler"
+        // A disordered start beside walls: src/validation/README.md has the figures.
+        "resolution.smoothing_length=0.9 (more neighbours), a smaller time.jitter, or time.cfl=0.5"
     } else {
         "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one (a smaller \
          design.amplitude or design.bound)"

@@ -47,7 +47,11 @@ pub fn stability(
     let (across, up) = (axes.x.1.len(), axes.y.1.len());
     let fits = |panel: &StabilityPanel| panel.cells.len() == up && panel.cells.iter().all(|row| row.len() == across);
     if panels.is_empty() || columns == 0 || !panels.iter().all(fits) {
-        return Err(FileError::input(path_stem, "cells that do not fit the axes", format!("{up} rows of {across} cells")));
+        return Err(FileError::input(
+            path_stem,
+            "cells that do not fit the axes",
+            format!("{up} rows of {across} cells"),
+        ));
     }
     let widest = axes.y.1.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max);
     let (left, top, gap_x, gap_y) = (widest + 50.0, 70.0, 34.0, 88.0);

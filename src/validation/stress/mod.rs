@@ -99,7 +99,9 @@ impl Record {
             (Some(particle), Some(cause), _) => {
                 format!("diverged in step {step}, {quantity} of particle {particle} = {value:.3e}: {cause}")
             }
-            (_, _, limit) => format!("degraded from t = {time:.3}: {quantity} {value:.3}, above {:.3}", limit.unwrap_or(0.0)),
+            (_, _, limit) => {
+                format!("degraded from t = {time:.3}: {quantity} {value:.3}, above {:.3}", limit.unwrap_or(0.0))
+            }
         }
     }
 }
@@ -253,7 +255,12 @@ impl Found {
                         let range = if last.is_none() { at.clone() } else { format!("{from} -> {at}") };
                         return format!(
                             "{} {range} ({} {}, {}, {}): {}",
-                            x.name, y.name, y.values[row].label, panel.formulation, panel.precision.name(), record.why()
+                            x.name,
+                            y.name,
+                            y.values[row].label,
+                            panel.formulation,
+                            panel.precision.name(),
+                            record.why()
                         );
                     }
                     last = Some(place);

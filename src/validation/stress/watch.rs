@@ -74,9 +74,13 @@ impl<'a, R: Sweeps> Watch<'a, R> {
             _ => 0.0,
         };
         let speed = figures.largest_velocity / self.speed;
-        [("density deviation", density, DENSITY), ("speed over the flow's own", speed, SPEED), ("excess energy", excess, ENERGY)]
-            .into_iter()
-            .find(|(_, value, limit)| value > limit)
+        [
+            ("density deviation", density, DENSITY),
+            ("speed over the flow's own", speed, SPEED),
+            ("excess energy", excess, ENERGY),
+        ]
+        .into_iter()
+        .find(|(_, value, limit)| value > limit)
     }
 }
 
@@ -96,7 +100,17 @@ impl<R: Sweeps> Observer<Sph<R>> for Watch<'_, R> {
 
 fn fault(step: usize, time: f64, quantity: &str, value: f64, limit: f64) -> Fault {
     let limit = Some(limit);
-    Fault { step, time, quantity: quantity.into(), value, limit, particle: None, tag: None, position: None, cause: None }
+    Fault {
+        step,
+        time,
+        quantity: quantity.into(),
+        value,
+        limit,
+        particle: None,
+        tag: None,
+        position: None,
+        cause: None,
+    }
 }
 
 /// A heat balance that is open, over the window at the end of a run.
