@@ -117,7 +117,5 @@ fn fault(step: usize, time: f64, quantity: &str, value: f64, limit: f64) -> Faul
 pub fn heat_balance(config: &Config, steps: usize, found: &Diagnostics) -> Option<Fault> {
     let open = found.energy_imbalance.abs();
     let (end, window) = (config.duration(), config.objective.window);
-    // Not a number is not below it either.
-    let is_open = !(open <= HEAT);
-    is_open.then(|| fault(steps, (end - window).max(0.0), "open heat balance", open, HEAT))
+    (open.is_nan() || open > HEAT).then(|| fault(steps, (end - window).max(0.0), "open heat balance", open, HEAT))
 }
