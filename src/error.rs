@@ -1,11 +1,13 @@
-//! Errors that a user sees: bad input (exit code 2) and failed runs (exit code 1).
+//! Errors that a user sees: bad input (exit code 2), failed runs (1), and runs that diverged (3).
 
 use std::fmt;
 
-/// Exit code of a run that started and failed (divergence, full disk, a gradient check that does not pass).
+/// Exit code of a run that started and failed (full disk, a gradient check that does not pass).
 pub const EXIT_RUN: u8 = 1;
 /// Exit code of bad input: nothing was computed and nothing was written.
 pub const EXIT_INPUT: u8 = 2;
+/// Exit code of a run whose numbers left all bounds.
+pub const EXIT_DIVERGED: u8 = 3;
 /// Exit code of a panic, which is a bug in hydrograd (`EX_SOFTWARE` of sysexits.h).
 pub const EXIT_INTERNAL: u8 = 70;
 
@@ -36,6 +38,15 @@ impl Error {
     pub fn diverged(problem: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::Diverged { problem: problem.into(), advice: advice.into() }
     }
+
+    /// The same of one of several runs.
+    pub fn of(self, run: impl fmt::Display) -> Self {
+        match self {
+            Self::Run { problem, advice } => Self::run(format!("{run}: {problem}"), advice),
+            Self::Diverged { problem, advice } => Self::diverged(format!("{run}: {problem}"), advice),
+            input => input,
+        }
+    }
 }
 
 impl From<BadInput> for Error {
@@ -44,15 +55,16 @@ impl From<BadInput> for Error {
     }
 }
 
-/// The exit code for an error: bad input anywhere in the chain of causes is 2, everything else 1.
+/// The exit code for an error: bad input anywhere in the chain of causes is 2, a divergence 3, everything else 1.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     let bad_input = error
         .chain()
         .any(|cause| cause.is::<BadInput>() || matches!(cause.downcast_ref::<Error>(), Some(Error::Input(_))));
-    if bad_input {
-        EXIT_INPUT
-    } else {
-        EXIT_RUN
+    let diverged = || error.chain().any(|cause| matches!(cause.downcast_ref(), Some(Error::Diverged { .. })));
+    match bad_input {
+        true => EXIT_INPUT,
+        false if diverged() => EXIT_DIVERGED,
+        false => EXIT_RUN,
     }
 }
 

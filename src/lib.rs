@@ -30,7 +30,7 @@
 //! | [`scene`] | one scene type, and the families that build it |
 //! | [`dataset`] | trajectories for training |
 //! | [`inverse`] | what a flow began with, or is made of, from what was seen |
-//! | [`validation`] | scenes against their exact solutions and independent references |
+//! | [`validation`] | scenes against their exact solutions and independent references; where the solver holds |
 //! | [`surrogate`] | networks, models, training, evaluation |
 //! | [`cli`] | one file per command: parses, calls, prints |
 //!

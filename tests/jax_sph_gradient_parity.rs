@@ -33,7 +33,7 @@ fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
 fn run<O: Objective>(case: &Case, state: Vec<f64>, steps: usize, objective: &O) -> (f64, Vec<f64>) {
     let model = Arc::new(case.model(false));
     let positions = state[..case.dimension * case.n].to_vec();
-    let start = Snapshot { step: 0, parts: 1, state, reference: Arc::new(positions) };
+    let start = Snapshot { step: 0, parts: 1, least_parts: 1, state, reference: Arc::new(positions) };
     let dynamics = Sph::new(model, Kernels::Fused);
     let result = gradient(&dynamics, &start, &Schedule::segments(steps, 3), objective, &mut |_| ()).unwrap();
     (result.value, result.state.flatten_all().unwrap().to_vec1::<f64>().unwrap())

@@ -321,9 +321,53 @@ fn a_run_that_diverges_says_so() {
     let arguments = ["simulate", "--set", "time.cfl=4", "--set", "time.diffusion_number=1", "--out", "out"];
     let output = hydrograd(folder.path(), &arguments);
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("diverged") && error.contains("time.cfl"), "{error}");
+    for part in [
+        "where: particle ",
+        "likely cause: the step is too long for sound",
+        "last good state: out/last-good.safetensors",
+    ] {
+        assert!(error.contains(part), "no `{part}` in {error}");
+    }
+    assert!(folder.path().join("out/last-good.safetensors").is_file());
     assert!(!folder.path().join("out/summary.json").exists());
+}
+
+/// Steps that are too long are halved where the run diverges; what has gone wrong is forgotten.
+#[test]
+fn a_run_recovers_with_shorter_steps() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let run = |more: &[&str]| {
+        let sets = ["simulate", "taylor-green", "--set", "resolution.dx=0.05", "--set", "time.end=0.5", "--out", "out"];
+        let output = hydrograd(at, &[&sets[..], &["--set", "output.frames=5", "--recover"], more].concat());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).to_string())
+    };
+    let (code, error) = run(&["--set", "time.cfl=2"]);
+    assert_eq!(code, Some(0), "{error}");
+    assert!(error.starts_with("warning: step ") && error.contains("every step in 2 parts"), "{error}");
+    let summary = json(&at.join("out/summary.json"));
+    let recovered = summary["recovered"].as_array().unwrap();
+    assert!(
+        recovered[0]["parts"] == 2 && recovered[0]["step"].as_u64() > recovered[0]["from_step"].as_u64(),
+        "{recovered:?}"
+    );
+    assert!(summary["velocity_error"].as_f64().unwrap() < 0.05, "{summary}");
+    let history = std::fs::read_to_string(at.join("out/history.csv")).unwrap();
+    let times: Vec<f64> =
+        history.lines().skip(1).map(|line| line.split(',').next().unwrap().parse().unwrap()).collect();
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{times:?}");
+    let frames = std::fs::read_to_string(at.join("out/particles/particles.pvd")).unwrap();
+    assert_eq!(frames.matches("<DataSet").count(), 6, "{frames}");
+
+    // What does not come from the step is given up.
+    let (code, error) = run(&["--set", "fluid.shift=none", "--set", "time.end=3"]);
+    assert_eq!(code, Some(3), "{error}");
+    assert!(error.contains("given up after 4 halvings") && error.matches("warning: ").count() == 4, "{error}");
+
+    let fixed = ["simulate", "--recover", "--set", "fluid.motion=fixed", "--out", "fixed"];
+    refuses(at, &fixed, &["--recover with fixed particles"]);
 }
 
 /// A verification flow that takes a moment.
@@ -449,7 +493,7 @@ fn a_flow_that_diverges_says_so() {
     let sets = ["--set", "time.diffusion_number=1", "--set", "resolution.dx=0.1"];
     let output = hydrograd(folder.path(), &[&["simulate", "poiseuille", "--out", "out"], &sets[..]].concat());
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("diverged") && error.contains("time.diffusion_number"), "{error}");
     assert!(!folder.path().join("out/summary.json").exists());
 }

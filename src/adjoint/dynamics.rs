@@ -21,14 +21,38 @@ pub enum RunError {
     Impossible { step: usize, field: &'static str, particle: usize, value: f64, limit: f64 },
 }
 
+/// A particle whose numbers left all bounds first, as far as a check saw it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Offender {
+    pub particle: usize,
+    pub quantity: String,
+    pub value: f64,
+}
+
 impl RunError {
     /// Whether the run's numbers are to blame: of another start, or with smaller steps, it may succeed.
     pub fn is_divergence(&self) -> bool {
-        match self {
-            Self::NotFinite { .. } | Self::Impossible { .. } => true,
-            Self::Neighbours { source, .. } => !matches!(source, NeighbourError::BoxTooSmall { .. }),
-            Self::Tensor { .. } => false,
-        }
+        self.offender().is_some()
+    }
+
+    /// The step, and the particle that has gone wrong; none if the run's numbers are not to blame.
+    pub fn offender(&self) -> Option<(usize, Offender)> {
+        let of = |particle: usize, quantity: &str, value: f64| Offender { particle, quantity: quantity.into(), value };
+        Some(match self {
+            Self::NotFinite { step, field, particle, value }
+            | Self::Impossible { step, field, particle, value, .. } => (*step, of(*particle, field, *value)),
+            Self::Neighbours { step, source } => match source {
+                NeighbourError::LostParticle { particle, component, value } => {
+                    (*step, of(*particle, ["x", "y", "z"][*component], *value))
+                }
+                NeighbourError::Clumped { particle, count } => (*step, of(*particle, "neighbours", *count as f64)),
+                NeighbourError::TooFast { particle, distance, .. } => {
+                    (*step, of(*particle, "distance moved in one step", *distance))
+                }
+                NeighbourError::BoxTooSmall { .. } => return None,
+            },
+            Self::Tensor { .. } => return None,
+        })
     }
 
     /// What a user is told of it: a divergence as one, with what to try.

@@ -4,7 +4,7 @@ use super::dynamics::Dynamics;
 use crate::numerics::interrupt;
 
 /// Steps between two checks that all numbers are finite, and possible.
-pub(super) const CHECK_EVERY: usize = 64;
+pub const CHECK_EVERY: usize = 64;
 
 /// Somebody who looks at a run on its way.
 pub trait Observer<D: Dynamics> {

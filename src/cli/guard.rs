@@ -33,7 +33,7 @@ pub fn install_panic_hook() {
 }
 
 /// Runs a command, prints its error and the causes to stderr, and returns the exit code: 0, 1 for a failed
-/// run, 2 for bad input, 70 for a panic, 130 and 143 for one that SIGINT and SIGTERM stopped.
+/// run, 2 for bad input, 3 for a run that diverged, 70 for a panic, 130 and 143 for one that SIGINT and SIGTERM stopped.
 pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
@@ -79,7 +79,9 @@ mod tests {
     #[test]
     fn exit_codes() {
         assert_eq!(guarded(|| Ok(())), 0);
-        assert_eq!(guarded(|| Err(Error::run("diverged", "a smaller time.cfl").into())), 1);
+        assert_eq!(guarded(|| Err(Error::run("disk full", "another disk").into())), 1);
+        assert_eq!(guarded(|| Err(Error::diverged("diverged", "a smaller time.cfl").into())), 3);
+        assert_eq!(guarded(|| Err(Error::diverged("diverged", "less")).context("in case 7")), 3);
         assert_eq!(guarded(|| Err(anyhow::anyhow!("disk full"))), 1);
         assert_eq!(guarded(|| Err(Error::from(BadInput::new("bad")).into())), 2);
         assert_eq!(guarded(|| Err(BadInput::new("bad")).context("while reading")), 2);

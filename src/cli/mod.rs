@@ -22,6 +22,7 @@ mod run_folder;
 mod scenes;
 mod simulate;
 mod simulate_report;
+mod stress;
 mod study;
 mod train;
 mod validate;
@@ -47,6 +48,7 @@ pub enum Command {
     Optimize(optimize::OptimizeArguments),
     Verify(verify::VerifyArguments),
     Validate(validate::ValidateArguments),
+    Stress(stress::StressArguments),
     CheckGradient(check_gradient::CheckGradientArguments),
     Recover(recover::RecoverArguments),
     Calibrate(calibrate::CalibrateArguments),
@@ -72,6 +74,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
         Command::Verify(arguments) => verify::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
+        Command::Stress(arguments) => stress::run(arguments),
         Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
         Command::Recover(arguments) => recover::run(arguments.load()?, arguments),
         Command::Calibrate(arguments) => calibrate::run(arguments),

@@ -633,7 +633,7 @@ fn report<R: Sweeps>(
         }
         Some(shown) => (shown, String::new()),
     };
-    let [before, after] = shown.map_err(diverged(problem.model.remedy()))?;
+    let [before, after] = shown.map_err(diverged(&problem.model, &problem.start(best)))?;
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // Of all sessions: a resumed run has taken what its parts took.
     let seconds = history.iter().map(|e| e.seconds).sum();

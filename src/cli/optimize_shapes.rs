@@ -27,10 +27,11 @@ pub fn report<R: Sweeps>(
     let (first, best) = (sampled(0), sampled(optimisation.best));
     let found = loaded.with(&wall_settings(&best, config))?;
     files::write_best(folder, &found)?;
-    let failed = diverged(problem.model.remedy());
-    let [before, after] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
-    let before = simulate(problem, config.run.kernels, &problem.start(before), &mut []).map_err(&failed)?;
-    let after = optimize::simulate_with_frames(config, folder, problem, after).map_err(&failed)?;
+    let starts = [0, optimisation.best].map(|epoch| problem.start(&history[epoch].variables));
+    let before = simulate(problem, config.run.kernels, &starts[0], &mut []);
+    let before = before.map_err(diverged(&problem.model, &starts[0]))?;
+    let after = optimize::simulate_with_frames(config, folder, problem, &history[optimisation.best].variables);
+    let after = after.map_err(diverged(&problem.model, &starts[1]))?;
     let seconds = history.iter().map(|epoch| epoch.seconds).sum();
     let summary_of = |found: &Diagnostics, seconds: f64| {
         let mut all = files::summary(loaded, found, problem.steps, seconds);

@@ -9,6 +9,9 @@ use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::scene::Scene;
+use crate::sph::divergence;
+use crate::sph::model::Model;
+use crate::sph::solver::Snapshot;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::Mutex;
@@ -98,11 +101,14 @@ pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     Ok((design, shape))
 }
 
-/// A run that failed, with [`crate::sph::model::Model::remedy`].
-pub fn diverged(remedy: &'static str) -> impl Fn(anyhow::Error) -> anyhow::Error {
-    move |error| match error.is::<RunError>() {
-        true => Error::run(error.to_string(), remedy).into(),
-        false => error,
+/// What a user is told of a run that failed after a state that was good; other errors as they are.
+pub fn diverged<'a, R: Real>(
+    model: &'a Model<R>,
+    good: &'a Snapshot<R>,
+) -> impl Fn(anyhow::Error) -> anyhow::Error + 'a {
+    move |error| match error.downcast::<RunError>() {
+        Ok(error) => divergence::told(&error, model, good).into(),
+        Err(error) => error,
     }
 }
 

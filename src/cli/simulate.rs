@@ -3,25 +3,29 @@
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files;
-use super::prepare::{diverged, use_threads};
+use super::prepare::use_threads;
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
+use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Precision};
+use crate::config::scene::{Config, Motion, Precision};
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
-use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History};
+use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::{checkpoint, Scene};
+use crate::sph::divergence::{self, Divergence};
 use crate::sph::dynamics::Sph;
+use crate::sph::solver::Snapshot;
 use crate::sph::Sweeps;
 use clap::Args;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -41,6 +45,8 @@ Examples:
       a flow with an exact solution (`hydrograd scenes` lists more), and how far from it the particles end
   hydrograd simulate --resume runs/simulate-heated-channel --set time.end=8
       a finished run made longer, to the bit as if it had been so long (an interrupted one goes on without --set)
+  hydrograd simulate --set time.cfl=2 --recover
+      steps that are too long: where it diverges it goes back and makes them shorter
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -50,6 +56,9 @@ pub struct SimulateArguments {
     pub resume: ResumeArgument,
     #[command(flatten)]
     pub explain: ExplainArgument,
+    /// Where the run diverges, go back to the last good state and on with steps of half the length; again, up to four times.
+    #[arg(long)]
+    pub recover: bool,
 }
 
 impl SimulateArguments {
@@ -79,6 +88,10 @@ const HISTORY: usize = 400;
 const CHECKPOINT: &str = "checkpoint.safetensors";
 /// What its folders are marked with.
 const KIND: &str = "simulate";
+/// Of the same kind: what is left of a run that diverged.
+const LAST_GOOD: &str = "last-good.safetensors";
+/// How often steps are halved before a run is given up.
+const HALVINGS: usize = 4;
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
@@ -87,15 +100,34 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
         return explain(&loaded, false);
     }
     let resume = arguments.resume.resume.as_deref();
+    let halvings = if arguments.recover { HALVINGS } else { 0 };
+    if arguments.recover && loaded.config.fluid.motion == Motion::Fixed {
+        return Err(BadInput::new("--recover with fixed particles, whose steps have one length")
+            .allowed("fluid.motion = moving")
+            .advice("time.cfl=0.6 from the beginning")
+            .into());
+    }
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(&loaded, &folder, resume),
-        Precision::F64 => go::<f64>(&loaded, &folder, resume),
+        Precision::F32 => go::<f32>(&loaded, &folder, resume, halvings),
+        Precision::F64 => go::<f64>(&loaded, &folder, resume, halvings),
     }
 }
 
-fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyhow::Result<()> {
+/// A divergence that a run went on from.
+#[derive(Debug, Clone, Serialize)]
+pub struct Recovery {
+    /// In which step it was found.
+    pub step: usize,
+    /// The state that the run went back to.
+    pub from_step: usize,
+    /// In how many parts every step was made from there.
+    pub parts: usize,
+    pub cause: String,
+}
+
+fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usize) -> anyhow::Result<()> {
     let config = &loaded.config;
     let scene = Scene::<R>::from_config(config)?;
     let first = match resume {
@@ -107,8 +139,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
     let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
     let began = first.step;
     check_unfinished(began, &scene)?;
-    let failed = diverged(scene.model.remedy());
-    let start = ParticleFields::of(&mut dynamics.start(&first).map_err(|error| failed(error.into()))?);
+    let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;
+    let start = ParticleFields::of(&mut { start });
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
@@ -145,13 +177,43 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         window: scene.design.as_ref().map_or(0, |design| design.window),
     };
     let mut measurement = scene.design.as_ref().map(Measurement::of);
-    let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
-    observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-    observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-    observers.push(&mut history);
-    observers.push(&mut checkpoints);
     let clock = Instant::now();
-    let mut solver = run_to_the_end(&dynamics, &first, scene.steps, &mut observers).map_err(failed)?;
+    let (mut from, mut recovered) = (first, Vec::<Recovery>::new());
+    let mut solver = loop {
+        let mut good = LastGood::new(&from);
+        let mut observers: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut good];
+        observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
+        observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
+        observers.push(&mut history);
+        observers.push(&mut checkpoints);
+        let error = match run_to_the_end(&dynamics, &from, scene.steps, &mut observers) {
+            Ok(solver) => break solver,
+            Err(error) => error.downcast::<RunError>()?,
+        };
+        let good = good.state();
+        let Some(found) = Divergence::of(&error, &scene.model, good) else {
+            return Err(divergence::told(&error, &scene.model, good).into());
+        };
+        let path = folder.join(LAST_GOOD);
+        checkpoint::write(&path, &scene.model, good, &loaded.text)?;
+        if recovered.len() == halvings {
+            let kept = format!("\n  last good state: {} (step {})", path.display(), good.step);
+            let kept = match halvings {
+                0 => format!("{kept}; --recover goes on from there with shorter steps"),
+                _ => format!("{kept}; given up after {halvings} halvings of the step"),
+            };
+            return Err(found.told(&kept).into());
+        }
+        from = Snapshot { least_parts: 2 * from.least_parts, ..good.clone() };
+        let (step, parts) = (from.step, from.least_parts);
+        history.go_back(step);
+        measurement.iter_mut().for_each(|it| it.go_back(step));
+        frames.iter_mut().for_each(|it| it.go_back(step as f64 * scene.model.dt));
+        bar.suspend(|| {
+            eprintln!("warning: {error}\n  try: nothing, it goes on from step {step} with every step in {parts} parts")
+        });
+        recovered.push(Recovery { step: found.step, from_step: step, parts, cause: found.cause.why });
+    };
     let seconds = clock.elapsed().as_secs_f64();
     let history = history.rows;
     bar.finish();
@@ -163,20 +225,37 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>) -> anyho
         1e9 * seconds / (done * n) as f64
     );
     let divided = solver.divided;
-    if divided.steps > 0 {
+    if let Some(last) = recovered.last() {
+        println!(
+            "recovered {} times; from step {} on every step was made in {} parts",
+            recovered.len(),
+            last.from_step,
+            last.parts
+        );
+    } else if divided.steps > 0 {
         println!(
             "{} steps in up to {} parts each: the flow was faster than fluid.reference_velocity = {}, or pushed harder",
             divided.steps, divided.most, config.fluid.reference_velocity
         );
     }
     let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
-    let finished = Finished { loaded, folder, scene: &scene, history: &history, end: &end, seconds, divided, pictures };
+    let finished = Finished {
+        loaded,
+        folder,
+        scene: &scene,
+        history: &history,
+        end: &end,
+        seconds,
+        divided,
+        recovered: &recovered,
+        pictures,
+    };
     match (&scene.design, measurement) {
         (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start)?,
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
     }
     // Last, so that a run which has this one has everything: the averages of its end are in no checkpoint.
-    checkpoint::write(&folder.join(CHECKPOINT), &solver, &loaded.text)?;
+    checkpoint::write(&folder.join(CHECKPOINT), &scene.model, &solver.snapshot(), &loaded.text)?;
     own.finish()
 }
 

@@ -2,6 +2,7 @@
 
 use super::arguments::with_options;
 use super::files::{self, VERSION};
+use super::simulate::Recovery;
 use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::Problem;
@@ -30,6 +31,7 @@ pub struct Finished<'a, R> {
     pub end: &'a ParticleFields,
     pub seconds: f64,
     pub divided: Divided,
+    pub recovered: &'a [Recovery],
     /// What is said of ParaView frames.
     pub pictures: String,
 }
@@ -63,6 +65,7 @@ pub fn report_design<R: Sweeps>(
     }
     let warnings = warnings::of_channel(&loaded.config, d, history);
     map.insert("warnings".into(), json!(warnings));
+    map.insert("recovered".into(), json!(finished.recovered));
     files::write_summary(folder, map)?;
     let is_deep = loaded.config.dimension() == 3;
     let per_depth = if is_deep { ", per depth" } else { "" };
@@ -119,6 +122,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     let warnings = warnings::of_flow(&loaded.config, found, finished.history);
     let mut map = summary(finished, found);
     map.insert("warnings".into(), json!(warnings));
+    map.insert("recovered".into(), json!(finished.recovered));
     files::write_summary(folder, map)?;
     println!("time                {:.6}", found.time);
     if !rests {

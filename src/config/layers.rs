@@ -205,6 +205,12 @@ impl Merged {
         }
     }
 
+    /// Whether a key has a text.
+    pub fn is_text(&self, path: &str, text: &str) -> bool {
+        let (section, key) = path.split_once('.').unwrap_or(("", path));
+        self.document.get(section).and_then(|table| table.get(key)).and_then(Item::as_str) == Some(text)
+    }
+
     /// What the layers amount to, not checked yet.
     pub fn read<S: Schema>(&self) -> S {
         toml::from_str(&self.text()).expect("every layer was read alone, so their union can be read")

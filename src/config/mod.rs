@@ -10,6 +10,7 @@ pub mod provenance;
 pub mod range;
 pub mod scene;
 pub mod schema;
+pub mod stability;
 pub mod suggest;
 pub mod training;
 pub mod validate;

@@ -450,6 +450,7 @@ pub struct Time {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step: Option<f64>,
     /// Acoustic time step: dt <= cfl * dx / (sound speed + reference velocity).
+    #[serde(deserialize_with = "crate::config::stability::cfl")]
     pub cfl: f64,
     /// Diffusive time step: dt <= diffusion_number * dx^2 / max(viscosity / density, thermal diffusivity).
     pub diffusion_number: f64,
@@ -743,6 +744,16 @@ pub enum Precision {
     F32,
     #[default]
     F64,
+}
+
+impl Precision {
+    /// What configurations call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]

@@ -13,6 +13,7 @@ use crate::particles::tag;
 use crate::scene::assembly::Numerics;
 use crate::scene::taylor_green::TaylorGreen;
 use crate::scene::Scene;
+use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
@@ -90,13 +91,13 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
     let config = &ready.config;
     let mut stage = stage::<R>(config)?;
     if let Some((rest, steps)) = &ready.relaxation {
-        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, stage.scene.model.remedy(), error))?;
+        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, &stage.scene, error))?;
         restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
     let dynamics = Sph::new(stage.scene.model.clone(), config.run.kernels);
     let mut recorder = Recorder::new(ready, &stage, progress);
     run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder])
-        .map_err(|error| failed(ready, stage.scene.model.remedy(), error))?;
+        .map_err(|error| failed(ready, &stage.scene, error))?;
     Ok(recorder.trajectory)
 }
 
@@ -176,14 +177,14 @@ fn write_positions<R: Sweeps>(
         for d in 0..enclosure.dimension {
             let x = solver.state[d * n + i].f64() - enclosure.origin[d];
             if !(0.0..=enclosure.size[d]).contains(&x) {
-                return Err(Error::run(
+                return Err(Error::diverged(
                     format!(
                         "{}: particle {i} left the box in step {}: {:?} = {x}",
                         ready.job,
                         solver.step,
                         ["x", "y", "z"][d]
                     ),
-                    stage.scene.model.remedy(),
+                    Cause::of(&stage.scene.model, &stage.scene.start).advice,
                 ));
             }
             // Rounded to f32, a place just below a period's end is the end itself.
@@ -246,9 +247,9 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
 }
 
 /// A run that could not go on, with advice; other errors as they are.
-fn failed(ready: &Ready, remedy: &str, error: anyhow::Error) -> anyhow::Error {
-    if error.downcast_ref::<RunError>().is_none() {
-        return error;
+fn failed<R: Sweeps>(ready: &Ready, scene: &Scene<R>, error: anyhow::Error) -> anyhow::Error {
+    match error.downcast::<RunError>() {
+        Ok(error) => told(&error, &scene.model, &scene.start).of(ready.job).into(),
+        Err(error) => error,
     }
-    Error::run(format!("{}: {error}", ready.job), remedy).into()
 }

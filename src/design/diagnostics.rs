@@ -68,10 +68,12 @@ pub fn simulate<R: Sweeps>(
 pub struct Measurement<'a, R> {
     design: &'a Problem<R>,
     sums: Sums,
+    /// Those before each sample, and its step.
+    before: Vec<(usize, Sums)>,
 }
 
 /// Sums over the window's samples.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Sums {
     count: f64,
     q: f64,
@@ -93,6 +95,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
         // Never the start of a run: it is given, not found.
         let is_inside = solver.step >= (steps - window).max(1);
         if is_inside && (steps - solver.step).is_multiple_of(stride) {
+            self.before.push((solver.step, self.sums.clone()));
             self.sample(dynamics, solver)?;
         }
         Ok(())
@@ -101,7 +104,15 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
 
 impl<'a, R: Sweeps> Measurement<'a, R> {
     pub fn of(design: &'a Problem<R>) -> Self {
-        Self { design, sums: Sums::default() }
+        Self { design, sums: Sums::default(), before: Vec::new() }
+    }
+
+    /// Forgets what is not before `step`.
+    pub fn go_back(&mut self, step: usize) {
+        if let Some(place) = self.before.iter().position(|(sampled, _)| *sampled >= step) {
+            self.sums = self.before.swap_remove(place).1;
+            self.before.truncate(place);
+        }
     }
 
     fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {

@@ -10,6 +10,7 @@ use crate::adjoint::{run, Dynamics, Objective, RunError};
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
+use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::fixed::steady::SteadyOptions;
 use crate::sph::fixed::Fixed;
@@ -186,7 +187,7 @@ impl<R: Sweeps> Problem<R> {
         }
         let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
-            .map_err(|error| error.advised(self.model.remedy()))?;
+            .map_err(|error| told(&error, &self.model, &start))?;
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
@@ -202,7 +203,7 @@ impl<R: Sweeps> Problem<R> {
         let mut value = |variables: &[f64]| {
             let found = self.evaluate_watched(variables, &mut |part| progress((done as f64 + part) / runs as f64));
             done += 1;
-            found.map_err(|error| self.advised(error))
+            found.map_err(|error| self.told(error, variables))
         };
         let limits = self.parametrisation.limits();
         let middle = value(variables)?;
@@ -221,10 +222,10 @@ impl<R: Sweeps> Problem<R> {
         Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps })
     }
 
-    /// A run's failure with advice.
-    fn advised(&self, error: anyhow::Error) -> Error {
+    /// A run's failure, with its cause.
+    fn told(&self, error: anyhow::Error, variables: &[f64]) -> Error {
         match error.downcast::<RunError>() {
-            Ok(error) => error.advised(self.model.remedy()),
+            Ok(error) => told(&error, &self.model, &self.start(variables)),
             Err(error) => match error.downcast::<Error>() {
                 Ok(error) => error,
                 Err(error) => Error::run(error.to_string(), "report this"),
@@ -347,7 +348,7 @@ impl<R: Sweeps> Problem<R> {
         let (value, steps) = match self.is_steady {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
-                let found = self.evaluate(variables).map_err(|error| self.advised(error));
+                let found = self.evaluate(variables).map_err(|error| self.told(error, variables));
                 (found?, self.steps)
             }
         };

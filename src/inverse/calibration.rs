@@ -24,6 +24,7 @@ use crate::numerics::candle::read;
 use crate::particles::tag;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
+use crate::sph::divergence::told;
 use crate::sph::dynamics::{KeptState, Sph};
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver, TensorSolver};
@@ -194,10 +195,10 @@ impl<R: Sweeps> Calibration<R> {
         }
         let taps = Arc::new(Taps { moved, sums: Mutex::new(vec![0.0; values.len()]) });
         let base = Sph::new(self.model(&values)?, Kernels::Fused);
-        let advice = base.model.remedy();
+        let model = base.model.clone();
         let dynamics = WithParameters { base, taps: taps.clone() };
         let found = gradient(&dynamics, &self.start, &self.schedule, &self.objective, progress);
-        let found = found.map_err(|error| error.advised(advice))?;
+        let found = found.map_err(|error| told(&error, &model, &self.start))?;
         let sums = taps.sums.lock().unwrap_or_else(|e| e.into_inner()).clone();
         Ok((found.value, sums))
     }
@@ -316,7 +317,13 @@ impl<R: Sweeps> Dynamics for WithParameters<R> {
         held.map_err(RunError::tensor(step))?;
         let next = self.base.advance_taped(tape, state, after)?;
         // The neighbours that the step had: they may be of an older list.
-        let before = Snapshot { step, parts: 1, state: numbers, reference: tape.neighbourhood.reference.clone() };
+        let before = Snapshot {
+            step,
+            parts: 1,
+            least_parts: 1,
+            state: numbers,
+            reference: tape.neighbourhood.reference.clone(),
+        };
         let next = next.contiguous().and_then(|next| next.apply_op1(Tap { taps: self.taps.clone(), before }));
         next.map_err(RunError::tensor(step))
     }

@@ -23,6 +23,7 @@ use crate::design::optimisers::{BarzilaiBorwein, LBfgsB, Optimiser};
 use crate::error::{BadInput, Error};
 use crate::particles::tag;
 use crate::scene::Scene;
+use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
@@ -256,8 +257,9 @@ impl<R: Sweeps> InitialState<R> {
     /// # Errors
     /// A run that diverges.
     pub fn evaluate(&self, x: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
-        let found = gradient(&self.dynamics, &self.start(x), &self.schedule, &self.matching, progress);
-        let found = found.map_err(|error| error.advised(self.scene.model.remedy()))?;
+        let start = self.start(x);
+        let found = gradient(&self.dynamics, &start, &self.schedule, &self.matching, progress);
+        let found = found.map_err(|error| told(&error, &self.scene.model, &start))?;
         let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>());
         let state = state.map_err(|error| Error::run(error.to_string(), "report this"))?;
         let by_particle = self.of(&state);

@@ -280,6 +280,11 @@ impl VtkSeries {
         Ok(path)
     }
 
+    /// Forgets the frames that are not before `time`: the next ones take their places.
+    pub fn go_back(&mut self, time: f64) {
+        self.frames.retain(|(of_frame, _)| *of_frame < time);
+    }
+
     /// Path of the `.pvd` file.
     pub fn list_path(&self) -> PathBuf {
         self.folder.join(format!("{}.pvd", self.name))

@@ -23,6 +23,17 @@ pub mod tag {
     /// One whose temperature is given.
     pub const HOT_SURFACE: u8 = 5;
 
+    /// What a particle is, in words.
+    pub fn name(tag: u8) -> &'static str {
+        match tag {
+            FLUID => "fluid",
+            MOVING_WALL => "moving wall",
+            HOT_WALL => "wall of set temperature",
+            SURFACE | HOT_SURFACE => "point on a wall's surface",
+            _ => "wall",
+        }
+    }
+
     /// Whether it is a point on a wall's surface: no particle that data sets have.
     pub fn is_on_surface(tag: u8) -> bool {
         matches!(tag, SURFACE | HOT_SURFACE)

@@ -46,9 +46,9 @@ pub enum NeighbourError {
     #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged")]
     Clumped { particle: usize, count: usize },
     #[error(
-        "a particle moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged"
+        "particle {particle} moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged"
     )]
-    TooFast { distance: f64, cutoff: f64 },
+    TooFast { particle: usize, distance: f64, cutoff: f64 },
     #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]
     BoxTooSmall { direction: usize, size: f64, reach: f64 },
 }

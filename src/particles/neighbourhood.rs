@@ -109,13 +109,24 @@ impl<R: Search> Neighbourhood<R> {
         let moved = R::largest_move(reach, position, &self.reference)?;
         // One step never moves a particle that far unless the run has diverged.
         if moved > 0.5 * reach.cutoff {
-            return Err(NeighbourError::TooFast { distance: moved, cutoff: reach.cutoff });
+            let particle = furthest(reach, position, &self.reference);
+            return Err(NeighbourError::TooFast { particle, distance: moved, cutoff: reach.cutoff });
         }
         if 2.0 * moved >= reach.skin {
             self.rebuild(reach, position)?;
         }
         Ok(())
     }
+}
+
+/// The particle that has moved furthest since the list was built.
+fn furthest<R: Real>(reach: &Reach, position: &[R], reference: &[R]) -> usize {
+    let (n, domain) = (reach.tags.len(), reach.domain);
+    let moved = |i: usize| -> f64 {
+        let along = |d: usize| domain.nearest(d, position[d * n + i].f64() - reference[d * n + i].f64());
+        (0..domain.dimension).map(|d| along(d).powi(2)).sum()
+    };
+    (0..n).max_by(|&i, &j| moved(i).total_cmp(&moved(j))).unwrap_or_default()
 }
 
 /// Distance that the fastest particle has moved since the list was built.

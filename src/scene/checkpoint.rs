@@ -5,8 +5,8 @@
 //!   list_positions [D, N]       what the neighbour list was built from
 //! ```
 //!
-//! and in the metadata the kind of file, `step`, in how many `parts` the last one was made, the configuration, and the program's version. [`open`] reads checkpoints
-//! of other kinds too.
+//! and in the metadata the kind of file, `step`, in how many `parts` the last one was made, the fewest that the next ones are made in
+//! (`least_parts`), the configuration, and the program's version. [`open`] reads checkpoints of other kinds too.
 
 use crate::config::difference::difference;
 use crate::config::scene::Config;
@@ -15,8 +15,7 @@ use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::io::FileError;
 use crate::numerics::lanes::Real;
 use crate::sph::model::Model;
-use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Sweeps;
+use crate::sph::solver::Snapshot;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -27,21 +26,27 @@ pub const KIND: &str = "hydrograd simulation";
 /// Keys that may change between a simulation and its continuation: it may be longer, but not of other steps.
 const FREE: [&str; 6] = ["output", "run.threads", "optimise", "time.end", "time.steps", "time.step"];
 
-/// Writes a run's present state, with the text of its configuration.
+/// Writes a state of a run, with the text of its configuration.
 ///
 /// # Errors
 /// System errors.
-pub fn write<R: Sweeps>(path: &Path, solver: &Solver<R>, configuration: &str) -> Result<(), FileError> {
-    let (n, l) = (solver.model.particles(), solver.model.layout);
+pub fn write<R: Real>(
+    path: &Path,
+    model: &Model<R>,
+    state: &Snapshot<R>,
+    configuration: &str,
+) -> Result<(), FileError> {
+    let (n, l) = (model.particles(), model.layout);
     let data = |values: &[R]| Data::F64(values.iter().map(|x| x.f64()).collect());
     let tensors: Tensors = BTreeMap::from([
-        ("state".to_string(), (vec![l.state_rows(), n], data(&solver.state))),
-        ("list_positions".to_string(), (vec![l.dimension, n], data(&solver.neighbourhood.reference))),
+        ("state".to_string(), (vec![l.state_rows(), n], data(&state.state))),
+        ("list_positions".to_string(), (vec![l.dimension, n], data(&state.reference))),
     ]);
     let metadata = [
         ("kind", KIND.to_string()),
-        ("step", solver.step.to_string()),
-        ("parts", solver.pace.parts.to_string()),
+        ("step", state.step.to_string()),
+        ("parts", state.parts.to_string()),
+        ("least_parts", state.least_parts.to_string()),
         ("config", configuration.to_string()),
         ("version", env!("CARGO_PKG_VERSION").to_string()),
     ];
@@ -75,7 +80,9 @@ pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<S
             BadInput::new(format!("{}: {name} = `{text}` in its metadata", path.display())).allowed("a whole number")
         })
     };
-    Ok(Snapshot { step: number("step")?, parts: number("parts")?, state, reference })
+    // Checkpoints from before there was recovery have none.
+    let least_parts = if file.metadata.contains_key("least_parts") { number("least_parts")? } else { 1 };
+    Ok(Snapshot { step: number("step")?, parts: number("parts")?, least_parts, state, reference })
 }
 
 /// A checkpoint of a kind whose configuration is this one, keys and sections in `free` apart.
@@ -110,6 +117,8 @@ mod tests {
     use crate::design::diagnostics::simulate;
     use crate::scene::Scene;
     use crate::sph::dynamics::Sph;
+    use crate::sph::solver::Solver;
+    use crate::sph::Sweeps;
 
     /// Resumed where the averages begin, so that they are the same too.
     fn resumes<R: Sweeps>(precision: &str) {
@@ -126,7 +135,7 @@ mod tests {
         let path = folder.path().join("checkpoint.safetensors");
         let mut keep = |_: &Sph<R>, solver: &mut Solver<R>| {
             if solver.step == 30 {
-                write(&path, solver, &text)?;
+                write(&path, &solver.model, &solver.snapshot(), &text)?;
             }
             Ok(())
         };

@@ -13,6 +13,7 @@ use crate::config::scene::{
     Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, IntegratorName, Motion, Search, Start, Trust,
 };
 use crate::config::schema::Schema;
+use crate::config::stability::AUTO;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::start_shape;
@@ -273,6 +274,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;
     if chosen && config.fluid.formulation == Formulation::Standard {
         standard_defaults(&mut merged, &config);
+        config = merged.read();
+    }
+    if merged.is_text("time.cfl", AUTO) {
+        merged.set("time.cfl", Value::from(config.cfl_limit().safe), "time.cfl = \"auto\"");
         config = merged.read();
     }
     if config.scene.has_design() {

@@ -2,13 +2,13 @@
 
 use super::particle_fields::ParticleFields;
 use super::{checkpoint, Scene};
-use crate::adjoint::run::Observer;
+use crate::adjoint::run::{Observer, CHECK_EVERY};
 use crate::io::csv::{read_columns, write_rows};
 use crate::io::vtk::VtkSeries;
 use crate::io::FileError;
 use crate::numerics::interrupt;
 use crate::sph::dynamics::Sph;
-use crate::sph::solver::Solver;
+use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use std::path::{Path, PathBuf};
 
@@ -46,6 +46,11 @@ impl Frames {
         let new = || Ok(Self { series: VtkSeries::new(folder, "particles")?, steps: EvenSteps::new(steps, count) });
         (count > 0).then(new).transpose()
     }
+
+    /// Forgets what is not before `time`.
+    pub fn go_back(&mut self, time: f64) {
+        self.series.go_back(time);
+    }
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Frames {
@@ -76,12 +81,17 @@ impl<'a, R: Sweeps> History<'a, R> {
     /// Begins with the rows of a run that was interrupted, in its folder, as far as they are before `step`; none if it left
     /// no readable ones.
     pub fn continued(mut self, from: &Path, step: usize) -> Self {
-        let time = step as f64 * self.scene.model.dt;
         let columns = read_columns(&from.join("history.csv"), self.scene.history_columns()).unwrap_or_default();
         let count = columns.first().map_or(0, Vec::len);
-        let rows = (0..count).map(|k| columns.iter().map(|column| column[k]).collect::<Vec<f64>>());
-        self.rows = rows.filter(|row| row[0] < time).collect();
+        self.rows = (0..count).map(|k| columns.iter().map(|column| column[k]).collect()).collect();
+        self.go_back(step);
         self
+    }
+
+    /// Forgets what is not before `step`.
+    pub fn go_back(&mut self, step: usize) {
+        let time = step as f64 * self.scene.model.dt;
+        self.rows.retain(|row| row[0] < time);
     }
 }
 
@@ -92,6 +102,33 @@ impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
             (self.tell)(solver.step, &row);
             self.rows.push(row);
             write_rows(&self.path, self.scene.history_columns(), &self.rows)?;
+        }
+        Ok(())
+    }
+}
+
+/// Keeps the last state of a run that was good: it was checked, and what the steps behind it led to was checked as well, so that
+/// nothing had begun to go wrong. The run's first state until there is one.
+pub struct LastGood<R> {
+    state: Snapshot<R>,
+    /// It was checked, but who knows what it leads to.
+    newest: Snapshot<R>,
+}
+
+impl<R: Sweeps> LastGood<R> {
+    pub fn new(start: &Snapshot<R>) -> Self {
+        Self { state: start.clone(), newest: start.clone() }
+    }
+
+    pub fn state(&self) -> &Snapshot<R> {
+        &self.state
+    }
+}
+
+impl<R: Sweeps> Observer<Sph<R>> for LastGood<R> {
+    fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
+        if solver.step.is_multiple_of(CHECK_EVERY) && solver.step > self.newest.step {
+            self.state = std::mem::replace(&mut self.newest, solver.snapshot());
         }
         Ok(())
     }
@@ -115,7 +152,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
         let is_averaged = step + self.window > last;
         let is_due = self.steps.contains(step) || interrupt::asked().is_some();
         if step > self.began && step < last && is_due && !is_averaged {
-            checkpoint::write(&self.path, solver, self.configuration)?;
+            checkpoint::write(&self.path, &solver.model, &solver.snapshot(), self.configuration)?;
         }
         Ok(())
     }

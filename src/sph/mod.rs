@@ -1,6 +1,7 @@
 //! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
 pub mod chain;
 pub mod consistent;
+pub mod divergence;
 pub mod division;
 pub mod dynamics;
 pub mod fixed;

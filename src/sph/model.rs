@@ -4,7 +4,7 @@ use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::{Buffers, Pool};
 use crate::particles::{Domain, Reach};
-use crate::sph::consistent::{Consistent, Kept, Shift};
+use crate::sph::consistent::{Consistent, Kept};
 use crate::sph::division::Division;
 use crate::sph::fixed::Fixed;
 use crate::sph::kernels::Kernel;
@@ -256,22 +256,6 @@ impl<R: Real> Model<R> {
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == crate::particles::tag::FLUID
-    }
-    /// What to try about a run that diverges.
-    pub fn remedy(&self) -> &'static str {
-        if self.fixed.is_some() {
-            "time.cfl=0.6 or time.diffusion_number=0.06 (a smaller time step), or a gentler wall (a smaller \
-             design.amplitude or design.bound)"
-        } else if self.consistent.as_ref().is_some_and(|consistent| matches!(consistent.shift, Shift::Chain(_))) {
-            // Over a rough wall smaller steps do not help; more neighbours do (src/sph/README.md has the figures).
-            "over a rough wall fluid.motion=fixed or resolution.smoothing_length=1.1, or a gentler one (a smaller \
-             design.amplitude or design.bound); over a flat one time.cfl=0.5"
-        } else if self.layout.rates {
-            "time.cfl=0.5, time.diffusion_number=0.125 (a smaller time step) or time.integrator=symplectic-euler"
-        } else {
-            "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one (a \
-             smaller design.amplitude or design.bound)"
-        }
     }
     pub fn has_walls(&self) -> bool {
         self.tags.iter().any(|&t| t != crate::particles::tag::FLUID)

@@ -26,6 +26,8 @@ pub struct Snapshot<R> {
     pub step: usize,
     /// In how many parts the step before was made, see [`super::division`].
     pub parts: usize,
+    /// The fewest parts that steps are made in from here on: 1, but in a run that has recovered from a divergence.
+    pub least_parts: usize,
     /// `[F, N]`.
     pub state: Vec<R>,
     /// Positions that the neighbour list was built from: the list is rebuilt from them on restoring, the same to
@@ -37,7 +39,7 @@ impl<R: Real> Snapshot<R> {
     /// A run's first state.
     pub fn first(model: &Model<R>, state: Vec<R>) -> Self {
         let reference = Arc::new(state[..model.layout.dimension * model.particles()].to_vec());
-        Self { step: 0, parts: 1, state, reference }
+        Self { step: 0, parts: 1, least_parts: 1, state, reference }
     }
 }
 
@@ -79,6 +81,8 @@ pub struct Solver<R> {
     pub step: usize,
     /// The part of a step that is being made; between steps, in how many the last one was made.
     pub pace: Pace,
+    /// See [`Snapshot::least_parts`].
+    pub least_parts: usize,
     /// What the list of the last step's first part was built from, where it had others: their list may be another one.
     began_with: Option<Arc<Vec<R>>>,
     /// Of the steps since the run's start.
@@ -176,6 +180,7 @@ impl<R: Sweeps> Solver<R> {
             state: snapshot.state.clone(),
             step: snapshot.step,
             pace: Pace::after(snapshot.parts),
+            least_parts: snapshot.least_parts,
             began_with: None,
             divided: Divided::default(),
             neighbourhood,
@@ -194,6 +199,7 @@ impl<R: Sweeps> Solver<R> {
         Snapshot {
             step: self.step,
             parts: self.pace.parts,
+            least_parts: self.least_parts,
             state: self.state.clone(),
             reference: self.neighbourhood.reference.clone(),
         }
@@ -208,7 +214,7 @@ impl<R: Sweeps> Solver<R> {
     }
 
     fn advance_by(&mut self, make_part: fn(&mut Self) -> Result<(), RunError>) -> Result<(), RunError> {
-        let parts = division::parts(&self.model, &self.state);
+        let parts = division::parts(&self.model, &self.state).max(self.least_parts);
         for part in 0..parts {
             self.pace = self.pace.next(part, parts);
             make_part(self)?;

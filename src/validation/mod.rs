@@ -7,6 +7,7 @@ pub mod cases;
 pub mod measure;
 pub mod probe;
 pub mod reference;
+pub mod stress;
 
 pub use cases::Case;
 pub use measure::{Curve, Found, Measure};

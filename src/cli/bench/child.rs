@@ -127,7 +127,7 @@ fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
 
 /// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
 fn at_rest<R>(state: Vec<R>) -> Snapshot<R> {
-    Snapshot { step: 0, parts: 1, state, reference: Arc::new(Vec::new()) }
+    Snapshot { step: 0, parts: 1, least_parts: 1, state, reference: Arc::new(Vec::new()) }
 }
 
 impl Keeping {
@@ -152,7 +152,7 @@ impl Keeping {
 }
 
 fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
-    let failed = |e: RunError| Error::run(format!("{}: {e}", case.label()), "a smaller time.cfl");
+    let failed = |e: RunError| e.advised("a smaller time.cfl").of(case.label());
     let mut ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;

@@ -1,0 +1,359 @@
+//! `hydrograd stress`: maps of where the solver holds.
+
+use super::arguments::{check_writable, set_option};
+use super::files::VERSION;
+use super::generate::Shard;
+use super::prepare::{share_out, use_threads, workers};
+use crate::error::BadInput;
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
+use crate::io::csv::{write_table, Cell};
+use crate::report::plots::{stability, StabilityAxes, StabilityPanel};
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::validation::stress::{maps, Fault, Found, Job, Map, Record, Verdict};
+use clap::Args;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Map where the solver holds: stable, degraded or diverged over step, noise, walls, resolution, viscosity and heat.
+///
+/// Each map varies two things of a scene, in every formulation that it has, in double and in single precision. A run is
+/// stable; degraded, if it gets to its end but its density, speed, energy or heat balance is off; or diverged.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Every finished run is kept in DIR/runs, so that a map that was stopped goes on with --resume.
+
+Examples:
+  hydrograd stress --quick
+      a few runs of every map: a minute on two cores
+  hydrograd stress taylor-green --filter step --out runs/stress-step
+      the largest stable CFL number of the vortices, over the noise of their start
+  hydrograd stress heated-channel --set time.integrator=verlet --out runs/stress-verlet
+      the same maps with something changed in every run
+  hydrograd stress --resume
+      go on with runs/stress after a kill
+  hydrograd stress --out runs/stress --shard 0/4
+      the first of four shares, perhaps on another machine with the same disk; in a Slurm job array
+      (sbatch --array=0-3) --shard follows from the array; `hydrograd stress --resume` then draws all
+  hydrograd stress --list
+      what there is")]
+pub struct StressArguments {
+    /// Scenes [default: heated-channel, taylor-green, lid-driven-cavity, dam-break].
+    #[arg(value_name = "SCENE")]
+    pub scenes: Vec<String>,
+    /// Only maps with this in their name.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub filter: String,
+    /// Few values, coarse and short runs.
+    #[arg(long)]
+    pub quick: bool,
+    /// Override a key in every run; what a map varies wins over it; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Print the maps and run none.
+    #[arg(long)]
+    pub list: bool,
+    /// Keep the runs that are in the folder already.
+    #[arg(long)]
+    pub resume: bool,
+    /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all]. Keeps what is there.
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+    /// Folder for stress.json, stress.csv, the maps, and runs/ with a file per run.
+    #[arg(long, value_name = "DIR", default_value = "runs/stress")]
+    pub out: PathBuf,
+    /// Runs at a time, each on one thread; 0 for every core.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+}
+
+impl StressArguments {
+    /// The maps that were asked for.
+    fn maps(&self) -> Result<Vec<Map>, BadInput> {
+        let mut maps = maps::all();
+        let mut scenes: Vec<&str> = maps.iter().map(|map| map.scene).collect();
+        scenes.dedup();
+        if let Some(unknown) = self.scenes.iter().find(|scene| !scenes.contains(&scene.as_str())) {
+            return Err(BadInput::new(format!("there are no maps of `{unknown}`")).allowed(scenes.join(", ")));
+        }
+        let names: Vec<String> = maps.iter().map(Map::id).collect();
+        maps.retain(|map| self.scenes.is_empty() || self.scenes.iter().any(|scene| scene == map.scene));
+        maps.retain(|map| map.id().contains(&self.filter));
+        match maps.is_empty() {
+            false => Ok(maps),
+            true => Err(BadInput::new("no map has a name with this in it")
+                .place(format!("--filter {}", self.filter))
+                .allowed(names.join(", "))),
+        }
+    }
+
+    /// A share of the runs, and whether it is one of several.
+    fn shard(&self) -> Result<(Shard, bool), BadInput> {
+        let shard = match self.shard {
+            Some(shard) => Some(shard),
+            None => Shard::from_slurm(|name| std::env::var(name).ok())?,
+        };
+        Ok((shard.unwrap_or(Shard::ALL), shard.is_some()))
+    }
+}
+
+pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
+    let maps = arguments.maps()?;
+    if arguments.list {
+        println!("{}", list(&maps, arguments.quick).to_text());
+        return Ok(());
+    }
+    let (shard, is_shared) = arguments.shard()?;
+    let out = &arguments.out;
+    check_writable(out)?;
+    let runs = out.join("runs");
+    if runs.exists() && !arguments.resume && !is_shared {
+        return Err(BadInput::new(format!("{} holds runs already", out.display()))
+            .place(format!("--out {}", out.display()))
+            .allowed("a new folder, or --resume, which keeps them")
+            .advice("--resume, or another --out")
+            .into());
+    }
+    let jobs: Vec<(usize, Job)> = maps
+        .iter()
+        .enumerate()
+        .flat_map(|(k, map)| Job::of(map, arguments.quick, &arguments.sets).into_iter().map(move |job| (k, job)))
+        .collect();
+    // What is wrong with one is wrong before the first is run.
+    for (_, job) in &jobs {
+        job.load().map_err(|error| match error {
+            crate::error::Error::Input(bad) => {
+                bad.located(|_| arguments.sets.first().map(|set| set_option(set).label)).into()
+            }
+            other => other.of(&job.name),
+        })?;
+    }
+    use_threads(1);
+    prepare_output_folder(&runs)?;
+    let known: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
+    let mine = |k: &usize| k % shard.count == shard.index;
+    let todo: Vec<usize> = (0..jobs.len()).filter(mine).filter(|&k| known[k].is_none()).collect();
+    let bar = Progress::new(todo.len() as u64, "stress");
+    let found = share_out(workers(arguments.threads, todo.len()), &todo, |&k| {
+        let job = &jobs[k].1;
+        let record = job.run()?;
+        write_bytes_atomically(&file(&runs, job), (serde_json::to_string_pretty(&record)? + "\n").as_bytes())?;
+        bar.message(format!("{} {}", job.name, record.verdict.name()));
+        bar.done(1);
+        Ok((k, record))
+    })?;
+    bar.finish();
+    let mut records = known;
+    for (k, record) in found {
+        records[k] = Some(record);
+    }
+    let done: Vec<(usize, (Job, Option<Record>))> =
+        jobs.into_iter().zip(records).map(|((map, job), record)| (map, (job, record))).collect();
+    let of = |k: usize| done.iter().filter(|(map, _)| *map == k).map(|(_, run)| run.clone()).collect::<Vec<_>>();
+    let all: Vec<Found> = maps.iter().enumerate().map(|(k, map)| Found::new(map, &of(k))).collect();
+    write(out, &all)?;
+    for found in &all {
+        draw(out, found)?;
+        println!("{}", text_of(found));
+    }
+    println!("{}", largest(&all).to_text());
+    let seen: Vec<&Record> = done.iter().filter_map(|(_, (_, record))| record.as_ref()).collect();
+    let count = |verdict: Verdict| seen.iter().filter(|record| record.verdict == verdict).count();
+    println!(
+        "{} of {} runs: {} stable, {} degraded, {} diverged; {} kept from before",
+        seen.len(),
+        done.len(),
+        count(Verdict::Stable),
+        count(Verdict::Degraded),
+        count(Verdict::Diverged),
+        seen.len() - todo.len(),
+    );
+    println!("files in {}: stress.json, stress.csv, a picture per map, runs/", out.display());
+    match seen.len() < done.len() {
+        true => {
+            println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display())
+        }
+        false => println!("next: hydrograd simulate SCENE --set time.cfl=...    with a number that is stable above"),
+    }
+    Ok(())
+}
+
+fn file(runs: &Path, job: &Job) -> PathBuf {
+    runs.join(format!("{}.json", job.name))
+}
+
+/// What a run left, if it was this one.
+fn kept(runs: &Path, job: &Job) -> Option<Record> {
+    let text = std::fs::read_to_string(file(runs, job)).ok()?;
+    serde_json::from_str::<Record>(&text).ok().filter(|record| record.settings == job.settings)
+}
+
+fn list(maps: &[Map], quick: bool) -> Table {
+    let mut table = Table::new(["map", "scene", "across", "up", "formulations", "runs"]);
+    for map in maps {
+        let runs = Job::of(map, quick, &[]).len().to_string();
+        table.row([&map.id(), map.scene, map.x.name, map.y.name, &map.formulations.join(", "), &runs]);
+    }
+    table
+}
+
+/// The letters of a row's runs; those that a quick map leaves out are left out.
+fn columns_seen(found: &Found) -> Vec<usize> {
+    let seen = |x: &usize| found.panels.iter().any(|(_, rows)| rows.iter().any(|row| row[*x].is_some()));
+    (0..found.map.x.values.len()).filter(seen).collect()
+}
+
+fn rows_seen(found: &Found) -> Vec<usize> {
+    let seen = |y: &usize| found.panels.iter().any(|(_, rows)| rows[*y].iter().any(Option::is_some));
+    (0..found.map.y.values.len()).filter(seen).collect()
+}
+
+fn mark(record: Option<&Record>) -> char {
+    record.map_or('.', |record| record.verdict.mark())
+}
+
+/// A map for the screen: a row per value of y and panel, and why it ends.
+fn text_of(found: &Found) -> String {
+    let map = &found.map;
+    let columns = columns_seen(found);
+    let values = columns.iter().map(|&x| map.x.values[x].label.clone());
+    let mut table =
+        Table::new([format!("{} \\ {}", map.y.name, map.x.name), "formulation".into()].into_iter().chain(values));
+    for (panel, rows) in &found.panels {
+        for y in rows_seen(found) {
+            let letters = columns.iter().map(|&x| mark(rows[y][x].as_ref()).to_string());
+            let name = format!("{}, {}", panel.formulation, panel.precision.name());
+            table.row([map.y.values[y].label.clone(), name].into_iter().chain(letters));
+        }
+    }
+    format!("{}\n{}edge: {}\n", map.id(), table.to_text(), found.edge())
+}
+
+/// The largest stable CFL number of each scene.
+fn largest(all: &[Found]) -> Table {
+    let header = [
+        "scene",
+        "formulation",
+        "precision",
+        "largest stable CFL",
+        "with any jitter",
+        "without divergence",
+        "with any jitter",
+    ];
+    let mut table = Table::new(header);
+    for found in all.iter().filter(|found| found.map.name == "step") {
+        for (panel, rows) in &found.panels {
+            let numbers = [Verdict::Stable, Verdict::Degraded].map(|worst| found.largest(rows, worst));
+            let numbers = numbers.into_iter().flatten().map(|number| number.unwrap_or("-"));
+            table.row([found.map.scene, panel.formulation, panel.precision.name()].into_iter().chain(numbers));
+        }
+    }
+    table
+}
+
+/// `stress.json` and `stress.csv`.
+fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
+    let (mut maps, mut rows) = (Vec::new(), Vec::new());
+    for found in all {
+        let map = &found.map;
+        let mut runs = Vec::new();
+        for (panel, cells) in &found.panels {
+            for (y, row) in cells.iter().enumerate() {
+                for (x, record) in row.iter().enumerate().filter_map(|(x, cell)| Some((x, cell.as_ref()?))) {
+                    let (at_x, at_y) = (&map.x.values[x].label, &map.y.values[y].label);
+                    let precision = panel.precision.name();
+                    runs.push(json!({ "formulation": panel.formulation, "precision": precision,
+                        "x": at_x, "y": at_y, "record": record }));
+                    let words = [
+                        map.scene,
+                        map.name,
+                        panel.formulation,
+                        precision,
+                        map.x.name,
+                        at_x,
+                        map.y.name,
+                        at_y,
+                        record.verdict.name(),
+                    ];
+                    let numbers = [
+                        record.courant_number,
+                        record.diffusion_number,
+                        record.cell_reynolds_number,
+                        record.time_step,
+                        record.seconds,
+                    ];
+                    let cells = words.into_iter().map(Cell::from).chain(of_fault(record.fault.as_ref()));
+                    rows.push(cells.chain(numbers.map(Cell::from)).collect::<Vec<_>>());
+                }
+            }
+        }
+        let largest = found.panels.iter().map(|(panel, rows)| {
+            let ([stable, stable_anywhere], [ran, ran_anywhere]) =
+                (found.largest(rows, Verdict::Stable), found.largest(rows, Verdict::Degraded));
+            json!({ "formulation": panel.formulation, "precision": panel.precision.name(), "stable": stable,
+                "stable_anywhere": stable_anywhere, "not_diverged": ran, "not_diverged_anywhere": ran_anywhere })
+        });
+        maps.push(json!({ "scene": map.scene, "map": map.name, "x": map.x.name, "y": map.y.name,
+            "edge": found.edge(), "largest": largest.collect::<Vec<_>>(), "runs": runs }));
+    }
+    let header = [
+        "scene",
+        "map",
+        "formulation",
+        "precision",
+        "x",
+        "x_value",
+        "y",
+        "y_value",
+        "verdict",
+        "quantity",
+        "value",
+        "limit",
+        "step",
+        "time",
+        "particle",
+        "cause",
+        "courant_number",
+        "diffusion_number",
+        "cell_reynolds_number",
+        "time_step",
+        "seconds",
+    ];
+    write_table(&folder.join("stress.csv"), &header, &rows)?;
+    let text = serde_json::to_string_pretty(&json!({ "version": VERSION, "maps": maps }))? + "\n";
+    Ok(write_bytes_atomically(&folder.join("stress.json"), text.as_bytes())?)
+}
+
+/// quantity, value, limit, step, time, particle, cause; empty where there is none.
+fn of_fault(fault: Option<&Fault>) -> [Cell; 7] {
+    let empty = || Cell::from("");
+    let number = |value: Option<f64>| value.map_or_else(empty, Cell::from);
+    let count = |value: Option<usize>| value.map_or_else(empty, Cell::from);
+    [
+        fault.map_or_else(empty, |fault| Cell::from(fault.quantity.as_str())),
+        number(fault.map(|fault| fault.value)),
+        number(fault.and_then(|fault| fault.limit)),
+        count(fault.map(|fault| fault.step)),
+        number(fault.map(|fault| fault.time)),
+        count(fault.and_then(|fault| fault.particle)),
+        fault.and_then(|fault| fault.cause.as_deref()).map_or_else(empty, Cell::from),
+    ]
+}
+
+fn draw(folder: &Path, found: &Found) -> anyhow::Result<()> {
+    let map = &found.map;
+    let (columns, rows) = (columns_seen(found), rows_seen(found));
+    if columns.is_empty() {
+        return Ok(());
+    }
+    let panel = |(panel, cells): &(crate::validation::stress::Panel, Vec<Vec<Option<Record>>>)| StabilityPanel {
+        title: format!("{}, {}", panel.formulation, panel.precision.name()),
+        cells: rows.iter().map(|&y| columns.iter().map(|&x| mark(cells[y][x].as_ref())).collect()).collect(),
+    };
+    let panels: Vec<StabilityPanel> = found.panels.iter().map(panel).collect();
+    let x: Vec<String> = columns.iter().map(|&x| map.x.values[x].label.clone()).collect();
+    let y: Vec<String> = rows.iter().map(|&y| map.y.values[y].label.clone()).collect();
+    let title = format!("{}: {} and {}", map.scene, map.x.name, map.y.name);
+    stability(&folder.join(map.id()), &title, &panels, 2, &StabilityAxes { x: (map.x.name, &x), y: (map.y.name, &y) })?;
+    Ok(())
+}
