@@ -6,6 +6,7 @@ use super::arguments::{
 use super::explain::explain;
 use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
+use super::simulate_report::warn;
 use super::verify;
 use super::{files, optimize_compare, optimize_shapes};
 use crate::adjoint::gradient::Progress as Share;
@@ -32,6 +33,7 @@ use crate::scene::load::{check_shape, Loaded};
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::verification::{wall_settings, Verification};
+use crate::scene::warnings::{self, Warning};
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
@@ -657,6 +659,7 @@ fn report<R: Sweeps>(
     files::plot_temperature(folder, config, &panels)?;
     files::plot_flow(folder, config, &panels)?;
     files::write_summary(folder, summary.clone())?;
+    warn(&warnings(problem, optimisation));
     let values = optimisation.column(Epoch::shown);
     let [first, best] = [first, best].map(|variables| problem.parametrisation.sampled(variables));
     Ok(Outcome { text, summary, history: history.clone(), values, first, best })
@@ -771,7 +774,15 @@ pub fn summary<R>(
     put("gradient_norm_per_epoch", json!(optimisation.column(|e| e.gradient_norm)));
     put("seconds_per_epoch", json!(optimisation.column(|e| e.seconds)));
     put("before", Value::Object(before));
+    put("warnings", json!(warnings(problem, optimisation)));
     after
+}
+
+/// What makes a search doubtful.
+pub fn warnings<R>(problem: &Problem<R>, optimisation: &Optimisation) -> Vec<Warning> {
+    let limits = problem.parametrisation.limits();
+    let width = limits.upper.iter().zip(&limits.lower).map(|(upper, lower)| upper - lower).fold(0.0, f64::max);
+    warnings::of_search(optimisation, width)
 }
 
 /// The variables of walls in `summary.json`.

@@ -3,6 +3,7 @@
 use super::files;
 use super::optimize::{self, Outcome};
 use super::prepare::diverged;
+use super::simulate_report::warn;
 use crate::design::diagnostics::{simulate, Diagnostics};
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::design::Problem;
@@ -65,6 +66,7 @@ pub fn report<R: Sweeps>(
         files::plot_scenes(folder, ("temperature", "temperature T (scene units)"), &panels, &warmth, dx)?;
     }
     files::write_summary(folder, summary.clone())?;
+    warn(&optimize::warnings(problem, optimisation));
     let mut table = Table::new(["", "before", "after"]);
     let mut row = |name: &str, x: f64, y: f64| {
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);

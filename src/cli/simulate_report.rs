@@ -63,7 +63,8 @@ pub fn report_design<R: Sweeps>(
             map.extend(wall.top.map(|top| ("top_offsets".to_string(), top.into())));
         }
     }
-    let warnings = warnings::of_channel(&loaded.config, d, history);
+    let mut warnings = warnings::of_channel(&loaded.config, d, history);
+    warnings.extend(warnings::of_particles(&loaded.config, finished.end));
     map.insert("warnings".into(), json!(warnings));
     map.insert("recovered".into(), json!(finished.recovered));
     files::write_summary(folder, map)?;
@@ -119,7 +120,8 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             pictures.push_str(", temperature.png");
         }
     }
-    let warnings = warnings::of_flow(&loaded.config, found, finished.history);
+    let mut warnings = warnings::of_flow(&loaded.config, found, finished.history);
+    warnings.extend(warnings::of_particles(&loaded.config, finished.end));
     let mut map = summary(finished, found);
     map.insert("warnings".into(), json!(warnings));
     map.insert("recovered".into(), json!(finished.recovered));
@@ -167,7 +169,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
 }
 
 /// Where a user looks last, and not among the figures that go to a file.
-fn warn(warnings: &[Warning]) {
+pub fn warn(warnings: &[Warning]) {
     for Warning { problem, advice } in warnings {
         eprintln!("{}", with_options(&format!("warning: {problem}\n  try: {advice}")));
     }

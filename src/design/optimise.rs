@@ -18,7 +18,7 @@ pub struct Optimisation {
 }
 
 /// One evaluated design.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Epoch {
     pub variables: Vec<f64>,
     /// The objective as it is reported, by whoever judged; NaN if the design was rejected.

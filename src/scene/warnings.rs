@@ -1,11 +1,15 @@
 //! What makes the numbers of a finished run doubtful, said beside them.
 //!
-//! Nothing here stops a run. Everything is read from what the run has measured anyway, so it costs nothing.
+//! Nothing here stops a run. Everything is read from what the run has measured anyway, and from its last state, once.
 
 use super::figures::FlowFigures;
-use crate::config::scene::Config;
+use super::particle_fields::ParticleFields;
+use crate::config::scene::{Config, Family, Formulation};
 use crate::design::diagnostics::Diagnostics;
+use crate::design::optimise::Optimisation;
+use crate::particles::tag;
 use serde::Serialize;
+use std::collections::HashMap;
 
 /// What is doubtful, and what to try.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -24,6 +28,13 @@ const DENSER: f64 = 0.02;
 const OPEN: f64 = 0.05;
 /// What is averaged may change so much over the window, of itself.
 const DRIFT: f64 = 0.01;
+
+/// Particles nearer to each other than this, in spacings, are crowded: they come no nearer than 0.6 in runs that can be trusted.
+const CROWDED: f64 = 0.5;
+/// So many of them may be.
+const CROWD: f64 = 0.01;
+/// A gradient may say that the objective changes so many times over between the variables' limits.
+const EXPLODED: f64 = 10.0;
 
 fn warning(problem: String, advice: impl Into<String>) -> Warning {
     Warning { problem, advice: advice.into() }
@@ -81,6 +92,76 @@ pub fn of_channel(config: &Config, found: &Diagnostics, history: &[Vec<f64>]) ->
     all
 }
 
+/// Of the particles of a run: how evenly they lie at its end, and how they began. A free surface is crowded where it breaks.
+pub fn of_particles(config: &Config, end: &ParticleFields) -> Vec<Warning> {
+    let mut all = Vec::new();
+    let standard = config.fluid.formulation == Formulation::Standard;
+    if config.scene == Family::TaylorGreen && standard && config.time.jitter == 0.0 {
+        all.push(warning(
+            "particles began on an exact lattice, in which they line up: at t = 1 the error is five times that of a start with noise".into(),
+            "time.jitter=0.2, or fluid.formulation=consistent",
+        ));
+    }
+    let share = crowded(end, config.resolution.dx);
+    if share > CROWD && !config.scene.has_surface() {
+        let problem = format!(
+            "{:.0} % of the particles have another one nearer than {CROWDED} spacings: sums over neighbours miss what lies between",
+            100.0 * share
+        );
+        let advice = if standard {
+            "fluid.transport_velocity=1, or fluid.formulation=consistent"
+        } else {
+            "fluid.shift_strength=3"
+        };
+        all.push(warning(problem, advice));
+    }
+    all
+}
+
+/// The share of the fluid particles that have another one near, but for pairs across a periodic side.
+fn crowded(end: &ParticleFields, dx: f64) -> f64 {
+    let (n, d) = (end.tag.len(), end.dimension);
+    let near = CROWDED * dx;
+    let place = |i: usize| -> [f64; 3] { std::array::from_fn(|e| if e < d { end.position[e * n + i] } else { 0.0 }) };
+    let cell = |p: [f64; 3]| p.map(|x| (x / near).floor() as i64);
+    let fluid: Vec<usize> = (0..n).filter(|&i| end.tag[i] == tag::FLUID).collect();
+    let mut cells: HashMap<[i64; 3], Vec<usize>> = HashMap::new();
+    fluid.iter().for_each(|&i| cells.entry(cell(place(i))).or_default().push(i));
+    let has_near = |i: usize| {
+        let (p, own) = (place(i), cell(place(i)));
+        let steps = (0..27).map(|k| [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1]);
+        let around = steps.filter_map(|step| cells.get(&std::array::from_fn(|e| own[e] + step[e]))).flatten();
+        let square = |j: usize| place(j).iter().zip(p).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+        around.into_iter().any(|&j| j != i && square(j) < near * near)
+    };
+    fluid.iter().filter(|&&i| has_near(i)).count() as f64 / fluid.len().max(1) as f64
+}
+
+/// Of a search whose variables have limits so far apart: that it found nothing, and a gradient that follows no flow.
+pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
+    let mut all = Vec::new();
+    let history = &found.history;
+    if found.best == 0 && history.len() > 1 {
+        all.push(warning(
+            format!("in {} epochs nothing was found that is better than the first design", history.len()),
+            "another start, or a smaller optimise.learning_rate",
+        ));
+    }
+    let exploded = |epoch: &crate::design::optimise::Epoch| epoch.gradient_norm * width > EXPLODED * epoch.loss.abs();
+    if let Some(epoch) = history.iter().position(|epoch| epoch.loss.is_finite() && exploded(epoch)) {
+        let times = history[epoch].gradient_norm * width / history[epoch].loss.abs();
+        all.push(warning(
+            format!(
+                "the gradient of epoch {} says that the objective changes by {times:.0e} times itself between the limits: it follows \
+                 how particles happen to meet, not the flow",
+                epoch + 1
+            ),
+            "a shorter time.end, a smoother start, or for shapes optimise.gradient=differences",
+        ));
+    }
+    all
+}
+
 /// Q that still changes: its means over both halves of the window.
 fn drift(config: &Config, history: &[Vec<f64>]) -> Option<Warning> {
     let (end, window) = (history.last()?[0], config.objective.window);
@@ -119,6 +200,58 @@ mod tests {
         let config = Config::default();
         let history: Vec<Vec<f64>> = (0..100).map(|k| vec![0.02 * k as f64, 0.0235]).collect();
         assert_eq!(of_channel(&config, &quiet(&config), &history), []);
+    }
+
+    /// A row of fluid particles at these places.
+    fn row(places: Vec<f64>) -> ParticleFields {
+        let n = places.len();
+        let zeros = vec![0.0; 2 * n];
+        ParticleFields {
+            dimension: 2,
+            box_size: vec![1.0; 2],
+            position: [places, vec![0.0; n]].concat(),
+            velocity: zeros.clone(),
+            temperature: None,
+            density: zeros[..n].to_vec(),
+            pressure: zeros[..n].to_vec(),
+            mass: zeros[..n].to_vec(),
+            tag: vec![tag::FLUID; n],
+            time: 0.0,
+            step: 0,
+        }
+    }
+
+    #[test]
+    fn crowds_and_lattices_are_told() {
+        let mut config = Config::default();
+        let dx = config.resolution.dx;
+        let even: Vec<f64> = (0..100).map(|k| k as f64 * dx).collect();
+        assert_eq!(of_particles(&config, &row(even.clone())), []);
+        let mut crowd = even;
+        (0..3).for_each(|k| crowd[10 * k + 1] = crowd[10 * k] + 0.4 * dx);
+        let found = of_particles(&config, &row(crowd));
+        assert!(found.len() == 1 && found[0].problem.starts_with("6 % of the particles"), "{found:?}");
+        config = Family::TaylorGreen.defaults();
+        config.fluid.formulation = Formulation::Standard;
+        config.time.jitter = 0.0;
+        let found = of_particles(&config, &row(vec![0.0]));
+        assert!(found.len() == 1 && found[0].problem.contains("exact lattice"), "{found:?}");
+    }
+
+    #[test]
+    fn a_search_in_vain_is_told() {
+        use crate::design::optimise::Epoch;
+        use crate::design::optimisers::of_config;
+        let epoch = |loss: f64, gradient_norm: f64| Epoch { loss, gradient_norm, figure: -loss, ..Epoch::default() };
+        let search = |history: Vec<Epoch>, best: usize| {
+            let optimiser = of_config(&Config::default().optimise, &[0.0]);
+            of_search(&Optimisation { history, best, ..Optimisation::new(optimiser) }, 0.04)
+        };
+        assert_eq!(search(vec![epoch(-0.0234, 0.016), epoch(-0.0237, 0.014)], 1), []);
+        let found = search(vec![epoch(-0.0234, 0.016), epoch(-0.0233, 0.014)], 0);
+        assert!(found.len() == 1 && found[0].problem.contains("in 2 epochs nothing"), "{found:?}");
+        let found = search(vec![epoch(-0.0234, 0.016), epoch(-0.0237, 1e6)], 1);
+        assert!(found.len() == 1 && found[0].problem.contains("gradient of epoch 2"), "{found:?}");
     }
 
     #[test]
