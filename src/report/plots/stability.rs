@@ -82,7 +82,7 @@ pub fn stability(
             drawing.text(axes.y.0, (16.0, y0 + 0.5 * height), 15.0, Anchor::Upwards, INK);
         }
     }
-    let bottom = top + rows as f64 * (height + gap_y) - 34.0;
+    let bottom = top + rows as f64 * (height + gap_y) - 44.0;
     for (k, (letter, meaning)) in legend.into_iter().enumerate() {
         let at = (left + 120.0 * k as f64, bottom);
         cell(&mut drawing, at, letter);
