@@ -292,7 +292,8 @@ fn every_start(
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
         let folder = folder.join(name);
-        let resume = Some(folder.as_path()).filter(|own| earlier == Earlier::Resumed && is_unfinished(own, KIND));
+        let is_begun = |own: &&Path| own.join(CHECKPOINT).exists() || is_unfinished(own, KIND);
+        let resume = Some(folder.as_path()).filter(|_| earlier == Earlier::Resumed).filter(is_begun);
         one(loaded, &folder, Begin { resume, earlier }, name, &tasks)
     })?;
     let mut owned = Vec::new();
