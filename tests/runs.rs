@@ -466,8 +466,8 @@ fn a_finished_simulation_becomes_longer_to_the_bit() {
     );
     refuses(
         at,
-        &["simulate", "--resume", "run", "--set", "time.end=0.7", "--set", "time.cfl=1.6", "--out", "unwritten"],
-        &["run/checkpoint.safetensors", "time.cfl"],
+        &["simulate", "--resume", "run", "--set", "time.end=0.7", "--seed", "3", "--out", "unwritten"],
+        &["run/checkpoint.safetensors", "run.seed = 0, not 3"],
     );
     succeeds(at, &["simulate", "--resume", "run", "--set", "time.end=0.7"]);
     // What it has become, in one go.

@@ -141,15 +141,18 @@ impl OptimizeArguments {
         self.common.load(self.resume.resume.as_deref(), vec![], options)
     }
 
-    /// Where results go; an error if nothing can be written there. A finished run in the folder that nobody has named stays as it
-    /// is, and the new one goes to a folder with the next number.
+    /// Where results go; an error if nothing can be written there.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        let folder = self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)?;
+        self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
+    }
+
+    /// A finished run in the folder that nobody has named stays as it is, and the new one goes to a folder with the next number.
+    fn free(&self, folder: PathBuf) -> PathBuf {
         if self.common.out.is_some() || self.resume.resume.is_some() || self.overwrite.overwrite {
-            return Ok(folder);
+            return folder;
         }
         let numbered = |k: usize| PathBuf::from(format!("{}-{k}", folder.display()));
-        Ok(std::iter::once(folder.clone()).chain((2..).map(numbered)).find(|free| !is_finished(free)).unwrap_or(folder))
+        std::iter::once(folder.clone()).chain((2..).map(numbered)).find(|free| !is_finished(free)).unwrap_or(folder)
     }
 
     /// What its folder is marked with.
@@ -185,7 +188,7 @@ pub const CHECKPOINT: &str = "checkpoint.safetensors";
 const UNITS: u64 = 1000;
 
 pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
-    let folder = arguments.folder(&loaded)?;
+    let folder = arguments.free(arguments.folder(&loaded)?);
     use_threads(loaded.config.run.threads);
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
@@ -293,7 +296,8 @@ fn every_start(
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
         let folder = folder.join(name);
-        let resume = Some(folder.as_path()).filter(|own| earlier == Earlier::Resumed && is_unfinished(own, KIND));
+        let is_begun = |own: &&Path| own.join(CHECKPOINT).exists() || is_unfinished(own, KIND);
+        let resume = Some(folder.as_path()).filter(|_| earlier == Earlier::Resumed).filter(is_begun);
         one(loaded, &folder, Begin { resume, earlier }, name, &tasks)
     })?;
     let mut owned = Vec::new();

@@ -1,4 +1,4 @@
-//! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, the bridge to candle.
+//! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, being asked to stop, the bridge to candle.
 pub mod blocks;
 pub mod candle;
 pub mod exponential;
