@@ -243,6 +243,7 @@ fn stems(kind: &str) -> &'static [&'static str] {
             "flow",
             "state",
             "checkpoint",
+            "last-good",
             "kinetic_energy",
             "profile",
         ],

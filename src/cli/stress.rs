@@ -1,9 +1,10 @@
 //! `hydrograd stress`: maps of where the solver holds.
 
-use super::arguments::{check_writable, set_option};
+use super::arguments::set_option;
 use super::files::VERSION;
 use super::generate::Shard;
 use super::prepare::{share_out, use_threads, workers};
+use super::run_folder::{Earlier, RunFolder};
 use crate::error::BadInput;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
@@ -97,6 +98,9 @@ impl StressArguments {
     }
 }
 
+/// What its folders are marked with.
+const KIND: &str = "stress";
+
 pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     let maps = arguments.maps()?;
     if arguments.list {
@@ -105,7 +109,7 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     }
     let (shard, is_shared) = arguments.shard()?;
     let out = &arguments.out;
-    check_writable(out)?;
+    RunFolder::check(out, KIND, Earlier::Resumed)?;
     let runs = out.join("runs");
     if runs.exists() && !arguments.resume && !is_shared {
         return Err(BadInput::new(format!("{} holds runs already", out.display()))
@@ -129,6 +133,10 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         })?;
     }
     use_threads(1);
+    let own = match is_shared {
+        true => RunFolder::share(out, KIND)?,
+        false => RunFolder::take(out, KIND, Earlier::Resumed)?,
+    };
     prepare_output_folder(&runs)?;
     let known: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
     let mine = |k: &usize| k % shard.count == shard.index;
@@ -169,13 +177,12 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         seen.len() - todo.len(),
     );
     println!("files in {}: stress.json, stress.csv, a picture per map, runs/", out.display());
-    match seen.len() < done.len() {
-        true => {
-            println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display())
-        }
-        false => println!("next: hydrograd simulate SCENE --set time.cfl=...    with a number that is stable above"),
+    if seen.len() < done.len() {
+        println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display());
+        return Ok(());
     }
-    Ok(())
+    println!("next: hydrograd simulate SCENE --set time.cfl=...    with a number that is stable above");
+    own.finish()
 }
 
 fn file(runs: &Path, job: &Job) -> PathBuf {
