@@ -33,6 +33,8 @@ fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
 fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
         std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    // Whose folder it is.
+    names.retain(|name| name != ".hydrograd");
     names.sort();
     names
 }
