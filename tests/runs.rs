@@ -2,6 +2,7 @@
 
 mod support;
 
+use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
 use serde_json::Value;
 use std::path::Path;
 use support::program::{hydrograd, refused, succeeds};
@@ -117,11 +118,12 @@ fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
     let checkpoint = at.join("parts/checkpoint.safetensors");
     let bytes = std::fs::read(&checkpoint).unwrap();
     for (value, expected) in [(f64::NAN, "design.offsets[0] = NaN"), (0.03, "design.offsets[0] = 0.03")] {
-        let mut broken = bytes.clone();
-        let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
-        let at = file.tensor("offsets").unwrap().data().as_ptr() as usize - bytes.as_ptr() as usize;
-        broken[at..at + 8].copy_from_slice(&value.to_le_bytes());
-        std::fs::write(&checkpoint, &broken).unwrap();
+        let mut file = TensorFile::parse(&checkpoint, &bytes).unwrap();
+        match file.tensors.get_mut("offsets") {
+            Some((_, Data::F64(offsets))) => offsets[0] = value,
+            other => panic!("{other:?}"),
+        }
+        write_tensors(&checkpoint, &file.tensors, &file.metadata).unwrap();
         let arguments = ["optimize", "--resume", "parts", "--epochs", "6", "--out", "unwritten"];
         refuses(folder.path(), &arguments, &["checkpoint.safetensors", expected]);
     }

@@ -138,7 +138,15 @@ impl OptimizeArguments {
             options.push(option("surrogate.trust", name_of(trust)));
             options.extend(every.map(|every| Setting::option("--trust", "surrogate.check_every", every)));
         }
-        self.common.load(self.resume.resume.as_deref(), vec![], options)
+        let loaded = self.common.load(self.resume.resume.as_deref(), vec![], options)?;
+        if loaded.config.scene == Family::Custom && (self.compare || self.start == Some(StartName::All)) {
+            let option = if self.compare { "--compare" } else { "--start all" };
+            return Err(BadInput::new(format!("{option} of a scene of one's own, whose shapes begin as they are"))
+                .place(option)
+                .allowed("a scene with a hot wall: heated-channel")
+                .into());
+        }
+        Ok(loaded)
     }
 
     /// Where results go; an error if nothing can be written there.

@@ -464,7 +464,6 @@ impl Config {
                 .key("objective.target_x")
                 .allowed(format!("0 ... {along}, region.size[0]")));
         }
-        self.check_window()?;
         self.check_store()
     }
 

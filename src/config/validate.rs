@@ -780,7 +780,10 @@ impl Config {
     }
 
     /// The objective's window is a part of the run with enough steps.
-    pub(super) fn check_window(&self) -> Result<(), BadInput> {
+    ///
+    /// # Errors
+    /// One that is not.
+    pub fn check_window(&self) -> Result<(), BadInput> {
         let (window, duration) = (self.objective.window, self.duration());
         if window > duration * (1.0 + 1e-9) {
             return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))

@@ -102,6 +102,7 @@ impl Metadata {
             Some(value) => Err(damaged(format!("{name} is {value}, must be > 0"))),
             None => Ok(()),
         };
+        positive("dx", &[metadata.dx])?;
         let finite = |name: &str, values: &[f64]| match values.iter().find(|v| !v.is_finite()) {
             Some(value) => Err(damaged(format!("{name} is {value}, must be a finite number"))),
             None => Ok(()),
@@ -131,7 +132,6 @@ impl Metadata {
             finite("heat.temperature_mean", &[heat.temperature_mean])?;
             finite("heat.change_mean", &[heat.change_mean])?;
         }
-        positive("dx", &[metadata.dx])?;
         positive("default_connectivity_radius", &[metadata.default_connectivity_radius])?;
         positive("vel_std", &metadata.vel_std[..d])?;
         positive("acc_std", &metadata.acc_std[..d])?;

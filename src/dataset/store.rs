@@ -8,7 +8,7 @@ use super::trajectory::{read_trajectory, Split, Trajectory};
 use crate::config::scene::{Config, DensityEquation, Family, FluxName, SlipName};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{is_temporary, write_bytes_atomically, write_path_atomically};
-use crate::io::hdf5_file::{create, failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
+use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
 use crate::io::FileError;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -92,7 +92,7 @@ impl Store {
     pub fn write_part(&self, job: Job, trajectory: &Trajectory, provenance: &Provenance) -> Result<(), FileError> {
         let path = &self.part(job);
         write_path_atomically(path, |temporary| {
-            let file = create(temporary).map_err(failed(path, "create")("the file"))?;
+            let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
             write_trajectory(path, &file, trajectory, provenance)?;
             file.close().map_err(failed(path, "write")("the end of the file"))
         })
@@ -141,7 +141,7 @@ impl Store {
             for split in Split::ALL {
                 let path = &split.path(&self.folder);
                 write_path_atomically(path, |temporary| {
-                    let file = create(temporary).map_err(failed(path, "create")("the file"))?;
+                    let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
                     for job in recipe.jobs().into_iter().filter(|job| job.split == split) {
                         let (trajectory, provenance) = self.read_part(job, frame.dimension)?;
                         if split == Split::Train {

@@ -25,11 +25,6 @@ pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> 
     })
 }
 
-/// A new file, whose structure carries checksums (HDF5 1.10 and later read it).
-pub fn create(path: &Path) -> hdf5::Result<hdf5::File> {
-    hdf5::File::with_options().with_fapl(|access| access.libver_v110()).create(path)
-}
-
 /// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
 pub fn failed<'a>(
     path: &'a Path,

@@ -6,7 +6,7 @@
 
 use super::atomic::write_path_atomically;
 use super::hdf5_file::{
-    create, failed, mismatch, missing, open, read_attribute, read_dataset, read_number, read_text, write_attribute,
+    failed, mismatch, missing, open, read_attribute, read_dataset, read_number, read_text, write_attribute,
     write_dataset, write_text,
 };
 use super::FileError;
@@ -89,7 +89,7 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
     let count = state.count();
     write_path_atomically(path, |temporary| {
         let fail = failed(path, "write");
-        let file = create(temporary).map_err(fail("the file"))?;
+        let file = hdf5::File::create(temporary).map_err(fail("the file"))?;
         let shape = [count, state.dimension];
         write_dataset(path, &file, "position", &shape, &particle_major(&state.position, state.dimension))?;
         if let Some(velocity) = &state.velocity {

@@ -208,6 +208,8 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
 /// # Errors
 /// As for [`build`].
 pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> {
+    // A run that nothing is optimised in has no use for the window, and may be shorter.
+    config.check_window()?;
     let Built { parts, mut model, base, points, dummies } = assemble::<R>(config)?;
     if config.objective.kind == ObjectiveKind::WallHeat {
         model.wall_heat_until = Some(config.objective.target_x);

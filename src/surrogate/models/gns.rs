@@ -38,13 +38,13 @@ impl Sizes {
         let numbers: usize = file.tensors.values().map(|(_, data)| data.len()).sum();
         let Self { node_features, edge_features, outputs, latent, rounds, linears, embedding } = *self;
         let needed = [
-            ("node_features", node_features, latent),
-            ("edge_features", edge_features, latent),
-            ("outputs", outputs, latent),
             ("latent", latent, latent),
             ("rounds", rounds, latent.saturating_mul(latent)),
             ("linears", linears, latent.saturating_mul(latent)),
             ("embedding", embedding, latent),
+            ("node_features", node_features, latent),
+            ("edge_features", edge_features, latent),
+            ("outputs", outputs, latent),
         ];
         let found = needed.into_iter().find(|(_, size, each)| size.saturating_mul(*each) > numbers);
         found.map(|(name, size, _)| format!("{name} = {size}, but the file has {numbers} numbers in all"))
