@@ -182,7 +182,12 @@ fn mean_error(error: f64, over: &str) -> String {
 }
 
 fn against(value: f64, exact: Option<f64>) -> String {
-    exact.map_or(String::new(), |exact| format!("   exact {exact:.6} ({:+.2} %)", 100.0 * (value / exact - 1.0)))
+    match exact {
+        None => String::new(),
+        // Of nothing there is no share.
+        Some(exact) if exact.abs() < f64::MIN_POSITIVE => format!("   exact {exact:.6}"),
+        Some(exact) => format!("   exact {exact:.6} ({:+.2} %)", 100.0 * (value / exact - 1.0)),
+    }
 }
 
 /// `history.png` and `.svg`.

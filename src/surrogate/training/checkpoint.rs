@@ -135,7 +135,9 @@ impl Header {
     /// Missing or misshapen tensors.
     pub fn state(&self, network: &dyn Network) -> anyhow::Result<TrainingState> {
         let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
-            let values: Vec<f32> = parameter.read(&self.file, prefix)?.into_iter().map(|v| v as f32).collect();
+            let values = parameter.read(&self.file, prefix);
+            let values = values.map_err(|error| BadInput::new(error.to_string()).allowed(ALLOWED))?;
+            let values: Vec<f32> = values.into_iter().map(|v| v as f32).collect();
             Ok(Tensor::new(values, &Device::Cpu)?)
         };
         let mut moments = Vec::new();
@@ -159,6 +161,7 @@ impl Header {
     /// Missing or misshapen tensors.
     pub fn load_into(&self, network: &dyn Network, averaged: bool) -> anyhow::Result<()> {
         let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
-        network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix))
+        let loaded = network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix));
+        loaded.map_err(|error| BadInput::new(error.to_string()).allowed(ALLOWED).into())
     }
 }
