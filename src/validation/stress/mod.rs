@@ -1,7 +1,7 @@
 //! Where the solver holds: what `hydrograd stress` runs.
 //!
 //! A [`Map`] varies two things of a scene; each of its runs is a [`Job`], and what came of it a [`Record`]: stable, degraded
-//! (it got to its end, but one of the criteria of [`watch`] was not met), or diverged.
+//! (it got to its end, but one of the criteria of watch.rs was not met), or diverged.
 
 pub mod maps;
 mod watch;
