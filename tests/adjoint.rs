@@ -99,6 +99,39 @@ fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule)
     gradient(&dynamics, start, &schedule, &objective(channel), &mut |_| ()).unwrap()
 }
 
+/// The derivative of a root at zero, at the last step.
+struct Root(usize);
+
+impl Objective for Root {
+    fn name(&self) -> &str {
+        "root"
+    }
+    fn weight(&self, step: usize) -> Option<f64> {
+        (step == self.0).then_some(1.0)
+    }
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
+        (&fields.velocity - &fields.velocity)?.sqrt()?.sum_all()
+    }
+}
+
+/// How the derivative by the state grows from the end to the start, and where it stops being a number.
+#[test]
+fn gradients_are_watched() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let (channel, start) = channel::<f64>(FORMULATIONS[1], 200, &[]);
+    let found = run(&channel, &start, Schedule::every_state(200, 0, false));
+    let steps: Vec<usize> = found.growth.iter().map(|(step, _)| *step).collect();
+    assert_eq!(steps, [191, 127, 63, 0]);
+    let norm = numbers::<f64>(&found).iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!((found.growth[3].1 / norm - 1.0).abs() < 1e-12 && found.growth.iter().all(|(_, norm)| norm.is_finite()));
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
+    let error =
+        gradient(&dynamics, &start, &Schedule::every_state(200, 0, false), &Root(200), &mut |_| ()).err().unwrap();
+    assert!(error.is_divergence(), "{error}");
+    let expected = "the gradient that came back from step 200 is NaN at step 191";
+    assert!(error.to_string().starts_with(expected), "{error}");
+}
+
 fn numbers<R: Sweeps>(gradient: &Gradient) -> Vec<R> {
     gradient.state.flatten_all().unwrap().to_vec1::<R>().unwrap()
 }

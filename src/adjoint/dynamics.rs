@@ -19,6 +19,8 @@ pub enum RunError {
     NotFinite { step: usize, field: &'static str, particle: usize, value: f64 },
     #[error("step {step}: {field} of particle {particle} is {value:.3e}, beyond {limit:.3e}: the run has diverged")]
     Impossible { step: usize, field: &'static str, particle: usize, value: f64, limit: f64 },
+    #[error("the gradient that came back from step {until} is {norm} at step {step}: between them it stopped being a number")]
+    Gradient { step: usize, until: usize, norm: f64 },
 }
 
 /// A particle whose numbers left all bounds first, as far as a check saw it.
@@ -32,7 +34,7 @@ pub struct Offender {
 impl RunError {
     /// Whether the run's numbers are to blame: of another start, or with smaller steps, it may succeed.
     pub fn is_divergence(&self) -> bool {
-        self.offender().is_some()
+        matches!(self, Self::Gradient { .. }) || self.offender().is_some()
     }
 
     /// The step, and the particle that has gone wrong; none if the run's numbers are not to blame.
@@ -51,7 +53,7 @@ impl RunError {
                 }
                 NeighbourError::BoxTooSmall { .. } => return None,
             },
-            Self::Tensor { .. } => return None,
+            Self::Tensor { .. } | Self::Gradient { .. } => return None,
         })
     }
 

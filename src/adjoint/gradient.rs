@@ -19,6 +19,8 @@ pub struct Gradient {
     pub value: f64,
     /// Its derivative by the state at the schedule's first step, `[F, N]`.
     pub state: Tensor,
+    /// Norm of the derivative by the state at some steps, from the end to the start.
+    pub growth: Vec<(usize, f64)>,
     /// Seconds of the first run through, without a graph, and of everything behind it.
     pub forward_seconds: f64,
     pub backward_seconds: f64,
@@ -35,6 +37,11 @@ pub struct Gradient {
 /// Tensor errors.
 pub fn value<O: Objective + ?Sized>(objective: &O, fields: &Fields) -> candle_core::Result<f64> {
     objective.value(fields)?.to_dtype(DType::F64)?.to_scalar()
+}
+
+/// The length of a tensor as a vector.
+fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
+    Ok(tensor.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?.sqrt())
 }
 
 /// Called after each segment (or each forward step) with the share of the work that is done.
@@ -148,6 +155,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
         exact: true,
     };
     let mut cotangent: Option<Tensor> = None;
+    let mut growth: Vec<(usize, f64)> = Vec::new();
     let mut forward_seconds = None;
     let mut differentiated_steps = 0;
     // The present state is this kept one; none: that of the plain run.
@@ -174,7 +182,17 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
                     Some(_) => None,
                     None => Some(dynamics.keep(&executor.plain, false)?),
                 };
-                cotangent = Some(executor.tape(from, to, transient, cotangent)?);
+                let found = executor.tape(from, to, transient, cotangent)?;
+                // Not at every step, as it reads the whole state.
+                if from / CHECK_EVERY != to / CHECK_EVERY || from == schedule.first {
+                    let norm = norm(&found).map_err(RunError::tensor(from))?;
+                    if !norm.is_finite() {
+                        let until = growth.last().map_or(schedule.steps, |(step, _)| *step);
+                        return Err(RunError::Gradient { step: from, until, norm });
+                    }
+                    growth.push((from, norm));
+                }
+                cotangent = Some(found);
                 differentiated_steps += to - from;
                 progress((executor.plain_steps + 3 * differentiated_steps) as f64 / total);
             }
@@ -189,6 +207,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
     Ok(Gradient {
         value: executor.value,
         state,
+        growth,
         forward_seconds,
         backward_seconds: seconds - forward_seconds,
         storage: executor.held.peak,

@@ -7,6 +7,7 @@ use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
+use crate::design::problem::Derivative;
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::numerics::random::{stream, uniform};
@@ -71,6 +72,8 @@ const TOLERANCE_F64: f64 = 1e-5;
 const TOLERANCE_STEADY: f64 = 1e-3;
 /// In f32: differences are still taken in f64, so this is the error of the f32 gradient itself.
 const TOLERANCE_F32: f64 = 1e-3;
+/// A derivative by the state that has grown so many times is one of disorder: over 10,000 steps of a channel it stays below ten.
+const EXPLODED: f64 = 1e3;
 /// Steps of the differences, in offset units times a direction of components in +-1.
 const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11];
 
@@ -84,7 +87,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         config.optimise.gradient = GradientMode::Segments;
     }
     let config = &config;
-    let by_variables = match config.run.precision {
+    let Derivative { by_variables, growth, .. } = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,
     };
@@ -154,6 +157,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         (figure.symbol.to_lowercase()): value,
         "gradient": gradient,
         "gradient_norm": norm,
+        "growth": growth.iter().map(|(step, norm)| json!({ "step": step, "norm": norm })).collect::<Vec<_>>(),
         "steps": problem.steps,
         "precision": config.run.precision,
         "directions": results.iter().zip(&directions).map(|(r, d)| json!({
@@ -174,6 +178,14 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         first.len(),
         figure.symbol
     );
+    if let (Some((end, last)), Some((begin, first))) = (growth.first(), growth.last()) {
+        println!("the derivative by the state: {last:.2e} at step {end}, {first:.2e} at step {begin}");
+        if let Some((step, _)) = growth.iter().find(|(_, norm)| *norm > EXPLODED * last) {
+            println!(
+                "WARNING: from step {step} back it is {EXPLODED:.0e} times what it was at the end: it follows how particles happen to meet"
+            );
+        }
+    }
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));
     println!("every design variable received a finite, non-zero gradient");
@@ -196,8 +208,8 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
 }
 
 /// The objective's gradient, without the penalty on roughness: that is exact by inspection and would hide errors.
-fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Vec<f64>> {
+fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Derivative> {
     let (problem, _) = build::<R>(config)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
-    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?.by_variables)
+    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?)
 }

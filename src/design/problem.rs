@@ -114,6 +114,8 @@ pub struct Derivative {
     pub by_variables: Vec<f64>,
     /// See [`Evaluation::solver_steps`].
     pub solver_steps: usize,
+    /// See [`Gradient::growth`]; of the adjoint of a run only.
+    pub growth: Vec<(usize, f64)>,
 }
 
 impl Evaluation {
@@ -191,7 +193,7 @@ impl<R: Sweeps> Problem<R> {
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
-        Ok(Derivative { value: found.value, by_variables, solver_steps })
+        Ok(Derivative { value: found.value, by_variables, solver_steps, growth: found.growth })
     }
 
     /// [`Self::differentiate`] by central differences of runs, at a limit by one-sided ones. Over a long time two runs whose particles
@@ -219,7 +221,7 @@ impl<R: Sweeps> Problem<R> {
             by_variables.push((more - less) / (above - below));
         }
         check_gradient(&by_variables)?;
-        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps })
+        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps, growth: vec![] })
     }
 
     /// A run's failure, with its cause.
@@ -303,7 +305,7 @@ impl<R: Sweeps> Problem<R> {
         let by_variables = self.by_variables(variables, &bar);
         check_gradient(&by_variables)?;
         progress(1.0);
-        Ok(Derivative { value, by_variables, solver_steps: steps + ADJOINT * found.steps })
+        Ok(Derivative { value, by_variables, solver_steps: steps + ADJOINT * found.steps, growth: vec![] })
     }
 
     /// The derivative by the variables from that by the state at the schedule's first step.

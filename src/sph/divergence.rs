@@ -214,6 +214,10 @@ impl Divergence {
 pub fn told<R: Real>(error: &RunError, model: &Model<R>, good: &Snapshot<R>) -> Error {
     match Divergence::of(error, model, good) {
         Some(divergence) => divergence.told(""),
+        None if error.is_divergence() => Error::diverged(
+            error.to_string(),
+            "a shorter time.end, time.cfl=0.5, or optimise.gradient=truncated optimise.horizon=100",
+        ),
         None => Error::run(error.to_string(), arrangement(model)),
     }
 }

@@ -206,7 +206,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
         let by_variables = self.problem.by_variables(variables, &bar);
         check_gradient(&by_variables)?;
         progress(1.0);
-        Ok(Derivative { value: found.value, by_variables, solver_steps: steps })
+        Ok(Derivative { value: found.value, by_variables, solver_steps: steps, growth: found.growth })
     }
 }
 
