@@ -317,6 +317,16 @@ fn nodes_out_of_order_or_outside() {
     refuses_sets(&["design.nodes=[0.2, 0.5]", offsets], &["design.nodes[0] = 0.2", "0.25 ... 0.75"]);
 }
 
+/// What is wrong is shown, not the whole of a long line.
+#[test]
+fn long_lines_are_cut() {
+    for text in [format!("time = {}", "[".repeat(20_000)), format!("[time]\nend = \"{}\"\n", "x".repeat(20_000))] {
+        let case = Case::new(&[("mine.toml", &text)]);
+        let message = case.refuses(&["simulate", "mine.toml", "--out", "out"], &["mine.toml"]);
+        assert!(message.len() < 3000, "{} bytes: {message:.400}", message.len());
+    }
+}
+
 #[test]
 fn not_a_number_in_an_array() {
     let nodes = "design.nodes=[0.3, 0.5]";

@@ -52,7 +52,7 @@ impl Layer {
     /// No TOML, an unknown key, a value of the wrong type; with file and line.
     pub fn from_text<S: Schema>(name: &str, text: &str) -> Result<Self, BadInput> {
         let spanned = Document::parse(text)
-            .map_err(|error| BadInput::new(error.to_string().trim_end()).place(name).advice(S::HELP))?;
+            .map_err(|error| BadInput::new(cut(&error.to_string())).place(name).advice(S::HELP))?;
         let found = flatten(spanned.as_table());
         if let Err(error) = toml::from_str::<S>(text) {
             let at = error.span().unwrap_or_default();
@@ -267,9 +267,21 @@ fn parse_value(text: &str) -> Result<Value, String> {
     Ok(text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from))
 }
 
+/// Longest line of a file that a message shows.
+const SHOWN: usize = 160;
+
+/// A message about a text, whose lines may be as long as they like.
+fn cut(message: &str) -> String {
+    let line = |line: &str| match line.char_indices().nth(SHOWN) {
+        Some((at, _)) => format!("{} ...", &line[..at]),
+        None => line.to_string(),
+    };
+    message.trim_end().lines().map(line).collect::<Vec<_>>().join("\n")
+}
+
 /// Turns serde's message into one for users: plain words for Rust's types, the key's description, a suggestion.
 fn explain<S: Schema>(error: &toml::de::Error, text: &str, key: Option<&str>) -> BadInput {
-    let mut text = text.trim_end().to_string();
+    let mut text = cut(text);
     for (rust, plain) in [
         ("expected usize", "expected a whole number, 0 or more"),
         ("expected u64", "expected a whole number, 0 or more"),
