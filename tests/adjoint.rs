@@ -110,7 +110,7 @@ impl Objective for Root {
         (step == self.0).then_some(1.0)
     }
     fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
-        fields.velocity.affine(0.0, 0.0)?.sqrt()?.sum_all()
+        fields.velocity.mul(&fields.velocity.zeros_like()?)?.sqrt()?.sum_all()
     }
 }
 
