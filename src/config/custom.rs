@@ -377,10 +377,14 @@ impl Config {
         Ok(())
     }
 
+    /// The numbers of all shapes.
+    fn all_shape_numbers(&self) -> Vec<ShapeNumber> {
+        self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry)).collect()
+    }
+
     /// The numbers that `variables` names, in their order; those of a checked configuration.
     pub fn shape_numbers(&self) -> Vec<ShapeNumber> {
-        let all: Vec<ShapeNumber> =
-            self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry)).collect();
+        let all = self.all_shape_numbers();
         let named = |variable: &VariableEntry| all.iter().find(|number| number.to_string() == variable.number).copied();
         self.variables.iter().filter_map(named).collect()
     }
@@ -388,14 +392,13 @@ impl Config {
     /// What an optimiser may change: numbers that there are, between limits that the shapes allow, and what it is judged by.
     pub(super) fn check_variables(&self) -> Result<(), BadInput> {
         let (dimension, has_heat) = (self.dimension(), self.initial.temperature.is_some());
+        let numbers = self.all_shape_numbers();
         for (k, variable) in self.variables.iter().enumerate() {
             let VariableEntry { number, lower, upper } = variable;
             let bad = |name: &str, problem: String| {
                 let key = format!("variables[{k}].{name}");
                 BadInput::new(format!("{key} = {problem}")).key(key)
             };
-            let numbers = self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry));
-            let numbers: Vec<ShapeNumber> = numbers.collect();
             let Some(found) = numbers.iter().find(|one| one.to_string() == *number) else {
                 let names: Vec<String> = numbers.iter().map(ShapeNumber::to_string).collect();
                 return Err(bad("number", format!("\"{number}\": no shape has such a number")).allowed(

@@ -378,6 +378,8 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
             let fluid = (0..n).filter(|&i| !is_wall[i]);
             fluid.for_each(|i| base[model.layout.temperature() * more + i] = old[l.temperature() * n + i]);
         }
+        // A scene in which nothing varies needs to know no more of its feet.
+        let feet = if config.variables.is_empty() { Feet::default() } else { feet };
         for (k, (point, foot)) in surface.points.iter().zip(&feet.points).enumerate() {
             let (leans, leads) = (point.knows == Knows::NoHeatFlux, matches!(point.knows, Knows::Velocity(_)));
             points.push(shapes::Point { particle: n + k, on: surroundings.on(foot), leans, leads });

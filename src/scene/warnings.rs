@@ -6,7 +6,7 @@ use super::figures::FlowFigures;
 use super::particle_fields::ParticleFields;
 use crate::config::scene::{Config, Family, Formulation};
 use crate::design::diagnostics::Diagnostics;
-use crate::design::optimise::Optimisation;
+use crate::design::optimise::{Epoch, Optimisation};
 use crate::particles::tag;
 use serde::Serialize;
 use std::collections::HashMap;
@@ -147,7 +147,7 @@ pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
             "another start, or a smaller optimise.learning_rate",
         ));
     }
-    let exploded = |epoch: &crate::design::optimise::Epoch| epoch.gradient_norm * width > EXPLODED * epoch.loss.abs();
+    let exploded = |epoch: &Epoch| epoch.gradient_norm * width > EXPLODED * epoch.loss.abs();
     if let Some(epoch) = history.iter().position(|epoch| epoch.loss.is_finite() && exploded(epoch)) {
         let times = history[epoch].gradient_norm * width / history[epoch].loss.abs();
         all.push(warning(
@@ -240,7 +240,6 @@ mod tests {
 
     #[test]
     fn a_search_in_vain_is_told() {
-        use crate::design::optimise::Epoch;
         use crate::design::optimisers::of_config;
         let epoch = |loss: f64, gradient_norm: f64| Epoch { loss, gradient_norm, figure: -loss, ..Epoch::default() };
         let search = |history: Vec<Epoch>, best: usize| {
