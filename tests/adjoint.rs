@@ -114,6 +114,33 @@ impl Objective for Root {
     }
 }
 
+/// A derivative that is kept short: the same to the bit where it never grows too long, and else as short as was asked for, with the
+/// walls' share of what it had gathered.
+#[test]
+fn a_gradient_is_clipped_where_it_grows() {
+    let _turn = TURN.lock().unwrap_or_else(|e| e.into_inner());
+    let (channel, start) = channel::<f64>(FORMULATIONS[1], 200, &[]);
+    let exact = Schedule::every_state(200, 0, false);
+    let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
+    let last = FinalSum { steps: 200, of: Summed::Heat };
+    let of = |schedule: &Schedule| gradient(&dynamics, &start, schedule, &last, &mut |_| ()).unwrap();
+    let (whole, wide) = (of(&exact), of(&exact.clipped(1e6)));
+    assert!(numbers::<f64>(&whole) == numbers::<f64>(&wide) && wide.clipped == 0);
+    let fluid: Vec<bool> = (0..channel.model.particles()).map(|i| channel.model.is_fluid(i)).collect();
+    let length = |found: &Gradient, is_fluid: bool| {
+        let numbers = numbers::<f64>(found);
+        let own = numbers.iter().enumerate().filter(|(k, _)| fluid[k % fluid.len()] == is_fluid);
+        own.map(|(_, x)| x * x).sum::<f64>().sqrt()
+    };
+    let (half, quarter) = (of(&exact.clipped(0.5)), of(&exact.clipped(0.25)));
+    assert!(half.clipped > 0 && quarter.clipped > 0, "{} {}", half.clipped, quarter.clipped);
+    // The last cut is at the start: there the lengths are as their limits, and those of the walls are what came before.
+    let ratio = length(&half, true) / length(&quarter, true);
+    println!("lengths at the start: {:e} whole, ratio {ratio}", length(&whole, true));
+    assert!((ratio - 2.0).abs() < 1e-9, "{ratio}");
+    assert!(length(&half, true) < length(&whole, true) && length(&half, false) > 0.0);
+}
+
 /// How the derivative by the state grows from the end to the start, and where it stops being a number.
 #[test]
 fn gradients_are_watched() {

@@ -194,7 +194,7 @@ fn a_case_that_fails_is_named() {
     let sets = ["--set", "time.cfl=4", "--set", "time.diffusion_number=1"];
     let output = bench(folder.path(), &[&["step", "--threads", "1", "--precision", "f64"], &sets[..]].concat());
     let error = String::from_utf8_lossy(&output.stderr).to_string();
-    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.starts_with("error: step/heated-channel-report/950/f64/1/forward: step "), "{error}");
     assert!(error.contains("diverged"), "{error}");
 }

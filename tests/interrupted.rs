@@ -6,6 +6,7 @@
 mod support;
 
 use hydrograd::io::tensor_file::TensorFile;
+use std::io::BufRead;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -68,8 +69,11 @@ fn all_whole(folder: &Path, when: &str) {
             "h5" => drop(hdf5::File::open(&path).unwrap_or_else(|e| panic!("{}: {e}", at()))),
             "csv" => {
                 let text = text();
-                let columns = text.lines().next().map_or(0, |line| line.split(',').count());
-                let is_whole = text.ends_with('\n') && text.lines().all(|line| line.split(',').count() == columns);
+                // Commas within quotes are none.
+                let count =
+                    |line: &str| 1 + line.split('"').step_by(2).map(|part| part.matches(',').count()).sum::<usize>();
+                let columns = text.lines().next().map_or(0, count);
+                let is_whole = text.ends_with('\n') && text.lines().all(|line| count(line) == columns);
                 assert!(is_whole && columns > 0, "{}", at());
             }
             "vtp" | "pvd" => assert!(std::fs::read(&path).unwrap().ends_with(b"</VTKFile>\n"), "{}", at()),
@@ -158,6 +162,7 @@ fn summary(path: &Path) -> (String, Vec<u8>) {
             map.retain(|key, _| !key.contains("seconds") && !key.contains("memory"));
             map.values_mut().for_each(strip);
         }
+        value.as_array_mut().into_iter().flatten().for_each(strip);
     }
     strip(&mut value);
     ("summary".into(), value.to_string().into_bytes())
@@ -293,6 +298,44 @@ fn study_survives_kills() {
         ["study", "--data", "data", "--out", "run", "--steps", "40", "--threads", "1", "--grid", "noise=1e-3,1e-4"];
     let again = [&grid[..], &SMALL[..]].concat();
     survives(&Case { begin: again.clone(), resume: again, result }, link_data, 5);
+}
+
+#[test]
+fn stress_survives_kills() {
+    let result = |run: &Path| vec![summary(&run.join("stress.json"))];
+    let maps = ["stress", "taylor-green", "--filter", "viscosity", "--quick", "--threads", "1", "--out", "run"];
+    let short = ["--set", "time.end=0.2", "--set", "resolution.dx=0.1"];
+    let begin = [&maps[..], &short[..]].concat();
+    let resume = [&begin[..], &["--resume"]].concat();
+    survives(&Case { begin, resume, result }, |_| (), 6);
+}
+
+/// The first asks, the second ends.
+#[test]
+fn a_second_signal_ends_at_once() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    // One epoch is many times as long as all this takes.
+    let long = ["optimize", "--out", "opt", "--set", "optimise.clip=1e9"];
+    let mut child = start(at, &[&long[..], &["--set", "time.end=60", "--threads", "1"]].concat());
+    let clock = Instant::now();
+    while !at.join("opt/config.toml").exists() {
+        assert!(clock.elapsed() < Duration::from_secs(60), "no configuration");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // SAFETY: a signal to our own child, which has not been waited for.
+    let send = |child: &Child| unsafe { libc::kill(child.id() as libc::pid_t, libc::SIGINT) };
+    send(&child);
+    // It says so once it has seen the first.
+    let mut said = std::io::BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.starts_with("SIGINT") {
+        line.clear();
+        assert!(said.read_line(&mut line).unwrap() > 0, "it ended by the first signal");
+    }
+    send(&child);
+    let ended = child.wait().unwrap();
+    assert_eq!(ended.signal(), Some(libc::SIGINT), "{ended}");
 }
 
 /// Sends a signal once a file is there; the exit code and what was said.

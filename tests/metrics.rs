@@ -179,7 +179,8 @@ fn energy_of_a_translation() {
 fn outflow_of_a_uniform_stream() {
     let metadata = heated_metadata();
     let heat = metadata.heat.clone().unwrap();
-    // Particles of spacing dx fill the box; velocity 2 and T - T_in = 0.1 everywhere: rho c_p = 6/0.02 = 300, height 1.
+    // Particles of spacing dx fill the box; velocity 2 and T - T_in = 0.1 everywhere: rho = 6/(0.02 * 300) = 1, height 1.
+    // As the solver's Q, without the heat capacity.
     let mut from = Frame::default();
     for i in 0..400 {
         from.position.extend([0.05 * (i % 20) as f64 + 0.01, 0.05 * (i / 20) as f64 + 0.025]);
@@ -191,7 +192,7 @@ fn outflow_of_a_uniform_stream() {
         let mut to = Frame { position: moved(&start.position, [0.2, 0.0]), ..from.clone() };
         to.position.iter_mut().for_each(|x| *x = x.rem_euclid(1.0));
         // The hat of half width 3 dx sums to 1 over a lattice, wherever it lies.
-        close(outflow(&metadata, &heat, &all, &to, &start).unwrap(), 300.0 * 2.0 * 0.1, 1e-9);
+        close(outflow(&metadata, &heat, &all, &to, &start).unwrap(), 2.0 * 0.1, 1e-9);
         to.temperature = Some(vec![1.0; 400]);
         assert_eq!(outflow(&metadata, &heat, &all, &to, &start), Some(0.0));
         to.temperature = None;

@@ -153,6 +153,24 @@ fn every_way_to_search_is_compared() {
     let (own, compared) = (&summary["solver"], &summary["compared: solver"]["gain"]);
     let gain = own["q"].as_f64().unwrap() / own["q_first"].as_f64().unwrap() - 1.0;
     assert!((compared.as_f64().unwrap() - gain).abs() < 1e-12, "{summary}");
+    // Ended when some ways had not begun, it goes on, and finds the same.
+    for (place, kind) in [("", "optimize --compare"), ("solver", "optimize"), ("surrogate", "optimize")] {
+        std::fs::write(file(place).join(".hydrograd"), format!("{kind}\n")).unwrap();
+    }
+    for way in ["surrogate-checked", "trust-region", "both"] {
+        std::fs::remove_dir_all(file(way)).unwrap();
+    }
+    let before = file("solver/checkpoint.safetensors").metadata().unwrap().modified().unwrap();
+    succeeds(folder, &["optimize", "--compare", "--resume", "compared"]);
+    assert_eq!(file("solver/checkpoint.safetensors").metadata().unwrap().modified().unwrap(), before);
+    let again: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(file("summary.json")).unwrap()).unwrap();
+    for (key, value) in summary.as_object().unwrap().iter().filter(|(key, _)| key.starts_with("compared: ")) {
+        assert_eq!(value["gain"], again[key]["gain"], "{key}");
+    }
+    // Then there is nothing left to do.
+    let output = support::program::hydrograd(folder, &["optimize", "--compare", "--resume", "compared"]);
+    support::program::refused(&["optimize"], &output, &["the run has its 2 epochs already", "--epochs 4"]);
 }
 
 #[test]

@@ -167,6 +167,15 @@ fn the_best_of_all_starts_is_verified_against_the_flat_wall() {
     assert!((number(&found[0]["q_best"]) / q(name) - 1.0).abs() < 1e-12);
     let output = hydrograd(at, &["verify", "starts"]);
     refused(&["verify", "starts"], &output, &["starts is not the folder of a run", "shape.csv", "starts/flat"]);
+    // There is nothing left to do, and it still says so the next time; more epochs are something.
+    for _ in 0..2 {
+        let again = ["optimize", "--start", "all", "--resume", "starts"];
+        refused(&again, &hydrograd(at, &again), &["the run has its 1 epochs already", "--epochs 2"]);
+        assert!(std::fs::read_to_string(at.join("starts/.hydrograd")).unwrap().contains("finished"));
+    }
+    succeeds(at, &["optimize", "--start", "all", "--no-verify", "--resume", "starts", "--epochs", "2"]);
+    let longer = json(&at.join("starts/summary.json"));
+    assert_eq!(longer["flat"]["q_per_epoch"].as_array().unwrap().len(), 2, "{longer}");
 }
 
 #[test]

@@ -117,6 +117,11 @@ pub trait Dynamics: Sync {
     /// The present state as fields.
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
 
+    /// What of a state the flow moves, 1 there and 0 elsewhere, in a shape that multiplies a state: [`super::schedule::Schedule::clip`]
+    /// leaves the rest alone, where a derivative by a design gathers. None: all of it.
+    fn moving(&self) -> candle_core::Result<Option<Tensor>> {
+        Ok(None)
+    }
     /// A start's state as a tensor of its own.
     fn tensor(&self, from: &Self::Start) -> Result<Tensor, RunError>;
     /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.

@@ -21,6 +21,8 @@ pub struct Gradient {
     pub state: Tensor,
     /// Norm of the derivative by the state at some steps, from the end to the start.
     pub growth: Vec<(usize, f64)>,
+    /// At how many of these steps it was made shorter ([`Schedule::clip`]).
+    pub clipped: usize,
     /// Seconds of the first run through, without a graph, and of everything behind it.
     pub forward_seconds: f64,
     pub backward_seconds: f64,
@@ -112,6 +114,57 @@ impl Held {
     }
 }
 
+/// Keeps the derivative by the state from growing without end.
+struct Clip {
+    /// Times the longest norm while terms of the objective were added.
+    limit: f64,
+    longest: f64,
+    /// The first step behind which there is a term, and whether all terms have been seen.
+    first_term: usize,
+    is_complete: bool,
+    /// See [`Dynamics::moving`].
+    moving: Option<Tensor>,
+    /// How often it was shortened.
+    count: usize,
+}
+
+impl Clip {
+    /// None where a schedule asks for none.
+    fn new<D: Dynamics, O: Objective + ?Sized>(
+        dynamics: &D,
+        schedule: &Schedule,
+        objective: &O,
+    ) -> candle_core::Result<Option<Self>> {
+        if schedule.clip == 0.0 {
+            return Ok(None);
+        }
+        let first_term = (1..=schedule.steps).find(|step| objective.weight(*step).is_some()).unwrap_or(schedule.steps);
+        let moving = dynamics.moving()?;
+        Ok(Some(Self { limit: schedule.clip, longest: 0.0, first_term, is_complete: false, moving, count: 0 }))
+    }
+
+    /// The derivative by a state, of a segment that ends at step `to`.
+    fn apply(&mut self, found: Tensor, to: usize) -> candle_core::Result<Tensor> {
+        let own = match &self.moving {
+            Some(moving) => found.broadcast_mul(moving)?,
+            None => found.clone(),
+        };
+        let length = norm(&own)?;
+        if !self.is_complete {
+            self.longest = self.longest.max(length);
+            self.is_complete = to < self.first_term;
+            return Ok(found);
+        }
+        let most = self.limit * self.longest;
+        if length <= most {
+            return Ok(found);
+        }
+        self.count += 1;
+        // The whole less what is too much of the part that moves.
+        found - own.affine(1.0 - most / length, 0.0)?
+    }
+}
+
 /// A schedule at work.
 struct Executor<'a, D: Dynamics, O: ?Sized> {
     dynamics: &'a D,
@@ -139,6 +192,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
 ) -> Result<Gradient, RunError> {
     let clock = std::time::Instant::now();
     let counts = schedule.counts();
+    log::info!("gradient of {} steps: {schedule}", schedule.steps - schedule.first);
     // A taped step costs about as much as three without a graph.
     let total = (counts.plain_steps + 3 * counts.differentiated_steps).max(1) as f64;
     let mut executor = Executor {
@@ -156,6 +210,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
     };
     let mut cotangent: Option<Tensor> = None;
     let mut growth: Vec<(usize, f64)> = Vec::new();
+    let mut clip = Clip::new(dynamics, schedule, objective).map_err(RunError::tensor(schedule.steps))?;
     let mut forward_seconds = None;
     let mut differentiated_steps = 0;
     // The present state is this kept one; none: that of the plain run.
@@ -177,12 +232,13 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
             Action::Restore { step } => present = Some(step),
             Action::Discard { step } => executor.discard(step),
             Action::Tape { from, to } => {
+                log::trace!("goes back over the steps {from} ... {}", to - 1);
                 forward_seconds.get_or_insert_with(|| clock.elapsed().as_secs_f64());
                 let transient = match present.take() {
                     Some(_) => None,
                     None => Some(dynamics.keep(&executor.plain, false)?),
                 };
-                let found = executor.tape(from, to, transient, cotangent)?;
+                let mut found = executor.tape(from, to, transient, cotangent)?;
                 // Not at every step, as it reads the whole state.
                 if from / CHECK_EVERY != to / CHECK_EVERY || from == schedule.first {
                     let norm = norm(&found).map_err(RunError::tensor(from))?;
@@ -191,6 +247,9 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
                         return Err(RunError::Gradient { step: from, until, norm });
                     }
                     growth.push((from, norm));
+                    if let Some(clip) = &mut clip {
+                        found = clip.apply(found, to).map_err(RunError::tensor(from))?;
+                    }
                 }
                 cotangent = Some(found);
                 differentiated_steps += to - from;
@@ -208,6 +267,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
         value: executor.value,
         state,
         growth,
+        clipped: clip.map_or(0, |clip| clip.count),
         forward_seconds,
         backward_seconds: seconds - forward_seconds,
         storage: executor.held.peak,

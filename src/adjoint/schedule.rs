@@ -90,12 +90,15 @@ pub struct Counts {
 }
 
 /// A gradient over the steps `first` ... `steps` - 1 of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
     pub steps: usize,
     /// First step that is differentiated: 0, or `steps - horizon` for a truncated gradient.
     pub first: usize,
     pub kind: Kind,
+    /// The derivative by the state, where the flow moves it, is made no longer than so many times the longest that it was while terms of
+    /// the objective were still added; looked at every [`super::run::CHECK_EVERY`] steps. 0: never, the gradient is exact.
+    pub clip: f64,
 }
 
 /// A budget that is too small for any schedule.
@@ -116,7 +119,12 @@ impl Schedule {
             Kind::TwoLevel { interval } => Kind::TwoLevel { interval: interval.clamp(1, most) },
             Kind::Binomial { states } => Kind::Binomial { states: states.clamp(1, most) },
         };
-        Self { steps, first, kind }
+        Self { steps, first, kind, clip: 0.0 }
+    }
+
+    /// The same, not exact where the derivative by the state grows: see [`Self::clip`].
+    pub fn clipped(self, clip: f64) -> Self {
+        Self { clip, ..self }
     }
 
     /// Segments of a given length over the whole run; of 1: every state.

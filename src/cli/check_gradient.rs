@@ -1,7 +1,7 @@
 //! `hydrograd check-gradient`: is the design gradient what it claims to be?
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
-use super::files;
+use super::files::{self, write_json};
 use super::prepare::{build, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
@@ -9,7 +9,6 @@ use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::design::problem::Derivative;
 use crate::error::Error;
-use crate::io::atomic::write_bytes_atomically;
 use crate::numerics::random::{stream, uniform};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
@@ -87,7 +86,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         config.optimise.gradient = GradientMode::Segments;
     }
     let config = &config;
-    let Derivative { by_variables, growth, .. } = match config.run.precision {
+    let Derivative { by_variables, growth, clipped, .. } = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,
     };
@@ -157,6 +156,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         (figure.symbol.to_lowercase()): value,
         "gradient": gradient,
         "gradient_norm": norm,
+        "clipped": clipped,
         "growth": growth.iter().map(|(step, norm)| json!({ "step": step, "norm": norm })).collect::<Vec<_>>(),
         "steps": problem.steps,
         "precision": config.run.precision,
@@ -169,8 +169,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
             })).collect::<Vec<_>>(),
         })).collect::<Vec<_>>(),
     });
-    let text = serde_json::to_string_pretty(&report)? + "\n";
-    write_bytes_atomically(&folder.join("gradient_check.json"), text.as_bytes())?;
+    write_json(&folder.join("gradient_check.json"), &report)?;
 
     println!(
         "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",
@@ -186,6 +185,13 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
             );
         }
     }
+    if config.optimise.clip > 0.0 {
+        println!(
+            "it was made shorter at {clipped} of {} places (optimise.clip = {})",
+            growth.len(),
+            config.optimise.clip
+        );
+    }
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));
     println!("every design variable received a finite, non-zero gradient");
@@ -194,6 +200,8 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         let truncated = config.optimise.gradient == GradientMode::Truncated;
         let advice = if truncated {
             "--gradient segments: a truncated gradient is not exact, this is by how much"
+        } else if clipped > 0 {
+            "optimise.clip=0: a clipped gradient is not exact, this is by how much"
         } else {
             "fewer --steps: where nearby runs drift apart (rough walls, long runs), differences lose their meaning first; see gradient_check.png"
         };

@@ -1,6 +1,7 @@
 //! `hydrograd dataset inspect`: what a data set holds.
 
 use super::arguments::at_least_one;
+use super::machine;
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::store::{read_provenance, Store};
 use crate::dataset::{kind, read_split, Metadata, Split, Trajectory};
@@ -10,6 +11,7 @@ use crate::particles::tag;
 use crate::report::plots::{colored_particles, TemperaturePanel};
 use crate::report::table::Table;
 use clap::{Args, Subcommand};
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -99,6 +101,7 @@ pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
         }
     }
     print!("\n{table}");
+    machine::answer(&json!({ "metadata": metadata, "splits": table.to_json() }));
     let Some(trajectory) = plotted else { return Ok(()) };
     let count = |kind: i32| trajectory.kind.iter().filter(|other| **other == kind).count();
     let kinds = KINDS.iter().filter(|(kind, _)| count(*kind) > 0);

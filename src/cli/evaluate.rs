@@ -1,10 +1,9 @@
 //! `hydrograd evaluate`: a model against the truth, and against two baselines.
 
 use super::arguments::at_least_one;
-use super::files::VERSION;
+use super::files::{write_json, VERSION};
 use super::model_data::{ModelData, ModelDataArguments};
 use super::run_folder::{Earlier, RunFolder};
-use crate::io::atomic::write_bytes_atomically;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -81,8 +80,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
         "version": VERSION,
         "scores": scores,
     });
-    let text = serde_json::to_string_pretty(&file)? + "\n";
-    write_bytes_atomically(&arguments.out.join("evaluation.json"), text.as_bytes())?;
+    write_json(&arguments.out.join("evaluation.json"), &file)?;
     let pictures = plot(&arguments.out, &scores)?;
 
     println!(

@@ -1,5 +1,6 @@
 //! The files of a run.
 
+use super::machine;
 use crate::config::scene::Config;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::shape::Shape;
@@ -69,9 +70,13 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
 
 /// `summary.json`.
 pub fn write_summary(folder: &Path, map: Map<String, Value>) -> anyhow::Result<()> {
-    let mut text = serde_json::to_string_pretty(&Value::Object(map))?;
-    text.push('\n');
-    Ok(write_bytes_atomically(&folder.join("summary.json"), text.as_bytes())?)
+    write_json(&folder.join("summary.json"), &Value::Object(map))
+}
+
+/// What a command has found as its JSON file, and as its answer to `--json`.
+pub fn write_json(path: &Path, found: &Value) -> anyhow::Result<()> {
+    machine::answer(found);
+    Ok(write_bytes_atomically(path, format!("{found:#}\n").as_bytes())?)
 }
 
 /// `temperature.png` and `.svg`: particles coloured by temperature, panel by panel.

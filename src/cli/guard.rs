@@ -5,6 +5,7 @@ use std::io::Write;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 
 use super::arguments::with_options;
+use super::machine;
 use crate::error::{exit_code, Error, EXIT_INTERNAL};
 use crate::numerics::interrupt;
 
@@ -35,6 +36,12 @@ pub fn install_panic_hook() {
 /// Runs a command, prints its error and the causes to stderr, and returns the exit code: 0, 1 for a failed
 /// run, 2 for bad input, 3 for a run that diverged, 70 for a panic, 130 and 143 for one that SIGINT and SIGTERM stopped.
 pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
+    let code = exit_code_of(command);
+    machine::end(code);
+    code
+}
+
+fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
         Ok(Err(error)) => {
@@ -42,19 +49,26 @@ pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
                 matches!(cause.downcast_ref::<Error>(), Some(Error::Stopped))
             };
             if let Some(signal) = interrupt::asked().filter(|_| error.chain().any(is_stop)) {
-                complain(&interrupt::farewell(signal));
+                tell(&interrupt::farewell(signal));
                 // As a shell reports a program that the signal ended.
                 return u8::try_from(128 + signal).unwrap_or(EXIT_INTERNAL);
             }
-            complain(&with_options(&format!("error: {error}")));
-            for cause in error.chain().skip(1) {
-                complain(&with_options(&format!("  cause: {cause}")));
-            }
+            let causes: String = error.chain().skip(1).map(|cause| format!("\n  cause: {cause}")).collect();
+            tell(&with_options(&format!("error: {error}{causes}")));
             exit_code(&error)
         }
         Err(payload) if message(&*payload).starts_with(BROKEN_PIPE) => EXIT_BROKEN_PIPE,
-        Err(_) => EXIT_INTERNAL,
+        Err(panic) => {
+            machine::fail(&format!("internal error: {}", message(&*panic)));
+            EXIT_INTERNAL
+        }
     }
+}
+
+/// On stderr, and in the document of `--json`.
+fn tell(text: &str) {
+    machine::fail(text);
+    complain(text);
 }
 
 /// A line on stderr; if stderr is closed there is nobody to tell (`eprintln!` would panic).

@@ -4,6 +4,7 @@ mod arguments;
 mod bench;
 mod calibrate;
 mod check_gradient;
+mod completions;
 mod dataset;
 mod evaluate;
 mod explain;
@@ -11,7 +12,9 @@ mod files;
 mod generate;
 pub mod grid;
 mod guard;
+mod machine;
 mod model_data;
+mod new;
 mod optimize;
 mod optimize_compare;
 mod optimize_shapes;
@@ -35,8 +38,17 @@ use clap::{Parser, Subcommand};
 /// Differentiable particle flow: simulate a fluid by SPH and shape its walls by exact gradients.
 #[derive(Debug, Parser)]
 #[command(name = "hydrograd", version, arg_required_else_help = true)]
-#[command(after_help = "Begin with `hydrograd optimize`. `hydrograd help COMMAND` has examples.")]
+#[command(after_help = "\
+Begin with `hydrograd optimize`. `hydrograd help COMMAND` has examples.
+
+Exit codes: 0 done; 1 it failed (a full disk, gradients that disagree); 2 bad input, and nothing was written; 3 the run
+diverged; 70 a bug in hydrograd; 130 and 143 stopped by Ctrl-C and SIGTERM, and can go on; 141 the reader of its output has gone.
+
+RUST_LOG=hydrograd=debug (or info, trace) says on stderr what it does meanwhile.")]
 pub struct Cli {
+    /// One JSON document on stdout, errors too; what is meant for people goes to stderr.
+    #[arg(long, global = true)]
+    pub json: bool,
     #[command(subcommand)]
     pub command: Command,
 }
@@ -65,10 +77,17 @@ pub enum Command {
         command: dataset::DatasetCommand,
     },
     Scenes(scenes::ScenesArguments),
+    New(new::NewArguments),
+    Completions(completions::CompletionsArguments),
+    Man(completions::ManArguments),
 }
 
 /// Runs the parsed command line.
 pub fn run(cli: Cli) -> anyhow::Result<()> {
+    if cli.json {
+        machine::begin()?;
+    }
+    env_logger::Builder::from_default_env().init();
     match cli.command {
         Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
         Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
@@ -87,6 +106,9 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
+        Command::New(arguments) => new::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Man(arguments) => completions::man(&arguments),
     }
 }
 

@@ -98,7 +98,7 @@ pub struct OptimizeArguments {
     #[arg(long, value_name = "none|check[=N]|region", value_parser = parse_trust)]
     pub trust: Option<(Trust, Option<usize>)>,
     /// Run every way to search (solver, surrogate, checked surrogate, trust region, both, CMA-ES without gradients) and compare them.
-    #[arg(long, conflicts_with_all = ["dynamics", "trust", "resume", "start"])]
+    #[arg(long, conflicts_with_all = ["dynamics", "trust", "start"])]
     pub compare: bool,
     /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
     #[arg(long)]
@@ -205,11 +205,15 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let otherwise = Earlier::of_options(false, arguments.overwrite.overwrite);
     let (kind, earlier) = (arguments.kind(), earlier(&folder, resume, otherwise));
     RunFolder::check(&folder, kind, earlier)?;
-    interrupt::listen(match kind {
-        "optimize --compare" => "the same command with --overwrite: a comparison begins anew".to_string(),
-        _ => format!("hydrograd {kind} --resume {}", folder.display()),
-    })?;
+    interrupt::listen(format!("hydrograd {kind} --resume {}", folder.display()))?;
     if kind != KIND {
+        // What all parts have in common is complete, and stays so.
+        if earlier == Earlier::Resumed && is_finished(&folder) {
+            let epochs = epochs_of(&folder)?;
+            if loaded.config.optimise.epochs <= epochs {
+                return Err(has_its_epochs(epochs).place("--resume").into());
+            }
+        }
         let own = RunFolder::take(&folder, kind, earlier)?;
         // Its parts only when all of it is there: what they have in common is made of each.
         let parts = match arguments.compare {
@@ -219,7 +223,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         own.finish()?;
         return parts.iter().try_for_each(RunFolder::finish);
     }
-    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier }, "", &Tasks::default())?;
+    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier, is_part: false }, "", &Tasks::default())?;
     println!("{}", outcome.text);
     println!(
         "next: hydrograd simulate {} --set resolution.dx={} --out runs/finer    runs the best design at a finer spacing",
@@ -241,6 +245,22 @@ pub struct Begin<'a> {
     /// The folder of the run that it goes on with.
     pub resume: Option<&'a Path>,
     pub earlier: Earlier,
+    /// One of several, which may have nothing left to do while others have.
+    pub is_part: bool,
+}
+
+impl<'a> Begin<'a> {
+    /// One of several runs, in a folder of its own; where the whole goes on, it goes on if it had begun.
+    pub fn part(folder: &'a Path, earlier: Earlier) -> Self {
+        let is_begun = folder.join(CHECKPOINT).exists() || is_unfinished(folder, KIND);
+        let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
+        Self { resume, earlier, is_part: true }
+    }
+}
+
+/// How many epochs the run in a folder was to have.
+fn epochs_of(folder: &Path) -> Result<usize, Error> {
+    Ok(Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])?.config.optimise.epochs)
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.
@@ -304,9 +324,7 @@ fn every_start(
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
         let folder = folder.join(name);
-        let is_begun = |own: &&Path| own.join(CHECKPOINT).exists() || is_unfinished(own, KIND);
-        let resume = Some(folder.as_path()).filter(|_| earlier == Earlier::Resumed).filter(is_begun);
-        one(loaded, &folder, Begin { resume, earlier }, name, &tasks)
+        one(loaded, &folder, Begin::part(&folder, earlier), name, &tasks)
     })?;
     let mut owned = Vec::new();
     for ((name, loaded), (own, outcome)) in runs.into_iter().zip(outcomes) {
@@ -399,7 +417,7 @@ fn go<R: Sweeps>(
     };
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
     let judges = Judges { config, problem: &problem, schedule: &schedule, surrogate: surrogate::<R>(loaded)? };
-    let mut optimisation = begin(config, &problem, how.resume)?;
+    let mut optimisation = begin(config, &problem, how)?;
     let mut notes = notes(loaded).to_vec();
     if judges.surrogate.is_some() {
         notes.push((MODEL, identity(model_of(config))?));
@@ -564,7 +582,7 @@ impl<R: Sweeps> Judges<'_, R> {
 }
 
 /// A new optimisation, or one that goes on.
-fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>) -> anyhow::Result<Optimisation> {
+fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, how: Begin<'_>) -> anyhow::Result<Optimisation> {
     let in_region = config.optimise.dynamics == DynamicsName::Surrogate && config.surrogate.trust == Trust::Region;
     let new = |x: &[f64]| -> Box<dyn Optimiser> {
         match in_region {
@@ -572,7 +590,7 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
             false => optimisers::of_config(&config.optimise, x),
         }
     };
-    let Some(from) = resume else {
+    let Some(from) = how.resume else {
         return Ok(Optimisation::new(new(&problem.first)));
     };
     let path = from.join(CHECKPOINT);
@@ -595,15 +613,19 @@ fn begin<R: Sweeps>(config: &Config, problem: &Problem<R>, resume: Option<&Path>
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
         // Pictures, figures or checks are missing.
-        true if is_unfinished(from, KIND) => return Ok(optimisation),
+        true if how.is_part || is_unfinished(from, KIND) => return Ok(optimisation),
         true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),
-        true => BadInput::new(format!("the run has its {epochs} epochs already"))
-            .allowed("more epochs than it has")
-            .advice(format!("--epochs {}", 2 * epochs)),
+        true => has_its_epochs(epochs),
     };
     Err(finished.place("--resume").into())
+}
+
+fn has_its_epochs(epochs: usize) -> BadInput {
+    BadInput::new(format!("the run has its {epochs} epochs already"))
+        .allowed("more epochs than it has")
+        .advice(format!("--epochs {}", 2 * epochs))
 }
 
 /// What a checkpoint's metadata say besides the numbers.

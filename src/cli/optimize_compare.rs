@@ -10,6 +10,7 @@ use crate::design::cma_es;
 use crate::design::optimise::Epoch;
 use crate::design::problem::{Derivative, ADJOINT};
 use crate::error::Error;
+use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_rows;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::report::plots::compare;
@@ -59,6 +60,9 @@ impl Way {
 
 /// Every way, each in a folder of its own, and what they have in common beside each other.
 ///
+/// One that goes on repeats the search without gradients and what is made of all; a way that had begun goes on, and its memory is that of what
+/// was left.
+///
 /// # Errors
 /// A way that fails.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
@@ -88,16 +92,24 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
     for (_, loaded) in &ways {
         surrogate::<R>(loaded)?;
     }
+    // Defaults differ from way to way: only what was given goes on with all of them.
+    write_bytes_atomically(&folder.join("config.toml"), loaded.given_text().as_bytes())?;
     let splines = set(&[trust("none"), dynamics("solver"), ("design.parametrisation", "b-spline")])?;
     let (mut found, mut path, mut all, mut owned) = (Vec::new(), Vec::new(), Map::new(), Vec::new());
     for (name, loaded) in &ways {
         reset_peak_memory();
         let clock = Instant::now();
         let label = name.replace(", ", "-").replace(' ', "-");
-        let begin = Begin { resume: None, earlier };
-        let (own, outcome) = one(loaded, &folder.join(&label), begin, name, &Tasks::default())?;
+        let place = folder.join(&label);
+        let begin = Begin::part(&place, earlier);
+        let goes_on = begin.resume.is_some();
+        let (own, outcome) = one(loaded, &place, begin, name, &Tasks::default())?;
         owned.push(own);
-        let seconds = clock.elapsed().as_secs_f64();
+        let seconds = match goes_on {
+            // What came before is only known by the epochs.
+            true => outcome.history.iter().map(|epoch| epoch.seconds).sum(),
+            false => clock.elapsed().as_secs_f64(),
+        };
         let first = outcome.history[0].shown();
         found.push(Way { name, first, course: course(&outcome.history), seconds, bytes: peak_memory_bytes() });
         if *name == "surrogate" {

@@ -170,6 +170,7 @@ impl RunFolder {
         // Another one may have come and gone since.
         Self::check(folder, kind, earlier)?;
         let own = Self { kind, path, marker };
+        log::debug!("{} is ours, for `hydrograd {kind}`", folder.display());
         if !visits {
             let is_replaced = earlier == Earlier::Replaced && Content::of(folder) != Content::Nothing;
             own.write("")?;

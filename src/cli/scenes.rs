@@ -3,6 +3,7 @@
 use super::arguments::check_preset;
 use super::arguments::CommonArguments;
 use super::files;
+use super::machine;
 use super::prepare::use_threads;
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
@@ -20,6 +21,7 @@ use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use clap::{Args, Subcommand};
+use serde_json::{json, Value};
 use std::io::Write;
 use std::path::Path;
 use std::time::Instant;
@@ -71,6 +73,12 @@ pub struct CheckArguments {
 pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     if let Some(ScenesCommand::Check(arguments)) = &arguments.command {
         return check(&arguments.common);
+    }
+    if machine::listens() {
+        machine::answer(&match &arguments.scene {
+            None => json!({ "scenes": named(SCENES), "presets": named(PRESETS) }),
+            Some(name) => serde_json::to_value(Config::load(Some(name), arguments.preset.as_deref(), &[])?.config)?,
+        });
     }
     let text = match &arguments.scene {
         None => list(),
@@ -176,6 +184,10 @@ fn duration(seconds: f64) -> String {
         s if s < 6000.0 => format!("{:.1} min", s / 60.0),
         s => format!("{:.1} h", s / 3600.0),
     }
+}
+
+fn named(items: &[BuiltIn]) -> Vec<Value> {
+    items.iter().map(|item| json!({ "name": item.name, "description": item.description })).collect()
 }
 
 fn list() -> String {

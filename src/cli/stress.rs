@@ -1,8 +1,9 @@
 //! `hydrograd stress`: maps of where the solver holds.
 
 use super::arguments::set_option;
-use super::files::VERSION;
+use super::files::{write_json, VERSION};
 use super::generate::Shard;
+use super::machine;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use crate::error::BadInput;
@@ -39,7 +40,7 @@ Examples:
   hydrograd stress --list
       what there is")]
 pub struct StressArguments {
-    /// Scenes [default: heated-channel, taylor-green, lid-driven-cavity, dam-break].
+    /// Scenes [default: heated-channel, taylor-green, lid-driven-cavity, dam-break, taylor-green-3d, heated-channel-3d].
     #[arg(value_name = "SCENE")]
     pub scenes: Vec<String>,
     /// Only maps with this in their name.
@@ -104,7 +105,9 @@ const KIND: &str = "stress";
 pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     let maps = arguments.maps()?;
     if arguments.list {
-        println!("{}", list(&maps, arguments.quick).to_text());
+        let list = list(&maps, arguments.quick);
+        machine::answer(&list.to_json());
+        println!("{}", list.to_text());
         return Ok(());
     }
     let (shard, is_shared) = arguments.shard()?;
@@ -327,8 +330,7 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
         "seconds",
     ];
     write_table(&folder.join("stress.csv"), &header, &rows)?;
-    let text = serde_json::to_string_pretty(&json!({ "version": VERSION, "maps": maps }))? + "\n";
-    Ok(write_bytes_atomically(&folder.join("stress.json"), text.as_bytes())?)
+    write_json(&folder.join("stress.json"), &json!({ "version": VERSION, "maps": maps }))
 }
 
 /// quantity, value, limit, step, time, particle, cause; empty where there is none.

@@ -1,11 +1,10 @@
 //! `hydrograd validate`: every scene with a known answer, run and compared with it.
 
 use super::arguments::threads;
-use super::files::VERSION;
+use super::files::{write_json, VERSION};
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
@@ -172,8 +171,7 @@ fn write(folder: &Path, rows: &[&Row]) -> anyhow::Result<()> {
         ]
     };
     write_table(&folder.join("validation.csv"), &header, &rows.iter().map(cells).collect::<Vec<_>>())?;
-    let text = serde_json::to_string_pretty(&json!({ "version": VERSION, "rows": rows }))? + "\n";
-    Ok(write_bytes_atomically(&folder.join("validation.json"), text.as_bytes())?)
+    write_json(&folder.join("validation.json"), &json!({ "version": VERSION, "rows": rows }))
 }
 
 /// A picture of each case that has curves, and one of error over spacing; their names.

@@ -1,13 +1,12 @@
 //! `hydrograd verify`: whether the gain of a design is one of its wall; and what `optimize` says of it.
 
 use super::arguments::{name_of, option, set_option, threads, with_options};
-use super::files::VERSION;
+use super::files::{write_json, VERSION};
 use super::prepare::{require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
 use crate::design::shape::{self, read_column, read_columns, read_surface, Columns, Shape};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::write_bytes_atomically;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
@@ -142,8 +141,7 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let mut map = data(&verified);
     map.insert("version".into(), json!(VERSION));
     let file = folder.join("verification.json");
-    let text = serde_json::to_string_pretty(&Value::Object(map))? + "\n";
-    write_bytes_atomically(&file, text.as_bytes())?;
+    write_json(&file, &Value::Object(map))?;
     println!("{}", text_of(&verified));
     println!("file: {}", file.display());
     Ok(())

@@ -467,6 +467,7 @@ impl Config {
                 .key("objective.target_x")
                 .allowed(format!("0 ... {along}, region.size[0]")));
         }
+        self.check_clip()?;
         self.check_store()
     }
 

@@ -624,6 +624,9 @@ pub struct Optimise {
     pub segment: usize,
     /// Steps that `truncated` looks back.
     pub horizon: usize,
+    /// The derivative by the state becomes no longer than so many times what the objective made it, see
+    /// [`crate::adjoint::schedule::Schedule::clip`]; 0: it is left alone.
+    pub clip: f64,
     /// How far `differences` go to both sides: a share of the way between a number's limits.
     pub difference: f64,
     /// Who says how good a wall is while the optimiser searches.
@@ -929,6 +932,7 @@ impl Default for Optimise {
             store: Precision::F64,
             segment: 0,
             horizon: 200,
+            clip: 0.0,
             difference: 0.05,
             dynamics: DynamicsName::Solver,
         }

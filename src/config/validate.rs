@@ -95,6 +95,7 @@ impl Schema for Config {
         self.check_objective()?;
         self.check_speed()?;
         self.check_trust()?;
+        self.check_clip()?;
         self.check_store()
     }
 }
@@ -192,6 +193,7 @@ fn numbers(config: &Config) -> Vec<Number> {
         ("optimise.smoothing", optimise.smoothing, NotNegative),
         ("optimise.segment", optimise.segment as f64, Within(0.0, MAX_STEPS)),
         ("optimise.difference", optimise.difference, Within(1e-6, 0.5)),
+        ("optimise.clip", optimise.clip, NotNegative),
         ("optimise.horizon", optimise.horizon as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.settle", surrogate.settle as f64, Within(1.0, MAX_STEPS)),
         ("surrogate.steps", surrogate.steps as f64, Within(1.0, 10_000.0)),
@@ -607,6 +609,18 @@ impl Config {
                 .allowed("none or check: in a trust region the solver has its say in every epoch")
                 .advice("optimise.dynamics=surrogate")),
             _ => Ok(()),
+        }
+    }
+
+    /// Clipping belongs to gradients that go back through a run.
+    pub(super) fn check_clip(&self) -> Result<(), BadInput> {
+        let has_none = matches!(self.optimise.gradient, GradientMode::Steady | GradientMode::Differences);
+        match has_none && self.optimise.clip > 0.0 {
+            true => Err(BadInput::new("optimise.clip with a gradient that does not go back through a run")
+                .key("optimise.clip")
+                .allowed("0 with optimise.gradient = steady or differences")
+                .advice("optimise.gradient=segments")),
+            false => Ok(()),
         }
     }
 

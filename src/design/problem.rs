@@ -116,6 +116,8 @@ pub struct Derivative {
     pub solver_steps: usize,
     /// See [`Gradient::growth`]; of the adjoint of a run only.
     pub growth: Vec<(usize, f64)>,
+    /// See [`Gradient::clipped`].
+    pub clipped: usize,
 }
 
 impl Evaluation {
@@ -193,7 +195,8 @@ impl<R: Sweeps> Problem<R> {
         let by_variables = self.pull_back(variables, &found, schedule)?;
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
-        Ok(Derivative { value: found.value, by_variables, solver_steps, growth: found.growth })
+        let Gradient { value, growth, clipped, .. } = found;
+        Ok(Derivative { value, by_variables, solver_steps, growth, clipped })
     }
 
     /// [`Self::differentiate`] by central differences of runs, at a limit by one-sided ones. Over a long time two runs whose particles
@@ -221,7 +224,7 @@ impl<R: Sweeps> Problem<R> {
             by_variables.push((more - less) / (above - below));
         }
         check_gradient(&by_variables)?;
-        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps, growth: vec![] })
+        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps, growth: vec![], clipped: 0 })
     }
 
     /// A run's failure, with its cause.
@@ -305,7 +308,8 @@ impl<R: Sweeps> Problem<R> {
         let by_variables = self.by_variables(variables, &bar);
         check_gradient(&by_variables)?;
         progress(1.0);
-        Ok(Derivative { value, by_variables, solver_steps: steps + ADJOINT * found.steps, growth: vec![] })
+        let solver_steps = steps + ADJOINT * found.steps;
+        Ok(Derivative { value, by_variables, solver_steps, growth: vec![], clipped: 0 })
     }
 
     /// The derivative by the variables from that by the state at the schedule's first step.
@@ -409,7 +413,7 @@ impl<R: Sweeps> Problem<R> {
             needed if needed > budget.bytes() => {
                 Err(does_not_fit(&schedule, costs, needed).allowed(format!("optimise.memory = {budget}")).into())
             }
-            _ => Ok(schedule),
+            _ => Ok(schedule.clipped(wanted.clip)),
         }
     }
 }
@@ -438,7 +442,7 @@ pub fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
     if let Some(k) = gradient.iter().position(|g| !g.is_finite()) {
         return Err(Error::diverged(
             format!("the gradient by design variable {k} is {}", gradient[k]),
-            "time.cfl=0.5, a shorter time.end, or optimise.gradient=truncated optimise.horizon=100",
+            "time.cfl=0.5, a shorter time.end, optimise.clip=10, or optimise.gradient=truncated optimise.horizon=100",
         ));
     }
     if let Some(k) = gradient.iter().position(|g| *g == 0.0) {

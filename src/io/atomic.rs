@@ -139,5 +139,7 @@ fn without_temporary_path(error: std::io::Error) -> std::io::Error {
 
 /// Renames the finished temporary file onto its target.
 fn persist(temporary: TempPath, target: &Path) -> Result<(), FileError> {
-    temporary.persist(target).map_err(|error| FileError::write(target, error.error))
+    temporary.persist(target).map_err(|error| FileError::write(target, error.error))?;
+    log::debug!("wrote {}", target.display());
+    Ok(())
 }

@@ -34,6 +34,18 @@ impl Table {
             .collect()
     }
 
+    /// A list of objects, a row each: numbers where a cell is one.
+    pub fn to_json(&self) -> serde_json::Value {
+        let cell = |text: &String| match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => serde_json::from_str(text).unwrap_or_else(|_| number.into()),
+            _ => serde_json::Value::from(text.as_str()),
+        };
+        let row = |cells: &Vec<String>| -> serde_json::Value {
+            self.headers.iter().zip(cells).map(|(header, text)| (header.clone(), cell(text))).collect()
+        };
+        self.rows.iter().map(row).collect()
+    }
+
     /// As markdown; vertical bars in cells are escaped.
     pub fn to_markdown(&self) -> String {
         let escape = |cell: &str| cell.replace('|', "\\|");

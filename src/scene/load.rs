@@ -111,6 +111,21 @@ impl Loaded {
         Ok(finish(merged, self.source.clone())?)
     }
 
+    /// As TOML, no more than what was given: what settings on top of it make of the rest is still open.
+    pub fn given_text(&self) -> String {
+        let mut given = self.given.clone();
+        let all: toml::Table = given.text().parse().expect("a configuration's text is TOML");
+        for (section, keys) in &all {
+            for key in keys.as_table().into_iter().flat_map(toml::Table::keys) {
+                let path = format!("{section}.{key}");
+                if !given.places().contains_key(&path) {
+                    given.remove(&path);
+                }
+            }
+        }
+        given.text()
+    }
+
     /// What another time step needs besides: a number of steps is another time with other steps.
     pub fn same_time(&self) -> Option<Setting> {
         let config = &self.config;
@@ -133,7 +148,8 @@ impl Loaded {
                 // What a run comes to is known without it, unless its schedule was chosen. (By values: the configuration of
                 // a run gives every key.)
                 let (optimise, usual) = (&self.config.optimise, Config::default().optimise);
-                let chosen = optimise.segment != usual.segment || optimise.store != usual.store;
+                let chosen =
+                    optimise.segment != usual.segment || optimise.store != usual.store || optimise.clip != usual.clip;
                 // A run that ends before its flow is steady is optimised for what it ends with.
                 let (flow, time) = (&self.config.fluid.reference_velocity, &self.config.time);
                 let passages = self.config.duration() * flow / self.config.channel.length;

@@ -68,6 +68,18 @@ impl<R: Real> Scene<R> {
     /// # Errors
     /// A wall shape that its file or its numbers do not allow.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
+        let scene = Self::built(config)?;
+        log::info!(
+            "built {}: {} particles, {} steps of {:.4e}",
+            config.scene.name(),
+            scene.model.particles(),
+            scene.steps,
+            scene.model.dt
+        );
+        Ok(scene)
+    }
+
+    fn built(config: &Config) -> Result<Self, Error> {
         Ok(match config.scene {
             Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
             Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),

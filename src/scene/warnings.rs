@@ -156,7 +156,7 @@ pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
                  how particles happen to meet, not the flow",
                 epoch + 1
             ),
-            "a shorter time.end, a smoother start, or for shapes optimise.gradient=differences",
+            "a shorter time.end, a smoother start, optimise.clip=10, or for shapes optimise.gradient=differences",
         ));
     }
     all

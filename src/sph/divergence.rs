@@ -216,7 +216,7 @@ pub fn told<R: Real>(error: &RunError, model: &Model<R>, good: &Snapshot<R>) -> 
         Some(divergence) => divergence.told(""),
         None if error.is_divergence() => Error::diverged(
             error.to_string(),
-            "a shorter time.end, time.cfl=0.5, or optimise.gradient=truncated optimise.horizon=100",
+            "a shorter time.end, time.cfl=0.5, optimise.clip=10, or optimise.gradient=truncated optimise.horizon=100",
         ),
         None => Error::run(error.to_string(), arrangement(model)),
     }

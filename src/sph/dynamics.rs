@@ -71,6 +71,12 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     fn check(&self, run: &Solver<R>) -> Result<(), RunError> {
         run.check()
     }
+    fn moving(&self) -> candle_core::Result<Option<Tensor>> {
+        let mask: Vec<R> =
+            (0..self.model.particles()).map(|i| R::of(f64::from(u8::from(self.model.is_fluid(i))))).collect();
+        let count = mask.len();
+        Ok(Some(Tensor::from_vec(mask, (1, count), &candle_core::Device::Cpu)?))
+    }
     fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
         run.look();
         let n = self.model.particles();

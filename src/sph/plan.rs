@@ -540,6 +540,10 @@ fn without_adjoint<R: Sweeps>(model: &Model<R>, schedule: &Schedule) -> Vec<Drop
     if model.heat.is_some() {
         all.push(dropped("temperature upstream of the inlet", "the inlet sets it anew"));
     }
+    if schedule.clip > 0.0 {
+        let what = format!("what is longer than {} times what the objective made it", schedule.clip);
+        all.push(dropped(what, "optimise.clip; the gradient is not exact"));
+    }
     if schedule.first > 0 {
         let steps = format!("steps 0 ... {}", schedule.first - 1);
         all.push(dropped(steps, "truncated: optimise.horizon; the gradient is not exact"));

@@ -206,7 +206,8 @@ impl<R: Sweeps> SurrogateProblem<R> {
         let by_variables = self.problem.by_variables(variables, &bar);
         check_gradient(&by_variables)?;
         progress(1.0);
-        Ok(Derivative { value: found.value, by_variables, solver_steps: steps, growth: found.growth })
+        let (value, growth) = (found.value, found.growth);
+        Ok(Derivative { value, by_variables, solver_steps: steps, growth, clipped: 0 })
     }
 }
 
@@ -305,6 +306,12 @@ fn known_data<'a>(config: &Config, model: &'a Learned) -> Result<&'a Metadata, E
         return Err(BadInput::new("optimise.gradient = truncated or steady with a surrogate")
             .key("optimise.gradient")
             .allowed("segments or taped")
+            .into());
+    }
+    if config.optimise.clip > 0.0 {
+        return Err(BadInput::new("optimise.clip with a surrogate")
+            .key("optimise.clip")
+            .allowed("0 (the exact gradient)")
             .into());
     }
     let text = data.other.get(CONFIGURATION).and_then(|text| text.as_str());

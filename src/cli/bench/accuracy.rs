@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::cli::files::write_json;
 use crate::config::scene::Precision;
 use crate::error::BadInput;
-use crate::io::atomic::write_bytes_atomically;
 use crate::io::FileError;
 use crate::report::plots::compare;
 use crate::report::table::Table;
@@ -90,8 +90,7 @@ pub fn read(path: &Path) -> Result<Vec<ComparedRun>, BadInput> {
 
 /// Writes the points as a JSON array that `--peers` reads.
 pub fn write(path: &Path, points: &[ComparedRun]) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(points)?;
-    Ok(write_bytes_atomically(path, format!("{text}\n").as_bytes())?)
+    write_json(path, &serde_json::to_value(points)?)
 }
 
 /// The points as a table for the terminal.

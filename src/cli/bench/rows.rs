@@ -5,9 +5,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::case::{precision_name, Case, Group, Kind, Measured, Source};
+use crate::cli::files::write_json;
 use crate::error::BadInput;
-use crate::io::atomic::write_bytes_atomically;
-use crate::io::FileError;
 
 /// A measured case. Times are of the best repeat unless they say otherwise; a gradient's include its forward run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -128,9 +127,7 @@ pub fn median(sorted: &[f64]) -> f64 {
 
 /// Writes the rows as a JSON array.
 pub fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
-    let text = serde_json::to_string_pretty(rows)?;
-    let written: Result<(), FileError> = write_bytes_atomically(path, format!("{text}\n").as_bytes());
-    Ok(written?)
+    write_json(path, &serde_json::to_value(rows)?)
 }
 
 /// Reads the rows of an earlier run; every mistake names the file, and the row and field where there is one.

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use super::accuracy::ComparedRun;
 use super::case::{Case, Measured, Outcome, Request};
 use super::rows::Row;
-use crate::error::Error;
+use crate::error::{Error, EXIT_DIVERGED};
 use crate::report::progress::Progress;
 
 /// What a family gave: rows, and the cases that were left out and why.
@@ -56,11 +56,12 @@ pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<ComparedRun>>
     Ok(points)
 }
 
+/// What helps where a case fails.
+const ADVICE: &str = "leave it out with --filter, or change the scene with --set";
+
 /// Starts this program again with a number of threads and a request, and reads the answer.
 fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> anyhow::Result<T> {
-    let failed = |problem: String| {
-        Error::run(format!("{name}: {problem}"), "leave it out with --filter, or change the scene with --set")
-    };
+    let failed = |problem: String| Error::run(format!("{name}: {problem}"), ADVICE);
     let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
     let output = Command::new(program)
         .args(["bench", "--case", &serde_json::to_string(request)?])
@@ -74,7 +75,12 @@ fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> an
         // The process names the case itself, and its advice would be in the way of ours.
         let message = message.lines().next().unwrap_or("it said nothing");
         let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{name}: "));
-        return Err(failed(format!("{message} ({})", output.status)).into());
+        let problem = format!("{name}: {message} ({})", output.status);
+        return Err(match output.status.code() == Some(i32::from(EXIT_DIVERGED)) {
+            true => Error::diverged(problem, ADVICE),
+            false => Error::run(problem, ADVICE),
+        }
+        .into());
     }
     let text = String::from_utf8_lossy(&output.stdout);
     serde_json::from_str(text.trim()).map_err(|error| failed(format!("can not read `{}`: {error}", text.trim())).into())

@@ -66,9 +66,9 @@ pub fn temperature_mean_square(predicted: &[f64], truth: &[f64]) -> f64 {
 /// Half width, in spacings, of the strip in which outflowing heat is measured.
 const STRIP: f64 = 3.0;
 
-/// Heat that flows through x = `heat.target_x` per time (and depth, in 2D):
-/// Q = rho c_p dx^D sum_i w(x_i - target_x) u_i (T_i - T_in), with w(s) = max(0, 1 - |s|/h)/h, h = 3 dx (its integral is 1),
-/// u_i the displacement along x since the frame before over the time between, and rho c_p = conductivity/diffusivity.
+/// Heat that flows through x = `heat.target_x` per time (and depth, in 2D), over the heat capacity as everywhere:
+/// Q = rho dx^D sum_i w(x_i - target_x) u_i (T_i - T_in), with w(s) = max(0, 1 - |s|/h)/h, h = 3 dx (its integral is 1),
+/// u_i the displacement along x since the frame before over the time between, and rho = conductivity/(diffusivity c_p).
 ///
 /// The hat w is continuous: particles enter and leave the strip without a jump. Not the solver's Q (of interpolated fluxes at
 /// one time), and noisier; both sides of a comparison are measured in the same way.
@@ -84,7 +84,7 @@ pub fn outflow(metadata: &Metadata, heat: &Heat, particles: &[usize], to: &Frame
         hat * velocity * (temperature[i] - heat.inlet_temperature)
     };
     let sum: f64 = particles.iter().map(flux).sum();
-    Some(heat.conductivity / heat.diffusivity * metadata.dx.powi(dimension as i32) * sum)
+    Some(heat.conductivity / (heat.diffusivity * heat.heat_capacity) * metadata.dx.powi(dimension as i32) * sum)
 }
 
 /// 0 for nothing.

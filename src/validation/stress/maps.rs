@@ -134,6 +134,53 @@ fn heated_channel() -> Vec<Map> {
     ]
 }
 
+/// The heated channel with particles that do not move, with which walls are searched.
+fn fixed_particles() -> Vec<Map> {
+    let map = |name, settings, x, y| Map {
+        scene: "heated-channel",
+        name,
+        formulations: &["consistent"],
+        settings,
+        quick_settings: CHANNEL,
+        x,
+        y,
+    };
+    let amplitude = axis("amplitude", "design.amplitude", &["0", "0.01", "0.02", "0.03", "0.04"], 1, &[1, 4]);
+    vec![
+        map("fixed-step", &["fluid.motion=fixed", "design.bound=0.04", "design.shape=sine"], courant(), amplitude),
+        map(
+            "fixed-wall",
+            &["fluid.motion=fixed"],
+            axis("amplitude", "design.amplitude", &["0.005", "0.01", "0.015", "0.02"], 1, &[1, 3]),
+            axis_of("shape", &SHAPES, 0),
+        ),
+    ]
+}
+
+/// In three dimensions: vortices, and the channel with a wall over x and z.
+fn three_dimensions() -> Vec<Map> {
+    let vortices = Map {
+        scene: "taylor-green-3d",
+        name: "step",
+        formulations: BOTH,
+        // 15 particles a side.
+        settings: &["resolution.dx=0.41887902047863906", "time.end=3"],
+        quick_settings: &["resolution.dx=0.6283185307179586", "time.end=1"],
+        x: courant(),
+        y: jitter(),
+    };
+    let channel = Map {
+        scene: "heated-channel-3d",
+        name: "step",
+        formulations: &["consistent"],
+        settings: &["design.shape=random"],
+        quick_settings: &["time.end=0.5", "objective.window=0.1"],
+        x: courant(),
+        y: axis("amplitude", "design.amplitude", &["0", "0.005", "0.01", "0.02"], 1, &[1, 3]),
+    };
+    vec![vortices, channel]
+}
+
 /// What periodic vortices and the cavity have in common.
 fn flow(scene: &'static str, settings: &'static [&'static str], quick: &'static [&'static str]) -> Vec<Map> {
     let map = |name, x, y| Map { scene, name, formulations: BOTH, settings, quick_settings: quick, x, y };
@@ -195,6 +242,7 @@ fn dam_break() -> Vec<Map> {
 /// Every map.
 pub fn all() -> Vec<Map> {
     let mut maps = heated_channel();
+    maps.extend(fixed_particles());
     // The dx axis comes behind these settings and wins over them.
     maps.extend(flow("taylor-green", &["resolution.dx=0.025"], &["resolution.dx=0.05", "time.end=0.5"]));
     maps.extend(flow(
@@ -203,6 +251,7 @@ pub fn all() -> Vec<Map> {
         &["resolution.dx=0.05", "time.end=1"],
     ));
     maps.extend(dam_break());
+    maps.extend(three_dimensions());
     maps
 }
 
