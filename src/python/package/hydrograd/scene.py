@@ -217,8 +217,8 @@ class Scene:
         return str(self._design()["quantity"])
 
     def nearest(self, design: ArrayLike) -> Array:
-        """The nearest design that is allowed: within :attr:`bounds`, and neighbours no steeper than ``design.slope`` says. To
-        be called after each step of an optimiser that knows no limits."""
+        """The nearest design that is allowed: within :attr:`bounds`, and neighbours that differ by at most twice their
+        distance. To be called after each step of an optimiser that knows no limits."""
         return self._native.nearest(_numbers(design))
 
     def wall(self, design: Optional[ArrayLike] = None) -> tuple[Array, Array]:
