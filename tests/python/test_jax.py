@@ -71,7 +71,7 @@ def test_what_can_not_be_a_design_is_refused(scene):
 def test_single_precision_is_rounded_and_warned_of():
     code = """
 import hydrograd, jax, numpy as np, warnings
-scene = hydrograd.Scene(settings={"resolution.dx": 0.04})
+scene = hydrograd.Scene(settings={"resolution.dx": 0.025})
 function = hydrograd.jax.objective(scene)
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")

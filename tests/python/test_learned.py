@@ -12,7 +12,7 @@ import pytest
 def data(tmp_path_factory):
     """A small data set of the heated channel."""
     folder = tmp_path_factory.mktemp("data")
-    sizes = ["--trajectories", "1/1/1", "--frames", "12", "--set", "resolution.dx=0.04"]
+    sizes = ["--trajectories", "1/1/1", "--frames", "12", "--set", "resolution.dx=0.025"]
     command = [sys.executable, "-m", "hydrograd", "generate", "heated-channel", *sizes, "--out", str(folder)]
     subprocess.run(command, check=True, capture_output=True)
     return folder
@@ -22,7 +22,7 @@ def test_a_trajectory_is_arrays(data):
     found = hydrograd.read_trajectory(data, "test")
     t, n, d = found.position.shape
     assert t >= 12 and d == 2 and found.kind.shape == (n,) and found.temperature.shape == (t, n)
-    assert found.position.dtype == np.float32 and found.frame_time > 0 and found.spacing == 0.04
+    assert found.position.dtype == np.float32 and found.frame_time > 0 and found.spacing == 0.025
     again = hydrograd.read_trajectory(str(data), "test", found.name)
     np.testing.assert_array_equal(again.position, found.position)
 

@@ -9,7 +9,7 @@ import pytest
 
 def inputs_of(scene, **more):
     design = scene.nearest(0.2 * scene.bounds[:, 1] * np.cos(np.arange(len(scene.design))))
-    return {"scene": "heated-channel", "settings": {"resolution.dx": 0.04}, "design": design, **more}
+    return {"scene": "heated-channel", "settings": {"resolution.dx": 0.025}, "design": design, **more}
 
 
 def test_apply_and_vjp_are_ours_to_the_bit(scene):

@@ -79,7 +79,7 @@ def test_the_examples_of_the_page_run(number, tmp_path, monkeypatch):
         pytest.importorskip(module, reason=f"{module} is not installed")
     ast.parse(code)
     monkeypatch.chdir(tmp_path)
-    coarse = code.replace('hydrograd.Scene("heated-channel"', 'hydrograd.Scene("heated-channel", settings={"resolution.dx": 0.04}')
+    coarse = code.replace('hydrograd.Scene("heated-channel"', 'hydrograd.Scene("heated-channel", settings={"resolution.dx": 0.025}')
     assert coarse != code
     found = subprocess.run([sys.executable, "-c", coarse], capture_output=True, text=True, env={"MPLBACKEND": "Agg", "PATH": ""})
     assert found.returncode == 0, found.stderr

@@ -1,11 +1,23 @@
 from os import PathLike
-from typing import Any, Callable, Optional, Union
+from typing import Any, Callable, Optional, Union, final
 
 import numpy as np
 import numpy.typing as npt
 
 _Array = npt.NDArray[np.float64]
 _Path = Union[str, PathLike[str]]
+
+__all__ = [
+    "Diverged",
+    "Scene",
+    "__version__",
+    "command_line",
+    "presets",
+    "read_trajectory",
+    "rollout",
+    "scenes",
+    "set_threads",
+]
 
 __version__: str
 
@@ -33,6 +45,7 @@ def rollout(
 ) -> dict[str, Any]: ...
 def read_trajectory(data: _Path, split: str, trajectory: Optional[str]) -> dict[str, Any]: ...
 
+@final
 class Scene:
     def __new__(cls, scene: str, preset: Optional[str], settings: list[str]) -> Scene: ...
     @property

@@ -23,6 +23,8 @@ except ImportError as error:
 
 __all__ = ["objective"]
 
+_Shape: Any = jax.ShapeDtypeStruct
+
 
 def objective(scene: Scene, *, loss: bool = False) -> Callable[[Any], Any]:
     """The objective of a scene as a function of an array ``[K]`` of design variables.
@@ -50,11 +52,11 @@ def objective(scene: Scene, *, loss: bool = False) -> Callable[[Any], Any]:
 
     @jax.custom_vjp
     def evaluate(design: Any) -> Any:
-        like = jax.ShapeDtypeStruct((), design.dtype)
+        like = _Shape((), design.dtype)
         return jax.pure_callback(value, like, design, vmap_method="sequential")
 
     def forward(design: Any) -> tuple[Any, Any]:
-        like = jax.ShapeDtypeStruct((), design.dtype), jax.ShapeDtypeStruct(design.shape, design.dtype)
+        like = _Shape((), design.dtype), _Shape(design.shape, design.dtype)
         found: tuple[Any, Any] = jax.pure_callback(both, like, design, vmap_method="sequential")
         return found
 

@@ -86,13 +86,13 @@ def abstract_eval(abstract_inputs: Any) -> dict[str, Any]:
 
 try:
     from pydantic import BaseModel, Field
-    from tesseract_core.runtime import Array, Differentiable, Float64
+    from tesseract_core.runtime import Array, Differentiable, Float64  # type: ignore[import-untyped, unused-ignore]
 except ImportError:
     pass
 else:
     __all__ += ["InputSchema", "OutputSchema"]
 
-    class InputSchema(BaseModel):  # type: ignore[misc]
+    class InputSchema(BaseModel):
         """What :func:`apply` takes."""
 
         design: Differentiable[Array[(None,), Float64]] = Field(description="Design variables, [K].")
@@ -100,7 +100,7 @@ else:
         preset: str | None = Field(description="A preset.", default=None)
         settings: dict[str, Any] = Field(description="Dotted keys and their values.", default_factory=dict)
 
-    class OutputSchema(BaseModel):  # type: ignore[misc]
+    class OutputSchema(BaseModel):
         """What :func:`apply` gives."""
 
         q: Differentiable[Float64] = Field(description="The objective: more is better.")

@@ -79,7 +79,8 @@ class Run:
     @property
     def is_fluid(self) -> npt.NDArray[np.bool_]:
         """``[N]``."""
-        return self.tag == 0
+        fluid: npt.NDArray[np.bool_] = self.tag == 0
+        return fluid
 
     def __repr__(self) -> str:
         count, dimension = self.position.shape
