@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -81,5 +82,5 @@ def test_the_examples_of_the_page_run(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     coarse = code.replace('hydrograd.Scene("heated-channel"', 'hydrograd.Scene("heated-channel", settings={"resolution.dx": 0.025}')
     assert coarse != code
-    found = subprocess.run([sys.executable, "-c", coarse], capture_output=True, text=True, env={"MPLBACKEND": "Agg", "PATH": ""})
+    found = subprocess.run([sys.executable, "-c", coarse], capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "Agg"})
     assert found.returncode == 0, found.stderr
