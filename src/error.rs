@@ -22,10 +22,21 @@ pub enum Error {
     Run { problem: String, advice: String },
     /// A run whose numbers left all bounds: its input is not one to use, but another may be.
     #[error("{problem}\n  try: {advice}")]
-    Diverged { problem: String, advice: String },
+    Diverged { problem: String, advice: String, offence: Option<Box<Offence>> },
     /// Somebody asked to stop, see [`crate::numerics::interrupt`].
     #[error("stopped by a signal")]
     Stopped,
+}
+
+/// The particle whose numbers left all bounds first, as far as a check saw it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Offence {
+    pub step: usize,
+    pub particle: usize,
+    /// In the last state that was good.
+    pub position: Vec<f64>,
+    pub quantity: String,
+    pub value: f64,
 }
 
 impl Error {
@@ -36,14 +47,26 @@ impl Error {
 
     /// A run that diverged, with advice on what to try.
     pub fn diverged(problem: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self::Diverged { problem: problem.into(), advice: advice.into() }
+        Self::Diverged { problem: problem.into(), advice: advice.into(), offence: None }
+    }
+
+    /// The same with the particle that was found, if it is a divergence.
+    pub fn by(self, found: Offence) -> Self {
+        match self {
+            Self::Diverged { problem, advice, .. } => {
+                Self::Diverged { problem, advice, offence: Some(Box::new(found)) }
+            }
+            other => other,
+        }
     }
 
     /// The same of one of several runs.
     pub fn of(self, run: impl fmt::Display) -> Self {
         match self {
             Self::Run { problem, advice } => Self::run(format!("{run}: {problem}"), advice),
-            Self::Diverged { problem, advice } => Self::diverged(format!("{run}: {problem}"), advice),
+            Self::Diverged { problem, advice, offence } => {
+                Self::Diverged { problem: format!("{run}: {problem}"), advice, offence }
+            }
             input => input,
         }
     }

@@ -33,6 +33,7 @@
 //! | [`validation`] | scenes against their exact solutions and independent references; where the solver holds |
 //! | [`surrogate`] | networks, models, training, evaluation |
 //! | [`cli`] | one file per command: parses, calls, prints |
+//! | `python` | the Python package, with the feature of that name |
 //!
 //! # From a shape to a better one
 //!
@@ -202,6 +203,8 @@ pub mod inverse;
 pub mod io;
 pub mod numerics;
 pub mod particles;
+#[cfg(feature = "python")]
+pub mod python;
 pub mod report;
 pub mod scene;
 pub mod sph;

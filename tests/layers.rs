@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up.
-const LAYERS: [&str; 15] = [
+const LAYERS: [&str; 16] = [
     "error",
     "numerics",
     "io",
@@ -20,6 +20,7 @@ const LAYERS: [&str; 15] = [
     "validation",
     "surrogate",
     "cli",
+    "python",
 ];
 
 fn files(folder: &Path, found: &mut Vec<PathBuf>) {

@@ -21,6 +21,9 @@ pub enum RunError {
     Impossible { step: usize, field: &'static str, particle: usize, value: f64, limit: f64 },
     #[error("the gradient that came back from step {until} is {norm} at step {step}: between them it stopped being a number")]
     Gradient { step: usize, until: usize, norm: f64 },
+    /// See [`crate::numerics::interrupt::Stop`].
+    #[error("stopped by a signal")]
+    Stopped,
 }
 
 /// A particle whose numbers left all bounds first, as far as a check saw it.
@@ -53,7 +56,7 @@ impl RunError {
                 }
                 NeighbourError::BoxTooSmall { .. } => return None,
             },
-            Self::Tensor { .. } | Self::Gradient { .. } => return None,
+            Self::Tensor { .. } | Self::Gradient { .. } | Self::Stopped => return None,
         })
     }
 
@@ -61,6 +64,7 @@ impl RunError {
     pub fn advised(self, advice: &str) -> Error {
         match self.is_divergence() {
             true => Error::diverged(self.to_string(), advice),
+            false if matches!(self, Self::Stopped) => Error::Stopped,
             false => Error::run(self.to_string(), advice),
         }
     }

@@ -10,6 +10,7 @@
 use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
 use super::run::CHECK_EVERY;
 use super::schedule::{Action, Schedule};
+use crate::numerics::interrupt::{is_asked_here, Stop};
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor, Var};
 use std::collections::{BTreeMap, HashMap};
 
@@ -66,13 +67,14 @@ where
 {
     // The closure is only borrowed by one thread at a time.
     let progress = std::sync::Mutex::new(SendPointer(progress));
+    let stop = Stop::of_this_thread();
     std::thread::scope(|scope| {
         let worker = std::thread::Builder::new()
             .name("gradient".into())
             .stack_size(1 << 30)
             .spawn_scoped(scope, || {
                 let mut guard = progress.lock().unwrap_or_else(|e| e.into_inner());
-                run(dynamics, start, schedule, objective, guard.0)
+                Stop::ends(stop, || run(dynamics, start, schedule, objective, guard.0))
             })
             .map_err(|source| RunError::Tensor { step: 0, source: candle_core::Error::Io(source) })?;
         match worker.join() {
@@ -279,6 +281,9 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
 impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
     /// One step of the plain run.
     fn advance(&mut self, step: usize) -> Result<(), RunError> {
+        if is_asked_here() {
+            return Err(RunError::Stopped);
+        }
         self.dynamics.advance(&mut self.plain)?;
         self.plain_steps += 1;
         if let Some(kept) = self.kept.get_mut(&step) {
@@ -340,6 +345,9 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         cotangent: Option<Tensor>,
     ) -> Result<Tensor, RunError> {
         let failed = |source| RunError::Tensor { step: from, source };
+        if is_asked_here() {
+            return Err(RunError::Stopped);
+        }
         // Steps that are taped as soon as they are reached: the objective's values come from the plain run.
         for step in self.seen.max(from)..to {
             self.advance(step)?;

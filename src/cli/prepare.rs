@@ -1,14 +1,10 @@
 //! What every run does first.
 
 use crate::adjoint::RunError;
-use crate::config::builtin::SCENES;
 pub use crate::config::difference::difference;
-use crate::config::scene::{Config, Family};
-use crate::design::shape::Shape;
-use crate::design::Problem;
-use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
-use crate::scene::Scene;
+pub use crate::numerics::threads::use_threads;
+pub use crate::scene::{build_design as build, require_design};
 use crate::sph::divergence;
 use crate::sph::model::Model;
 use crate::sph::solver::Snapshot;
@@ -16,18 +12,6 @@ use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::Mutex;
 use std::thread::ScopedJoinHandle;
-
-/// Sets the number of worker threads; 0 takes every core. Must come before the first operator: candle's pools read it once.
-pub fn use_threads(threads: usize) {
-    if threads > 0 {
-        // More than that only wait for each other, and the results do not depend on their number.
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = threads.min(2 * cores);
-        let threads = threads.to_string();
-        std::env::set_var("CANDLE_NUM_THREADS", &threads);
-        std::env::set_var("RAYON_NUM_THREADS", &threads);
-    }
-}
 
 /// Workers that share out some jobs: as many as `threads` (0: as there are cores), and no more than there are jobs.
 pub fn workers(threads: usize, jobs: usize) -> usize {
@@ -71,34 +55,6 @@ pub fn share_out<J: Sync, T: Send>(
             Ok(done.into_iter().map(|(_, result)| result).collect())
         }
     }
-}
-
-/// An error for scenes without a design.
-pub fn require_design(config: &Config) -> Result<(), BadInput> {
-    if config.has_design() {
-        return Ok(());
-    }
-    if config.scene == Family::Custom {
-        return Err(BadInput::new("the scene names no number of a shape that may change")
-            .key("variables")
-            .allowed("variables = [{ number = \"shapes[0].radius\", lower = 0.05, upper = 0.1 }] or the like, with objective.kind")
-            .advice("data/scenes/examples/cylinder.toml, which has some"));
-    }
-    let with_design = SCENES.iter().filter(|built_in| built_in.family().has_design());
-    let with_design: Vec<&str> = with_design.map(|built_in| built_in.name).collect();
-    let name = config.scene.name();
-    Err(BadInput::new(format!("scene {name} has no design, so there is nothing to differentiate or optimise"))
-        .allowed(format!("a scene with a design: {}", with_design.join(", ")))
-        .advice(format!("hydrograd simulate {name}")))
-}
-
-/// Builds a scene with a design, and its start shape.
-pub fn build<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
-    require_design(config)?;
-    let design = Scene::problem(config)?;
-    let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
-    let shape = design.first_wall();
-    Ok((design, shape))
 }
 
 /// What a user is told of a run that failed after a state that was good; other errors as they are.

@@ -7,13 +7,14 @@ use crate::config::scene::Kernels;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
+use serde::Serialize;
 
 /// Most samples of the window that the averages take.
 const SAMPLES: usize = 100;
 
 /// Averages over the objective's window. Heat is in units of density * velocity * temperature * length, as Q in flux
 /// form; times the heat capacity it is power per depth.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Diagnostics {
     /// Outflowing heat at the targets, sum of rho u (T - T_in) times their spacing.
     pub q: f64,

@@ -9,6 +9,7 @@ use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
 use crate::adjoint::{run, Dynamics, Objective, RunError};
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
+use crate::numerics::interrupt;
 use crate::numerics::lanes::Real;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
@@ -265,6 +266,7 @@ impl<R: Sweeps> Problem<R> {
         };
         let mut state = self.start(variables).state;
         let (steps, residual) = fixed.settle(&mut state, BLOCK, DEPTH, tolerance, MOST_STEPS);
+        interrupt::check_own()?;
         // Not a number fails here too.
         if residual.is_nan() || residual > 100.0 * tolerance {
             let what = format!("the flow is not steady after {steps} steps: it changes by {residual:.1e} per time");
@@ -295,6 +297,7 @@ impl<R: Sweeps> Problem<R> {
         };
         let (value, mut bar) = go().map_err(failed)?;
         let found = fixed.steady_gradient(&state, &bar, &SteadyOptions::default());
+        interrupt::check_own()?;
         if found.residual.is_nan() || found.residual > 1e-2 {
             let what = format!("the adjoint of the steady state does not converge: {:.1e}", found.residual);
             return Err(Error::diverged(what, UNSTEADY));

@@ -2,14 +2,18 @@
 //!
 //! A command whose runs can go on later listens; its loops then ask between two steps, keep what they have, and end with
 //! [`Error::Stopped`]. Nobody else is ever asked, and a signal ends the process as usual.
+//!
+//! Where runs are part of a larger program, which has its own way with signals, [`Stop`] ends one piece of work and no other:
+//! gradients and searches for a steady state look at it too, as there is nothing to keep.
 
 use crate::error::Error;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::{emulate_default_handler, signal_name};
+use std::cell::RefCell;
 use std::io::Write;
-use std::sync::atomic::{AtomicI32, Ordering};
-use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::sync::{Arc, OnceLock};
 
 /// The signal that asked, or 0.
 static ASKED: AtomicI32 = AtomicI32::new(0);
@@ -52,13 +56,88 @@ pub fn farewell(signal: i32) -> String {
     format!("stopped by {}\n  go on: {}", name(signal), ADVICE.get().map_or("", String::as_str))
 }
 
-/// An error if somebody asked to stop.
+/// An error if somebody asked to stop: the process, or the work of this thread.
 ///
 /// # Errors
 /// [`Error::Stopped`].
 pub fn check() -> Result<(), Error> {
     match asked() {
         Some(_) => Err(Error::Stopped),
-        None => Ok(()),
+        None => check_own(),
+    }
+}
+
+/// An error if the work of this thread shall stop, whatever the process shall do.
+///
+/// # Errors
+/// [`Error::Stopped`].
+pub fn check_own() -> Result<(), Error> {
+    match is_asked_here() {
+        true => Err(Error::Stopped),
+        false => Ok(()),
+    }
+}
+
+/// Whether the work of this thread shall stop.
+pub fn is_asked_here() -> bool {
+    OWN.with_borrow(|stop| stop.as_ref().is_some_and(Stop::is_asked))
+}
+
+thread_local! {
+    /// What ends the work of this thread.
+    static OWN: RefCell<Option<Stop>> = const { RefCell::new(None) };
+}
+
+/// Ends one piece of work, from another thread.
+#[derive(Debug, Clone, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// From now on the work ends as soon as it looks.
+    pub fn ask(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    pub fn is_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// What ends the work of this thread; for another one that does a part of it.
+    pub fn of_this_thread() -> Option<Self> {
+        OWN.with_borrow(Clone::clone)
+    }
+
+    /// Does some work on this thread that this one ends.
+    pub fn ends<T>(stop: Option<Self>, work: impl FnOnce() -> T) -> T {
+        /// What it was before, also after a panic.
+        struct Before(Option<Stop>);
+        impl Drop for Before {
+            fn drop(&mut self) {
+                OWN.set(self.0.take());
+            }
+        }
+        let _before = Before(OWN.replace(stop));
+        work()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_ends_its_own_work_alone() {
+        let (stop, other) = (Stop::default(), Stop::default());
+        stop.ask();
+        assert!(check().is_ok());
+        Stop::ends(Some(stop.clone()), || {
+            assert!(matches!(check(), Err(Error::Stopped)) && matches!(check_own(), Err(Error::Stopped)));
+            Stop::ends(Some(other), || assert!(check().is_ok()));
+            // Handed on to a thread that does a part of it.
+            let own = Stop::of_this_thread();
+            let stopped = std::thread::spawn(|| Stop::ends(own, is_asked_here)).join().unwrap();
+            assert!(stopped && !std::thread::spawn(is_asked_here).join().unwrap());
+        });
+        assert!(check().is_ok());
     }
 }

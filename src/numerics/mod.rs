@@ -4,6 +4,8 @@ pub mod candle;
 pub mod exponential;
 pub mod interrupt;
 pub mod lanes;
+pub mod memory;
 pub mod pool;
 pub mod random;
 pub mod sweep;
+pub mod threads;

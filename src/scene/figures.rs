@@ -7,9 +7,10 @@ use crate::numerics::lanes::Real;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
+use serde::Serialize;
 
 /// What the flow is like after a number of steps.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlowFigures {
     pub time: f64,
     /// Of all fluid particles, sum m u^2 / 2.

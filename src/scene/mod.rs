@@ -32,9 +32,11 @@ pub mod warnings;
 
 pub use exact::Exact;
 
+use crate::config::builtin::SCENES;
 use crate::config::scene::{Config, Family};
+use crate::design::shape::Shape;
 use crate::design::Problem;
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::model::Model;
@@ -133,4 +135,32 @@ impl<R: Real> Scene<R> {
         let state = &self.model.equation_of_state;
         state.slope(state.reference_density).sqrt()
     }
+}
+
+/// An error for scenes without a design.
+pub fn require_design(config: &Config) -> Result<(), BadInput> {
+    if config.has_design() {
+        return Ok(());
+    }
+    if config.scene == Family::Custom {
+        return Err(BadInput::new("the scene names no number of a shape that may change")
+            .key("variables")
+            .allowed("variables = [{ number = \"shapes[0].radius\", lower = 0.05, upper = 0.1 }] or the like, with objective.kind")
+            .advice("data/scenes/examples/cylinder.toml, which has some"));
+    }
+    let with_design = SCENES.iter().filter(|built_in| built_in.family().has_design());
+    let with_design: Vec<&str> = with_design.map(|built_in| built_in.name).collect();
+    let name = config.scene.name();
+    Err(BadInput::new(format!("scene {name} has no design, so there is nothing to differentiate or optimise"))
+        .allowed(format!("a scene with a design: {}", with_design.join(", ")))
+        .advice(format!("hydrograd simulate {name}")))
+}
+
+/// Builds a scene with a design, and its start shape.
+pub fn build_design<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
+    require_design(config)?;
+    let design = Scene::problem(config)?;
+    let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;
+    let shape = design.first_wall();
+    Ok((design, shape))
 }

@@ -17,7 +17,7 @@ use super::plan::sound_speed;
 use super::solver::Snapshot;
 use crate::adjoint::RunError;
 use crate::config::stability::{self, CflLimit};
-use crate::error::Error;
+use crate::error::{Error, Offence};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
 use serde::Serialize;
@@ -206,7 +206,14 @@ impl Divergence {
             place.join(", "),
             cause.why
         );
-        Error::diverged(problem, cause.advice.as_str())
+        let offence = Offence {
+            step: self.step,
+            particle: self.particle,
+            position: self.position.clone(),
+            quantity: self.quantity.clone(),
+            value: self.value,
+        };
+        Error::diverged(problem, cause.advice.as_str()).by(offence)
     }
 }
 
@@ -218,6 +225,7 @@ pub fn told<R: Real>(error: &RunError, model: &Model<R>, good: &Snapshot<R>) -> 
             error.to_string(),
             "a shorter time.end, time.cfl=0.5, optimise.clip=10, or optimise.gradient=truncated optimise.horizon=100",
         ),
+        None if matches!(error, RunError::Stopped) => Error::Stopped,
         None => Error::run(error.to_string(), arrangement(model)),
     }
 }

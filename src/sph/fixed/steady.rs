@@ -12,6 +12,7 @@
 
 use super::work::Work;
 use super::{row, Fixed};
+use crate::numerics::interrupt::is_asked_here;
 use crate::numerics::lanes::Real;
 
 /// The gradient of a quantity of a steady state.
@@ -112,7 +113,7 @@ impl<R: Real> Fixed<R> {
         let mut last: Option<(Vec<R>, Vec<R>)> = None;
         let minus = |a: &[R], b: &[R]| -> Vec<R> { a.iter().zip(b).map(|(a, b)| *a - *b).collect() };
         let sizes = self.sizes().map(|size| 1.0 / size.max(1e-300));
-        while steps < most {
+        while steps < most && !is_asked_here() {
             from.copy_from_slice(state);
             for _ in 0..block.max(1) {
                 self.forward(state, &mut next, &mut work);
@@ -246,6 +247,9 @@ impl<'a, R: Real> Solve<'a, R> {
         let (mut columns, mut rotations) = (Vec::<Vec<f64>>::new(), Vec::<[f64; 2]>::new());
         let mut rest = vec![size];
         while columns.len() < options.vectors && rest[columns.len()].abs() > options.tolerance * size {
+            if is_asked_here() {
+                break;
+            }
             let k = columns.len();
             let mut next = vectors[k].clone();
             for _ in 0..options.block {

@@ -7,6 +7,7 @@
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::BadInput;
+use crate::numerics::interrupt;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -65,6 +66,7 @@ pub fn rollout(
     let mut broken = None;
     let mut seconds = 0.0;
     for step in 0..steps {
+        interrupt::check()?;
         let clock = Instant::now();
         let predicted = predictor.next(&scenery, &frames[frames.len() - seen..]);
         seconds += clock.elapsed().as_secs_f64();

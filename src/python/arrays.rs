@@ -1,0 +1,31 @@
+//! Numbers as NumPy arrays, without a copy: the array takes the memory over.
+
+use numpy::{Element, PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+
+/// `[n]`.
+pub fn vector<'py, T: Element>(py: Python<'py>, values: Vec<T>) -> Bound<'py, PyAny> {
+    PyArray1::from_vec(py, values).into_any()
+}
+
+/// `[n, d]` of numbers that lie as `[d, n]`: a view with other strides.
+pub fn columns<'py>(py: Python<'py>, values: Vec<f64>, d: usize) -> PyResult<Bound<'py, PyAny>> {
+    let n = values.len() / d;
+    PyArray1::from_vec(py, values).reshape([d, n])?.into_any().getattr("T")
+}
+
+/// `[t, n, d]` of numbers that lie as `[t, d, n]`.
+pub fn frames_of_columns<'py>(py: Python<'py>, values: Vec<f64>, t: usize, d: usize) -> PyResult<Bound<'py, PyAny>> {
+    let n = values.len() / (t * d).max(1);
+    PyArray1::from_vec(py, values).reshape([t, d, n])?.into_any().call_method1("swapaxes", (1, 2))
+}
+
+/// `[t, n, d]` of numbers that lie so.
+pub fn frames<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: [usize; 3]) -> PyResult<Bound<'py, PyAny>> {
+    Ok(PyArray1::from_vec(py, values).reshape(shape)?.into_any())
+}
+
+/// `[t, n]`.
+pub fn table<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: [usize; 2]) -> PyResult<Bound<'py, PyAny>> {
+    Ok(PyArray1::from_vec(py, values).reshape(shape)?.into_any())
+}

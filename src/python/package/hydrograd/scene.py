@@ -1,0 +1,331 @@
+"""Scenes: what is simulated, differentiated and optimised."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Optional, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _native
+from ._settings import assignments
+
+Array = npt.NDArray[np.float64]
+ArrayLike = npt.ArrayLike
+
+#: Called with how much is done, and of how much: steps, or shares of 1.
+Progress = Callable[[float, float], object]
+
+
+def scenes() -> dict[str, str]:
+    """Names of the built-in scenes, and what they are."""
+    return dict(_native.scenes())
+
+
+def presets() -> dict[str, str]:
+    """Names of the presets, and what they set."""
+    return dict(_native.presets())
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """States of a run on its way: T frames of N particles in D dimensions."""
+
+    time: Array
+    """``[T]``."""
+    position: Array
+    """``[T, N, D]``."""
+    velocity: Array
+    """``[T, N, D]``."""
+    temperature: Optional[Array]
+    """``[T, N]``; None without heat."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A simulation at its end: N particles in D dimensions, walls included."""
+
+    figures: dict[str, Any]
+    """What ``summary.json`` of ``hydrograd simulate`` has: averages over the objective's window, or of a flow with an exact
+    solution its errors; ``steps``, ``time_step`` and ``seconds``."""
+    time: float
+    step: int
+    box: list[float]
+    """Lengths of the box."""
+    position: Array
+    """``[N, D]``, as are velocities: a view of numbers that lie as ``[D, N]``."""
+    velocity: Array
+    temperature: Optional[Array]
+    """``[N]``, as are the following; None without heat."""
+    density: Array
+    pressure: Array
+    mass: Array
+    tag: npt.NDArray[np.uint8]
+    """What a particle is: 0 fluid, others are kinds of walls."""
+    history: dict[str, Array] = field(repr=False)
+    """Columns of ``history.csv``: about 400 rows over the run."""
+    frames: Optional[Frames] = field(repr=False)
+    """What was asked for as ``frames``."""
+
+    @property
+    def q(self) -> Optional[float]:
+        """Outflowing heat, averaged over the objective's window; None in a scene without a design."""
+        return self.figures.get("q")
+
+    @property
+    def is_fluid(self) -> npt.NDArray[np.bool_]:
+        """``[N]``."""
+        fluid: npt.NDArray[np.bool_] = self.tag == 0
+        return fluid
+
+    def __repr__(self) -> str:
+        count, dimension = self.position.shape
+        q = "" if self.q is None else f", q={self.q:.6f}"
+        return f"<hydrograd.Run of {count} particles in {dimension}D, t={self.time:.4g}{q}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Optimisation:
+    """An optimisation at its end: E epochs of K design variables."""
+
+    design_best: Array
+    """``[K]``."""
+    q_best: float
+    best: int
+    """The epoch of the best design."""
+    designs: Array
+    """``[E, K]``."""
+    q_per_epoch: Array
+    """``[E]``, as are the following; not a number where the run of a design diverged."""
+    loss_per_epoch: Array
+    gradient_norm_per_epoch: Array
+    seconds_per_epoch: Array
+    is_done: bool
+    """Whether the optimiser stopped by itself: no design near by is better."""
+
+    def __repr__(self) -> str:
+        first, epochs = self.q_per_epoch[0], len(self.q_per_epoch)
+        return f"<hydrograd.Optimisation: {first:.6f} -> {self.q_best:.6f} in epoch {self.best + 1} of {epochs}>"
+
+
+class Scene:
+    """A flow to simulate, and where it has walls to shape, to differentiate and to optimise.
+
+    Names, keys and units are those of the command line: ``hydrograd scenes heated-channel`` prints every key with a comment.
+
+    Args:
+        scene: name of a built-in scene (:func:`scenes`) or path of a TOML file.
+        preset: name of a preset (:func:`presets`).
+        settings: dotted keys and their values, such as ``{"resolution.dx": 0.04}``.
+        **more: the same as keywords, ``**{"time.end": 2}``; they win.
+
+    Raises:
+        ValueError: something in the configuration that can not be, with what is allowed and what to try.
+
+    Numbers do not depend on the number of threads: the scene's ``run.threads`` and :func:`set_threads` count before the first
+    run of the process.
+    """
+
+    def __init__(
+        self,
+        scene: Union[str, os.PathLike[str]] = "heated-channel",
+        preset: Optional[str] = None,
+        settings: Optional[Mapping[str, Any]] = None,
+        **more: Any,
+    ) -> None:
+        self._arguments = (os.fspath(scene), preset, {**(settings or {}), **more})
+        self._native = _native.Scene(os.fspath(scene), preset, assignments(settings or {}, more))
+        self._known: Optional[dict[str, Any]] = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), self._arguments)
+
+    def __repr__(self) -> str:
+        scene, preset, settings = self._arguments
+        parts = [repr(scene)]
+        if preset is not None:
+            parts.append(f"preset={preset!r}")
+        if settings:
+            parts.append(f"settings={settings!r}")
+        return f"hydrograd.Scene({', '.join(parts)})"
+
+    @property
+    def name(self) -> str:
+        """The scene's family, such as ``heated-channel``."""
+        return self._native.name
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self._native.dimension
+
+    @property
+    def text(self) -> str:
+        """The whole configuration as TOML, with a comment on every key: a file of it is the same scene."""
+        return self._native.text
+
+    @property
+    def has_design(self) -> bool:
+        """Whether there is something to differentiate by and to optimise."""
+        return self._native.has_design
+
+    def _design(self) -> dict[str, Any]:
+        if self._known is None:
+            self._native.require_design()
+            self._known = self._native.design()
+        return self._known
+
+    @property
+    def design(self) -> Array:
+        """The design variables to begin with, ``[K]``: offsets of the wall at its nodes, control points, or of a scene of your
+        own shares of the way between the limits of the numbers that its ``variables`` name."""
+        return np.array(self._design()["first"])
+
+    @property
+    def bounds(self) -> Array:
+        """Lower and upper limits of the variables, ``[K, 2]``, as SciPy takes them. See :meth:`nearest` for what else is held."""
+        known = self._design()
+        return np.stack([known["lower"], known["upper"]], axis=1)
+
+    @property
+    def nodes(self) -> Array:
+        """x of the place where each variable acts, ``[K]``; numbers of shapes have none and are counted."""
+        return np.array(self._design()["nodes"])
+
+    @property
+    def nodes_z(self) -> Optional[Array]:
+        """z of these places where the wall varies along z; else None."""
+        across = self._design()["across"]
+        return None if across is None else np.array(across)
+
+    @property
+    def variables(self) -> list[str]:
+        """Names of the numbers of shapes in a scene of your own; else empty."""
+        return list(self._design()["names"])
+
+    @property
+    def symbol(self) -> str:
+        """What the objective is called, such as ``Q``."""
+        return str(self._design()["symbol"])
+
+    @property
+    def quantity(self) -> str:
+        """What the objective is, such as ``outflowing heat``; more of it is better."""
+        return str(self._design()["quantity"])
+
+    def nearest(self, design: ArrayLike) -> Array:
+        """The nearest design that is allowed: within :attr:`bounds`, and neighbours that differ by at most twice their
+        distance. To be called after each step of an optimiser that knows no limits."""
+        return self._native.nearest(_numbers(design))
+
+    def wall(self, design: Optional[ArrayLike] = None) -> tuple[Array, Array]:
+        """Points of a design's wall: places along x and offsets there, as ``shape.csv`` has them. (Of a scene of your own:
+        counts, and the numbers of its shapes.)"""
+        return self._native.wall(_numbers(self.design if design is None else design))
+
+    def simulate(
+        self,
+        design: Optional[ArrayLike] = None,
+        *,
+        frames: int = 0,
+        progress: Optional[Progress] = None,
+    ) -> Run:
+        """Runs the scene forward, as ``hydrograd simulate`` does, and writes no files.
+
+        Args:
+            design: ``[K]``; the scene's own if None.
+            frames: about how many states on the way to keep.
+            progress: called with the steps that are done and all steps, at most ten times a second.
+
+        Raises:
+            Diverged: the run's numbers left all bounds.
+            KeyboardInterrupt: Ctrl-C, within a tenth of a second.
+        """
+        given = None if design is None else _numbers(design)
+        found = self._native.simulate(given, int(frames), progress)
+        kept = found.pop("frames", None)
+        figures = json.loads(found.pop("figures"))
+        return Run(figures=figures, frames=None if kept is None else Frames(**kept), **found)
+
+    def objective(self, design: Optional[ArrayLike] = None) -> float:
+        """The objective of a design, as ``hydrograd optimize`` judges it: where the scene allows, by fixed particles and their
+        steady state (``optimise.search``), so it is near but not equal to :attr:`Run.q` of moving ones."""
+        return self._native.objective(_numbers(self.design if design is None else design))
+
+    def value_and_gradient(
+        self,
+        design: Optional[ArrayLike] = None,
+        *,
+        progress: Optional[Progress] = None,
+    ) -> tuple[float, Array]:
+        """The objective of a design and its exact derivative by the variables, ``[K]``.
+
+        Args:
+            design: ``[K]``; the scene's own if None.
+            progress: called with the share of the work that is done, and 1, at most ten times a second.
+
+        Raises:
+            ValueError: a design of another length, or beyond its limits.
+            Diverged: the run's numbers, or the gradient's, left all bounds.
+        """
+        return self._native.value_and_gradient(_numbers(self.design if design is None else design), progress)
+
+    def loss_and_gradient(
+        self,
+        design: Optional[ArrayLike] = None,
+        *,
+        progress: Optional[Progress] = None,
+    ) -> tuple[float, Array]:
+        """What ``hydrograd optimize`` makes small, and its derivative: the penalty on roughness less the objective."""
+        return self._native.loss_and_gradient(_numbers(self.design if design is None else design), progress)
+
+    def vjp(self, design: ArrayLike, cotangent: float) -> Array:
+        """``cotangent`` times the derivative of the objective by the variables, ``[K]``."""
+        return np.asarray(cotangent, dtype=np.float64) * self.value_and_gradient(design)[1]
+
+    def optimise(
+        self,
+        design: Optional[ArrayLike] = None,
+        *,
+        epochs: Optional[int] = None,
+        progress: Optional[Callable[[int, int, float], object]] = None,
+    ) -> Optimisation:
+        """Improves a design by the scene's own optimiser (``optimise.method``), as ``hydrograd optimize`` does, and writes no
+        files.
+
+        Args:
+            design: ``[K]`` to begin with; the scene's own if None.
+            epochs: most evaluations; ``optimise.epochs`` if None.
+            progress: called after each epoch with the epochs that are done, all epochs, and the objective of the last one.
+        """
+        first = None if design is None else _numbers(design)
+        found = self._native.optimise(first, None if epochs is None else int(epochs), progress)
+        best = found["best"]
+        return Optimisation(
+            design_best=found["designs"][best].copy(),
+            q_best=float(found["q"][best]),
+            best=best,
+            designs=found["designs"],
+            q_per_epoch=found["q"],
+            loss_per_epoch=found["loss"],
+            gradient_norm_per_epoch=found["gradient_norm"],
+            seconds_per_epoch=found["seconds"],
+            is_done=found["is_done"],
+        )
+
+    optimize = optimise
+
+
+def _numbers(design: ArrayLike) -> Array:
+    """A design as the solver takes it, ``[K]`` in double precision."""
+    try:
+        found = np.ascontiguousarray(design, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"a design is an array of numbers, [K]: {error}") from None
+    if np.ndim(design) != 1:
+        raise ValueError(f"a design has one axis, [K], not the shape {np.shape(design)}")
+    return found

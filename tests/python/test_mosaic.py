@@ -1,0 +1,48 @@
+"""The endpoints of the Mosaic benchmark."""
+
+from pathlib import Path
+
+import hydrograd
+import numpy as np
+import pytest
+
+
+def inputs_of(scene, **more):
+    design = scene.nearest(0.2 * scene.bounds[:, 1] * np.cos(np.arange(len(scene.design))))
+    return {"scene": "heated-channel", "settings": {"resolution.dx": 0.025}, "design": design, **more}
+
+
+def test_apply_and_vjp_are_ours_to_the_bit(scene):
+    inputs = inputs_of(scene)
+    q, gradient = scene.value_and_gradient(inputs["design"])
+    found = hydrograd.mosaic.apply(inputs)
+    assert list(found) == ["q"] and found["q"].shape == () and float(found["q"]) == q
+    back = hydrograd.mosaic.vjp(inputs, {"design"}, {"q"}, {"q": np.asarray(-3.0)})
+    np.testing.assert_array_equal(back["design"], -3.0 * gradient)
+    assert hydrograd.mosaic.vector_jacobian_product is hydrograd.mosaic.vjp
+    assert hydrograd.mosaic.abstract_eval(inputs) == {"q": {"shape": (), "dtype": "float64"}}
+
+
+def test_wrong_names_are_refused(scene):
+    inputs = inputs_of(scene)
+    with pytest.raises(ValueError, match="unknown input 'colour'"):
+        hydrograd.mosaic.apply({**inputs, "colour": 1})
+    with pytest.raises(ValueError, match="'settings' can not be differentiated"):
+        hydrograd.mosaic.vjp(inputs, {"settings"}, {"q"}, {"q": 1.0})
+    with pytest.raises(ValueError, match="'t' can not be differentiated"):
+        hydrograd.mosaic.vjp(inputs, {"design"}, {"t"}, {"t": 1.0})
+    assert hydrograd.mosaic.vjp(inputs, set(), {"q"}, {"q": 1.0}) == {}
+    assert not hydrograd.mosaic.vjp(inputs, {"design"}, set(), {})["design"].any()
+
+
+def test_it_is_a_tesseract(scene, tmp_path: Path):
+    core = pytest.importorskip("tesseract_core", reason="tesseract-core[runtime] is not installed")
+    pytest.importorskip("tesseract_core.runtime", reason="tesseract-core[runtime] is not installed")
+    api = tmp_path / "tesseract_api.py"
+    api.write_text("from hydrograd.mosaic import *\n")
+    inputs = inputs_of(scene)
+    q, gradient = scene.value_and_gradient(inputs["design"])
+    tesseract = core.Tesseract.from_tesseract_api(api)
+    assert float(tesseract.apply(inputs)["q"]) == q
+    back = tesseract.vector_jacobian_product(inputs, ["design"], ["q"], {"q": np.float64(2.0)})
+    np.testing.assert_array_equal(back["design"], 2.0 * gradient)
