@@ -2,6 +2,7 @@
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files;
+use super::page;
 use super::prepare::{build, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
@@ -171,6 +172,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     });
     let text = serde_json::to_string_pretty(&report)? + "\n";
     write_bytes_atomically(&folder.join("gradient_check.json"), text.as_bytes())?;
+    page::write(&folder)?;
 
     println!(
         "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",

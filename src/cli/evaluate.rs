@@ -3,6 +3,7 @@
 use super::arguments::at_least_one;
 use super::files::VERSION;
 use super::model_data::{ModelData, ModelDataArguments};
+use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::io::atomic::write_bytes_atomically;
 use crate::report::plots::compare;
@@ -84,6 +85,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(&file)? + "\n";
     write_bytes_atomically(&arguments.out.join("evaluation.json"), text.as_bytes())?;
     let pictures = plot(&arguments.out, &scores)?;
+    page::write(&arguments.out)?;
 
     println!(
         "{} windows of {} predicted frames, {} split of {}\n",

@@ -15,6 +15,7 @@ mod model_data;
 mod optimize;
 mod optimize_compare;
 mod optimize_shapes;
+mod page;
 mod prepare;
 mod recover;
 mod rollout;
@@ -64,6 +65,7 @@ pub enum Command {
         #[command(subcommand)]
         command: dataset::DatasetCommand,
     },
+    Compare(page::CompareArguments),
     Scenes(scenes::ScenesArguments),
 }
 
@@ -86,6 +88,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
+        Command::Compare(arguments) => page::compare::run(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
     }
 }

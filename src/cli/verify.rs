@@ -2,6 +2,7 @@
 
 use super::arguments::{name_of, option, set_option, threads, with_options};
 use super::files::VERSION;
+use super::page;
 use super::prepare::{require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
@@ -144,6 +145,10 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let file = folder.join("verification.json");
     let text = serde_json::to_string_pretty(&Value::Object(map))? + "\n";
     write_bytes_atomically(&file, text.as_bytes())?;
+    match earlier {
+        Earlier::Visited => page::refresh(&folder)?,
+        _ => page::write(&folder)?,
+    }
     println!("{}", text_of(&verified));
     println!("file: {}", file.display());
     Ok(())
