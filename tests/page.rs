@@ -28,7 +28,9 @@ fn json(path: &Path) -> Value {
 fn page(path: &Path) -> String {
     let text = std::fs::read_to_string(path).unwrap();
     assert!(text.starts_with("<!doctype html>") && text.trim_end().ends_with("</html>"));
-    for outside in ["http://", "https://", "//cdn", "@import", "<iframe", "<link rel=\"stylesheet\"", "fetch(", "XMLHttpRequest"] {
+    for outside in
+        ["http://", "https://", "//cdn", "@import", "<iframe", "<link rel=\"stylesheet\"", "fetch(", "XMLHttpRequest"]
+    {
         assert!(!text.contains(outside), "{} has `{outside}`", path.display());
     }
     for source in text.split("src=\"").skip(1) {
@@ -37,7 +39,8 @@ fn page(path: &Path) -> String {
     // Links lead to files that are there.
     let folder = path.parent().unwrap();
     for target in text.split("href=\"").skip(1).filter_map(|rest| rest.split('"').next()) {
-        let file = target.replace("%3C", "<").replace("%3E", ">").replace("%20", " ").replace("%28", "(").replace("%29", ")");
+        let file =
+            target.replace("%3C", "<").replace("%3E", ">").replace("%20", " ").replace("%28", "(").replace("%29", ")");
         assert!(target == "data:," || folder.join(&file).exists(), "{}: a link to {target}", path.display());
     }
     assert!(text.len() < 5_000_000, "{} bytes", text.len());
@@ -97,7 +100,8 @@ fn optimize_shows_what_its_files_say() {
     assert_eq!(floats(&offsets[0]), floats(&summary["offsets_first"]));
     assert_eq!(floats(&offsets[2]), floats(&summary["offsets_last"]));
     let fields = &data["fields"];
-    let names: Vec<&str> = fields["quantities"].as_array().unwrap().iter().map(|q| q["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        fields["quantities"].as_array().unwrap().iter().map(|q| q["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["temperature", "speed", "pressure"]);
     let panels = fields["panels"].as_array().unwrap();
     assert_eq!((panels.len(), &panels[0]["title"], &panels[1]["title"]), (2, &"before".into(), &"after".into()));
@@ -105,7 +109,9 @@ fn optimize_shows_what_its_files_say() {
     // The walls differ, and so do the flows, at the end but not in what they begin with.
     let last = |k: usize| panels[k]["frames"].as_array().unwrap().last().unwrap()["position"].clone();
     assert_ne!(last(0), last(1));
-    for part in ["one step:", "schedule", "[resolution]", "href=\"particles-before/particles.pvd\"", "href=\"summary.json\""] {
+    for part in
+        ["one step:", "schedule", "[resolution]", "href=\"particles-before/particles.pvd\"", "href=\"summary.json\""]
+    {
         assert!(text.contains(part), "no {part}");
     }
     // `verify` adds what it found.
@@ -165,7 +171,10 @@ fn simulate_shows_its_course() {
     assert!(times.windows(2).all(|pair| pair[0] < pair[1]) && times.len() > 4, "{times:?}");
     assert!((times[times.len() - 1] - 0.2).abs() < 0.01, "{times:?}");
     // A flow without heat or walls, and an exact answer.
-    succeeds(at, &["simulate", "taylor-green", "--set", "time.end=0.05", "--set", "resolution.dx=0.05", "--out", "flow"]);
+    succeeds(
+        at,
+        &["simulate", "taylor-green", "--set", "time.end=0.05", "--set", "resolution.dx=0.05", "--out", "flow"],
+    );
     let text = page(&at.join("flow/report.html"));
     has_number(&text, &json(&at.join("flow/summary.json"))["velocity_error"]);
     let data = drawn(&text);

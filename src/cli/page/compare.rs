@@ -1,7 +1,7 @@
 //! `hydrograd compare`: several runs of a kind in one page; and the page of a folder whose run has several parts.
 
 use super::designs::{loaded, verification, Search, FIGURES};
-use super::folder::{percent, size, Folder};
+use super::folder::{figure, percent, size, Folder};
 use super::tables;
 use crate::cli::run_folder::{is_finished, kind_of};
 use crate::design::objectives::Figure;
@@ -102,6 +102,13 @@ impl CompareArguments {
             .allowed("runs of one command")
             .advice(format!("only those of `hydrograd {first}`")));
         }
+        let symbols: Vec<Option<&str>> = runs.iter().map(|run| objective(&run.folder)).collect();
+        if let Some(k) = symbols.iter().position(|symbol| *symbol != symbols[0]) {
+            let name = |k: usize| format!("{} of {}", symbols[k].unwrap_or("nothing"), given(&runs[k].folder.path));
+            return Err(BadInput::new(format!("searches for different objectives: {} and {}", name(0), name(k)))
+                .place(given(&runs[k].folder.path))
+                .allowed("searches with the same objective.kind"));
+        }
         // Folders of one name are told apart by their paths.
         let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
         for run in &mut runs {
@@ -111,6 +118,12 @@ impl CompareArguments {
         }
         Ok(runs)
     }
+}
+
+/// What a search made large; none of other runs.
+fn objective(folder: &Folder) -> Option<&'static str> {
+    let config = loaded(folder).ok().filter(|_| folder.kind == "optimize")?.config;
+    Some(Figure::of_config(&config).symbol)
 }
 
 /// Files with a run's figures.
@@ -185,7 +198,11 @@ fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
     }
     page.lead = lead(runs, &searches, &summaries);
     let mut table = Table::new("Figures side by side", header());
-    let pages = runs.iter().map(|run| Cell { link: page_link(&run.folder, base), ..Cell::text("page") });
+    let page_of = |run: &Compared| page_link(&run.folder, base);
+    let pages = runs.iter().map(|run| match page_of(run) {
+        Some(link) => Cell { link: Some(link), ..Cell::text("page") },
+        None => Cell::text("-"),
+    });
     table.rows.push(std::iter::once(Cell::text("the run's own page")).chain(pages).collect());
     if searches.iter().all(Option::is_some) {
         let searches: Vec<&Search> = searches.iter().flatten().collect();
@@ -195,9 +212,11 @@ fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
     } else {
         page.charts.extend(histories(runs)?);
     }
-    add_figures(&mut table, runs, &summaries)?;
+    let mut rest = Table::new("All other figures", header());
+    add_figures([&mut table, &mut rest], runs, &summaries)?;
     page.tables.push(table);
     page.tables.push(differences(runs, header().collect()));
+    page.more.extend((!rest.rows.is_empty()).then_some(rest));
     Ok(page)
 }
 
@@ -207,7 +226,9 @@ fn page_link(folder: &Folder, base: &Path) -> Option<String> {
     let common = base.components().zip(page.components()).take_while(|(a, b)| a == b).count();
     let up = base.components().skip(common).map(|_| "..".to_string());
     let down = page.components().skip(common).map(|part| part.as_os_str().to_string_lossy().into_owned());
-    // Parts are made in the same go as their page.
+    if !page.is_file() {
+        return None;
+    }
     Some(link(&up.chain(down).collect::<Vec<_>>().join("/")))
 }
 
@@ -221,16 +242,16 @@ fn lead(runs: &[Compared], searches: &[Option<Search>], summaries: &[Map<String,
             let symbol = search.figure.symbol;
             let gain = 100.0 * search.gain();
             return format!(
-                "Best of {} searches: {}, with {symbol} = {:.6} ({gain:+.2}\u{a0}%).",
+                "Best of {} searches: {}, with {symbol} = {} ({gain:+.2}\u{a0}%).",
                 runs.len(),
                 runs[k].name,
-                search.best
+                figure(search.best)
             );
         }
     }
     let values = || summaries.iter().map(|summary| summary.get("q").and_then(Value::as_f64));
     if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
-        return format!("Of {} runs {} carries out the most heat: Q = {q:.6}.", runs.len(), runs[k].name);
+        return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
     }
     let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
     format!("{} runs of hydrograd {kind} side by side.", runs.len())
@@ -245,10 +266,7 @@ fn add_searches(table: &mut Table, searches: &[&Search]) {
         table.rows.push(std::iter::once(Cell::text(name)).chain(marked).collect());
     };
     let numbers = |of: fn(&Search) -> f64| {
-        searches
-            .iter()
-            .map(|search| (Cell::shown(format!("{:.6}", of(search)), of(search)), Some(of(search))))
-            .collect()
+        searches.iter().map(|search| (Cell::shown(figure(of(search)), of(search)), Some(of(search)))).collect()
     };
     row(format!("{symbol} of the first design"), numbers(|search| search.first), false);
     row(format!("{symbol} of the best"), numbers(|search| search.best), true);
@@ -260,8 +278,27 @@ fn add_searches(table: &mut Table, searches: &[&Search]) {
     row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch + 1)).collect(), false);
 }
 
-/// Rows of the figures that the runs' files have.
-fn add_figures(table: &mut Table, runs: &[Compared], summaries: &[Map<String, Value>]) -> anyhow::Result<()> {
+/// Figures that stand first, behind [`FIGURES`].
+const FIRST: [&str; 9] = [
+    "kinetic_energy",
+    "exact_kinetic_energy",
+    "velocity_error",
+    "temperature_error",
+    "nusselt",
+    "particles",
+    "steps",
+    "wall_seconds",
+    "peak_memory_bytes",
+];
+/// Those of a search that stand above already, in other words.
+const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
+
+/// Rows of the figures that the runs' files have: those that say most, and the rest.
+fn add_figures(
+    [table, rest]: [&mut Table; 2],
+    runs: &[Compared],
+    summaries: &[Map<String, Value>],
+) -> anyhow::Result<()> {
     let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
     for (run, summary) in runs.iter().zip(summaries) {
         let mut found = tables::scalars(summary);
@@ -286,7 +323,7 @@ fn add_figures(table: &mut Table, runs: &[Compared], summaries: &[Map<String, Va
         all.push(found);
     }
     let mut names: Vec<String> = Vec::new();
-    let known = FIGURES.iter().map(|(key, _)| key.to_string());
+    let known = FIGURES.iter().map(|(key, _)| *key).chain(FIRST).map(str::to_string);
     let others = all.iter().flatten().map(|(name, _)| name.clone());
     // The figures before are in the files; of all runs the first design's are rarely asked for.
     for name in known.chain(others).filter(|name| !name.starts_with("before.")) {
@@ -294,7 +331,8 @@ fn add_figures(table: &mut Table, runs: &[Compared], summaries: &[Map<String, Va
             names.push(name);
         }
     }
-    for name in names {
+    let is_search = runs.iter().all(|run| run.folder.kind == "optimize");
+    for name in names.into_iter().filter(|name| !(is_search && SAID.contains(&name.as_str()))) {
         let of = |found: &Vec<(String, Cell)>| {
             let cell = found.iter().find(|(other, _)| *other == name).map(|(_, cell)| cell.clone());
             match (cell, name.as_str()) {
@@ -308,7 +346,12 @@ fn add_figures(table: &mut Table, runs: &[Compared], summaries: &[Map<String, Va
             .iter()
             .find(|(key, _)| *key == name)
             .map_or_else(|| name.replace('_', " "), |(_, label)| label.to_string());
-        table.rows.push(std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect());
+        let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
+        let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
+        match is_first || summaries.iter().all(Map::is_empty) {
+            true => table.rows.push(row),
+            false => rest.rows.push(row),
+        }
     }
     Ok(())
 }
@@ -383,11 +426,13 @@ fn best_walls(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
         for run in runs {
             let columns = run.folder.columns("shape.csv")?;
             let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
-            if let (Some(x), Some(y), None) = (of("x"), of(column), of("z")) {
-                series.push(Series::new(run.name.clone(), x.into_iter().zip(y)));
-            }
+            // Without points where there is no such wall: each run's lines look the same in every chart.
+            series.push(match (of("x"), of(column), of("z")) {
+                (Some(x), Some(y), None) => Series::new(run.name.clone(), x.into_iter().zip(y)),
+                _ => Series::new(run.name.clone(), []),
+            });
         }
-        if !series.is_empty() {
+        if series.iter().any(|line: &Series| !line.points.is_empty()) {
             let (x, y) = ("x (scene units)".into(), "offset (positive narrows)".into());
             charts.push(Chart { title: title.into(), x, y, series, ..Chart::default() });
         }

@@ -1,11 +1,11 @@
 //! Pages of `optimize` and `simulate`.
 
-use super::folder::{percent, warnings, Folder};
+use super::folder::{figure, percent, warnings, Folder};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::config::scene::{Config, Family};
 use crate::design::objectives::Figure;
-use crate::design::Parametrisation;
+use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
 use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
 use crate::scene::load::Loaded;
@@ -86,7 +86,8 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let config = &loaded.config;
     let summary = folder.json("summary.json")?.unwrap_or_default();
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
-    page.texts.push(plan(&loaded.for_search()?.config, true)?);
+    let searched = loaded.for_search()?.config;
+    page.texts.push(plan(&searched, true)?);
     let Some(search) = Search::of(Figure::of_config(config), &summary) else {
         page.lead = "This search has no result yet.".into();
         return Ok(page);
@@ -95,18 +96,22 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let epochs = search.values.len();
     let (first, best, gain) = (search.first, search.best, search.gain());
     page.lead = match search.best_epoch {
-        0 => format!("No design that was tried is better than the first: {symbol}, the {quantity}, is {best:.6}."),
+        0 => {
+            format!("No design that was tried is better than the first: {symbol}, the {quantity}, is {}.", figure(best))
+        }
         epoch => format!(
-            "{symbol}, the {quantity}, {} from {first:.6} to {best:.6} ({:+.2}\u{a0}%) in epoch {} of {epochs}.",
+            "{symbol}, the {quantity}, {} from {} to {} ({:+.2}\u{a0}%) in epoch {} of {epochs}.",
             if best >= first { "rose" } else { "fell" },
+            figure(first),
+            figure(best),
             100.0 * gain,
             epoch + 1
         ),
     };
     page.remark = remark(&search, &summary);
     let mut fact = |name: &str, cell: Cell| page.facts.push(Fact { name: name.into(), cell });
-    fact(&format!("{symbol} before"), Cell::shown(format!("{first:.6}"), first));
-    fact(&format!("{symbol} after"), Cell::shown(format!("{best:.6}"), best));
+    fact(&format!("{symbol} before"), Cell::shown(figure(first), first));
+    fact(&format!("{symbol} after"), Cell::shown(figure(best), best));
     fact("gain", percent(gain));
     if let Some(survives) = search.survives {
         fact("gain that survives the checks", percent(survives));
@@ -115,12 +120,12 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     if let Some(seconds) = summary.get("wall_seconds").and_then(Value::as_f64) {
         fact("seconds of search", Cell::shown(format!("{seconds:.1}"), seconds));
     }
-    let variables = variables(folder)?;
+    let shapes = shapes(&searched, &variables(folder)?)?;
     if config.scene == Family::Custom {
         page.tables.extend(of_shapes(&summary));
-        page.charts.extend(course_of_shapes(&summary, &variables));
-    } else if !variables.is_empty() {
-        page.walls = walls(&loaded, &search, &variables)?;
+        page.charts.extend(course_of_shapes(&summary, &shapes));
+    } else {
+        page.walls = walls(&searched, &search, &shapes);
     }
     page.charts.insert(0, course(&search, &summary, &format!("{symbol} ({unit})")));
     if let Some(norms) = summary.get("gradient_norm_per_epoch") {
@@ -184,16 +189,18 @@ fn variables(folder: &Folder) -> anyhow::Result<Vec<Vec<f64>>> {
     Ok(all.chunks_exact(count).map(<[f64]>::to_vec).collect())
 }
 
-/// The walls of each epoch.
-fn walls(loaded: &Loaded, search: &Search, variables: &[Vec<f64>]) -> anyhow::Result<Option<Walls>> {
-    let config = loaded.for_search()?.config;
-    let Some(design) = Scene::<f64>::problem(&config)? else { return Ok(None) };
-    let parametrisation: &dyn Parametrisation = &*design.parametrisation;
-    if variables.iter().any(|of_epoch| of_epoch.len() != parametrisation.variables()) {
-        return Ok(None);
-    }
-    let shapes: Vec<_> = variables.iter().map(|of_epoch| parametrisation.sampled(of_epoch)).collect();
-    let Some(first) = shapes.first() else { return Ok(None) };
+/// What the variables of each epoch stand for; none if they are not those of the configuration.
+fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>> {
+    let Some(design) = Scene::<f64>::problem(config)? else { return Ok(vec![]) };
+    let count = design.parametrisation.variables();
+    let fits = variables.iter().all(|of_epoch| of_epoch.len() == count);
+    let sampled = |of_epoch: &Vec<f64>| design.parametrisation.sampled(of_epoch);
+    Ok(variables.iter().filter(|_| fits).map(sampled).collect())
+}
+
+/// The walls of each epoch; none without any.
+fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
+    let first = shapes.first()?;
     let is_both = first.top.is_some();
     let name = if is_both { "bottom wall" } else { "the wall" };
     let offsets = shapes.iter().map(|shape| shape.offsets.clone()).collect();
@@ -202,14 +209,14 @@ fn walls(loaded: &Loaded, search: &Search, variables: &[Vec<f64>]) -> anyhow::Re
         let offsets = shapes.iter().map(|shape| shape.top.clone().unwrap_or_default()).collect();
         sides.push(Side { name: "top wall".into(), base: config.channel.height, sign: -1.0, offsets });
     }
-    Ok(Some(Walls {
+    Some(Walls {
         nodes: first.nodes.clone(),
         across: first.across.clone(),
         sides,
         best: search.best_epoch.min(shapes.len() - 1),
         values: search.values.clone(),
         symbol: search.figure.symbol.into(),
-    }))
+    })
 }
 
 /// Numbers of shapes: within which bounds, what they were, what they are.
@@ -219,12 +226,12 @@ fn of_shapes(summary: &Map<String, Value>) -> Option<Table> {
 }
 
 /// Numbers of shapes by epoch, each as a share of its bounds.
-fn course_of_shapes(summary: &Map<String, Value>, variables: &[Vec<f64>]) -> Option<Chart> {
+fn course_of_shapes(summary: &Map<String, Value>, shapes: &[Shape]) -> Option<Chart> {
     let all = summary.get("variables")?.as_array()?;
     let series = all.iter().enumerate().filter_map(|(k, one)| {
         let (low, high) = (one.get("lower")?.as_f64()?, one.get("upper")?.as_f64()?);
-        let share = |of_epoch: &Vec<f64>| of_epoch.get(k).map(|value| (value - low) / (high - low));
-        let points = variables.iter().enumerate().map(|(e, of_epoch)| ((e + 1) as f64, share(of_epoch))).collect();
+        let share = |shape: &Shape| shape.offsets.get(k).map(|value| (value - low) / (high - low));
+        let points = shapes.iter().enumerate().map(|(e, shape)| ((e + 1) as f64, share(shape))).collect();
         Some(Series { name: one.get("number")?.as_str()?.into(), points })
     });
     let (title, y) = ("Numbers of shapes by epoch".into(), "between the bounds: 0 lower, 1 upper".into());
@@ -359,11 +366,12 @@ fn said(config: &Config, summary: &Map<String, Value>) -> (String, String) {
     if let Some(q) = number("q") {
         let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
             (Some(rate), Some(warm)) => format!(
-                "The flow carries out Q = {q:.6} of heat per time: {} of fluid, mixed at a temperature of {}.",
+                "The flow carries out Q = {} of heat per time: {} of fluid, mixed at a temperature of {}.",
+                figure(q),
                 short(rate),
                 short(warm)
             ),
-            _ => format!("The flow carries out Q = {q:.6} of heat per time."),
+            _ => format!("The flow carries out Q = {} of heat per time.", figure(q)),
         };
         let remark = number("energy_imbalance").map_or(String::new(), |share| {
             format!("The heat balance is open by {:+.2}\u{a0}% of what the walls give.", 100.0 * share)

@@ -2,7 +2,7 @@
 
 use crate::io::csv::read_table;
 use crate::io::FileError;
-use crate::report::page::{link, Cell, File, Note, Picture, Text, PAGE};
+use crate::report::page::{link, short, Cell, File, Note, Picture, Text, PAGE};
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 
@@ -187,8 +187,19 @@ pub fn warnings(summary: &Map<String, Value>) -> Vec<Note> {
     .collect()
 }
 
+/// A figure that runs are compared by, with six decimals if that is enough of it.
+pub fn figure(value: f64) -> String {
+    if value.abs() >= 1e-3 {
+        format!("{value:.6}")
+    } else {
+        short(value)
+    }
+}
+
 /// A share as percent, with its sign.
 pub fn percent(share: f64) -> Cell {
+    // Less than is shown has no sign.
+    let share = if share.abs() < 5e-5 { 0.0 } else { share };
     Cell::shown(format!("{:+.2}\u{a0}%", 100.0 * share), share)
 }
 

@@ -42,7 +42,9 @@ pub fn scalars(map: &Map<String, Value>) -> Vec<(String, Cell)> {
 /// Names and figures, one below the other.
 pub fn of_scalars(title: &str, map: &Map<String, Value>) -> Table {
     let mut table = Table::new(title, ["", ""]);
-    table.rows = scalars(map).into_iter().map(|(name, cell)| vec![Cell::text(name), cell]).collect();
+    // What is unknown is no figure.
+    let known = scalars(map).into_iter().filter(|(_, cell)| cell.text != "-");
+    table.rows = known.map(|(name, cell)| vec![Cell::text(name), cell]).collect();
     table
 }
 

@@ -113,7 +113,11 @@ pub fn short(value: f64) -> String {
         _ if !(1e-4..1e6).contains(&size) => format!("{value:.4e}"),
         _ => {
             let digits = (5 - size.log10().floor() as i32).max(0) as usize;
-            format!("{value:.digits$}")
+            let text = format!("{value:.digits$}");
+            match text.contains('.') {
+                true => text.trim_end_matches('0').trim_end_matches('.').to_string(),
+                false => text,
+            }
         }
     }
 }
@@ -289,6 +293,9 @@ mod tests {
         for (value, expected) in [
             (0.0, "0"),
             (13.0, "13"),
+            (0.25, "0.25"),
+            (123456.7, "123457"),
+            (0.99999999, "1"),
             (0.023431234, "0.0234312"),
             (-1234.5678, "-1234.57"),
             (1.5e-9, "1.5000e-9"),

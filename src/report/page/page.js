@@ -54,9 +54,10 @@
     const raw = (high - low) / count, base = Math.pow(10, Math.floor(Math.log10(raw)));
     const step = [1, 2, 5, 10].map((k) => k * base).find((s) => s >= raw);
     const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), ticks = [];
+    const wide = Math.max(Math.abs(low), Math.abs(high)), is_far = wide >= 1e5 || wide < 1e-3;
     for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k++) {
-      const v = k * step, wide = Math.max(Math.abs(low), Math.abs(high));
-      ticks.push([v, wide >= 1e5 || wide < 1e-3 ? (v === 0 ? "0" : v.toExponential(1)) : v.toFixed(digits)]);
+      const v = k * step, more = v === 0 ? 0 : Math.max(0, Math.floor(Math.log10(Math.abs(v)) + 1e-9) - Math.floor(Math.log10(step) + 1e-9));
+      ticks.push([v, is_far ? (v === 0 ? "0" : v.toExponential(more)) : v.toFixed(digits)]);
     }
     return { low, high, ticks, part: (v) => (v - low) / (high - low) };
   }
@@ -131,7 +132,7 @@
       const ends = spec.series.map((s) => { const p = points(s); return p.length ? `${s.name || spec.y} from ${number(p[0][1], 4)} to ${number(p[p.length - 1][1], 4)}` : ""; });
       let html = svg(width, height, `${spec.title}: ${ends.filter(Boolean).join("; ")}`, inside);
       if (spec.series.length > 1) {
-        html += `<ul class="legend">` + spec.series.map((s, k) =>
+        html += `<ul class="legend">` + spec.series.map((s, k) => !points(s).length ? "" :
           `<li><svg viewBox="0 0 42 14" aria-hidden="true"><line x1="0" x2="42" y1="7" y2="7" stroke-width="2" ${style(k)}/>` +
           `<g fill="var(--s${k % 7})">${points(s).length <= 45 ? marks[k % 5](21, 7) : ""}</g></svg>${escaped(s.name)}</li>`).join("") + "</ul>";
       }
@@ -283,7 +284,7 @@
         c.beginPath();
         c.rect(l.left, l.top, l.inner, l.tall);
         c.clip();
-        c.fillStyle = color("fluid");
+        c.fillStyle = color("ground");
         c.fillRect(l.left, l.top, l.inner, l.tall);
         const ring = color("wall");
         for (let i = 0; i < f.x.length; i++) {
