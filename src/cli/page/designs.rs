@@ -153,7 +153,11 @@ fn remark(search: &Search, summary: &Map<String, Value>) -> String {
     let checks = summary.get("verification").and_then(Value::as_array).map_or(0, Vec::len);
     match search.survives {
         Some(gain) if gain > 0.0 => {
-            format!("{:+.2}\u{a0}% survives, the least of {checks} checks at another spacing, with other particles and over a longer time.", 100.0 * gain)
+            format!(
+                "{:+.2}\u{a0}% survives, the least of {checks} checks at another spacing, with other particles and \
+                 over a longer time.",
+                100.0 * gain
+            )
         }
         Some(_) => "But no gain survives the checks: the wall is not better, whatever the optimiser found.".into(),
         None if checks > 0 => "No check of it could be run.".into(),

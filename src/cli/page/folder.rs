@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// A picture that is larger stays a file beside the page.
 const LARGEST_PICTURE: usize = 1 << 20;
 /// All pictures of a page together.
-const LARGEST_PICTURES: usize = 4 << 20;
+const LARGEST_PICTURES: usize = 3 << 19;
 
 /// Names of columns and, where all of their cells are numbers or empty, their numbers.
 pub type Columns = Vec<(String, Vec<f64>)>;
@@ -205,7 +205,7 @@ pub fn percent(share: f64) -> Cell {
 
 fn what(name: &str) -> &'static str {
     match name {
-        "config.toml" => "the resolved configuration; runs again as a scene file",
+        "config.toml" => "the resolved configuration",
         "best.toml" => "the same with the best design, for simulate",
         "summary.json" => "every figure of the run",
         "history.csv" => "figures by epoch, over time, or by step",

@@ -35,7 +35,8 @@ pub fn page(folder: &Folder) -> anyhow::Result<Page> {
             _ => {}
         }
     }
-    let history = folder.columns("history.csv")?;
+    let mut history = folder.columns("history.csv")?;
+    history.retain(|(name, _)| !["seconds", "learning_rate"].contains(&name.as_str()));
     // Losses and errors fall by powers of ten.
     page.charts = tables::charts(&history, |name| is_positive(&history, name));
     let validation = folder.columns("validation.csv")?;
@@ -144,13 +145,19 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             let name =
                 |k: usize| scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("model");
             let lead = match (mse(0), mse(1)) {
-                (Some(own), Some(other)) if own > 0.0 => format!(
-                    "The position error of {} is {own:.2e} (MSE over all steps), that of {} {other:.2e}: {:.3} times as large.",
+                (Some(own), Some(other)) if own > 0.0 && own < other => format!(
+                    "The position error of {} is {own:.2e} (MSE over all steps); that of {}, {other:.2e}, is {:.1} \
+                     times as large.",
                     name(0),
                     name(1),
                     other / own
                 ),
-                (Some(own), _) => format!("The position error of {} is {own:.2e} (MSE over all steps).", name(0)),
+                (Some(own), Some(other)) => format!(
+                    "The position error of {} is {own:.2e} (MSE over all steps), not less than that of {}, {other:.2e}.",
+                    name(0),
+                    name(1)
+                ),
+                (Some(own), None) => format!("The position error of {} is {own:.2e} (MSE over all steps).", name(0)),
                 _ => "Rollouts of a model against the truth.".into(),
             };
             (lead, none)
