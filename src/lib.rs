@@ -21,7 +21,7 @@
 //! | [`error`] | what a user sees when something is wrong |
 //! | [`numerics`] | lanes, sweeps over rows, memory, random numbers, the bridge to candle |
 //! | [`io`] | files, written atomically |
-//! | [`report`] | plots, tables, progress: take numbers, know no physics |
+//! | [`report`] | plots, tables, pages, progress: take numbers, know no physics |
 //! | [`config`] | one loader for scenes and trainings |
 //! | [`particles`] | tags, the box and its nearest images, the neighbour list |
 //! | [`adjoint`] | dynamics, objectives, observers; the run loop, schedules, gradients: knows no SPH |

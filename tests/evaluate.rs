@@ -49,7 +49,7 @@ fn evaluate_compares_with_the_baselines() {
     }
     assert!(!text.contains("temperature") && !text.contains("broke"), "{text}");
     let pictures = ["kinetic_energy.png", "kinetic_energy.svg", "mse.png", "mse.svg"];
-    assert_eq!(names(&out), [&["evaluation.json"], &pictures[..]].concat());
+    assert_eq!(names(&out), [&["evaluation.json"], &pictures[..], &["report.html"]].concat());
     let json: Value = serde_json::from_str(&std::fs::read_to_string(out.join("evaluation.json")).unwrap()).unwrap();
     assert_eq!(json["split"], "valid");
     let scores = &json["scores"];
@@ -82,7 +82,7 @@ fn rollout_writes_series_and_a_picture() {
     let text = succeeds(folder.path(), &[&arguments[..], &["--start", "3", "--out", "out"]].concat());
     assert!(text.contains("trajectory 00000, frames 9 to 14"), "{text}");
     let out = folder.path().join("out");
-    assert_eq!(names(&out), ["predicted", "rollout.png", "rollout.svg", "true"]);
+    assert_eq!(names(&out), ["predicted", "report.html", "rollout.png", "rollout.svg", "true"]);
     for name in ["predicted", "true"] {
         let series = std::fs::read_to_string(out.join(name).join(format!("{name}.pvd"))).unwrap();
         assert_eq!(series.matches("<DataSet").count(), 6);

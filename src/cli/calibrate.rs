@@ -3,6 +3,7 @@
 use super::arguments::{at_least_one, set_option, threads};
 use super::files;
 use super::model_data::{read_data, unreadable};
+use super::page;
 use super::prepare::use_threads;
 use super::rollout::find;
 use super::run_folder::{Earlier, RunFolder};
@@ -153,6 +154,7 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     put("frames", json!(arguments.frames));
     put("seconds", json!(clock.elapsed().as_secs_f64()));
     files::write_summary(&arguments.out, summary)?;
+    page::write(&arguments.out)?;
     println!("{}", table.to_text());
     for (k, parameter) in parameters.iter().enumerate() {
         if best.at[k].abs() > 0.99 * FACTOR.ln() {

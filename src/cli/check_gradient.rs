@@ -2,6 +2,7 @@
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files::{self, write_json};
+use super::page;
 use super::prepare::{build, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
@@ -170,6 +171,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         })).collect::<Vec<_>>(),
     });
     write_json(&folder.join("gradient_check.json"), &report)?;
+    page::write(&folder)?;
 
     println!(
         "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",

@@ -3,6 +3,7 @@
 use super::arguments::at_least_one;
 use super::files::{write_json, VERSION};
 use super::model_data::{ModelData, ModelDataArguments};
+use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
@@ -82,6 +83,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     });
     write_json(&arguments.out.join("evaluation.json"), &file)?;
     let pictures = plot(&arguments.out, &scores)?;
+    page::write(&arguments.out)?;
 
     println!(
         "{} windows of {} predicted frames, {} split of {}\n",

@@ -11,13 +11,18 @@ use crate::sph::Sweeps;
 /// Prints the plan of a scene, with that of its gradient if one would be taken.
 pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
     let config = &loaded.config;
-    let plan = match config.run.precision {
-        Precision::F32 => plan::<f32>(config, gradient)?,
-        Precision::F64 => plan::<f64>(config, gradient)?,
-    };
+    let plan = plan_of(config, gradient)?;
     println!("{}, {} steps", loaded.source, config.steps());
     print!("{plan}");
     Ok(())
+}
+
+/// The plan of a configuration, with that of its gradient if one would be taken.
+pub fn plan_of(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
+    match config.run.precision {
+        Precision::F32 => plan::<f32>(config, gradient),
+        Precision::F64 => plan::<f64>(config, gradient),
+    }
 }
 
 fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {

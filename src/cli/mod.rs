@@ -18,6 +18,7 @@ mod new;
 mod optimize;
 mod optimize_compare;
 mod optimize_shapes;
+mod page;
 mod prepare;
 mod recover;
 mod rollout;
@@ -76,6 +77,7 @@ pub enum Command {
         #[command(subcommand)]
         command: dataset::DatasetCommand,
     },
+    Compare(page::CompareArguments),
     Scenes(scenes::ScenesArguments),
     New(new::NewArguments),
     Completions(completions::CompletionsArguments),
@@ -105,6 +107,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
+        Command::Compare(arguments) => page::compare::run(arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
         Command::New(arguments) => new::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),

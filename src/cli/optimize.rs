@@ -8,7 +8,7 @@ use super::prepare::{build, change, diverged, share_out, use_threads, workers};
 use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::warn;
 use super::verify;
-use super::{files, optimize_compare, optimize_shapes};
+use super::{files, optimize_compare, optimize_shapes, page};
 use crate::adjoint::gradient::Progress as Share;
 use crate::adjoint::run::Observer;
 use crate::adjoint::schedule::Schedule;
@@ -220,6 +220,8 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
             true => optimize_compare::run(&loaded, &folder, earlier)?,
             false => every_start(&loaded, &folder, earlier, &arguments)?,
         };
+        parts.iter().try_for_each(|part| page::write(part.folder()))?;
+        page::write(&folder)?;
         own.finish()?;
         return parts.iter().try_for_each(RunFolder::finish);
     }
@@ -236,6 +238,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
             Verification { loaded: loaded.for_search()?, reference, best, reference_name: verify::FIRST };
         verified(&folder, summary, &verification)?;
     }
+    page::write(&folder)?;
     own.finish()
 }
 
@@ -658,8 +661,8 @@ fn report<R: Sweeps>(
     plot_history(folder, problem, optimisation)?;
     let [first, best] = [&history[0], &history[optimisation.best]].map(|epoch| &epoch.variables);
     let both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
-        let before = simulate(problem, config.run.kernels, &problem.start(first), &mut [])?;
-        Ok([before, simulate_with_frames(config, folder, problem, best)?])
+        let before = simulate_with_frames(config, &folder.join(BEFORE), problem, first)?;
+        Ok([before, simulate_with_frames(config, &folder.join(AFTER), problem, best)?])
     };
     let (shown, note) = match own.map(both) {
         None => (both(problem), String::new()),
@@ -699,14 +702,18 @@ fn report<R: Sweeps>(
     Ok(Outcome { text, summary, history: history.clone(), values, first, best })
 }
 
-/// Runs a design and writes ParaView frames of it.
+/// Frames of the first design, and of the best.
+pub const BEFORE: &str = "particles-before";
+pub const AFTER: &str = "particles";
+
+/// Runs a design and writes ParaView frames of it into a folder.
 pub fn simulate_with_frames<R: Sweeps>(
     config: &Config,
     folder: &Path,
     problem: &Problem<R>,
     variables: &[f64],
 ) -> anyhow::Result<Finished<R>> {
-    let mut frames = Frames::new(&folder.join("particles"), problem.steps, config.output.frames)?;
+    let mut frames = Frames::new(folder, problem.steps, config.output.frames)?;
     let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
     observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
     simulate(problem, config.run.kernels, &problem.start(variables), &mut observers)
@@ -876,7 +883,7 @@ fn text(
         100.0 * a.energy_imbalance
     ));
     text.push_str(&format!(
-        "files in {}: summary.json, history.png, shapes.png, temperature.png, flow.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView)",
+        "files in {}: summary.json, history.png, shapes.png, temperature.png, flow.png, shape.csv, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView), report.html (all of it in a browser)",
         folder.display()
     ));
     text

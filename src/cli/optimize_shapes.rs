@@ -4,7 +4,7 @@ use super::files;
 use super::optimize::{self, Outcome};
 use super::prepare::diverged;
 use super::simulate_report::warn;
-use crate::design::diagnostics::{simulate, Diagnostics};
+use crate::design::diagnostics::Diagnostics;
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::design::Problem;
 use crate::report::table::Table;
@@ -29,10 +29,11 @@ pub fn report<R: Sweeps>(
     let found = loaded.with(&wall_settings(&best, config))?;
     files::write_best(folder, &found)?;
     let starts = [0, optimisation.best].map(|epoch| problem.start(&history[epoch].variables));
-    let before = simulate(problem, config.run.kernels, &starts[0], &mut []);
-    let before = before.map_err(diverged(&problem.model, &starts[0]))?;
-    let after = optimize::simulate_with_frames(config, folder, problem, &history[optimisation.best].variables);
-    let after = after.map_err(diverged(&problem.model, &starts[1]))?;
+    let run = |name: &str, epoch: usize| {
+        optimize::simulate_with_frames(config, &folder.join(name), problem, &history[epoch].variables)
+    };
+    let before = run(optimize::BEFORE, 0).map_err(diverged(&problem.model, &starts[0]))?;
+    let after = run(optimize::AFTER, optimisation.best).map_err(diverged(&problem.model, &starts[1]))?;
     let seconds = history.iter().map(|epoch| epoch.seconds).sum();
     let summary_of = |found: &Diagnostics, seconds: f64| {
         let mut all = files::summary(loaded, found, problem.steps, seconds);
@@ -90,7 +91,7 @@ pub fn report<R: Sweeps>(
         + &optimize::found_text(figure, optimisation, seconds)
         + &optimize::end_text(optimisation)
         + &format!(
-            "files in {}: summary.json, {}, history.png, flow.png{}, state.h5, {}, particles/particles.pvd (ParaView)",
+            "files in {}: summary.json, {}, history.png, flow.png{}, state.h5, {}, particles/particles.pvd (ParaView), report.html",
             folder.display(),
             files::BEST,
             if has_heat { ", temperature.png" } else { "" },

@@ -2,6 +2,7 @@
 
 use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
+use super::page;
 use super::prepare::use_threads;
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
@@ -236,6 +237,7 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     put(&format!("{error_key}_before"), json!(is_twin.then_some(first[2])));
     put(error_key, json!(is_twin.then(|| problem.error(&found.at))));
     files::write_summary(folder, summary)?;
+    page::write(folder)?;
     let mut table = Table::new(["", "before", "found"]);
     table.row(cells(END, &[first[1], problem.distance(found.loss)]));
     if is_twin {
@@ -331,6 +333,7 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     beside.insert("velocity_error".into(), json!(own_error));
     put("solver", Value::Object(beside));
     files::write_summary(folder, summary)?;
+    page::write(folder)?;
     let mut table = Table::new(["", "before", "found by the surrogate", "found by the solver"]);
     table.row(cells(&format!("{END}, in the solver"), &[before[1], judged, own]));
     table.row(cells("error of the velocities, relative", &[before[2], error, own_error]));

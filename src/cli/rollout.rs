@@ -2,6 +2,7 @@
 
 use super::arguments::at_least_one;
 use super::model_data::{ModelData, ModelDataArguments};
+use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
@@ -70,6 +71,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     scene.write_series(folder, "predicted", &predicted)?;
     scene.write_series(folder, "true", &truth_fields)?;
     scene.picture(&folder.join("rollout"), &predicted, &truth_fields)?;
+    page::write(folder)?;
 
     let shown = shown(run.frames.len());
     println!("{}", errors(&scene, &run.frames, &truth, &shown));

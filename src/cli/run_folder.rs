@@ -7,6 +7,7 @@ use super::arguments::check_writable;
 use crate::error::BadInput;
 use crate::io::atomic::{is_temporary, prepare_output_folder};
 use crate::io::FileError;
+use crate::report::page::PAGE;
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -90,6 +91,14 @@ impl Content {
 /// Whether a folder's run has left everything that it is to leave.
 pub fn is_finished(folder: &Path) -> bool {
     matches!(Content::of(folder), Content::Run { finished: true, .. })
+}
+
+/// Which command's run a folder holds; none if nothing says so.
+pub fn kind_of(folder: &Path) -> Option<String> {
+    match Content::of(folder) {
+        Content::Run { kind, .. } => Some(kind),
+        _ => None,
+    }
 }
 
 /// Whether a run of this kind began in a folder and has not left everything.
@@ -182,6 +191,11 @@ impl RunFolder {
             }
         }
         Ok(own)
+    }
+
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new("."))
     }
 
     /// Notes that the run has left everything that it is to leave.
@@ -281,7 +295,7 @@ fn remove_outputs(folder: &Path, kind: &str) {
             && ["toml", "json", "csv", "png", "svg", "vtp", "h5", "safetensors"].contains(&extension);
         if path.is_dir() {
             remove_series(&path);
-        } else if is_output || (kind == "train" && name.starts_with("events.out.tfevents.")) {
+        } else if is_output || name == PAGE || (kind == "train" && name.starts_with("events.out.tfevents.")) {
             let _ = std::fs::remove_file(path);
         }
     }
@@ -290,10 +304,9 @@ fn remove_outputs(folder: &Path, kind: &str) {
 /// Removes the frames of a ParaView series, and its folder if there was nothing else in it.
 fn remove_series(folder: &Path) {
     let Some(name) = folder.file_name().and_then(|name| name.to_str()) else { return };
-    let Some(series) = ["particles", "predicted", "true"]
-        .into_iter()
-        .find(|series| name.strip_prefix(series).is_some_and(|rest| rest.is_empty() || rest.starts_with("-from-")))
-    else {
+    let Some(series) = ["particles", "predicted", "true"].into_iter().find(|series| {
+        name.strip_prefix(series).is_some_and(|rest| rest.is_empty() || rest == "-before" || rest.starts_with("-from-"))
+    }) else {
         return;
     };
     for name in names(folder) {

@@ -3,6 +3,7 @@
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files;
+use super::page;
 use super::prepare::use_threads;
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
@@ -254,6 +255,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start)?,
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
     }
+    page::write(folder)?;
     // Last, so that a run which has this one has everything: the averages of its end are in no checkpoint.
     checkpoint::write(&folder.join(CHECKPOINT), &scene.model, &solver.snapshot(), &loaded.text)?;
     own.finish()

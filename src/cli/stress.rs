@@ -4,6 +4,7 @@ use super::arguments::set_option;
 use super::files::{write_json, VERSION};
 use super::generate::Shard;
 use super::machine;
+use super::page;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use crate::error::BadInput;
@@ -167,6 +168,7 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         draw(out, found)?;
         println!("{}", text_of(found));
     }
+    page::write(out)?;
     println!("{}", largest(&all).to_text());
     let seen: Vec<&Record> = done.iter().filter_map(|(_, (_, record))| record.as_ref()).collect();
     let count = |verdict: Verdict| seen.iter().filter(|record| record.verdict == verdict).count();

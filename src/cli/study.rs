@@ -2,6 +2,7 @@
 
 use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
+use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
@@ -82,6 +83,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     }
     bar.finish();
     let pictures = plot(&study.out, &grid, &outcomes)?;
+    page::write(&study.out)?;
     println!("{}", table(&grid, &outcomes));
     println!("{} points, {kept} of them trained before", outcomes.len());
     println!(

@@ -2,6 +2,7 @@
 
 use super::arguments::{set_option, threads, OverwriteArgument};
 use super::model_data::unreadable;
+use super::page;
 use super::prepare::use_threads;
 use super::run_folder::{is_unfinished, Earlier, RunFolder};
 use crate::config::layers::Setting;
@@ -108,6 +109,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     let own = RunFolder::take(folder, KIND, earlier)?;
     interrupt::listen(format!("hydrograd train --data {} --out {} --resume", data.display(), folder.display()))?;
     let outcome = training.run(&bar)?;
+    page::write(folder)?;
     own.finish()?;
     bar.finish();
     show(&outcome, &settings, training.state.seconds);

@@ -2,6 +2,7 @@
 
 use super::arguments::threads;
 use super::files::{write_json, VERSION};
+use super::page;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use crate::error::{BadInput, Error};
@@ -85,6 +86,7 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     let rows: Vec<&Row> = found.iter().flat_map(|found| &found.rows).collect();
     write(&arguments.out, &rows)?;
     let pictures = draw(&arguments.out, &found)?;
+    page::write(&arguments.out)?;
     println!("{}", table(&rows).to_text());
     for row in rows.iter().filter(|row| row.failure.is_some()) {
         println!("{}, dx {}: {}", row.case, row.dx, row.failure.as_deref().unwrap_or_default());

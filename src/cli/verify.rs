@@ -2,6 +2,7 @@
 
 use super::arguments::{name_of, option, set_option, threads, with_options};
 use super::files::{write_json, VERSION};
+use super::page;
 use super::prepare::{require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
@@ -142,6 +143,10 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     map.insert("version".into(), json!(VERSION));
     let file = folder.join("verification.json");
     write_json(&file, &Value::Object(map))?;
+    match earlier {
+        Earlier::Visited => page::refresh(&folder)?,
+        _ => page::write(&folder)?,
+    }
     println!("{}", text_of(&verified));
     println!("file: {}", file.display());
     Ok(())

@@ -109,22 +109,9 @@ pub fn write_columns(path: &Path, columns: &[(&str, &[f64])]) -> Result<(), File
 /// Names file, line, column and value: missing or doubled column, a row of the wrong length, text that is no
 /// number, NaN or infinity, a file without header or rows.
 pub fn read_columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<f64>>, FileError> {
-    let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
-    let damaged = |what: String| FileError::Damaged {
-        path: path.to_owned(),
-        format: "CSV table",
-        what,
-        hint: "give a text file with a header line and rows of numbers",
-    };
-    let text = String::from_utf8(bytes).map_err(|error| damaged(format!("not UTF-8 text ({error})")))?;
-    // Spreadsheets put a byte-order mark in front.
-    let mut lines = text
-        .trim_start_matches('\u{feff}')
-        .lines()
-        .enumerate()
-        .map(|(index, line)| (index + 1, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let (_, header_line) = lines.next().ok_or_else(|| damaged("it is empty".to_owned()))?;
+    let text = read_text(path)?;
+    let mut lines = lines(&text);
+    let (_, header_line) = lines.next().ok_or_else(|| damaged(path, "it is empty".to_owned()))?;
     let header = split_line(header_line);
     let positions =
         names.iter().map(|name| column_position(path, &header, name)).collect::<Result<Vec<usize>, FileError>>()?;
@@ -146,9 +133,48 @@ pub fn read_columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<f64>>, FileEr
         }
     }
     if columns.first().is_some_and(Vec::is_empty) {
-        return Err(damaged("it has a header but no rows".to_owned()));
+        return Err(damaged(path, "it has a header but no rows".to_owned()));
     }
     Ok(columns)
+}
+
+/// Names of columns, and rows of as many cells.
+pub type TextTable = (Vec<String>, Vec<Vec<String>>);
+
+/// Reads a table as it stands: the names of its columns, and its rows as text.
+///
+/// # Errors
+/// A file that cannot be read or has no header. Rows of another length than the header are left out.
+pub fn read_table(path: &Path) -> Result<TextTable, FileError> {
+    let text = read_text(path)?;
+    let mut rows = lines(&text).map(|(_, line)| split_line(line));
+    let header = rows.next().ok_or_else(|| damaged(path, "it is empty".to_owned()))?;
+    let rows = rows.filter(|row| row.len() == header.len()).collect();
+    Ok((header, rows))
+}
+
+fn damaged(path: &Path, what: String) -> FileError {
+    FileError::Damaged {
+        path: path.to_owned(),
+        format: "CSV table",
+        what,
+        hint: "give a text file with a header line and rows of numbers",
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, FileError> {
+    let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
+    String::from_utf8(bytes).map_err(|error| damaged(path, format!("not UTF-8 text ({error})")))
+}
+
+/// Lines that say something, with their numbers from 1.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    // Spreadsheets put a byte-order mark in front.
+    text.trim_start_matches('\u{feff}')
+        .lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, line.trim()))
+        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
 /// Where `name` stands in the header.

@@ -6,6 +6,7 @@
 
 use super::atomic::{prepare_output_folder, write_atomically, write_bytes_atomically};
 use super::FileError;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -319,6 +320,94 @@ impl VtkSeries {
         }
         text.push_str("</Collection>\n</VTKFile>\n");
         write_bytes_atomically(&self.list_path(), text.as_bytes())
+    }
+}
+
+/// Particles as a `.vtp` file of [`write_vtp`] has them: three components, zero where there are fewer.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParticleFile {
+    pub position: Vec<[f64; 3]>,
+    /// Empty if the file has none.
+    pub velocity: Vec<[f64; 3]>,
+    /// By name.
+    pub scalars: BTreeMap<String, Vec<f64>>,
+    /// Empty if the file has none.
+    pub tag: Vec<u8>,
+}
+
+/// What stands between the text of a `.vtp` file and its numbers.
+const APPENDED: &[u8] = b"<AppendedData encoding=\"raw\">\n_";
+
+/// Reads a file of [`write_vtp`]'s.
+///
+/// # Errors
+/// System errors; a file that is none of ours, or cut short.
+pub fn read_vtp(path: &Path) -> Result<ParticleFile, FileError> {
+    let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
+    let damaged = |what: &str| unreadable(path, what);
+    let end = bytes.windows(APPENDED.len()).position(|part| part == APPENDED);
+    let end = end.ok_or_else(|| damaged("it has no appended numbers"))?;
+    let (header, numbers) = (&bytes[..end], &bytes[end + APPENDED.len()..]);
+    let header = format!("{}</VTKFile>", String::from_utf8_lossy(header));
+    let document = roxmltree::Document::parse(&header).map_err(|error| damaged(&error.to_string()))?;
+    let mut file = ParticleFile::default();
+    for array in document.descendants().filter(|node| node.has_tag_name("DataArray")) {
+        let attribute = |name: &str| array.attribute(name).unwrap_or_default();
+        // Only what is in the block; the time stands in the text.
+        let Ok(offset) = attribute("offset").parse::<usize>() else { continue };
+        let length = numbers.get(offset..offset.saturating_add(8)).and_then(|bytes| bytes.try_into().ok());
+        let length = length.map(u64::from_le_bytes).and_then(|length| usize::try_from(length).ok());
+        let block = length.and_then(|length| numbers[offset + 8..].get(..length));
+        let block = block.ok_or_else(|| damaged(&format!("the array `{}` is cut short", attribute("Name"))))?;
+        let reals = || -> Vec<f64> {
+            match attribute("type") {
+                "Float64" => {
+                    block.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap_or_default())).collect()
+                }
+                _ => {
+                    let of = |b: &[u8]| f64::from(f32::from_le_bytes(b.try_into().unwrap_or_default()));
+                    block.chunks_exact(4).map(of).collect()
+                }
+            }
+        };
+        let triples = || reals().chunks_exact(3).map(|it| [it[0], it[1], it[2]]).collect();
+        let is_real = ["Float64", "Float32"].contains(&attribute("type"));
+        match attribute("Name") {
+            "Points" => file.position = triples(),
+            "velocity" => file.velocity = triples(),
+            "tag" => file.tag = block.to_vec(),
+            name if is_real => drop(file.scalars.insert(name.to_owned(), reals())),
+            _ => {}
+        }
+    }
+    let count = file.position.len();
+    let fits = |length: usize| length == count || length == 0;
+    match fits(file.velocity.len()) && fits(file.tag.len()) && file.scalars.values().all(|values| values.len() == count)
+    {
+        true => Ok(file),
+        false => Err(damaged("its arrays have different lengths")),
+    }
+}
+
+/// The frames of a series, from its `.pvd`: time and file of each, in their order.
+///
+/// # Errors
+/// System errors; a file that is no such list.
+pub fn read_list(path: &Path) -> Result<Vec<(f64, PathBuf)>, FileError> {
+    let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
+    let document = roxmltree::Document::parse(&text).map_err(|error| unreadable(path, &error.to_string()))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let frame =
+        |node: roxmltree::Node| Some((node.attribute("timestep")?.parse().ok()?, folder.join(node.attribute("file")?)));
+    Ok(document.descendants().filter(|node| node.has_tag_name("DataSet")).filter_map(frame).collect())
+}
+
+fn unreadable(path: &Path, what: &str) -> FileError {
+    FileError::Damaged {
+        path: path.to_owned(),
+        format: "VTK file",
+        what: what.to_owned(),
+        hint: "give one that hydrograd wrote",
     }
 }
 

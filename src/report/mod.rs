@@ -1,6 +1,7 @@
-//! What a person sees: tables, progress, memory, plots.
+//! What a person sees: tables, progress, memory, plots, pages.
 
 pub mod memory;
+pub mod page;
 pub mod plots;
 pub mod progress;
 pub mod table;

@@ -28,6 +28,7 @@ use cases::Cases;
 use compare::Earlier;
 use rows::Row;
 
+use super::page;
 use super::run_folder::{self, RunFolder};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
@@ -105,6 +106,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     if let Some(earlier) = &earlier {
         println!("{}", earlier.summary(&all));
     }
+    page::write(&arguments.out)?;
     if runs > 0 {
         println!("rows: {}", file.display());
     }

@@ -1,0 +1,461 @@
+//! `hydrograd compare`: several runs of a kind in one page; and the page of a folder whose run has several parts.
+
+use super::designs::{loaded, verification, Search, FIGURES};
+use super::folder::{figure, percent, size, Folder};
+use super::tables;
+use crate::cli::run_folder::{is_finished, kind_of};
+use crate::design::objectives::Figure;
+use crate::error::BadInput;
+use crate::report::page::{link, Body, Cell, Chart, Page, Series, Table, GENERATOR, PAGE};
+use clap::Args;
+use serde_json::{Map, Value};
+use std::path::{Path, PathBuf};
+
+/// Put several runs of a command side by side in one page.
+///
+/// Their figures, what differs in their configurations, their curves over each other and, of optimize, their best walls.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+Examples:
+  hydrograd compare runs/optimize-heated-channel runs/optimize-heated-channel-2
+      two searches
+  hydrograd compare runs/starts/flat runs/starts/sine runs/starts/random --out starts.html
+      some of the starts of `hydrograd optimize --start all --out runs/starts`")]
+pub struct CompareArguments {
+    /// Folders of two or more finished runs of one command.
+    #[arg(value_name = "DIR", required = true, num_args = 1..)]
+    pub folders: Vec<PathBuf>,
+    /// The page; an earlier page of this kind is replaced.
+    #[arg(long, value_name = "FILE", default_value = "runs/compare.html")]
+    pub out: PathBuf,
+}
+
+/// Most runs in one page: there are no more lines that one can tell apart.
+const MOST: usize = 12;
+
+pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
+    let runs = arguments.runs()?;
+    let out = &arguments.out;
+    check_out(out)?;
+    let base = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(base).map_err(|source| crate::io::FileError::write(base, source))?;
+    let mut page = beside(&runs, base)?;
+    page.title = format!("{} runs of {}", runs.len(), runs[0].folder.kind);
+    page.subtitle = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", ");
+    page.write(out)?;
+    println!("{}", page.lead);
+    println!("page: {}", out.display());
+    Ok(())
+}
+
+/// One of several.
+pub struct Compared {
+    /// By which it is told from the others.
+    pub name: String,
+    pub folder: Folder,
+}
+
+impl CompareArguments {
+    fn runs(&self) -> Result<Vec<Compared>, BadInput> {
+        let folders = &self.folders;
+        let given = |path: &Path| path.display().to_string();
+        let allowed = "folders of two or more finished runs of one command";
+        if folders.len() < 2 {
+            return Err(BadInput::new("one run has nothing to be compared with")
+                .place(given(&folders[0]))
+                .allowed(allowed)
+                .advice(format!("another folder, or open {}", folders[0].join(PAGE).display())));
+        }
+        if folders.len() > MOST {
+            return Err(BadInput::new(format!("{} runs are too many to be told apart", folders.len()))
+                .allowed(format!("2 to {MOST} folders")));
+        }
+        let mut runs = Vec::new();
+        for path in folders {
+            let bad = |problem: &str| BadInput::new(problem).place(given(path)).allowed(allowed);
+            if !path.is_dir() {
+                return Err(bad("there is no such folder"));
+            }
+            let Some(kind) = kind_of(path) else {
+                return Err(
+                    bad("the folder holds no run of hydrograd").advice("the folder that a command named with --out")
+                );
+            };
+            let folder = Folder::new(path, &kind);
+            let has_figures = MAIN.iter().any(|file| folder.has(file));
+            if !has_figures {
+                let state = if is_finished(path) { "it has no figures to compare" } else { "the run is not finished" };
+                return Err(bad(&format!("{state}: none of {}", MAIN.join(", ")))
+                    .advice(format!("hydrograd {kind} --resume {}", path.display())));
+            }
+            runs.push(Compared { name: folder.name(), folder });
+        }
+        let first = &runs[0].folder.kind;
+        if let Some(other) = runs.iter().find(|run| run.folder.kind != *first) {
+            return Err(BadInput::new(format!(
+                "runs of different commands: {} is of `hydrograd {first}`, {} of `hydrograd {}`",
+                given(&runs[0].folder.path),
+                given(&other.folder.path),
+                other.folder.kind
+            ))
+            .place(given(&other.folder.path))
+            .allowed("runs of one command")
+            .advice(format!("only those of `hydrograd {first}`")));
+        }
+        let symbols: Vec<Option<&str>> = runs.iter().map(|run| objective(&run.folder)).collect();
+        if let Some(k) = symbols.iter().position(|symbol| *symbol != symbols[0]) {
+            let name = |k: usize| format!("{} of {}", symbols[k].unwrap_or("nothing"), given(&runs[k].folder.path));
+            return Err(BadInput::new(format!("searches for different objectives: {} and {}", name(0), name(k)))
+                .place(given(&runs[k].folder.path))
+                .allowed("searches with the same objective.kind"));
+        }
+        // Folders of one name are told apart by their paths.
+        let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
+        for run in &mut runs {
+            if names.iter().filter(|name| **name == run.name).count() > 1 {
+                run.name = given(&run.folder.path);
+            }
+        }
+        Ok(runs)
+    }
+}
+
+/// What a search made large; none of other runs.
+fn objective(folder: &Folder) -> Option<&'static str> {
+    let config = loaded(folder).ok().filter(|_| folder.kind == "optimize")?.config;
+    Some(Figure::of_config(&config).symbol)
+}
+
+/// Files with a run's figures.
+const MAIN: [&str; 7] = [
+    "summary.json",
+    "evaluation.json",
+    "validation.json",
+    "gradient_check.json",
+    "stress.json",
+    "validation.csv",
+    "verification.json",
+];
+
+/// An error if a file is there that is no page of ours.
+fn check_out(out: &Path) -> Result<(), BadInput> {
+    let bad = |problem: &str| {
+        BadInput::new(problem)
+            .place(format!("--out {}", out.display()))
+            .allowed("a new file, or an earlier page of hydrograd's")
+            .advice("--out runs/compare.html")
+    };
+    if out.is_dir() {
+        return Err(bad("it is a folder"));
+    }
+    match std::fs::read(out) {
+        Ok(bytes) if !String::from_utf8_lossy(&bytes).contains(GENERATOR) => Err(bad("it is a file of something else")),
+        _ => Ok(()),
+    }
+}
+
+/// The page of a folder with a run in each of its folders.
+///
+/// # Errors
+/// Files that cannot be read.
+pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
+    let runs: Vec<Compared> =
+        folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
+    let mut page = beside(&runs, &folder.path)?;
+    let summary = folder.json("summary.json")?.unwrap_or_default();
+    if let Some(run) = runs.first() {
+        let symbol = Figure::of_config(&loaded(&run.folder)?.config).symbol;
+        page.tables.extend(verification("Does the gain of the best hold?", symbol, &summary));
+    }
+    let rows: Vec<Value> = summary
+        .iter()
+        .filter_map(|(key, value)| {
+            let mut row = Map::new();
+            row.insert("way".into(), key.strip_prefix("compared: ")?.into());
+            row.extend(value.as_object()?.clone());
+            Some(Value::Object(row))
+        })
+        .collect();
+    page.tables.extend(tables::of_objects("Ways to search", &rows));
+    page.pictures = folder.pictures(|stem| ["compare", "horizons"].contains(&stem));
+    Ok(page)
+}
+
+/// Runs of one kind beside each other. Links lead from the folder `base`.
+fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
+    let mut page = Page { body: Body::Compare, ..Page::default() };
+    let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
+    let summaries: Vec<Map<String, Value>> = runs
+        .iter()
+        .map(|run| Ok(run.folder.json("summary.json")?.unwrap_or_default()))
+        .collect::<anyhow::Result<_>>()?;
+    let mut searches: Vec<Option<Search>> = Vec::new();
+    for (run, summary) in runs.iter().zip(&summaries) {
+        searches.push(match run.folder.kind.as_str() {
+            "optimize" => Search::of(Figure::of_config(&loaded(&run.folder)?.config), summary),
+            _ => None,
+        });
+    }
+    page.lead = lead(runs, &searches, &summaries);
+    let mut table = Table::new("Figures side by side", header());
+    let page_of = |run: &Compared| page_link(&run.folder, base);
+    let pages = runs.iter().map(|run| match page_of(run) {
+        Some(link) => Cell { link: Some(link), ..Cell::text("page") },
+        None => Cell::text("-"),
+    });
+    table.rows.push(std::iter::once(Cell::text("the run's own page")).chain(pages).collect());
+    if searches.iter().all(Option::is_some) {
+        let searches: Vec<&Search> = searches.iter().flatten().collect();
+        add_searches(&mut table, &searches);
+        page.charts.push(over_epochs(runs, &searches));
+        page.charts.extend(best_walls(runs)?);
+    } else {
+        page.charts.extend(histories(runs)?);
+    }
+    let mut rest = Table::new("All other figures", header());
+    add_figures([&mut table, &mut rest], runs, &summaries)?;
+    page.tables.push(table);
+    page.tables.push(differences(runs, header().collect()));
+    page.more.extend((!rest.rows.is_empty()).then_some(rest));
+    Ok(page)
+}
+
+/// The page of a run, as an address relative to the folder of this one; none if there is none.
+fn page_link(folder: &Folder, base: &Path) -> Option<String> {
+    let (base, page) = (base.canonicalize().ok()?, folder.path.canonicalize().ok()?.join(PAGE));
+    let common = base.components().zip(page.components()).take_while(|(a, b)| a == b).count();
+    let up = base.components().skip(common).map(|_| "..".to_string());
+    let down = page.components().skip(common).map(|part| part.as_os_str().to_string_lossy().into_owned());
+    if !page.is_file() {
+        return None;
+    }
+    Some(link(&up.chain(down).collect::<Vec<_>>().join("/")))
+}
+
+fn lead(runs: &[Compared], searches: &[Option<Search>], summaries: &[Map<String, Value>]) -> String {
+    let best_of = |values: Vec<Option<f64>>| {
+        let found = values.into_iter().enumerate().filter_map(|(k, value)| Some((k, value?)));
+        found.max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    if let Some((k, _)) = best_of(searches.iter().map(|search| search.as_ref().map(|search| search.best)).collect()) {
+        if let Some(search) = &searches[k] {
+            let symbol = search.figure.symbol;
+            let gain = 100.0 * search.gain();
+            return format!(
+                "Best of {} searches: {}, with {symbol} = {} ({gain:+.2}\u{a0}%).",
+                runs.len(),
+                runs[k].name,
+                figure(search.best)
+            );
+        }
+    }
+    let values = || summaries.iter().map(|summary| summary.get("q").and_then(Value::as_f64));
+    if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
+        return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
+    }
+    let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
+    format!("{} runs of hydrograd {kind} side by side.", runs.len())
+}
+
+/// Rows of what searches found, the best of each marked.
+fn add_searches(table: &mut Table, searches: &[&Search]) {
+    let Some(symbol) = searches.first().map(|search| search.figure.symbol) else { return };
+    let mut row = |name: String, cells: Vec<(Cell, Option<f64>)>, has_best: bool| {
+        let best = cells.iter().filter_map(|(_, value)| *value).reduce(f64::max).filter(|_| has_best);
+        let marked = cells.into_iter().map(|(cell, value)| cell.marked(value.is_some() && value == best));
+        table.rows.push(std::iter::once(Cell::text(name)).chain(marked).collect());
+    };
+    let numbers = |of: fn(&Search) -> f64| {
+        searches.iter().map(|search| (Cell::shown(figure(of(search)), of(search)), Some(of(search)))).collect()
+    };
+    row(format!("{symbol} of the first design"), numbers(|search| search.first), false);
+    row(format!("{symbol} of the best"), numbers(|search| search.best), true);
+    row("gain".into(), searches.iter().map(|search| (percent(search.gain()), Some(search.gain()))).collect(), true);
+    let survives = |search: &&Search| (search.survives.map_or(Cell::text("not checked"), percent), search.survives);
+    row("gain that survives the checks".into(), searches.iter().map(survives).collect(), true);
+    let count = |value: usize| (Cell::number(value as f64), None);
+    row("epochs".into(), searches.iter().map(|search| count(search.values.len())).collect(), false);
+    row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch + 1)).collect(), false);
+}
+
+/// Figures that stand first, behind [`FIGURES`].
+const FIRST: [&str; 9] = [
+    "kinetic_energy",
+    "exact_kinetic_energy",
+    "velocity_error",
+    "temperature_error",
+    "nusselt",
+    "particles",
+    "steps",
+    "wall_seconds",
+    "peak_memory_bytes",
+];
+/// Those of a search that stand above already, in other words.
+const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
+
+/// Rows of the figures that the runs' files have: those that say most, and the rest.
+fn add_figures(
+    [table, rest]: [&mut Table; 2],
+    runs: &[Compared],
+    summaries: &[Map<String, Value>],
+) -> anyhow::Result<()> {
+    let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
+    for (run, summary) in runs.iter().zip(summaries) {
+        let mut found = tables::scalars(summary);
+        if summary.is_empty() {
+            for file in MAIN.iter().filter(|file| file.ends_with(".json")) {
+                if let Some(map) = run.folder.json(file)? {
+                    found.extend(tables::scalars(&map));
+                    let models = map.get("scores").and_then(Value::as_array).into_iter().flatten();
+                    for model in models.filter_map(Value::as_object) {
+                        let name = model.get("model").and_then(Value::as_str).unwrap_or("model");
+                        let of = |(key, cell)| (format!("{name}: {key}"), cell);
+                        found.extend(tables::scalars(model).into_iter().map(of));
+                    }
+                }
+            }
+            // The last row of what a training says of itself.
+            for (column, values) in run.folder.columns("validation.csv")? {
+                let last = values.iter().rev().copied().find(|value| value.is_finite());
+                found.extend(last.map(|last| (column, Cell::number(last))));
+            }
+        }
+        all.push(found);
+    }
+    let mut names: Vec<String> = Vec::new();
+    let known = FIGURES.iter().map(|(key, _)| *key).chain(FIRST).map(str::to_string);
+    let others = all.iter().flatten().map(|(name, _)| name.clone());
+    // The figures before are in the files; of all runs the first design's are rarely asked for.
+    for name in known.chain(others).filter(|name| !name.starts_with("before.")) {
+        if !names.contains(&name) && all.iter().any(|found| found.iter().any(|(other, _)| *other == name)) {
+            names.push(name);
+        }
+    }
+    let is_search = runs.iter().all(|run| run.folder.kind == "optimize");
+    for name in names.into_iter().filter(|name| !(is_search && SAID.contains(&name.as_str()))) {
+        let of = |found: &Vec<(String, Cell)>| {
+            let cell = found.iter().find(|(other, _)| *other == name).map(|(_, cell)| cell.clone());
+            match (cell, name.as_str()) {
+                (Some(Cell { value: Some(value), .. }), "peak_memory_bytes") => {
+                    Cell { text: size(value.parse().unwrap_or(0)), value: Some(value), ..Cell::default() }
+                }
+                (cell, _) => cell.unwrap_or_else(|| Cell::text("-")),
+            }
+        };
+        let label = FIGURES
+            .iter()
+            .find(|(key, _)| *key == name)
+            .map_or_else(|| name.replace('_', " "), |(_, label)| label.to_string());
+        let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
+        let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
+        match is_first || summaries.iter().all(Map::is_empty) {
+            true => table.rows.push(row),
+            false => rest.rows.push(row),
+        }
+    }
+    Ok(())
+}
+
+/// Keys of `config.toml` whose values are not the same in all runs.
+fn differences(runs: &[Compared], header: Vec<String>) -> Table {
+    let mut table = Table::new("What differs in their configurations", header);
+    let flat = |run: &Compared| {
+        let text = std::fs::read_to_string(run.folder.path.join("config.toml")).unwrap_or_default();
+        let mut found = Vec::new();
+        flatten("", &text.parse::<toml::Table>().unwrap_or_default(), &mut found);
+        found
+    };
+    let all: Vec<Vec<(String, String)>> = runs.iter().map(flat).collect();
+    let mut keys: Vec<&String> = all.iter().flatten().map(|(key, _)| key).collect();
+    keys.sort();
+    keys.dedup();
+    for key in keys {
+        let values: Vec<Option<&String>> =
+            all.iter().map(|found| found.iter().find(|(other, _)| other == key).map(|(_, value)| value)).collect();
+        if values.iter().any(|value| *value != values[0]) {
+            let cells = values.iter().map(|value| Cell::text(value.map_or("-", |value| shortened(value))));
+            table.rows.push(std::iter::once(Cell::text(key)).chain(cells).collect());
+        }
+    }
+    if table.rows.is_empty() {
+        table.header.clear();
+        table.note = "Nothing: their files config.toml say the same.".into();
+    }
+    table
+}
+
+/// Long lists are in the files.
+fn shortened(value: &str) -> &str {
+    const LONGEST: usize = 60;
+    match value.char_indices().nth(LONGEST) {
+        Some((end, _)) => value[..end].rsplit_once(',').map_or(&value[..end], |(kept, _)| kept),
+        None => value,
+    }
+}
+
+fn flatten(before: &str, table: &toml::Table, found: &mut Vec<(String, String)>) {
+    for (key, value) in table {
+        let name = if before.is_empty() { key.clone() } else { format!("{before}.{key}") };
+        match value {
+            toml::Value::Table(inner) => flatten(&name, inner, found),
+            value => found.push((name, value.to_string())),
+        }
+    }
+}
+
+/// What was to be made large, by epoch.
+fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
+    let figure = searches[0].figure;
+    let series =
+        runs.iter().zip(searches).map(|(run, search)| Series { name: run.name.clone(), points: search.curve() });
+    Chart {
+        title: format!("{}, {}, by epoch", figure.symbol, figure.quantity),
+        x: "epoch".into(),
+        y: format!("{} ({})", figure.symbol, figure.unit),
+        by_epoch: true,
+        series: series.collect(),
+        ..Chart::default()
+    }
+}
+
+/// The best walls over each other; those over x and z have a page of their own.
+fn best_walls(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
+    let mut charts = Vec::new();
+    for (column, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
+        let mut series = Vec::new();
+        for run in runs {
+            let columns = run.folder.columns("shape.csv")?;
+            let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
+            // Without points where there is no such wall: each run's lines look the same in every chart.
+            series.push(match (of("x"), of(column), of("z")) {
+                (Some(x), Some(y), None) => Series::new(run.name.clone(), x.into_iter().zip(y)),
+                _ => Series::new(run.name.clone(), []),
+            });
+        }
+        if series.iter().any(|line: &Series| !line.points.is_empty()) {
+            let (x, y) = ("x (scene units)".into(), "offset (positive narrows)".into());
+            charts.push(Chart { title: title.into(), x, y, series, ..Chart::default() });
+        }
+    }
+    Ok(charts)
+}
+
+/// Each column of the runs' histories, with a line of each run.
+fn histories(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
+    let mut charts: Vec<Chart> = Vec::new();
+    for file in ["history.csv", "validation.csv"] {
+        for run in runs {
+            let columns = run.folder.columns(file)?;
+            let falls = |name: &str| name.contains("mse") || name == "loss";
+            for chart in tables::charts(&columns, falls) {
+                let line = chart.series.into_iter().next().map(|line| Series { name: run.name.clone(), ..line });
+                let chart = Chart { series: vec![], ..chart };
+                match charts.iter_mut().find(|other| other.title == chart.title && other.x == chart.x) {
+                    Some(other) => other.series.extend(line),
+                    None => charts.push(Chart { series: line.into_iter().collect(), ..chart }),
+                }
+            }
+        }
+    }
+    Ok(charts)
+}

@@ -1,0 +1,410 @@
+//! Pages of `optimize` and `simulate`.
+
+use super::folder::{figure, percent, warnings, Folder};
+use super::{series, tables};
+use crate::cli::explain::plan_of;
+use crate::config::scene::{Config, Family};
+use crate::design::objectives::Figure;
+use crate::design::shape::Shape;
+use crate::io::tensor_file::TensorFile;
+use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
+use crate::scene::load::Loaded;
+use crate::scene::Scene;
+use serde_json::{Map, Value};
+
+/// Figures of a summary in the order of their importance, and what they are called.
+pub const FIGURES: [(&str, &str); 10] = [
+    ("q", "outflowing heat Q"),
+    ("wall_heat_flux", "wall heat flux"),
+    ("stored_heat_rate", "heat stored per time"),
+    ("energy_imbalance", "energy imbalance / wall heat flux"),
+    ("flow_rate", "flow rate"),
+    ("body_force", "body force"),
+    ("pumping_power", "pumping power"),
+    ("mean_outlet_temperature", "mixed outlet temperature"),
+    ("mean_density", "mean density"),
+    ("u_max", "fastest particle"),
+];
+
+/// What a search found, as `summary.json` says it.
+pub struct Search {
+    pub figure: Figure,
+    pub first: f64,
+    pub best: f64,
+    /// Counted from zero.
+    pub best_epoch: usize,
+    pub values: Vec<Option<f64>>,
+    pub survives: Option<f64>,
+}
+
+impl Search {
+    pub fn of(figure: Figure, summary: &Map<String, Value>) -> Option<Self> {
+        let name = figure.symbol.to_lowercase();
+        let number = |key: &str| summary.get(key).and_then(Value::as_f64);
+        Some(Self {
+            figure,
+            first: number(&format!("{name}_first"))?,
+            best: number(&name)?,
+            best_epoch: summary.get("best_epoch")?.as_u64()? as usize,
+            values: numbers(summary.get(&format!("{name}_per_epoch"))?),
+            survives: number("gain_survives"),
+        })
+    }
+
+    pub fn gain(&self) -> f64 {
+        self.best / self.first - 1.0
+    }
+
+    /// The objective by epoch, counted from one as on the screen.
+    pub fn curve(&self) -> Vec<(f64, Option<f64>)> {
+        by_epoch(&self.values)
+    }
+}
+
+fn by_epoch(values: &[Option<f64>]) -> Vec<(f64, Option<f64>)> {
+    values.iter().enumerate().map(|(k, value)| ((k + 1) as f64, *value)).collect()
+}
+
+fn numbers(value: &Value) -> Vec<Option<f64>> {
+    value.as_array().into_iter().flatten().map(Value::as_f64).collect()
+}
+
+/// The configuration of a run.
+///
+/// # Errors
+/// A file that is none.
+pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
+    Ok(Config::load(Some(&folder.path.join("config.toml").to_string_lossy()), None, &[])?)
+}
+
+/// Of one search.
+///
+/// # Errors
+/// Files that cannot be read.
+pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
+    let loaded = loaded(folder)?;
+    let config = &loaded.config;
+    let summary = folder.json("summary.json")?.unwrap_or_default();
+    let mut page = Page { warnings: warnings(&summary), ..Page::default() };
+    let searched = loaded.for_search()?.config;
+    page.texts.push(plan(&searched, true)?);
+    let Some(search) = Search::of(Figure::of_config(config), &summary) else {
+        page.lead = "This search has no result yet.".into();
+        return Ok(page);
+    };
+    let Figure { symbol, quantity, unit, .. } = search.figure;
+    let epochs = search.values.len();
+    let (first, best, gain) = (search.first, search.best, search.gain());
+    page.lead = match search.best_epoch {
+        0 => {
+            format!("No design that was tried is better than the first: {symbol}, the {quantity}, is {}.", figure(best))
+        }
+        epoch => format!(
+            "{symbol}, the {quantity}, {} from {} to {} ({:+.2}\u{a0}%) in epoch {} of {epochs}.",
+            if best >= first { "rose" } else { "fell" },
+            figure(first),
+            figure(best),
+            100.0 * gain,
+            epoch + 1
+        ),
+    };
+    page.remark = remark(&search, &summary);
+    let mut fact = |name: &str, cell: Cell| page.facts.push(Fact { name: name.into(), cell });
+    fact(&format!("{symbol} before"), Cell::shown(figure(first), first));
+    fact(&format!("{symbol} after"), Cell::shown(figure(best), best));
+    fact("gain", percent(gain));
+    if let Some(survives) = search.survives {
+        fact("gain that survives the checks", percent(survives));
+    }
+    fact("epochs", Cell::number(epochs as f64));
+    if let Some(seconds) = summary.get("wall_seconds").and_then(Value::as_f64) {
+        fact("seconds of search", Cell::shown(format!("{seconds:.1}"), seconds));
+    }
+    let shapes = shapes(&searched, &variables(folder)?)?;
+    if config.scene == Family::Custom {
+        page.tables.extend(of_shapes(&summary));
+        page.charts.extend(course_of_shapes(&summary, &shapes));
+    } else {
+        page.walls = walls(&searched, &search, &shapes);
+    }
+    page.charts.insert(0, course(&search, &summary, &format!("{symbol} ({unit})")));
+    if let Some(norms) = summary.get("gradient_norm_per_epoch") {
+        let series = vec![Series { name: String::new(), points: by_epoch(&numbers(norms)) }];
+        let (title, y) = ("Norm of the gradient by epoch".into(), "|gradient of the loss|".into());
+        page.charts.insert(1, Chart { title, x: "epoch".into(), y, log: true, by_epoch: true, series });
+    }
+    let of = |name: &str| folder.path.join(name).join("particles.pvd");
+    let panels = [("before", vec![of("particles-before")]), ("after", vec![of("particles")])];
+    page.fields = series::fields(&panels, config.resolution.dx)?;
+    if page.fields.is_none() {
+        page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
+    }
+    page.tables.insert(0, before_and_after(&search, &summary));
+    page.tables.extend(verification("Does the gain hold?", symbol, &summary));
+    if let Some(later) = folder.json("verification.json")? {
+        page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later));
+    }
+    page.more.push(tables::of_scalars("All figures (summary.json)", &summary));
+    Ok(page)
+}
+
+/// How sure a gain is.
+fn remark(search: &Search, summary: &Map<String, Value>) -> String {
+    let checks = summary.get("verification").and_then(Value::as_array).map_or(0, Vec::len);
+    match search.survives {
+        Some(gain) if gain > 0.0 => {
+            format!(
+                "{:+.2}\u{a0}% survives, the least of {checks} checks at another spacing, with other particles and \
+                 over a longer time.",
+                100.0 * gain
+            )
+        }
+        Some(_) => "But no gain survives the checks: the wall is not better, whatever the optimiser found.".into(),
+        None if checks > 0 => "No check of it could be run.".into(),
+        None => "The gain was not checked: hydrograd verify with this folder does that.".into(),
+    }
+}
+
+/// The objective by epoch; what a learned model predicted beside what the solver says.
+fn course(search: &Search, summary: &Map<String, Value>, y: &str) -> Chart {
+    let Figure { symbol, quantity, .. } = search.figure;
+    let name = symbol.to_lowercase();
+    let of = |key: &str| summary.get(&format!("{name}_{key}_per_epoch")).map(numbers);
+    let series = match (of("predicted"), of("solver")) {
+        (Some(predicted), Some(solver)) => vec![
+            Series { name: "predicted by the learned model".into(), points: by_epoch(&predicted) },
+            Series { name: "solver".into(), points: by_epoch(&solver) },
+        ],
+        _ => vec![Series { name: String::new(), points: search.curve() }],
+    };
+    let title = format!("{symbol}, {quantity}, by epoch");
+    Chart { title, x: "epoch".into(), y: y.into(), by_epoch: true, series, ..Chart::default() }
+}
+
+/// The variables of each epoch's design; none without a checkpoint.
+fn variables(folder: &Folder) -> anyhow::Result<Vec<Vec<f64>>> {
+    let path = folder.path.join(crate::cli::optimize::CHECKPOINT);
+    if !path.is_file() {
+        return Ok(vec![]);
+    }
+    let file = TensorFile::read(&path)?;
+    let (shape, all) = file.numbers("history.offsets")?;
+    let count = shape.last().copied().unwrap_or(0).max(1);
+    Ok(all.chunks_exact(count).map(<[f64]>::to_vec).collect())
+}
+
+/// What the variables of each epoch stand for; none if they are not those of the configuration.
+fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>> {
+    let Some(design) = Scene::<f64>::problem(config)? else { return Ok(vec![]) };
+    let count = design.parametrisation.variables();
+    let fits = variables.iter().all(|of_epoch| of_epoch.len() == count);
+    let sampled = |of_epoch: &Vec<f64>| design.parametrisation.sampled(of_epoch);
+    Ok(variables.iter().filter(|_| fits).map(sampled).collect())
+}
+
+/// The walls of each epoch; none without any.
+fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
+    let first = shapes.first()?;
+    let is_both = first.top.is_some();
+    let name = if is_both { "bottom wall" } else { "the wall" };
+    let offsets = shapes.iter().map(|shape| shape.offsets.clone()).collect();
+    let mut sides = vec![Side { name: name.into(), base: 0.0, sign: 1.0, offsets }];
+    if is_both {
+        let offsets = shapes.iter().map(|shape| shape.top.clone().unwrap_or_default()).collect();
+        sides.push(Side { name: "top wall".into(), base: config.channel.height, sign: -1.0, offsets });
+    }
+    Some(Walls {
+        nodes: first.nodes.clone(),
+        across: first.across.clone(),
+        sides,
+        best: search.best_epoch.min(shapes.len() - 1),
+        values: search.values.clone(),
+        symbol: search.figure.symbol.into(),
+    })
+}
+
+/// Numbers of shapes: within which bounds, what they were, what they are.
+fn of_shapes(summary: &Map<String, Value>) -> Option<Table> {
+    let all = summary.get("variables")?.as_array()?;
+    tables::of_objects("Numbers of shapes", all)
+}
+
+/// Numbers of shapes by epoch, each as a share of its bounds.
+fn course_of_shapes(summary: &Map<String, Value>, shapes: &[Shape]) -> Option<Chart> {
+    let all = summary.get("variables")?.as_array()?;
+    let series = all.iter().enumerate().filter_map(|(k, one)| {
+        let (low, high) = (one.get("lower")?.as_f64()?, one.get("upper")?.as_f64()?);
+        let share = |shape: &Shape| shape.offsets.get(k).map(|value| (value - low) / (high - low));
+        let points = shapes.iter().enumerate().map(|(e, shape)| ((e + 1) as f64, share(shape))).collect();
+        Some(Series { name: one.get("number")?.as_str()?.into(), points })
+    });
+    let (title, y) = ("Numbers of shapes by epoch".into(), "between the bounds: 0 lower, 1 upper".into());
+    Some(Chart { title, x: "epoch".into(), y, by_epoch: true, series: series.collect(), ..Chart::default() })
+}
+
+fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
+    let empty = Map::new();
+    let before = summary.get("before").and_then(Value::as_object).unwrap_or(&empty);
+    let mut table = Table::new("Before and after", ["", "before", "after", "change"]);
+    let mut row = |name: String, b: f64, a: f64, has_change: bool| {
+        let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
+        table.rows.push(vec![Cell::text(name), Cell::number(b), Cell::number(a), change]);
+    };
+    let Figure { symbol, quantity, .. } = search.figure;
+    row(format!("{symbol}, {quantity}"), search.first, search.best, true);
+    let number = |map: &Map<String, Value>, key: &str| map.get(key).and_then(Value::as_f64);
+    if let (Some(b), Some(a)) = (number(summary, "q_scene_before"), number(summary, "q_scene")) {
+        row("Q of the same flow with the scene's own particles".into(), b, a, true);
+    }
+    for (key, name) in FIGURES {
+        // The first row has it.
+        if key == symbol.to_lowercase() || (key == "flow_rate" && symbol == "V") {
+            continue;
+        }
+        if let (Some(b), Some(a)) = (number(before, key), number(summary, key)) {
+            row(name.into(), b, a, !["stored_heat_rate", "energy_imbalance"].contains(&key));
+        }
+    }
+    table.note = "In the scene's own units, averaged over the objective's window.".into();
+    table
+}
+
+/// The checks of a gain; none if there were none.
+pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>) -> Option<Table> {
+    let checks = summary.get("verification")?.as_array()?;
+    let header = ["check".into(), format!("{symbol} reference"), format!("{symbol} best"), "gain".into()];
+    let mut table = Table::new(title, header);
+    let name = symbol.to_lowercase();
+    for check in checks {
+        let text = |key: &str| check.get(key).and_then(Value::as_str).unwrap_or_default();
+        let number = |key: &str| match check.get(key).and_then(Value::as_f64) {
+            Some(value) => Cell::number(value),
+            None => Cell::text("-"),
+        };
+        let gain = match check.get("gain").and_then(Value::as_f64) {
+            Some(gain) => percent(gain),
+            None => Cell::text(format!("failed: {}", text("error"))),
+        };
+        let figures = [number(&format!("{name}_reference")), number(&format!("{name}_best"))];
+        let [reference, best] = figures;
+        table.rows.push(vec![Cell::text(text("check")), reference, best, gain]);
+    }
+    let reference = summary.get("verification_reference").and_then(Value::as_str).unwrap_or_default();
+    let survives = summary.get("gain_survives").and_then(Value::as_f64);
+    let least = survives.map_or("not known".into(), |gain| format!("{:+.2}\u{a0}%", 100.0 * gain));
+    table.note = format!(
+        "Both walls again, each time with one thing changed. Gain that survives: {least}. Reference: {reference}."
+    );
+    Some(table)
+}
+
+/// What `--explain` says.
+fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
+    let title = match gradient {
+        true => "The plan of a step and the schedule of the gradient (as --explain prints them)",
+        false => "The plan of a step (as --explain prints it)",
+    };
+    let plan = plan_of(config, gradient)?;
+    Ok(Text { title: title.into(), text: format!("{} steps\n{plan}", config.steps()) })
+}
+
+/// Of one run forward.
+///
+/// # Errors
+/// Files that cannot be read.
+pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
+    let loaded = loaded(folder)?;
+    let config = &loaded.config;
+    let summary = folder.json("summary.json")?.unwrap_or_default();
+    let mut page = Page { warnings: warnings(&summary), ..Page::default() };
+    (page.lead, page.remark) = said(config, &summary);
+    for (key, name) in [
+        ("q", "outflowing heat Q"),
+        ("flow_rate", "flow rate"),
+        ("mean_outlet_temperature", "outlet temperature"),
+        ("energy_imbalance", "energy imbalance"),
+        ("kinetic_energy", "kinetic energy"),
+        ("velocity_error", "velocity error"),
+        ("temperature_error", "temperature error"),
+        ("nusselt", "Nusselt number"),
+        ("steps", "steps"),
+        ("wall_seconds", "seconds"),
+    ] {
+        if let Some(cell) = summary.get(key).filter(|value| !value.is_null()).and_then(tables::cell) {
+            page.facts.push(Fact { name: name.into(), cell });
+        }
+    }
+    page.charts = tables::charts(&folder.columns("history.csv")?, |_| false);
+    page.charts.extend(wall(folder)?);
+    page.fields = series::fields(&[("over time", series::lists(&folder.path))], config.resolution.dx)?;
+    let has_fields = page.fields.is_some();
+    page.pictures = folder.pictures(|stem| match stem {
+        "profile" | "wall" => true,
+        "temperature" | "flow" => !has_fields,
+        _ => false,
+    });
+    if let Some(recovered) = summary.get("recovered").and_then(Value::as_array).filter(|all| !all.is_empty()) {
+        page.tables.extend(tables::of_objects("Where the run diverged, and went on", recovered));
+    }
+    page.tables.push(tables::of_scalars("Figures", &summary));
+    page.texts.push(plan(config, false)?);
+    Ok(page)
+}
+
+/// A wall that stays as it is, as a chart.
+fn wall(folder: &Folder) -> anyhow::Result<Option<Chart>> {
+    let columns = folder.columns("shape.csv")?;
+    let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
+    let (Some(x), Some(offset), None) = (of("x"), of("offset"), of("z")) else { return Ok(None) };
+    let line = |name: &str, y: Vec<f64>| Series::new(name, x.iter().copied().zip(y));
+    let top = of("top");
+    let mut series = vec![line(if top.is_some() { "bottom" } else { "" }, offset)];
+    series.extend(top.map(|top| line("top", top)));
+    let (title, y) = ("Wall".into(), "offset (positive narrows)".into());
+    Ok(Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() }))
+}
+
+/// The result of a run in one sentence, and what it means.
+fn said(config: &Config, summary: &Map<String, Value>) -> (String, String) {
+    let number = |key: &str| summary.get(key).and_then(Value::as_f64);
+    if let Some(q) = number("q") {
+        let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
+            (Some(rate), Some(warm)) => format!(
+                "The flow carries out Q = {} of heat per time: {} of fluid, mixed at a temperature of {}.",
+                figure(q),
+                short(rate),
+                short(warm)
+            ),
+            _ => format!("The flow carries out Q = {} of heat per time.", figure(q)),
+        };
+        let remark = number("energy_imbalance").map_or(String::new(), |share| {
+            format!("The heat balance is open by {:+.2}\u{a0}% of what the walls give.", 100.0 * share)
+        });
+        return (lead, remark);
+    }
+    let time = number("time").unwrap_or_default();
+    let name = config.scene.name();
+    let lead = match (number("velocity_error"), number("temperature_error"), number("kinetic_energy")) {
+        (Some(error), _, _) => format!(
+            "{name}: the velocity is {} off the exact answer at t = {}, in root mean square.",
+            off(error),
+            short(time)
+        ),
+        (None, Some(error), _) => {
+            format!("{name}: the temperature is {} off the exact answer at t = {}.", off(error), short(time))
+        }
+        (None, None, Some(energy)) => {
+            format!("{name}: at t = {} the kinetic energy is {}.", short(time), short(energy))
+        }
+        _ => format!("{name}, until t = {}.", short(time)),
+    };
+    (lead, "In the scene's own units.".into())
+}
+
+fn off(error: f64) -> String {
+    if error < 1e-4 {
+        format!("{error:.1e}")
+    } else {
+        format!("{:.2}\u{a0}%", 100.0 * error)
+    }
+}

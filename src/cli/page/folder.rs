@@ -1,0 +1,227 @@
+//! The files of a run, as a page needs them.
+
+use crate::io::csv::read_table;
+use crate::io::FileError;
+use crate::report::page::{link, short, Cell, File, Note, Picture, Text, PAGE};
+use serde_json::{Map, Value};
+use std::path::{Path, PathBuf};
+
+/// A picture that is larger stays a file beside the page.
+const LARGEST_PICTURE: usize = 1 << 20;
+/// All pictures of a page together.
+const LARGEST_PICTURES: usize = 3 << 19;
+
+/// Names of columns and, where all of their cells are numbers or empty, their numbers.
+pub type Columns = Vec<(String, Vec<f64>)>;
+
+/// A folder with a run in it.
+pub struct Folder {
+    pub path: PathBuf,
+    /// The command.
+    pub kind: String,
+}
+
+impl Folder {
+    pub fn new(path: &Path, kind: &str) -> Self {
+        Self { path: path.to_path_buf(), kind: kind.to_string() }
+    }
+
+    pub fn has(&self, file: &str) -> bool {
+        self.path.join(file).is_file()
+    }
+
+    /// What the folder is called.
+    pub fn name(&self) -> String {
+        let real = self.path.canonicalize().unwrap_or_else(|_| self.path.clone());
+        real.file_name().map_or_else(|| self.path.display().to_string(), |name| name.to_string_lossy().into())
+    }
+
+    /// The command, and what it was about.
+    pub fn subtitle(&self) -> String {
+        let summary = self.json("summary.json").ok().flatten().unwrap_or_default();
+        let scene = summary.get("scene").and_then(Value::as_str).map(str::to_string);
+        let scene = scene.or_else(|| {
+            let text = std::fs::read_to_string(self.path.join("config.toml")).ok()?;
+            text.parse::<toml::Table>().ok()?.get("scene")?.as_str().map(str::to_string)
+        });
+        format!("hydrograd {}{}", self.kind, scene.map_or(String::new(), |scene| format!(", {scene}")))
+    }
+
+    /// An object of JSON; none if there is no such file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn json(&self, file: &str) -> anyhow::Result<Option<Map<String, Value>>> {
+        Ok(match self.value(file)? {
+            Some(Value::Object(map)) => Some(map),
+            _ => None,
+        })
+    }
+
+    /// JSON of any kind.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn value(&self, file: &str) -> anyhow::Result<Option<Value>> {
+        let path = self.path.join(file);
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let text = std::fs::read_to_string(&path).map_err(|source| FileError::read(&path, source))?;
+        let value = serde_json::from_str(&text).map_err(|error| FileError::Damaged {
+            path,
+            format: "JSON file",
+            what: error.to_string(),
+            hint: "run the command again",
+        })?;
+        Ok(Some(value))
+    }
+
+    /// Columns of a CSV file; what is no number is none. Nothing if there is no such file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn columns(&self, file: &str) -> anyhow::Result<Columns> {
+        if !self.has(file) {
+            return Ok(vec![]);
+        }
+        let (header, rows) = read_table(&self.path.join(file))?;
+        let number = |text: &String| text.parse().unwrap_or(f64::NAN);
+        let column = |k: usize| rows.iter().map(|row| number(&row[k])).collect();
+        Ok(header.iter().enumerate().map(|(k, name)| (name.clone(), column(k))).collect())
+    }
+
+    /// `config.toml`, to be read.
+    pub fn configuration(&self) -> Option<Text> {
+        let text = std::fs::read_to_string(self.path.join("config.toml")).ok()?;
+        Some(Text { title: "The configuration (config.toml)".into(), text })
+    }
+
+    /// Pictures whose name without extension is wanted, as far as they are not too large.
+    pub fn pictures(&self, is_wanted: impl Fn(&str) -> bool) -> Vec<Picture> {
+        let mut room = LARGEST_PICTURES;
+        let mut found = Vec::new();
+        for name in self.names() {
+            let Some(stem) = name.strip_suffix(".svg").filter(|stem| is_wanted(stem)) else { continue };
+            let Ok(bytes) = std::fs::read(self.path.join(&name)) else { continue };
+            if bytes.len() <= LARGEST_PICTURE.min(room) {
+                room -= bytes.len();
+                found.push(Picture::svg(words(stem), &name, &bytes));
+            }
+        }
+        found
+    }
+
+    /// Names of what is in the folder, in order.
+    fn names(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
+        let mut names: Vec<String> = entries
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .filter(|name| !name.starts_with('.'))
+            .collect();
+        names.sort();
+        names
+    }
+
+    /// The folders in it that hold runs of one kind.
+    pub fn parts(&self, kind: &str) -> Vec<Folder> {
+        let folders = self.names().into_iter().map(|name| self.path.join(name)).filter(|path| path.is_dir());
+        let is_part = |path: &PathBuf| super::kind_of(path).as_deref() == Some(kind);
+        folders.filter(is_part).map(|path| Folder::new(&path, kind)).collect()
+    }
+
+    /// What is in the folder, and what each is.
+    pub fn files(&self) -> Vec<File> {
+        let mut names = self.names();
+        // It is written when the page is, see `simulate`.
+        if self.kind == "simulate" && !names.iter().any(|name| name == "checkpoint.safetensors") {
+            names.push("checkpoint.safetensors".into());
+        }
+        let of = |name: String| {
+            let path = self.path.join(&name);
+            if !path.is_dir() {
+                let size = path.metadata().map_or(String::new(), |data| size(data.len()));
+                return File { link: link(&name), what: what(&name).into(), name, size };
+            }
+            // A folder: its page, the list of its frames, or what a browser shows of it.
+            let list = format!("{}.pvd", name.split('-').next().unwrap_or_default());
+            let inside = [PAGE, &list].into_iter().find(|file| path.join(file).is_file());
+            let name = format!("{name}/{}", inside.unwrap_or_default());
+            let what = match inside {
+                Some(PAGE) => "a run of its own",
+                Some(_) => "frames for ParaView: position, velocity, temperature, density, pressure, tag",
+                None => "",
+            };
+            File { link: link(&name), name, size: String::new(), what: what.into() }
+        };
+        names.into_iter().filter(|name| name != PAGE).map(of).collect()
+    }
+}
+
+/// A size in the unit that suits it.
+pub fn size(bytes: u64) -> String {
+    match bytes {
+        0..1000 => format!("{bytes} B"),
+        1000..1_000_000 => format!("{:.0} kB", bytes as f64 / 1e3),
+        _ => format!("{:.1} MB", bytes as f64 / 1e6),
+    }
+}
+
+/// The name of a key or a file as words.
+pub fn words(name: &str) -> String {
+    let mut letters = name.replace(['_', '-'], " ");
+    if let Some(first) = letters.get_mut(..1) {
+        first.make_ascii_uppercase();
+    }
+    letters
+}
+
+/// Warnings of a summary.
+pub fn warnings(summary: &Map<String, Value>) -> Vec<Note> {
+    let text = |it: &Value, key: &str| it.get(key).and_then(Value::as_str).unwrap_or_default().to_string();
+    let all = summary.get("warnings").and_then(Value::as_array).into_iter().flatten();
+    all.map(|it| Note {
+        problem: text(it, "problem"),
+        advice: crate::cli::arguments::with_options(&text(it, "advice")),
+    })
+    .collect()
+}
+
+/// A figure that runs are compared by, with six decimals if that is enough of it.
+pub fn figure(value: f64) -> String {
+    if value.abs() >= 1e-3 {
+        format!("{value:.6}")
+    } else {
+        short(value)
+    }
+}
+
+/// A share as percent, with its sign.
+pub fn percent(share: f64) -> Cell {
+    // Less than is shown has no sign.
+    let share = if share.abs() < 5e-5 { 0.0 } else { share };
+    Cell::shown(format!("{:+.2}\u{a0}%", 100.0 * share), share)
+}
+
+fn what(name: &str) -> &'static str {
+    match name {
+        "config.toml" => "the resolved configuration",
+        "best.toml" => "the same with the best design, for simulate",
+        "summary.json" => "every figure of the run",
+        "history.csv" => "figures by epoch, over time, or by step",
+        "shape.csv" => "the walls: can be given back as design.file",
+        "state.h5" => "the final state, for h5py",
+        "checkpoint.safetensors" => "from which --resume goes on",
+        "last-good.safetensors" => "the last state that was good",
+        "verification.json" => "checks of the gain, of hydrograd verify",
+        "evaluation.json" => "scores and curves of each model",
+        "validation.csv" => "errors, row by row",
+        "best.safetensors" => "the parameters that did best on the validation split",
+        "last.safetensors" => "the last parameters, from which --resume goes on",
+        "wall.vtp" => "the wall's surface, for ParaView",
+        _ if name.ends_with(".png") || name.ends_with(".svg") => "picture",
+        _ if name.ends_with(".json") => "figures",
+        _ if name.ends_with(".csv") => "table",
+        _ => "",
+    }
+}

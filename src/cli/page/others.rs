@@ -1,0 +1,234 @@
+//! Pages of all other commands: their tables, curves and pictures.
+
+use super::folder::{warnings, Columns, Folder};
+use super::{series, tables};
+use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
+use serde_json::{Map, Value};
+
+/// Files that have the figures of a command, and a title for them.
+const FIGURES: [(&str, &str); 8] = [
+    ("summary.json", "Figures"),
+    ("gradient_check.json", "Figures"),
+    ("verification.json", "Checks"),
+    ("evaluation.json", "Scores"),
+    ("validation.json", "Cases"),
+    ("stress.json", "Maps"),
+    ("bench.json", "Rows"),
+    ("accuracy.json", "Run time against error"),
+];
+
+/// Of any run.
+///
+/// # Errors
+/// Files that cannot be read.
+pub fn page(folder: &Folder) -> anyhow::Result<Page> {
+    let mut page = Page::default();
+    for (file, title) in FIGURES {
+        match folder.value(file)? {
+            Some(Value::Object(map)) => {
+                if file == "summary.json" {
+                    page.warnings = warnings(&map);
+                }
+                add_tables(&mut page, title, &map);
+            }
+            Some(Value::Array(rows)) => page.tables.extend(tables::of_objects(title, &rows)),
+            _ => {}
+        }
+    }
+    let mut history = folder.columns("history.csv")?;
+    history.retain(|(name, _)| !["seconds", "learning_rate"].contains(&name.as_str()));
+    // Losses and errors fall by powers of ten.
+    page.charts = tables::charts(&history, |name| is_positive(&history, name));
+    let validation = folder.columns("validation.csv")?;
+    if validation.first().is_some_and(|(name, _)| name == "step") {
+        page.charts.extend(of_training(&validation));
+    }
+    if folder.has("study.csv") {
+        let (header, rows) = crate::io::csv::read_table(&folder.path.join("study.csv"))?;
+        page.tables.push(tables::of_text("Points of the grid", &header, &rows));
+    }
+    let of = |name: &str| vec![folder.path.join(name).join(format!("{name}.pvd"))];
+    page.fields = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder))?;
+    let drawn = !page.charts.is_empty();
+    page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
+    (page.lead, page.remark) = said(folder, &page)?;
+    page.facts = facts(folder)?;
+    Ok(page)
+}
+
+/// The single figures of an object, and each list of objects in it.
+fn add_tables(page: &mut Page, title: &str, map: &Map<String, Value>) {
+    let single = tables::of_scalars(title, map);
+    let mut lists = Vec::new();
+    for (key, value) in map {
+        let Some(all) = value.as_array().filter(|all| all.first().is_some_and(Value::is_object)) else { continue };
+        let is_main = ["rows", "scores", "verification", "maps"].contains(&key.as_str());
+        let name = if is_main { title.to_string() } else { super::folder::words(key) };
+        lists.extend(tables::of_objects(&name, all).map(|table| if key == "scores" { turned(table) } else { table }));
+    }
+    match lists.is_empty() {
+        true => page.tables.push(single),
+        false => {
+            page.tables.append(&mut lists);
+            page.more.push(Table { title: "What was run".into(), ..single });
+        }
+    }
+}
+
+/// A few rows of many columns are read from top to bottom.
+fn turned(table: Table) -> Table {
+    let mut rows: Vec<Vec<Cell>> = table.header.iter().map(|name| vec![Cell::text(name)]).collect();
+    for row in table.rows {
+        row.into_iter().zip(&mut rows).for_each(|(cell, of)| of.push(cell));
+    }
+    let header = match rows.is_empty() {
+        true => vec![],
+        false => rows.remove(0).into_iter().map(|cell| cell.text).collect(),
+    };
+    Table { header, rows, ..table }
+}
+
+fn is_positive(columns: &Columns, name: &str) -> bool {
+    let mut values = columns.iter().filter(|(other, _)| other == name).flat_map(|(_, values)| values);
+    values.all(|value| !(*value <= 0.0))
+}
+
+/// Errors on the validation split by step: those of positions in one chart.
+fn of_training(columns: &Columns) -> Vec<Chart> {
+    let Some((_, step)) = columns.first() else { return vec![] };
+    let is_position = |name: &str| name.strip_prefix("mse_").is_some_and(|n| n.parse::<usize>().is_ok());
+    let series = |(name, values): &(String, Vec<f64>)| {
+        Series::new(name.replace('_', " "), step.iter().copied().zip(values.iter().copied()))
+    };
+    let mut charts = Vec::new();
+    let positions: Vec<Series> = columns.iter().filter(|(name, _)| is_position(name)).map(series).collect();
+    if !positions.is_empty() {
+        let (title, y) = ("Position error on the validation split".into(), "MSE".into());
+        charts.push(Chart { title, x: "step".into(), y, log: true, series: positions, ..Chart::default() });
+    }
+    let rest = columns.iter().filter(|(name, _)| !is_position(name) && name != "seconds").cloned().collect();
+    charts.extend(tables::charts(&rest, |name| is_positive(&rest, name)));
+    charts
+}
+
+/// The spacing of a data set's particles; a guess where no file says it.
+fn spacing(folder: &Folder) -> f64 {
+    let text = std::fs::read_to_string(folder.path.join("config.toml")).unwrap_or_default();
+    let table = text.parse::<toml::Table>().unwrap_or_default();
+    let dx = table.get("resolution").and_then(|of| of.get("dx")).and_then(toml::Value::as_float);
+    dx.unwrap_or(0.02)
+}
+
+/// The result in one sentence, and what it means.
+fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
+    let none = String::new();
+    let rows = |file: &str, key: &str| -> anyhow::Result<Vec<Value>> {
+        Ok(match folder.value(file)? {
+            Some(Value::Array(all)) => all,
+            Some(Value::Object(map)) => map.get(key).and_then(Value::as_array).cloned().unwrap_or_default(),
+            _ => vec![],
+        })
+    };
+    Ok(match folder.kind.as_str() {
+        "validate" => {
+            let rows = rows("validation.json", "rows")?;
+            let passed = rows.iter().filter(|row| row.get("passed") == Some(&Value::Bool(true))).count();
+            let lead = match passed == rows.len() {
+                true => format!("All {passed} rows pass, in double and in single precision."),
+                false => format!("{} of {} rows fail.", rows.len() - passed, rows.len()),
+            };
+            (lead, "Scenes with a known answer, run and compared with it.".into())
+        }
+        "evaluate" => {
+            let scores = rows("evaluation.json", "scores")?;
+            let mse = |k: usize| scores.get(k).and_then(|of| of.get("mse")).and_then(Value::as_f64);
+            let name =
+                |k: usize| scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("model");
+            let lead = match (mse(0), mse(1)) {
+                (Some(own), Some(other)) if own > 0.0 && own < other => format!(
+                    "The position error of {} is {own:.2e} (MSE over all steps); that of {}, {other:.2e}, is {:.1} \
+                     times as large.",
+                    name(0),
+                    name(1),
+                    other / own
+                ),
+                (Some(own), Some(other)) => format!(
+                    "The position error of {} is {own:.2e} (MSE over all steps), not less than that of {}, {other:.2e}.",
+                    name(0),
+                    name(1)
+                ),
+                (Some(own), None) => format!("The position error of {} is {own:.2e} (MSE over all steps).", name(0)),
+                _ => "Rollouts of a model against the truth.".into(),
+            };
+            (lead, none)
+        }
+        "stress" => {
+            let maps = rows("stress.json", "maps")?;
+            let runs: usize = maps.iter().filter_map(|map| Some(map.get("runs")?.as_array()?.len())).sum();
+            let verdict = |name: &str| {
+                let all = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten();
+                all.filter(|run| {
+                    run.get("record").and_then(|of| of.get("verdict")).and_then(Value::as_str) == Some(name)
+                })
+                .count()
+            };
+            let (stable, degraded, diverged) = (verdict("stable"), verdict("degraded"), verdict("diverged"));
+            (
+                format!("{runs} runs: {stable} stable, {degraded} degraded, {diverged} diverged."),
+                "Maps of where the solver holds.".into(),
+            )
+        }
+        "train" => {
+            let validation = folder.columns("validation.csv")?;
+            let position = validation.iter().rev().find(|(name, _)| name.starts_with("mse_") && name != "mse_");
+            let best = position.and_then(|(name, values)| {
+                Some((name, values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?))
+            });
+            let steps = folder.columns("history.csv")?.first().and_then(|(_, steps)| steps.last().copied());
+            let steps = steps.map_or(none.clone(), |steps| format!(" {steps} steps"));
+            match best {
+                Some((name, best)) => {
+                    (format!("Trained{steps}; the least {name} on the validation split is {best:.2e}."), none)
+                }
+                None => (format!("Trained{steps}."), none),
+            }
+        }
+        "bench" => (
+            format!("{} rows measured.", rows("bench.json", "")?.len()),
+            "Times are of the best repeat; a gradient's include its forward run.".into(),
+        ),
+        "check-gradient" => {
+            let found = folder.json("gradient_check.json")?.unwrap_or_default();
+            let number = |key: &str| found.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
+            let how =
+                if found.get("passed") == Some(&Value::Bool(true)) { "agrees with" } else { "does NOT agree with" };
+            let lead = format!(
+                "The gradient {how} central differences: relative error {:.1e}, allowed {:.0e}.",
+                number("worst_relative_error"),
+                number("tolerance")
+            );
+            (lead, none)
+        }
+        "study" => ("Trainings over a grid of settings, side by side.".into(), none),
+        "rollout" => ("A learned model's rollout beside the truth.".into(), none),
+        "recover" => ("What a flow began with, found from where its particles are later.".into(), none),
+        "calibrate" => ("Viscosity and conductivity, found from a trajectory.".into(), none),
+        "generate" => ("A data set of trajectories.".into(), none),
+        "verify" => ("A wall again, each time with one thing changed.".into(), none),
+        kind => (
+            format!("What `hydrograd {kind}` left: {} tables, {} pictures.", page.tables.len(), page.pictures.len()),
+            none,
+        ),
+    })
+}
+
+/// A few numbers in large letters.
+fn facts(folder: &Folder) -> anyhow::Result<Vec<Fact>> {
+    let mut facts = Vec::new();
+    if let Some(found) = folder.json("verification.json")? {
+        if let Some(gain) = found.get("gain_survives").and_then(Value::as_f64) {
+            facts.push(Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) });
+        }
+    }
+    Ok(facts)
+}

@@ -1,0 +1,86 @@
+//! Particles before and after, from the frames that a run wrote.
+
+use crate::io::vtk::{read_list, read_vtp, ParticleFile};
+use crate::particles::tag::FLUID;
+use crate::report::page::{Fields, RawFrame, RawPanel};
+use std::path::{Path, PathBuf};
+
+/// What particles are coloured by, and its unit; a scene without heat has no temperature.
+const QUANTITIES: [(&str, &str); 3] =
+    [("temperature", "scene units"), ("speed", "scene units"), ("pressure", "scene units")];
+
+/// Panels, each of the frames in some folders one after the other; none where there are no frames.
+///
+/// # Errors
+/// Frames that cannot be read.
+pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Fields>> {
+    let mut lists = Vec::new();
+    for (title, lists_of) in panels {
+        let mut frames: Vec<(f64, PathBuf)> = Vec::new();
+        for list in lists_of.iter().filter(|list| list.is_file()) {
+            frames.extend(read_list(list)?);
+        }
+        frames.sort_by(|a, b| a.0.total_cmp(&b.0));
+        frames.dedup_by(|a, b| a.0 == b.0);
+        if !frames.is_empty() {
+            lists.push((*title, frames));
+        }
+    }
+    let Some((_, (_, first))) = lists.first().and_then(|(title, frames)| Some((title, frames.first()?))) else {
+        return Ok(None);
+    };
+    let first = read_vtp(first)?;
+    let (layer, note) = layer(&first, dx);
+    let particles = first.position.iter().filter(|place| is_in(layer, place)).count();
+    let known: Vec<(&str, &str)> =
+        QUANTITIES.into_iter().filter(|(name, _)| *name == "speed" || first.scalars.contains_key(*name)).collect();
+    let mut raw = Vec::new();
+    for (title, frames) in &lists {
+        let mut panel = RawPanel { title: title.to_string(), frames: vec![] };
+        for k in Fields::chosen(frames.len(), particles, lists.len(), known.len()) {
+            panel.frames.push(frame(frames[k].0, &frames[k].1, layer, &known)?);
+        }
+        raw.push(panel);
+    }
+    Ok(Fields::new(raw, &known, dx, note))
+}
+
+/// The lists of a run's own frames: those of its parts, if it was resumed.
+pub fn lists(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let own = names.filter(|name| name == "particles" || name.starts_with("particles-from-"));
+    own.map(|name| folder.join(name).join("particles.pvd")).collect()
+}
+
+/// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.
+fn layer(file: &ParticleFile, dx: f64) -> (Option<(f64, f64)>, String) {
+    let z = || file.position.iter().map(|place| place[2]);
+    let (low, high) = z().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+    if high <= low {
+        return (None, String::new());
+    }
+    let middle = 0.5 * (low + high);
+    // Of an even number of layers the upper one of the middle two.
+    (Some((middle - 0.25 * dx, middle + 0.75 * dx)), format!("The layer in the middle of z = {low:.3} ... {high:.3}."))
+}
+
+fn is_in(layer: Option<(f64, f64)>, place: &[f64; 3]) -> bool {
+    layer.is_none_or(|(low, high)| (low..high).contains(&place[2]))
+}
+
+fn frame(time: f64, path: &Path, layer: Option<(f64, f64)>, quantities: &[(&str, &str)]) -> anyhow::Result<RawFrame> {
+    let file = read_vtp(path)?;
+    let kept: Vec<usize> = (0..file.position.len()).filter(|&i| is_in(layer, &file.position[i])).collect();
+    let speed = |i: usize| file.velocity.get(i).map_or(f64::NAN, |u| u.iter().map(|u| u * u).sum::<f64>().sqrt());
+    let values = quantities.iter().map(|(name, _)| match file.scalars.get(*name) {
+        Some(values) => kept.iter().map(|&i| values[i]).collect(),
+        None => kept.iter().map(|&i| speed(i)).collect(),
+    });
+    Ok(RawFrame {
+        time,
+        position: kept.iter().map(|&i| [file.position[i][0], file.position[i][1]]).collect(),
+        tag: kept.iter().map(|&i| file.tag.get(i).copied().unwrap_or(FLUID)).collect(),
+        values: values.collect(),
+    })
+}

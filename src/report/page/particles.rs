@@ -1,0 +1,200 @@
+//! Particles over time for a page: few bytes for each, because a browser has to read them as text.
+//!
+//! A place is two numbers of 16 bits, a share of the picture's width and height; a value is one of 8 bits, a share of its
+//! range, which is as many colours as the picture has.
+
+use base64::Engine;
+use serde::Serialize;
+
+/// What a page has of all particles, at most, before it is made text (which takes a third more).
+const MOST_BYTES: usize = 2_400_000;
+/// Frames of each panel, at most.
+const MOST_FRAMES: usize = 21;
+/// Particles of a frame, at most: beyond these some are left out.
+const MOST_PARTICLES: usize = 40_000;
+
+/// Particles at one time, as they are in files.
+#[derive(Debug, Clone, Default)]
+pub struct RawFrame {
+    pub time: f64,
+    pub position: Vec<[f64; 2]>,
+    /// 0: fluid, which is coloured by its values.
+    pub tag: Vec<u8>,
+    /// Of each quantity.
+    pub values: Vec<Vec<f64>>,
+}
+
+/// Frames of one run.
+#[derive(Debug, Clone, Default)]
+pub struct RawPanel {
+    pub title: String,
+    pub frames: Vec<RawFrame>,
+}
+
+/// What particles are coloured by.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Quantity {
+    pub name: String,
+    pub unit: String,
+    /// The ends of the colours.
+    pub low: f64,
+    pub high: f64,
+}
+
+/// Panels of particles side by side, for one slider over time.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Fields {
+    pub quantities: Vec<Quantity>,
+    pub panels: Vec<Panel>,
+    pub x: (f64, f64),
+    pub y: (f64, f64),
+    pub diameter: f64,
+    /// What the reader should know of the picture.
+    pub note: String,
+}
+
+/// Frames of one run, encoded.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Panel {
+    pub title: String,
+    pub frames: Vec<Frame>,
+}
+
+/// One of them: base64 of little-endian numbers.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Frame {
+    pub time: f64,
+    /// x and y of each particle, 16 bits each.
+    pub position: String,
+    /// Empty: as in the frame before.
+    pub tag: String,
+    pub values: Vec<String>,
+}
+
+impl Fields {
+    /// Which of `count` frames of `particles` each a page shows, if it has as many panels: the first and the last among them.
+    pub fn chosen(count: usize, particles: usize, panels: usize, quantities: usize) -> Vec<usize> {
+        let bytes = particles.clamp(1, MOST_PARTICLES) * (4 + quantities) * panels.max(1);
+        let most = (MOST_BYTES / bytes).clamp(2, MOST_FRAMES).min(count);
+        match most {
+            0 => vec![],
+            1 => vec![count - 1],
+            _ => (0..most).map(|k| (k * (count - 1)).div_ceil(most - 1)).collect(),
+        }
+    }
+
+    /// Encodes frames; `quantities` are names and units. None if there is no particle.
+    pub fn new(panels: Vec<RawPanel>, quantities: &[(&str, &str)], diameter: f64, mut note: String) -> Option<Self> {
+        let frames = || panels.iter().flat_map(|panel| &panel.frames);
+        let along = |d: usize| {
+            let (low, high) = range(frames().flat_map(|frame| frame.position.iter().map(move |place| place[d])))?;
+            Some((low - 0.5 * diameter, high + 0.5 * diameter))
+        };
+        let (x, y) = (along(0)?, along(1)?);
+        let quantities: Vec<Quantity> = quantities
+            .iter()
+            .enumerate()
+            .map(|(k, (name, unit))| {
+                let fluid = frames().flat_map(|frame| {
+                    let of_fluid = frame.tag.iter().zip(&frame.values[k]).filter(|(tag, _)| **tag == 0);
+                    of_fluid.map(|(_, value)| *value)
+                });
+                let (low, high) = range(fluid).unwrap_or((0.0, 1.0));
+                Quantity { name: name.to_string(), unit: unit.to_string(), low, high }
+            })
+            .collect();
+        let most = frames().map(|frame| frame.tag.len()).max().unwrap_or(0);
+        let every = most.div_ceil(MOST_PARTICLES).max(1);
+        if every > 1 {
+            note.push_str(&format!(" One particle of {every} is shown."));
+        }
+        let encoded = |panel: &RawPanel| {
+            let mut before: &[u8] = &[];
+            let mut frames = Vec::new();
+            for frame in &panel.frames {
+                let kept = || (0..frame.tag.len()).step_by(every);
+                let tag = match frame.tag == before {
+                    true => String::new(),
+                    false => text(kept().map(|i| frame.tag[i]).collect()),
+                };
+                before = &frame.tag;
+                let places = kept().flat_map(|i| {
+                    let [at_x, at_y] = frame.position[i];
+                    [share(at_x, x, 65535.0) as u16, share(at_y, y, 65535.0) as u16]
+                });
+                let value = |(k, quantity): (usize, &Quantity)| {
+                    let ends = (quantity.low, quantity.high);
+                    text(kept().map(|i| share(frame.values[k][i], ends, 255.0) as u8).collect())
+                };
+                frames.push(Frame {
+                    time: frame.time,
+                    position: text(places.flat_map(u16::to_le_bytes).collect()),
+                    tag,
+                    values: quantities.iter().enumerate().map(value).collect(),
+                });
+            }
+            Panel { title: panel.title.clone(), frames }
+        };
+        let panels = panels.iter().map(encoded).collect();
+        Some(Self { quantities, panels, x, y, diameter, note })
+    }
+}
+
+/// The least and the largest of finite numbers.
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let finite = values.filter(|value| value.is_finite());
+    finite.fold(None, |ends: Option<(f64, f64)>, value| {
+        Some(ends.map_or((value, value), |(low, high)| (low.min(value), high.max(value))))
+    })
+}
+
+/// Where a number is between two, from 0 to `most`; what is no number is at the lower end.
+fn share(value: f64, (low, high): (f64, f64), most: f64) -> f64 {
+    let width = if high > low { high - low } else { 1.0 };
+    (most * ((value - low) / width).clamp(0.0, 1.0)).round()
+}
+
+fn text(bytes: Vec<u8>) -> String {
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_chosen_evenly() {
+        assert_eq!(Fields::chosen(41, 1000, 2, 3), (0..=40).step_by(2).collect::<Vec<_>>());
+        assert_eq!(Fields::chosen(3, 1000, 2, 3), [0, 1, 2]);
+        assert_eq!(Fields::chosen(1, 1000, 1, 3), [0]);
+        assert_eq!(Fields::chosen(0, 1000, 1, 3), [0; 0]);
+        let few = Fields::chosen(41, 40_000, 2, 3);
+        assert!(few.len() == 4 && few[0] == 0 && few[3] == 40, "{few:?}");
+        assert!(Fields::chosen(41, 10_000_000, 2, 3).len() >= 2);
+    }
+
+    #[test]
+    fn numbers_survive_to_a_share_of_their_range() {
+        let frame = RawFrame {
+            time: 0.5,
+            position: vec![[0.0, 0.0], [1.0, 0.25], [2.0, 1.0]],
+            tag: vec![0, 0, 1],
+            values: vec![vec![1.0, 3.0, 99.0]],
+        };
+        let panels = vec![RawPanel { title: "after".into(), frames: vec![frame.clone(), frame] }];
+        let fields = Fields::new(panels, &[("temperature", "K")], 0.1, String::new()).unwrap();
+        // Walls have no share in the colours.
+        assert_eq!((fields.quantities[0].low, fields.quantities[0].high), (1.0, 3.0));
+        assert_eq!((fields.x, fields.y), ((-0.05, 2.05), (-0.05, 1.05)));
+        let bytes = |text: &str| base64::engine::general_purpose::STANDARD.decode(text).unwrap();
+        let frames = &fields.panels[0].frames;
+        assert_eq!(bytes(&frames[0].values[0]), [0, 255, 255]);
+        assert_eq!((bytes(&frames[0].tag), frames[1].tag.as_str()), (vec![0, 0, 1], ""));
+        let position = bytes(&frames[1].position);
+        let place = |k: usize| f64::from(u16::from_le_bytes([position[2 * k], position[2 * k + 1]])) / 65535.0;
+        for (k, (expected, ends)) in [(1.0, fields.x), (0.25, fields.y)].into_iter().enumerate() {
+            let found = ends.0 + place(2 + k) * (ends.1 - ends.0);
+            assert!((found - expected).abs() < 2e-5, "{found} {expected}");
+        }
+    }
+}

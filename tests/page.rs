@@ -1,0 +1,252 @@
+//! The pages of runs: what they say is what the files say, and they ask for nothing outside of themselves.
+
+mod support;
+
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::Path;
+use support::program::{hydrograd, refused, succeeds};
+use tempfile::TempDir;
+
+const TINY: [&str; 8] =
+    ["--set", "time.end=0.1", "--set", "objective.window=0.05", "--set", "output.frames=3", "--threads", "1"];
+
+fn with<'a>(first: &[&'a str], then: &[&'a str]) -> Vec<&'a str> {
+    [first, &TINY, then].concat()
+}
+
+fn optimize(at: &Path, out: &str, more: &[&str]) {
+    succeeds(at, &with(&["optimize", "--epochs", "3", "--out", out], more));
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// A page, and that it is one that stands alone.
+#[track_caller]
+fn page(path: &Path) -> String {
+    let text = std::fs::read_to_string(path).unwrap();
+    assert!(text.starts_with("<!doctype html>") && text.trim_end().ends_with("</html>"));
+    for outside in
+        ["http://", "https://", "//cdn", "@import", "<iframe", "<link rel=\"stylesheet\"", "fetch(", "XMLHttpRequest"]
+    {
+        assert!(!text.contains(outside), "{} has `{outside}`", path.display());
+    }
+    for source in text.split("src=\"").skip(1) {
+        assert!(source.starts_with("data:image/"), "{}", &source[..40]);
+    }
+    // Links lead to files that are there.
+    let folder = path.parent().unwrap();
+    for target in text.split("href=\"").skip(1).filter_map(|rest| rest.split('"').next()) {
+        let file =
+            target.replace("%3C", "<").replace("%3E", ">").replace("%20", " ").replace("%28", "(").replace("%29", ")");
+        assert!(target == "data:," || folder.join(&file).exists(), "{}: a link to {target}", path.display());
+    }
+    assert!(text.len() < 5_000_000, "{} bytes", text.len());
+    text
+}
+
+/// What the page's script draws.
+#[track_caller]
+fn drawn(page: &str) -> Value {
+    let (_, rest) = page.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+/// The numbers behind what stands in the text, bit for bit.
+fn numbers(page: &str) -> BTreeSet<u64> {
+    let values = page.split("<data value=\"").skip(1).filter_map(|rest| rest.split('"').next()?.parse::<f64>().ok());
+    values.map(f64::to_bits).collect()
+}
+
+#[track_caller]
+fn has_number(page: &str, value: &Value) {
+    let value = value.as_f64().unwrap();
+    assert!(numbers(page).contains(&value.to_bits()), "the page does not have {value:?}");
+}
+
+fn series(chart: &Value, k: usize) -> Vec<f64> {
+    let points = chart["series"][k]["points"].as_array().unwrap();
+    points.iter().map(|point| point[1].as_f64().unwrap()).collect()
+}
+
+fn floats(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn optimize_shows_what_its_files_say() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "run", &[]);
+    let text = page(&at.join("run/report.html"));
+    let summary = json(&at.join("run/summary.json"));
+    for key in ["q_first", "q", "gain_survives", "flow_rate", "u_max", "q_scene", "wall_seconds"] {
+        has_number(&text, &summary[key]);
+    }
+    has_number(&text, &summary["before"]["flow_rate"]);
+    for check in summary["verification"].as_array().unwrap() {
+        has_number(&text, &check["gain"]);
+        assert!(text.contains(check["check"].as_str().unwrap()));
+    }
+    let data = drawn(&text);
+    assert_eq!(series(&data["charts"][0], 0), floats(&summary["q_per_epoch"]));
+    assert_eq!(series(&data["charts"][1], 0), floats(&summary["gradient_norm_per_epoch"]));
+    let walls = &data["walls"];
+    assert_eq!(walls["best"], summary["best_epoch"]);
+    let offsets = walls["sides"][0]["offsets"].as_array().unwrap();
+    assert_eq!((offsets.len(), offsets[0].as_array().unwrap().len()), (3, floats(&summary["nodes"]).len()));
+    assert_eq!(floats(&offsets[0]), floats(&summary["offsets_first"]));
+    assert_eq!(floats(&offsets[2]), floats(&summary["offsets_last"]));
+    let fields = &data["fields"];
+    let names: Vec<&str> =
+        fields["quantities"].as_array().unwrap().iter().map(|q| q["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["temperature", "speed", "pressure"]);
+    let panels = fields["panels"].as_array().unwrap();
+    assert_eq!((panels.len(), &panels[0]["title"], &panels[1]["title"]), (2, &"before".into(), &"after".into()));
+    assert!(panels.iter().all(|panel| panel["frames"].as_array().unwrap().len() >= 4));
+    // The walls differ, and so do the flows, at the end but not in what they begin with.
+    let last = |k: usize| panels[k]["frames"].as_array().unwrap().last().unwrap()["position"].clone();
+    assert_ne!(last(0), last(1));
+    for part in
+        ["one step:", "schedule", "[resolution]", "href=\"particles-before/particles.pvd\"", "href=\"summary.json\""]
+    {
+        assert!(text.contains(part), "no {part}");
+    }
+    // `verify` adds what it found.
+    assert!(!text.contains("Checked again"));
+    succeeds(at, &["verify", "run", "--threads", "1"]);
+    assert!(page(&at.join("run/report.html")).contains("Checked again"));
+}
+
+#[test]
+fn a_resumed_run_has_the_page_that_it_lacked() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "run", &["--no-verify"]);
+    let before = drawn(&page(&at.join("run/report.html")));
+    // As if it had been killed just before the page was written.
+    std::fs::remove_file(at.join("run/report.html")).unwrap();
+    std::fs::write(at.join("run/.hydrograd"), "optimize\n").unwrap();
+    succeeds(at, &["optimize", "--no-verify", "--resume", "run"]);
+    let after = drawn(&page(&at.join("run/report.html")));
+    assert!(before["walls"] == after["walls"] && before["fields"] == after["fields"]);
+}
+
+#[test]
+fn names_and_files_are_no_code() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let name = "<script>alert(1)<script>";
+    std::fs::create_dir(at.join(name)).unwrap();
+    std::fs::write(at.join(name).join("\"><script>alert(2)"), "mine").unwrap();
+    succeeds(at, &with(&["simulate", "--out", name], &[]));
+    let text = std::fs::read_to_string(at.join(name).join("report.html")).unwrap();
+    assert!(!text.contains("<script>alert"));
+    assert_eq!(text.matches("<script").count(), 2, "its own two");
+    assert!(text.contains("&lt;script&gt;alert(1)&lt;script&gt;"));
+}
+
+#[test]
+fn simulate_shows_its_course() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &with(&["simulate", "--out", "run"], &["--set", "design.shape=sine"]));
+    let text = page(&at.join("run/report.html"));
+    let summary = json(&at.join("run/summary.json"));
+    for key in ["q", "flow_rate", "mean_outlet_temperature", "steps"] {
+        has_number(&text, &summary[key]);
+    }
+    let data = drawn(&text);
+    let titles: Vec<&str> = data["charts"].as_array().unwrap().iter().map(|c| c["title"].as_str().unwrap()).collect();
+    assert_eq!(titles, ["Q by time", "Flow rate by time", "Wall"]);
+    assert_eq!(series(&data["charts"][2], 0), floats(&summary["offsets"]));
+    assert_eq!(data["fields"]["panels"][0]["frames"].as_array().unwrap().len(), 4);
+    // Longer: the frames of both parts, one after the other.
+    succeeds(at, &["simulate", "--resume", "run", "--set", "time.end=0.2"]);
+    let longer = drawn(&page(&at.join("run/report.html")));
+    let frames = longer["fields"]["panels"][0]["frames"].as_array().unwrap();
+    let times: Vec<f64> = frames.iter().map(|frame| frame["time"].as_f64().unwrap()).collect();
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1]) && times.len() > 4, "{times:?}");
+    assert!((times[times.len() - 1] - 0.2).abs() < 0.01, "{times:?}");
+    // A flow without heat or walls, and an exact answer.
+    succeeds(
+        at,
+        &["simulate", "taylor-green", "--set", "time.end=0.05", "--set", "resolution.dx=0.05", "--out", "flow"],
+    );
+    let text = page(&at.join("flow/report.html"));
+    has_number(&text, &json(&at.join("flow/summary.json"))["velocity_error"]);
+    let data = drawn(&text);
+    let energy = &data["charts"][0];
+    assert_eq!((&energy["series"][0]["name"], &energy["series"][1]["name"]), (&"simulated".into(), &"exact".into()));
+    let names = data["fields"]["quantities"].as_array().unwrap();
+    assert!(names.len() == 2 && names[0]["name"] == "speed", "{names:?}");
+}
+
+#[test]
+fn without_frames_the_pictures_are_drawn() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "run", &["--no-verify", "--set", "output.frames=0"]);
+    let text = page(&at.join("run/report.html"));
+    assert!(drawn(&text)["fields"].is_null() && text.matches("data:image/svg+xml").count() == 2);
+    assert!(!at.join("run/particles-before").exists());
+}
+
+#[test]
+fn runs_are_compared() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "a", &["--no-verify"]);
+    optimize(at, "b", &["--no-verify", "--set", "design.shape=sine"]);
+    succeeds(at, &with(&["simulate", "--out", "forward"], &[]));
+    let text = succeeds(at, &["compare", "a", "b", "--out", "pages/both.html"]);
+    assert!(text.contains("pages/both.html") && text.contains("Best of 2 searches"), "{text}");
+    let text = page(&at.join("pages/both.html"));
+    let data = drawn(&text);
+    for (k, name) in ["a", "b"].iter().enumerate() {
+        let summary = json(&at.join(name).join("summary.json"));
+        has_number(&text, &summary["q"]);
+        has_number(&text, &summary["q_first"]);
+        assert_eq!(series(&data["charts"][0], k), floats(&summary["q_per_epoch"]));
+        assert_eq!(series(&data["charts"][1], k), floats(&summary["offsets_best"]));
+        assert!(text.contains(&format!("href=\"../{name}/report.html\"")));
+    }
+    let differs = text.split("What differs").nth(1).unwrap();
+    assert!(differs.contains("design.shape") && differs.contains("sine") && !differs.contains("resolution.dx"));
+    // An earlier page is replaced, another file is not.
+    succeeds(at, &["compare", "b", "a", "--out", "pages/both.html"]);
+    std::fs::write(at.join("mine.html"), "<html>mine</html>").unwrap();
+    std::fs::create_dir(at.join("empty")).unwrap();
+    std::fs::create_dir(at.join("begun")).unwrap();
+    std::fs::write(at.join("begun/.hydrograd"), "optimize\n").unwrap();
+    for (arguments, expected) in [
+        (vec!["a", "forward"], vec!["runs of different commands", "hydrograd simulate", "hydrograd optimize"]),
+        (vec!["a", "empty"], vec!["empty", "holds no run"]),
+        (vec!["a", "nowhere"], vec!["nowhere", "no such folder"]),
+        (vec!["a", "begun"], vec!["begun", "not finished", "--resume begun"]),
+        (vec!["a"], vec!["nothing to be compared with", "a/report.html"]),
+        (vec!["a", "b", "--out", "mine.html"], vec!["--out mine.html", "file of something else"]),
+        (vec!["a", "b", "--out", "pages"], vec!["--out pages", "folder"]),
+    ] {
+        let arguments = [&["compare"], &arguments[..]].concat();
+        refused(&arguments, &hydrograd(at, &arguments), &expected);
+    }
+    assert!(!at.join("runs").exists(), "a refused comparison left something");
+    assert_eq!(std::fs::read_to_string(at.join("mine.html")).unwrap(), "<html>mine</html>");
+}
+
+#[test]
+fn starts_have_a_page_together_and_each() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &with(&["optimize", "--start", "all", "--epochs", "2", "--no-verify", "--out", "all"], &[]));
+    let text = page(&at.join("all/report.html"));
+    let data = drawn(&text);
+    assert_eq!(data["charts"][0]["series"].as_array().unwrap().len(), 4);
+    for name in ["flat", "linear", "random", "sine"] {
+        assert!(text.contains(&format!("href=\"{name}/report.html\"")));
+        page(&at.join("all").join(name).join("report.html"));
+    }
+}
