@@ -1,14 +1,14 @@
 //! `hydrograd new`: a scene to begin with, after a few questions.
 
 use super::arguments::{check_preset, set_option, with_options};
-use crate::config::builtin;
-use crate::config::builtin::SCENES;
+use crate::config::builtin::{self, BuiltIn, SCENES};
 use crate::config::layers::Setting;
 use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::write_bytes_atomically;
 use crate::scene::load::Loaded;
 use clap::Args;
+use dialoguer::console::{truncate_str, Term};
 use dialoguer::{Input, Select};
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -105,8 +105,11 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
 }
 
 /// One of the built-in scenes.
-fn choose() -> anyhow::Result<&'static builtin::BuiltIn> {
-    let lines: Vec<String> = SCENES.iter().map(|scene| format!("{:<20} {}", scene.name, scene.description)).collect();
+fn choose() -> anyhow::Result<&'static BuiltIn> {
+    // A line that is broken in two is drawn twice.
+    let width = usize::from(Term::stderr().size().1).saturating_sub(4);
+    let line = |scene: &BuiltIn| format!("{:<20} {}", scene.name, scene.description);
+    let lines: Vec<String> = SCENES.iter().map(|scene| truncate_str(&line(scene), width, "...").into_owned()).collect();
     let chosen = Select::new().with_prompt("Scene").items(&lines).default(0).interact()?;
     Ok(&SCENES[chosen])
 }

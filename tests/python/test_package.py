@@ -32,7 +32,8 @@ def test_everything_public_is_documented():
         _ = hydrograd.tensorflow
 
 
-def test_the_package_has_its_types():
+def test_the_package_has_its_types(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     pytest.importorskip("mypy", reason="mypy is not installed")
     folder = Path(hydrograd.__file__).parent
     assert (folder / "py.typed").exists() and (folder / "_native.pyi").exists()
