@@ -79,6 +79,7 @@ fn all_whole(folder: &Path, when: &str) {
             "vtp" | "pvd" => assert!(std::fs::read(&path).unwrap().ends_with(b"</VTKFile>\n"), "{}", at()),
             "png" => assert!(std::fs::read(&path).unwrap().ends_with(b"IEND\xaeB`\x82"), "{}", at()),
             "svg" => assert!(text().trim_end().ends_with("</svg>"), "{}", at()),
+            "html" => assert!(text().trim_end().ends_with("</html>"), "{}", at()),
             _ => {}
         }
     }

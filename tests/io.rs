@@ -4,7 +4,7 @@ use hydrograd::io::atomic::{prepare_output_folder, write_atomically, write_bytes
 use hydrograd::io::csv::{read_columns, write_columns, write_table, Cell};
 use hydrograd::io::state_file::{read_state, write_state, State};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
-use hydrograd::io::vtk::{write_vtp, ParticleFrame, Precision, VtkSeries};
+use hydrograd::io::vtk::{read_list, read_vtp, write_vtp, ParticleFrame, Precision, VtkSeries};
 use hydrograd::io::FileError;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -187,6 +187,30 @@ fn vtp_refuses_what_does_not_fit() {
     message(write(ParticleFrame { tag: &[0], ..frame() }), &["tag has 1 values"]);
     message(write(ParticleFrame { scalars: &[("tag", &TEMPERATURE)], ..frame() }), &["named `tag`"]);
     message(write(frame()), &["cannot write /no-such-folder/x.vtp"]);
+}
+
+#[test]
+fn particle_files_are_read_as_they_were_written() -> TestResult {
+    let folder = tempfile::tempdir()?;
+    let mut series = VtkSeries::new(folder.path(), "a&b")?;
+    let path = series.write(&frame())?;
+    series.write(&ParticleFrame { time: 0.5, ..frame() })?;
+    let frames = read_list(&series.finish()?)?;
+    assert_eq!(frames.iter().map(|(time, _)| *time).collect::<Vec<_>>(), [0.25, 0.5]);
+    assert_eq!(frames[0].1, path);
+    let found = read_vtp(&path)?;
+    assert_eq!(found.position, [[0.1, 1.1, 0.0], [0.2, 1.2, 0.0], [0.3, 1.3, 0.0]]);
+    assert_eq!(found.velocity, [[1.0, -1.0, 0.0], [2.0, -2.0, 0.0], [3.0, -3.0, 0.0]]);
+    assert_eq!((found.scalars["temperature"].as_slice(), found.tag.as_slice()), (&TEMPERATURE[..], &[0, 1, 3][..]));
+    write_vtp(&path, &frame(), Precision::F32)?;
+    assert!((read_vtp(&path)?.velocity[1][0] - 2.0).abs() < 1e-6);
+    // Cut short anywhere it is refused.
+    let whole = std::fs::read(&path)?;
+    for length in [0, 40, whole.len() / 2, whole.len() - 60] {
+        std::fs::write(&path, &whole[..length])?;
+        message(read_vtp(&path), &["a&b_000000.vtp", "not a readable VTK file"]);
+    }
+    Ok(())
 }
 
 #[test]

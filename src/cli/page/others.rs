@@ -90,7 +90,7 @@ fn turned(table: Table) -> Table {
 
 fn is_positive(columns: &Columns, name: &str) -> bool {
     let mut values = columns.iter().filter(|(other, _)| other == name).flat_map(|(_, values)| values);
-    values.all(|value| !(*value <= 0.0))
+    values.all(|value| value.is_nan() || *value > 0.0)
 }
 
 /// Errors on the validation split by step: those of positions in one chart.
