@@ -45,7 +45,7 @@ echo "== a bare Debian"
 mmdebstrap --variant=minbase --customize-hook="copy-in $package /root" \
     --customize-hook='chroot "$1" sh -c "apt-get install -y /root/*.deb"' bookworm "$root" 2>&1 | tail -3
 echo "== in it"
-chroot "$root" sh -c '
+chroot "$root" bash -c '
     set -e
     cd /root
     ! command -v cc && ! command -v cargo
