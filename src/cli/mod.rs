@@ -32,7 +32,7 @@ mod train;
 mod validate;
 mod verify;
 
-pub use guard::{guarded, install_panic_hook};
+pub use guard::{guarded, install_panic_hook, shown};
 
 use clap::{Parser, Subcommand};
 

@@ -11,8 +11,9 @@ pub fn file(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A message is short enough to be read, and has no control characters but for the ends of its lines.
+/// A message as it is shown is short enough to be read, and has no control characters but for the ends of its lines.
 pub fn is_message(text: &str) {
-    assert!(!text.is_empty() && text.len() < 4000, "{} bytes: {text}", text.len());
+    let text = hydrograd::cli::shown(text);
+    assert!(!text.is_empty() && text.len() < 20_000, "{} bytes: {text}", text.len());
     assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
 }
