@@ -1,11 +1,10 @@
 //! `hydrograd completions` and `hydrograd man`: what shells and `man` want to know of the command line.
 
-use super::Cli;
+use super::{files, Cli};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use clap::{Args, Command, CommandFactory};
 use clap_complete::Shell;
 use clap_mangen::Man;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Print what a shell needs to complete hydrograd's commands and options.
@@ -26,10 +25,7 @@ pub struct CompletionsArguments {
 pub fn run(arguments: &CompletionsArguments) -> anyhow::Result<()> {
     let mut text = Vec::new();
     clap_complete::generate(arguments.shell, &mut Cli::command(), "hydrograd", &mut text);
-    match std::io::stdout().write_all(&text) {
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        result => Ok(result?),
-    }
+    Ok(files::print(&text)?)
 }
 
 /// Write man pages: hydrograd.1, and one per command.

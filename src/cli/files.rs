@@ -5,6 +5,7 @@ use crate::config::scene::Config;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::shape::Shape;
 use crate::design::Parametrisation;
+use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_columns;
 use crate::io::vtk::write_surface;
@@ -13,6 +14,7 @@ use crate::report::plots::{colored_particles, relief, ReliefPanel, TemperaturePa
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use serde_json::{json, Map, Value};
+use std::io::Write;
 use std::path::Path;
 
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -20,6 +22,19 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// `config.toml`: the resolved configuration.
 pub fn write_config(folder: &Path, loaded: &Loaded) -> anyhow::Result<()> {
     Ok(write_bytes_atomically(&folder.join("config.toml"), loaded.text.as_bytes())?)
+}
+
+/// Prints a long text as it is. Not an error: a reader who has seen enough, as in `hydrograd scenes heated-channel | head`.
+pub fn print(text: &[u8]) -> std::io::Result<()> {
+    match std::io::stdout().write_all(text) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
+
+/// What [`write_config`] left in a run's folder.
+pub fn read_config(folder: &Path) -> Result<Loaded, Error> {
+    Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])
 }
 
 /// The configuration of an optimisation's best wall.

@@ -209,7 +209,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if kind != KIND {
         // What all parts have in common is complete, and stays so.
         if earlier == Earlier::Resumed && is_finished(&folder) {
-            let epochs = epochs_of(&folder)?;
+            let epochs = files::read_config(&folder)?.config.optimise.epochs;
             if loaded.config.optimise.epochs <= epochs {
                 return Err(has_its_epochs(epochs).place("--resume").into());
             }
@@ -259,11 +259,6 @@ impl<'a> Begin<'a> {
         let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
         Self { resume, earlier, is_part: true }
     }
-}
-
-/// How many epochs the run in a folder was to have.
-fn epochs_of(folder: &Path) -> Result<usize, Error> {
-    Ok(Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])?.config.optimise.epochs)
 }
 
 /// Checks a gain, says what is left of it, and adds it to `summary.json`.

@@ -22,7 +22,6 @@ use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use clap::{Args, Subcommand};
 use serde_json::{json, Value};
-use std::io::Write;
 use std::path::Path;
 use std::time::Instant;
 
@@ -90,11 +89,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             Config::load(Some(name), arguments.preset.as_deref(), &[])?.text
         }
     };
-    match std::io::stdout().write_all(text.as_bytes()) {
-        // The reader has seen enough: `hydrograd scenes heated-channel | head`.
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        result => Ok(result?),
-    }
+    Ok(files::print(text.as_bytes())?)
 }
 
 /// What the folders of a check are marked with.

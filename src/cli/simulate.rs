@@ -11,7 +11,7 @@ use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Motion, Precision};
+use crate::config::scene::{Motion, Precision};
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
@@ -68,7 +68,7 @@ impl SimulateArguments {
         let loaded = self.common.load(resume, vec![], vec![])?;
         let Some(folder) = resume else { return Ok(loaded) };
         // Steps are made to fit the time; those of a run that becomes longer stay what they were.
-        let before = Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])?.config;
+        let before = files::read_config(folder)?.config;
         let (time, earlier) = (&loaded.config.time, &before.time);
         match (time.end, time.steps) == (earlier.end, earlier.steps) || time.step.is_some() {
             true => Ok(loaded),

@@ -3,6 +3,8 @@
 use super::folder::{figure, percent, warnings, Folder};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
+use crate::cli::files::read_config;
+use crate::cli::optimize::{AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
@@ -74,7 +76,7 @@ fn numbers(value: &Value) -> Vec<Option<f64>> {
 /// # Errors
 /// A file that is none.
 pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
-    Ok(Config::load(Some(&folder.path.join("config.toml").to_string_lossy()), None, &[])?)
+    Ok(read_config(&folder.path)?)
 }
 
 /// Of one search.
@@ -134,7 +136,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         page.charts.insert(1, Chart { title, x: "epoch".into(), y, log: true, by_epoch: true, series });
     }
     let of = |name: &str| folder.path.join(name).join("particles.pvd");
-    let panels = [("before", vec![of("particles-before")]), ("after", vec![of("particles")])];
+    let panels = [("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])];
     page.fields = series::fields(&panels, config.resolution.dx)?;
     if page.fields.is_none() {
         page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
@@ -183,7 +185,7 @@ fn course(search: &Search, summary: &Map<String, Value>, y: &str) -> Chart {
 
 /// The variables of each epoch's design; none without a checkpoint.
 fn variables(folder: &Folder) -> anyhow::Result<Vec<Vec<f64>>> {
-    let path = folder.path.join(crate::cli::optimize::CHECKPOINT);
+    let path = folder.path.join(CHECKPOINT);
     if !path.is_file() {
         return Ok(vec![]);
     }
