@@ -44,25 +44,34 @@ pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
 fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
-        Ok(Err(error)) => {
-            let is_stop = |cause: &(dyn std::error::Error + 'static)| {
-                matches!(cause.downcast_ref::<Error>(), Some(Error::Stopped))
-            };
-            if let Some(signal) = interrupt::asked().filter(|_| error.chain().any(is_stop)) {
+        Ok(Err(error)) => match stopped_by(&error) {
+            Some(signal) => {
                 tell(&interrupt::farewell(signal));
                 // As a shell reports a program that the signal ended.
-                return u8::try_from(128 + signal).unwrap_or(EXIT_INTERNAL);
+                u8::try_from(128 + signal).unwrap_or(EXIT_INTERNAL)
             }
-            let causes: String = error.chain().skip(1).map(|cause| format!("\n  cause: {cause}")).collect();
-            tell(&with_options(&format!("error: {error}{causes}")));
-            exit_code(&error)
-        }
+            None => tell_error(&error),
+        },
         Err(payload) if message(&*payload).starts_with(BROKEN_PIPE) => EXIT_BROKEN_PIPE,
         Err(panic) => {
             machine::fail(&format!("internal error: {}", message(&*panic)));
             EXIT_INTERNAL
         }
     }
+}
+
+/// The signal that ended a command, if this is the error of that.
+pub(super) fn stopped_by(error: &anyhow::Error) -> Option<i32> {
+    let is_stop =
+        |cause: &(dyn std::error::Error + 'static)| matches!(cause.downcast_ref::<Error>(), Some(Error::Stopped));
+    interrupt::asked().filter(|_| error.chain().any(is_stop))
+}
+
+/// Prints an error and its causes; the exit code.
+pub(super) fn tell_error(error: &anyhow::Error) -> u8 {
+    let causes: String = error.chain().skip(1).map(|cause| format!("\n  cause: {cause}")).collect();
+    tell(&with_options(&format!("error: {error}{causes}")));
+    exit_code(error)
 }
 
 /// On stderr, and in the document of `--json`.

@@ -1,6 +1,8 @@
 //! `hydrograd train`: a surrogate from a data set.
 
 use super::arguments::{set_option, threads, OverwriteArgument};
+use super::guard::{stopped_by, tell_error};
+use super::machine;
 use super::model_data::unreadable;
 use super::page;
 use super::prepare::use_threads;
@@ -11,15 +13,18 @@ use crate::config::training::Settings;
 use crate::dataset::Metadata;
 use crate::error::BadInput;
 use crate::numerics::interrupt;
+use crate::numerics::ranks::Ranks;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::models::setup::Setup;
+use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::Header;
 use crate::surrogate::training::train::{Outcome, Training};
 use clap::Args;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Train a surrogate (graph network) on a data set of `generate`'s or in LagrangeBench's layout.
 #[derive(Debug, Clone, Args)]
@@ -37,6 +42,8 @@ Examples:
       begin with another training's parameters
   hydrograd train --print-config > train.toml
       every setting, to change and give as --config train.toml
+  mpirun -n 4 hydrograd train --data data/heated --set batch_size=4 --out runs/gns
+      four processes, each with a quarter of every batch (cargo build --release --features mpi)
 
 last.safetensors and best.safetensors open in PyTorch: safetensors.torch.load_file; weights are [in, out].")]
 pub struct TrainArguments {
@@ -72,6 +79,9 @@ pub struct TrainArguments {
     /// Seed of every random number (seed).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
     pub seed: Option<u64>,
+    /// With several ranks: add their gradients in the order of the batch, for the same bits whatever their number.
+    #[arg(long)]
+    pub deterministic: bool,
     /// Print the settings and stop.
     #[arg(long)]
     pub print_config: bool,
@@ -81,48 +91,123 @@ pub struct TrainArguments {
 const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
-    let folder = &arguments.out;
-    let init = arguments.init.as_deref().map(|from| checkpoint::read(from).map_err(of_init(from))).transpose()?;
-    let settings = arguments.settings(init.as_ref())?;
     if arguments.print_config {
-        print!("{}", settings.shown());
+        print!("{}", arguments.settings(arguments.init()?.as_ref())?.shown());
         return Ok(());
     }
-    let Some(data) = &arguments.data else {
-        return Err(BadInput::new("--data is missing")
-            .allowed("the folder of a data set")
-            .advice("--data data/heated")
-            .into());
+    let ranks = Ranks::of_environment()?;
+    let result = match ranks.rank() {
+        0 => lead(&arguments, &ranks),
+        rank => follow(&arguments, &ranks).map_err(|error| error.context(format!("rank {rank} of {}", ranks.size()))),
     };
-    let earlier = Earlier::of_options(arguments.resume, arguments.overwrite.overwrite);
-    RunFolder::check(folder, KIND, earlier)?;
-    use_threads(arguments.threads.unwrap_or(0));
-    let metadata = Metadata::read(data).map_err(unreadable(data))?;
-    let setup = Setup::new(&settings, &metadata)?;
-    let origin = arguments.origin(init, &settings, &setup)?;
-    let data_set = TrainingData::read(data, metadata).map_err(unreadable(data))?;
-    data_set.check(&settings).map_err(|bad| bad.place(format!("--data {}", data.display())))?;
-    let mut training = Training::new(&settings, &setup, &data_set, &origin, arguments.kernels, folder)?;
+    match result {
+        // A signal has ended all of them at the same step.
+        Err(error) if ranks.size() > 1 && stopped_by(&error).is_none() => {
+            if ranks.rank() > 0 {
+                // Most likely the first rank has the same trouble, tells it, and ends this one too.
+                std::thread::sleep(Duration::from_secs(2));
+            }
+            let code = tell_error(&error);
+            machine::end(code);
+            ranks.abort(code);
+            Err(error)
+        }
+        Err(_) if ranks.rank() > 0 => Ok(()),
+        result => result,
+    }
+}
+
+/// The training as it is begun on every rank.
+struct Begun {
+    settings: Settings,
+    setup: Setup,
+    data: TrainingData,
+    origin: Origin,
+}
+
+/// What trains, prints and writes.
+fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
+    let (folder, earlier) = (&arguments.out, arguments.earlier());
+    let begun = arguments.begin(ranks)?;
+    let Begun { settings, setup, data, origin } = &begun;
+    let mut training = Training::new(settings, setup, data, origin, arguments.kernels, arguments.team(ranks), folder)?;
     let bar = Progress::new(settings.steps, "train");
-    let (trajectories, frames) = (data_set.train.len(), data_set.train[0].frames);
+    let (trajectories, frames) = (data.train.len(), data.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
+    if let Some(threads) = ranks.threads() {
+        bar.log(&format!("{} ranks, {threads} threads each", ranks.size()));
+    }
+    let data_folder = arguments.data()?.display();
+    interrupt::listen(format!("hydrograd train --data {data_folder} --out {} --resume", folder.display()))?;
+    all_are_ready(ranks);
     let own = RunFolder::take(folder, KIND, earlier)?;
-    interrupt::listen(format!("hydrograd train --data {} --out {} --resume", data.display(), folder.display()))?;
     let outcome = training.run(&bar)?;
     page::write(folder)?;
     own.finish()?;
     bar.finish();
-    show(&outcome, &settings, training.state.seconds);
+    show(&outcome, settings, training.state.seconds);
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
     println!(
-        "next: hydrograd evaluate --model {} --data {} --split test",
+        "next: hydrograd evaluate --model {} --data {data_folder} --split test",
         folder.join("best.safetensors").display(),
-        data.display()
     );
     Ok(())
 }
 
+/// What all ranks but the first do: their share of every batch.
+fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
+    machine::be_silent();
+    let begun = arguments.begin(ranks)?;
+    let Begun { settings, setup, data, origin } = &begun;
+    let team = arguments.team(ranks);
+    let mut training = Training::new(settings, setup, data, origin, arguments.kernels, team, &arguments.out)?;
+    interrupt::listen_quietly()?;
+    all_are_ready(ranks);
+    training.follow()
+}
+
+/// Waits for the others: none of them reads a file of the folder any more.
+fn all_are_ready(ranks: &Ranks) {
+    ranks.all(&[0.0]);
+}
+
 impl TrainArguments {
+    /// Reads and checks all that is asked for; nothing is written yet.
+    fn begin(&self, ranks: &Ranks) -> anyhow::Result<Begun> {
+        let init = self.init()?;
+        let settings = self.settings(init.as_ref())?;
+        let data = self.data()?;
+        if ranks.rank() == 0 {
+            RunFolder::check(&self.out, KIND, self.earlier())?;
+        }
+        check_shares(&settings, ranks.size())?;
+        use_threads(self.threads.or_else(|| ranks.threads()).unwrap_or(0));
+        let metadata = Metadata::read(data).map_err(unreadable(data))?;
+        let setup = Setup::new(&settings, &metadata)?;
+        let origin = self.origin(init, &settings, &setup)?;
+        let data_set = TrainingData::read(data, metadata).map_err(unreadable(data))?;
+        data_set.check(&settings).map_err(|bad| bad.place(format!("--data {}", data.display())))?;
+        Ok(Begun { settings, setup, data: data_set, origin })
+    }
+
+    fn init(&self) -> Result<Option<Header>, BadInput> {
+        self.init.as_deref().map(|from| checkpoint::read(from).map_err(of_init(from))).transpose()
+    }
+
+    fn data(&self) -> Result<&Path, BadInput> {
+        let missing =
+            || BadInput::new("--data is missing").allowed("the folder of a data set").advice("--data data/heated");
+        self.data.as_deref().ok_or_else(missing)
+    }
+
+    fn earlier(&self) -> Earlier {
+        Earlier::of_options(self.resume, self.overwrite.overwrite)
+    }
+
+    fn team<'a>(&self, ranks: &'a Ranks) -> Team<'a> {
+        Team { ranks, is_ordered: self.deterministic }
+    }
+
     /// Those of a file (a resumed training's own, if no other is named) and of the options; without a file the model is that
     /// of `init`.
     fn settings(&self, init: Option<&Header>) -> Result<Settings, BadInput> {
@@ -161,6 +246,19 @@ impl TrainArguments {
             _ => Ok(Origin::New),
         }
     }
+}
+
+/// An error unless every rank has as many windows of a batch as every other.
+fn check_shares(settings: &Settings, ranks: usize) -> Result<(), BadInput> {
+    if settings.batch_size.is_multiple_of(ranks) {
+        return Ok(());
+    }
+    Err(BadInput::new(format!("a batch of {} cannot be shared out evenly among {ranks} ranks", settings.batch_size))
+        .allowed(format!("batch_size a multiple of {ranks}"))
+        .advice(format!(
+            "--set batch_size={}, or as many ranks as the batch has windows",
+            settings.batch_size.next_multiple_of(ranks)
+        )))
 }
 
 /// Whether a folder's training was ended before its first checkpoint: then it begins with its settings.

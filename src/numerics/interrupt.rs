@@ -28,14 +28,29 @@ pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
     if ADVICE.set(advice.into()).is_err() {
         return Ok(());
     }
+    begin(true)
+}
+
+/// The same for a process that another one speaks for.
+///
+/// # Errors
+/// System errors.
+pub fn listen_quietly() -> std::io::Result<()> {
+    begin(false)
+}
+
+fn begin(speaks: bool) -> std::io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     let wait = move || {
         for signal in signals.forever() {
             if ASKED.swap(signal, Ordering::Relaxed) != 0 {
                 let _ = emulate_default_handler(signal);
             }
-            // Where stderr is closed there is nobody to tell.
-            let _ = writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
+            if speaks {
+                // Where stderr is closed there is nobody to tell.
+                let _ =
+                    writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
+            }
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(wait)?;
@@ -49,6 +64,11 @@ fn name(signal: i32) -> &'static str {
 /// The signal by which somebody asked to stop.
 pub fn asked() -> Option<i32> {
     Some(ASKED.load(Ordering::Relaxed)).filter(|&signal| signal != 0)
+}
+
+/// As if this process had got the signal that another one got.
+pub fn ask(signal: i32) {
+    ASKED.store(signal, Ordering::Relaxed);
 }
 
 /// What is said at the end of a command that was asked to stop.

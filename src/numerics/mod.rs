@@ -1,4 +1,4 @@
-//! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, being asked to stop, the bridge to candle.
+//! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, being asked to stop, other processes, the bridge to candle.
 pub mod blocks;
 pub mod candle;
 pub mod exponential;
@@ -7,5 +7,6 @@ pub mod lanes;
 pub mod memory;
 pub mod pool;
 pub mod random;
+pub mod ranks;
 pub mod sweep;
 pub mod threads;

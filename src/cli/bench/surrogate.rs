@@ -29,6 +29,7 @@ use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::parameters;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
+use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::{fresh, Training};
 
@@ -108,7 +109,9 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 valid: &[],
                 network: model.clone(),
                 state: fresh(&settings, &*model)?,
+                team: Team::ALONE,
                 folder: PathBuf::new(),
+                is_to_stop: false,
                 history: vec![],
                 validation: vec![],
             };

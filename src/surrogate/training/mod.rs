@@ -1,4 +1,5 @@
 //! Training: how it begins, samples, noise, loss, the loop, checkpoints.
+pub mod batch;
 pub mod begin;
 pub mod checkpoint;
 pub mod loss;

@@ -10,7 +10,6 @@ use crate::error::Error;
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::io::tensorboard::EventFile;
-use crate::numerics::interrupt;
 use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
@@ -18,11 +17,11 @@ use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{learning_rate, AdamW};
-use crate::surrogate::network::parameters::{detached, tracked, Network, Parameter};
+use crate::surrogate::network::parameters::{Network, Parameter};
+use crate::surrogate::training::batch::{Found, Team};
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::TrainingState;
-use crate::surrogate::training::loss::loss;
 use crate::surrogate::training::samples::Samples;
 use candle_core::{Tensor, Var};
 use std::path::{Path, PathBuf};
@@ -43,7 +42,11 @@ pub struct Training<'a> {
     pub valid: &'a [Trajectory],
     pub network: Arc<dyn Network>,
     pub state: TrainingState,
+    /// Ranks that train together.
+    pub team: Team<'a>,
     pub folder: PathBuf,
+    /// Whether somebody asked any of the ranks to stop.
+    pub is_to_stop: bool,
     /// Rows of history.csv and validation.csv so far.
     pub history: Vec<Vec<f64>>,
     pub validation: Vec<Vec<f64>>,
@@ -60,6 +63,7 @@ impl<'a> Training<'a> {
         data: &'a TrainingData,
         origin: &Origin,
         kernels: Kernels,
+        team: Team<'a>,
         folder: &Path,
     ) -> anyhow::Result<Self> {
         let (network, state) = origin.network(settings, setup, kernels)?;
@@ -70,7 +74,21 @@ impl<'a> Training<'a> {
         let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
         let (train, valid) = (&data.train[..], &data.valid[..]);
         let (metadata, folder) = (&data.metadata, folder.to_owned());
-        Ok(Self { settings, setup, metadata, train, valid, network, state, folder, history, validation })
+        let is_to_stop = false;
+        Ok(Self {
+            settings,
+            setup,
+            metadata,
+            train,
+            valid,
+            network,
+            state,
+            team,
+            folder,
+            is_to_stop,
+            history,
+            validation,
+        })
     }
 
     /// Numbers that are trained.
@@ -106,37 +124,6 @@ fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
     network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
 }
 
-/// Loss and gradient of one sample, in the order of the parameters.
-///
-/// # Errors
-/// A parameter without a gradient, tensor errors.
-pub fn gradient(
-    network: &dyn Network,
-    sample: &crate::surrogate::training::samples::Sample,
-    weight: f64,
-    dimension: usize,
-) -> anyhow::Result<(f64, Vec<Tensor>)> {
-    let output = network.apply(&sample.inputs, &tracked(network))?;
-    let dynamics = |t: &Tensor| t.narrow(1, 0, dimension);
-    let mut total = loss(&dynamics(&output)?, &dynamics(&sample.target)?, &dynamics(&sample.mask)?)?;
-    let outputs = output.dim(1)?;
-    if outputs > dimension {
-        let heat = |t: &Tensor| t.narrow(1, dimension, outputs - dimension);
-        total = (total + (loss(&heat(&output)?, &heat(&sample.target)?, &heat(&sample.mask)?)? * weight)?)?;
-    }
-    let value = total.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?;
-    let mut store = total.backward()?;
-    let mut gradients = Vec::new();
-    for parameter in network.parameters() {
-        let Some(gradient) = store.remove(&parameter.values) else {
-            let names: Vec<&str> = parameter.parts.iter().map(|(name, ..)| name.as_str()).collect();
-            anyhow::bail!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "));
-        };
-        gradients.push(gradient);
-    }
-    Ok((value, gradients))
-}
-
 impl Training<'_> {
     /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
     ///
@@ -148,7 +135,7 @@ impl Training<'_> {
         write_bytes_atomically(&self.folder.join("config.toml"), settings.text().as_bytes())?;
         let mut events = EventFile::create(&self.folder)?;
         let mut samples = Samples::new(self.metadata, self.train, settings, self.setup)?;
-        let variables: Vec<Var> = self.network.parameters().iter().map(|p| p.values.clone()).collect();
+        let variables = self.variables();
         let linear = self.score(&ConstantVelocity)?;
         let before = self.state.seconds;
         let clock = Instant::now();
@@ -157,14 +144,7 @@ impl Training<'_> {
         bar.set_position(self.state.step);
         while self.state.step < settings.steps {
             let update = Instant::now();
-            let step = self.state.step;
-            let rate = learning_rate(
-                settings.learning_rate,
-                settings.learning_rate_factor,
-                settings.learning_rate_steps,
-                settings.learning_rate_least,
-                step,
-            );
+            let rate = self.learning_rate();
             let value = self.update(&mut samples, &variables, rate)?;
             self.state.losses.push(value);
             working += update.elapsed().as_secs_f64();
@@ -185,12 +165,10 @@ impl Training<'_> {
                 let found = self.validate(&linear, &mut events, bar)?;
                 scores = Some(found);
             }
-            if self.state.step.is_multiple_of(settings.store_every) || last {
+            if self.state.step.is_multiple_of(settings.store_every) || last || self.is_to_stop {
                 self.store(LAST)?;
-            } else if interrupt::asked().is_some() {
-                self.store(LAST)?;
-                interrupt::check()?;
             }
+            self.check_for_stop()?;
         }
         let scores = match scores {
             Some(scores) => scores,
@@ -199,38 +177,63 @@ impl Training<'_> {
         Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
     }
 
+    /// What all ranks but the first do: the same updates, of which the first keeps all.
+    ///
+    /// # Errors
+    /// As for [`Self::run`].
+    pub fn follow(&mut self) -> anyhow::Result<()> {
+        let mut samples = Samples::new(self.metadata, self.train, self.settings, self.setup)?;
+        let variables = self.variables();
+        while self.state.step < self.settings.steps {
+            let rate = self.learning_rate();
+            self.update(&mut samples, &variables, rate)?;
+            self.state.step += 1;
+            self.check_for_stop()?;
+        }
+        Ok(())
+    }
+
+    fn variables(&self) -> Vec<Var> {
+        self.network.parameters().iter().map(|p| p.values.clone()).collect()
+    }
+
+    /// Of the next step.
+    fn learning_rate(&self) -> f64 {
+        let settings = self.settings;
+        learning_rate(
+            settings.learning_rate,
+            settings.learning_rate_factor,
+            settings.learning_rate_steps,
+            settings.learning_rate_least,
+            self.state.step,
+        )
+    }
+
+    /// An error if somebody asked any of the ranks to stop, and there would be something left to do.
+    fn check_for_stop(&self) -> Result<(), Error> {
+        match self.is_to_stop && self.state.step < self.settings.steps {
+            true => Err(Error::Stopped),
+            false => Ok(()),
+        }
+    }
+
     /// One update; the mean loss of its batch.
     ///
     /// # Errors
     /// A loss or gradient that is not finite, tensors.
     pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
-        let plain = detached(&*self.network);
-        let share = 1.0 / settings.batch_size as f64;
-        let mut mean = 0.0;
-        let mut sum: Vec<Tensor> = Vec::new();
-        for place in 0..settings.batch_size {
-            let sample = samples.sample(step, place as u64, &*self.network, &plain)?;
-            let (value, gradients) = gradient(&*self.network, &sample, settings.temperature_weight, self.metadata.dim)?;
-            mean += share * value;
-            if settings.batch_size == 1 {
-                sum = gradients;
-                break;
-            }
-            let gradients = gradients.iter().map(|g| g.affine(share, 0.0)).collect::<candle_core::Result<Vec<_>>>()?;
-            sum = if sum.is_empty() {
-                gradients
-            } else {
-                sum.iter().zip(&gradients).map(|(a, b)| a + b).collect::<candle_core::Result<_>>()?
-            };
-        }
+        let (network, weight) = (&*self.network, settings.temperature_weight);
+        let Found { loss, gradients: mut sum, is_to_stop } =
+            self.team.gradient(samples, step, settings.batch_size, network, weight, self.metadata.dim)?;
+        self.is_to_stop = is_to_stop;
         let mut square = 0.0;
         for gradient in &sum {
             square += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
-        if !mean.is_finite() || !square.is_finite() {
+        if !loss.is_finite() || !square.is_finite() {
             return Err(Error::run(
-                format!("step {step}: the loss is {mean}, the gradient's norm {}: the training has diverged", square.sqrt()),
+                format!("step {step}: the loss is {loss}, the gradient's norm {}: the training has diverged", square.sqrt()),
                 "a smaller learning rate (learning_rate=1e-4) or clipping (clip=1); a resumed training begins at the last checkpoint",
             )
             .into());
@@ -246,7 +249,7 @@ impl Training<'_> {
                 *average = (average.affine(settings.ema, 0.0)? + now.affine(1.0 - settings.ema, 0.0)?)?;
             }
         }
-        Ok(mean)
+        Ok(loss)
     }
 
     /// The model as it would be used: with averaged parameters if there are any.

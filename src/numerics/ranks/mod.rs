@@ -1,0 +1,123 @@
+//! Processes that work on the same thing, side by side on one machine or many: MPI's ranks.
+//!
+//! Without the feature `mpi`, or where nobody started several processes, there is one rank, and nothing is ever exchanged.
+
+#[cfg(feature = "mpi")]
+mod mpi;
+#[cfg(feature = "mpi")]
+use mpi as engine;
+
+#[cfg(not(feature = "mpi"))]
+mod none;
+#[cfg(not(feature = "mpi"))]
+use none as engine;
+
+pub use engine::Exchange;
+
+use crate::error::BadInput;
+use std::sync::Arc;
+
+/// What is done with the numbers of all ranks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum How {
+    /// Their sum, in whatever order MPI finds fastest.
+    Sum,
+    /// All of them, behind each other in the order of the ranks.
+    Gather,
+}
+
+/// The processes, seen from one of them. When the last clone is dropped, it waits until all others are done too.
+#[derive(Clone)]
+pub struct Ranks(Option<Arc<engine::World>>);
+
+/// What starts several processes tells each of them how many there are: Open MPI's and MPICH's mpirun, Slurm's srun.
+const SIZES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
+
+/// How many processes somebody started together.
+fn started(variable: impl Fn(&str) -> Option<String>) -> usize {
+    let sizes = SIZES.iter().filter_map(|name| variable(name)?.parse().ok());
+    sizes.max().unwrap_or(1)
+}
+
+impl Ranks {
+    /// One process, on its own.
+    pub const ALONE: Self = Self(None);
+
+    /// Those that this process was started with.
+    ///
+    /// # Errors
+    /// [`BadInput`]: there are several, and this program cannot talk to the others.
+    pub fn of_environment() -> Result<Self, BadInput> {
+        match started(|name| std::env::var(name).ok()) {
+            0 | 1 => Ok(Self::ALONE),
+            several => engine::World::begin(several).map(|world| Self(Some(Arc::new(world)))),
+        }
+    }
+
+    /// Which of them this one is, from 0.
+    pub fn rank(&self) -> usize {
+        self.0.as_ref().map_or(0, |world| world.rank())
+    }
+
+    /// How many there are.
+    pub fn size(&self) -> usize {
+        self.0.as_ref().map_or(1, |world| world.size())
+    }
+
+    /// Threads of each, so that those on one machine share its cores.
+    pub fn threads(&self) -> Option<usize> {
+        let here = self.0.as_ref()?.on_this_machine();
+        // Ranks that are bound to some cores are not given all.
+        let own = std::thread::available_parallelism().map_or(1, usize::from);
+        // SAFETY: asks for a number.
+        let all = usize::try_from(unsafe { libc::sysconf(libc::_SC_NPROCESSORS_ONLN) }).unwrap_or(own);
+        Some((all / here).clamp(1, own))
+    }
+
+    /// The numbers of every rank, behind each other in their order. All ranks must ask for it, with as many numbers.
+    pub fn all(&self, own: &[f64]) -> Vec<f64> {
+        match &self.0 {
+            Some(world) => world.all(own),
+            None => own.to_vec(),
+        }
+    }
+
+    /// Begins to exchange numbers and does not wait for it; none if there is nobody to exchange them with. All ranks must
+    /// begin the same exchanges in the same order.
+    pub fn begin(&self, numbers: Vec<f64>, how: How) -> Option<Exchange> {
+        self.0.as_ref().map(|world| world.begin_exchange(numbers, how))
+    }
+
+    /// Ends all ranks at once, with this exit code; returns only where there is one.
+    pub fn abort(&self, code: u8) {
+        if let Some(world) = &self.0 {
+            world.abort(code);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_process_is_alone() {
+        let ranks = Ranks::ALONE;
+        assert_eq!((ranks.rank(), ranks.size(), ranks.threads()), (0, 1, None));
+        assert_eq!(ranks.all(&[1.0, 2.0]), [1.0, 2.0]);
+        assert!(ranks.begin(vec![3.0], How::Sum).is_none());
+        ranks.abort(1);
+    }
+
+    #[test]
+    fn how_many_were_started() {
+        let size = |known: &'static [(&str, &str)]| {
+            started(|name| known.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_string()))
+        };
+        assert_eq!(size(&[]), 1);
+        assert_eq!(size(&[("OMPI_COMM_WORLD_SIZE", "4")]), 4);
+        // mpirun inside of a step of Slurm's.
+        assert_eq!(size(&[("SLURM_STEP_NUM_TASKS", "1"), ("OMPI_COMM_WORLD_SIZE", "2")]), 2);
+        assert_eq!(size(&[("PMI_SIZE", "x")]), 1);
+    }
+}

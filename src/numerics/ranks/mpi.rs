@@ -1,0 +1,125 @@
+//! Ranks by MPI (rsmpi's bindings).
+
+use super::How;
+use crate::error::BadInput;
+use ::mpi::collective::SystemOperation;
+use ::mpi::environment::Universe;
+use ::mpi::ffi;
+use ::mpi::topology::SimpleCommunicator;
+use ::mpi::traits::{AsRaw, Communicator, CommunicatorCollectives, Equivalence};
+use ::mpi::Threading;
+use std::mem::MaybeUninit;
+
+/// All processes that were started together.
+pub struct World {
+    communicator: SimpleCommunicator,
+    here: usize,
+    /// Dropped last: that ends MPI.
+    _universe: Universe,
+}
+
+impl World {
+    pub fn begin(several: usize) -> Result<Self, BadInput> {
+        let failed = |problem: String| {
+            BadInput::new(problem)
+                .allowed("processes that were all started by the mpirun of the MPI that hydrograd was built with")
+                .advice("mpirun -n 2 hydrograd ..., or srun with Slurm's own MPI plugin (srun --mpi=list)")
+        };
+        // Only the thread that began speaks to MPI; worker threads do not.
+        let Some((universe, _)) = ::mpi::initialize_with_threading(Threading::Funneled) else {
+            return Err(failed("MPI has begun already".into()));
+        };
+        let communicator = universe.world();
+        if usize::try_from(communicator.size()) != Ok(several) {
+            let found = communicator.size();
+            return Err(failed(format!("{several} processes were started together, but MPI knows of {found}")));
+        }
+        let here = communicator.split_shared(communicator.rank()).size();
+        Ok(Self { here: usize::try_from(here).unwrap_or(1), communicator, _universe: universe })
+    }
+
+    pub fn rank(&self) -> usize {
+        usize::try_from(self.communicator.rank()).unwrap_or(0)
+    }
+
+    pub fn size(&self) -> usize {
+        usize::try_from(self.communicator.size()).unwrap_or(1)
+    }
+
+    pub fn on_this_machine(&self) -> usize {
+        self.here
+    }
+
+    pub fn all(&self, own: &[f64]) -> Vec<f64> {
+        let mut all = vec![0.0; own.len() * self.size()];
+        self.communicator.all_gather_into(own, &mut all[..]);
+        all
+    }
+
+    pub fn begin_exchange(&self, numbers: Vec<f64>, how: How) -> Exchange {
+        let count = i32::try_from(numbers.len()).expect("a network of fewer than 2^31 numbers");
+        let mut found = vec![0.0_f64; numbers.len() * if how == How::Gather { self.size() } else { 1 }];
+        let (from, to) = (numbers.as_ptr().cast(), found.as_mut_ptr().cast());
+        let (kind, sum, world) =
+            (f64::equivalent_datatype().as_raw(), SystemOperation::sum().as_raw(), self.communicator.as_raw());
+        let mut request = MaybeUninit::uninit();
+        // SAFETY: both buffers live in the exchange, which nobody reads or frees before MPI is done with them, and are as long
+        // as MPI is told. MPI sets the request, or ends the program.
+        let request = unsafe {
+            match how {
+                How::Sum => ffi::MPI_Iallreduce(from, to, count, kind, sum, world, request.as_mut_ptr()),
+                How::Gather => ffi::MPI_Iallgather(from, count, kind, to, count, kind, world, request.as_mut_ptr()),
+            };
+            request.assume_init()
+        };
+        Exchange { own: numbers, found, request }
+    }
+
+    pub fn abort(&self, code: u8) {
+        self.communicator.abort(i32::from(code));
+    }
+}
+
+/// Numbers on their way.
+pub struct Exchange {
+    /// MPI reads it until the exchange is done.
+    #[allow(dead_code)]
+    own: Vec<f64>,
+    found: Vec<f64>,
+    request: ffi::MPI_Request,
+}
+
+// SAFETY: only the one thread that began speaks to MPI; that candle's graph could be moved to another one is never used.
+unsafe impl Send for World {}
+// SAFETY: as above.
+unsafe impl Sync for World {}
+// SAFETY: it is handed from hand to hand on the one thread that speaks to MPI; only candle's graph wants it to be able to move.
+unsafe impl Send for Exchange {}
+
+impl Exchange {
+    /// MPI moves numbers only while somebody asks it something.
+    pub fn go_on(&mut self) {
+        let (mut done, mut status) = (0, MaybeUninit::uninit());
+        // SAFETY: the request is of this exchange, and a request that is done is none any more.
+        unsafe { ffi::MPI_Test(&mut self.request, &mut done, status.as_mut_ptr()) };
+    }
+
+    /// Waits for what became of them.
+    pub fn wait(mut self) -> Vec<f64> {
+        self.finish();
+        std::mem::take(&mut self.found)
+    }
+
+    fn finish(&mut self) {
+        let mut status = MaybeUninit::uninit();
+        // SAFETY: as above.
+        unsafe { ffi::MPI_Wait(&mut self.request, status.as_mut_ptr()) };
+    }
+}
+
+impl Drop for Exchange {
+    /// Nobody frees numbers that are on their way.
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
