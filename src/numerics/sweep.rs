@@ -128,6 +128,26 @@ pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     });
 }
 
+/// Numbers that are zeroed at a time.
+const CLEARED: usize = 4096;
+
+struct Clearing<'a, R>(Shared<'a, R>);
+
+impl<R: Real> RowKernel<R> for Clearing<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let to = self.0.length.min(rows.end * CLEARED);
+        // SAFETY: each row is a stretch of its own.
+        unsafe { self.0.slice(rows.start * CLEARED..to) }.fill(R::default());
+    }
+}
+
+/// Zeroes numbers, on all threads.
+pub fn clear<R: Real>(numbers: &mut [R]) {
+    let count = numbers.len().div_ceil(CLEARED);
+    run_rows(&Clearing(Shared::new(numbers)), count);
+}
+
 /// A slice that several threads write, each to places of its own.
 pub struct Shared<'a, T> {
     pointer: *mut T,

@@ -9,7 +9,7 @@ use super::laws::conduction;
 use super::model::{Layout, Model};
 use super::operators::composed::Pairs;
 use super::operators::pairs::PairCache;
-use super::operators::{assemble, density, drift, evolution, rates, wall_condition};
+use super::operators::{assemble, density, drift, evolution, rates, wall_condition, whole_step};
 use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use crate::adjoint::RunError;
@@ -633,10 +633,7 @@ impl<R: Sweeps> TensorSolver<R> {
         }
         let dt = self.times().now;
         match self.kernels {
-            Kernels::Fused => {
-                let after = after.map(Tensor::detach);
-                step::advance(&mut Fused { run: self, carries: true, after, chain: None }, dt, state)
-            }
+            Kernels::Fused => whole_step::advance(self, dt, state, after),
             Kernels::Composed => step::advance(&mut Composed { run: self, pairs: None }, dt, state),
         }
     }
@@ -680,7 +677,7 @@ impl<R: Sweeps> TensorSolver<R> {
             tables: Tables::default(),
         };
         match self.kernels {
-            Kernels::Fused => step::look(&mut Fused { run: &mut run, carries: false, after: None, chain: None }, state),
+            Kernels::Fused => step::look(&mut Fused { run: &mut run, chain: None }, state),
             Kernels::Composed => step::look(&mut Composed { run: &mut run, pairs: None }, state),
         }
     }
@@ -706,12 +703,9 @@ impl<R: Sweeps> TensorSolver<R> {
     }
 }
 
-/// Fused operators, chained by candle.
+/// Fused operators, each a node of candle's graph: what looks at a state, and has no step of its own.
 struct Fused<'a, R: Sweeps> {
     run: &'a mut TensorSolver<R>,
-    /// See [`Chain::carrying`].
-    carries: bool,
-    after: Option<Tensor>,
     chain: Option<Arc<Chain<R>>>,
 }
 
@@ -722,12 +716,8 @@ impl<R: Sweeps> Fused<'_, R> {
 
     /// The operators of this step: begun by the first that asks.
     fn chain(&mut self) -> Arc<Chain<R>> {
-        let (run, carries, after) = (&*self.run, self.carries, &mut self.after);
-        let begin = || match carries {
-            true => Chain::carrying(run.step_now(), after.take()),
-            false => Chain::new(run.step_now()),
-        };
-        self.chain.get_or_insert_with(begin).clone()
+        let run = &*self.run;
+        self.chain.get_or_insert_with(|| Chain::new(run.step_now())).clone()
     }
 }
 
@@ -749,19 +739,16 @@ impl<R: Sweeps> Execution for Fused<'_, R> {
         .map_err(self.failed())
     }
     fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
-        let chain = self.chain();
-        apply2(wall_condition::WallCondition(chain.clone()), &chain.shared(moved), density).map_err(self.failed())
+        apply2(wall_condition::WallCondition(self.chain()), moved, density).map_err(self.failed())
     }
     fn rates(&mut self, moved: &Tensor, primitives: &Tensor) -> Result<Tensor, RunError> {
-        let chain = self.chain();
-        apply2(rates::Rates(chain.clone()), &chain.shared(moved), primitives).map_err(self.failed())
+        apply2(rates::Rates(self.chain()), moved, primitives).map_err(self.failed())
     }
     fn assemble(&mut self, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
         let chain = self.chain();
-        let moved = chain.shared(moved);
         match chain.step.model.layout.density {
-            true => apply3(assemble::AssembleEvolved(chain), &moved, primitives, rates),
-            false => apply2(assemble::Assemble(chain), &moved, rates),
+            true => apply3(assemble::AssembleEvolved(chain), moved, primitives, rates),
+            false => apply2(assemble::Assemble(chain), moved, rates),
         }
         .map_err(self.failed())
     }

@@ -125,7 +125,7 @@ impl<R: Sweeps> Operator<2> for Assemble<R> {
         let mut moved_bar = self.0.moved_bar();
         let mut rates_bar = vec![R::default(); step.model.layout.rate_rows() * step.model.particles()];
         R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
-        Ok([self.0.pass_on(moved_bar), Some(rates_bar)])
+        Ok([Some(moved_bar), Some(rates_bar)])
     }
 }
 
@@ -149,7 +149,7 @@ impl<R: Sweeps> Operator<3> for AssembleEvolved<R> {
         R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
         let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
         primitives_bar[..n].copy_from_slice(&bar[l.state_density() * n..][..n]);
-        Ok([self.0.pass_on(moved_bar), Some(primitives_bar), Some(rates_bar)])
+        Ok([Some(moved_bar), Some(primitives_bar), Some(rates_bar)])
     }
 }
 

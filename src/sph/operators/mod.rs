@@ -9,3 +9,4 @@ pub mod pairs;
 pub mod rates;
 pub mod renormalisation;
 pub mod wall_condition;
+pub mod whole_step;

@@ -11,7 +11,7 @@
 //! scalar product of cotangent and rates, alpha = a_bar_i/m_i - a_bar_j/m_j and beta, gamma likewise; row i
 //! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
 
-use crate::numerics::candle::{read, Operator};
+use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
@@ -249,7 +249,7 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates:
 }
 
 /// The rates from the state at the step's end, which has them.
-fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
+pub fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
     let (n, l) = (step.model.particles(), step.model.layout);
     let accelerations = l.rate_temperature() * n;
     rates[..accelerations].copy_from_slice(&state[l.acceleration() * n..][..accelerations]);
@@ -403,6 +403,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
 struct PackingBars<'a, R> {
     step: &'a Step<R>,
     moved: &'a [R],
+    /// Read where particles have masses of their own.
     rates: &'a [R],
     rates_bar: &'a [R],
     mass: Masses<'a, R>,
@@ -433,18 +434,24 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
                 let a = self.rates_bar[k * n + i];
                 bar[k] = a * inverse_mass;
                 let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
-                power += a * (self.rates[k * n + i] - given);
+                if l.mass {
+                    power += a * (self.rates[k * n + i] - given);
+                }
                 if l.transport {
                     let b = self.rates_bar[(d + k) * n + i];
                     bar[d + k] = vacuum * b * inverse_mass;
-                    power += b * self.rates[(d + k) * n + i];
+                    if l.mass {
+                        power += b * self.rates[(d + k) * n + i];
+                    }
                 }
             }
             if l.heat && conduction::conducts(model, self.moved[i]) {
                 let t = self.rates_bar[l.rate_temperature() * n + i];
                 bar[if l.transport { 2 * d } else { d }] =
                     conduction * t * inverse_mass / conduction::capacity(model, i);
-                power += t * self.rates[l.rate_temperature() * n + i];
+                if l.mass {
+                    power += t * self.rates[l.rate_temperature() * n + i];
+                }
             }
             if l.mass {
                 // SAFETY: each row writes its own particle.
@@ -454,7 +461,8 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
     }
 }
 
-/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero.
+/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero. `rates` are read where particles have
+/// masses of their own.
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],
@@ -496,13 +504,7 @@ impl<R: Sweeps> Operator<2> for Rates<R> {
         let mut kept = self.0.kept();
         density::keep_pairs(step, moved, &mut kept);
         R::keep_records(step, moved, primitives, &mut kept);
-        match self.0.after() {
-            Some(after) => read(after, |state| {
-                known(step, state, &mut rates);
-                Ok(())
-            })?,
-            None => R::rates(step, moved, &kept, &mut rates),
-        }
+        R::rates(step, moved, &kept, &mut rates);
         Ok((rates, (rows, n).into()))
     }
 
@@ -511,7 +513,7 @@ impl<R: Sweeps> Operator<2> for Rates<R> {
         let mut moved_bar = self.0.moved_bar();
         let mut primitives_bar = vec![R::default(); step.model.layout.primitive_rows() * step.model.particles()];
         R::rates_bar(step, moved, &self.0.kept(), rates, bar, &mut moved_bar, &mut primitives_bar);
-        Ok([self.0.pass_on(moved_bar), Some(primitives_bar)])
+        Ok([Some(moved_bar), Some(primitives_bar)])
     }
 }
 

@@ -24,6 +24,7 @@ use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::{Flux, Slip};
+use crate::sph::model::Model;
 use crate::sph::operators::composed;
 use crate::sph::operators::evolution;
 use crate::sph::operators::pairs;
@@ -575,17 +576,9 @@ pub fn backward<R: Real>(
     // Fluid fields are copies; a wall's own velocity counts twice, its own temperature not at all.
     let two = R::of(2.0);
     let mut copy = |to: usize, from: usize, count: usize, wall: R| {
-        for k in 0..count {
-            let from = &primitives_bar[(from + k) * n..(from + k + 1) * n];
-            let to = &mut moved_bar[(to + k) * n..(to + k + 1) * n];
-            if list.fluid_rows.len() < n {
-                for i in 0..n {
-                    to[i] += if model.is_fluid(i) { from[i] } else { wall * from[i] };
-                }
-            } else {
-                to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
-            }
-        }
+        let from = &primitives_bar[from * n..(from + count) * n];
+        let to = Shared::new(&mut moved_bar[to * n..(to + count) * n]);
+        run_rows(&Handing { model, from, to, wall }, n);
     };
     copy(l.velocity(), l.primitive_velocity(), d, two);
     if l.transport {
@@ -594,9 +587,8 @@ pub fn backward<R: Real>(
     if l.heat {
         copy(l.moved_temperature(), l.primitive_temperature(), 1, R::default());
     }
-    for &i in &list.fluid_rows {
-        density_bar[i as usize] = primitives_bar[i as usize];
-    }
+    // (Where it is zero.)
+    run_rows(&Handing { model, from: &primitives_bar[..n], to: Shared::new(density_bar), wall: R::default() }, n);
     if list.fluid_rows.len() == n {
         return;
     }
@@ -629,6 +621,29 @@ pub fn backward<R: Real>(
     dispatch!(l, go);
 }
 
+/// Adds to the cotangents of some rows `[rows, N]` those of others: the fluid's once, the walls' so many times.
+struct Handing<'a, R: Real> {
+    model: &'a Model<R>,
+    from: &'a [R],
+    to: Shared<'a, R>,
+    wall: R,
+}
+
+impl<R: Real> RowKernel<R> for Handing<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let n = self.model.particles();
+        for first in (0..self.from.len()).step_by(n) {
+            let range = first + rows.start..first + rows.end;
+            // SAFETY: each range of rows writes its own particles.
+            let (to, from) = (unsafe { self.to.slice(range.clone()) }, &self.from[range]);
+            for (k, i) in rows.clone().enumerate() {
+                to[k] += if self.model.is_fluid(i) { from[k] } else { self.wall * from[k] };
+            }
+        }
+    }
+}
+
 impl<R: Sweeps> Operator<2> for WallCondition<R> {
     type Real = R;
     const NAME: &'static str = "wall condition";
@@ -646,7 +661,7 @@ impl<R: Sweeps> Operator<2> for WallCondition<R> {
         let mut moved_bar = self.0.moved_bar();
         let mut density_bar = vec![R::default(); step.model.particles()];
         R::primitives_bar(step, &self.0.kept(), bar, &mut moved_bar, &mut density_bar);
-        Ok([self.0.pass_on(moved_bar), Some(density_bar)])
+        Ok([Some(moved_bar), Some(density_bar)])
     }
 }
 
