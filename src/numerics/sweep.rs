@@ -1,6 +1,7 @@
 //! Sweeps over rows: a kernel compiled for every instruction set, run by all threads.
 
 use super::lanes::{Lanes, Real};
+use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -128,24 +129,67 @@ pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     });
 }
 
-/// Numbers that are zeroed at a time.
-const CLEARED: usize = 4096;
+/// Numbers that are copied or zeroed at a time.
+const STRETCH: usize = 4096;
 
-struct Clearing<'a, R>(Shared<'a, R>);
+/// Fills a stretch of memory with numbers of another, or with zeros.
+struct Filling<'a, R> {
+    from: Option<&'a [R]>,
+    to: Shared<'a, MaybeUninit<R>>,
+}
 
-impl<R: Real> RowKernel<R> for Clearing<'_, R> {
+impl<R: Real> RowKernel<R> for Filling<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let to = self.0.length.min(rows.end * CLEARED);
+        let range = rows.start * STRETCH..self.to.length.min(rows.end * STRETCH);
         // SAFETY: each row is a stretch of its own.
-        unsafe { self.0.slice(rows.start * CLEARED..to) }.fill(R::default());
+        let to = unsafe { self.to.slice(range.clone()) };
+        match self.from {
+            Some(from) => to.iter_mut().zip(&from[range]).for_each(|(to, from)| *to = MaybeUninit::new(*from)),
+            None => to.fill(MaybeUninit::new(R::default())),
+        }
     }
+}
+
+fn fill<R: Real>(from: Option<&[R]>, to: &mut [MaybeUninit<R>]) {
+    let count = to.len().div_ceil(STRETCH);
+    run_rows(&Filling { from, to: Shared::new(to) }, count);
+}
+
+/// Numbers as memory that may be written.
+fn memory<R: Real>(numbers: &mut [R]) -> &mut [MaybeUninit<R>] {
+    // SAFETY: the same layout, and [`fill`] writes numbers only.
+    unsafe { &mut *(numbers as *mut [R] as *mut [MaybeUninit<R>]) }
 }
 
 /// Zeroes numbers, on all threads.
 pub fn clear<R: Real>(numbers: &mut [R]) {
-    let count = numbers.len().div_ceil(CLEARED);
-    run_rows(&Clearing(Shared::new(numbers)), count);
+    fill(None, memory(numbers));
+}
+
+/// Copies numbers, on all threads.
+pub fn copy<R: Real>(from: &[R], to: &mut [R]) {
+    assert_eq!(from.len(), to.len());
+    fill(Some(from), memory(to));
+}
+
+/// A vector of `count` numbers, on all threads.
+fn filled<R: Real>(from: Option<&[R]>, count: usize) -> Vec<R> {
+    let mut numbers = Vec::with_capacity(count);
+    fill(from, &mut numbers.spare_capacity_mut()[..count]);
+    // SAFETY: `fill` has written that many.
+    unsafe { numbers.set_len(count) };
+    numbers
+}
+
+/// A copy of numbers, made on all threads.
+pub fn copied<R: Real>(from: &[R]) -> Vec<R> {
+    filled(Some(from), from.len())
+}
+
+/// So many zeros, written on all threads.
+pub fn zeros<R: Real>(count: usize) -> Vec<R> {
+    filled(None, count)
 }
 
 /// A slice that several threads write, each to places of its own.
@@ -223,5 +267,22 @@ impl<'a, T: Copy> Shared<'a, T> {
         assert!(range.start <= range.end && range.end <= self.length);
         // SAFETY: in bounds, and exclusively ours by the contract.
         unsafe { std::slice::from_raw_parts_mut(self.pointer.add(range.start), range.len()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_filled_to_the_last() {
+        for count in [0, 1, STRETCH - 1, STRETCH, 5 * STRETCH + 7] {
+            let from: Vec<f64> = (0..count).map(|k| k as f64).collect();
+            let mut to = vec![-1.0; count];
+            copy(&from, &mut to);
+            assert!(to == from && copied(&from) == from, "{count}");
+            clear(&mut to);
+            assert!(to == vec![0.0; count] && zeros::<f64>(count) == to, "{count}");
+        }
     }
 }

@@ -25,7 +25,7 @@ impl<R: Real> Chain<R> {
     pub fn new(step: Arc<Step<R>>) -> Arc<Self> {
         // With arbitrary content, and not marked as having any.
         let kept = step.model.scratch.caches.take().unwrap_or_default();
-        let kept = Mutex::new(PairCache { has_pairs: false, has_records: false, ..kept });
+        let kept = Mutex::new(PairCache { has_pairs: false, has_fluid_records: false, has_records: false, ..kept });
         Arc::new(Self { step, kept })
     }
 

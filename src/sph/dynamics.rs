@@ -15,6 +15,7 @@ use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
 use crate::config::scene::Kernels;
 use crate::numerics::blocks::Block;
+use crate::numerics::sweep::{copied, copy};
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::particles::NeighbourList;
@@ -131,7 +132,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             let round = |(to, from): (&mut f32, &R)| *to = from.f64() as f32;
             scratch.rounded_states.keep(state.len(), |kept: &mut [f32]| kept.iter_mut().zip(state).for_each(round))
         } else {
-            scratch.states.keep(state.len(), |kept: &mut [R]| kept.copy_from_slice(state))
+            scratch.states.keep(state.len(), |kept: &mut [R]| copy(state, kept))
         };
         let numbers = numbers.map_err(|e| RunError::Tensor { step: run.step, source: candle_core::Error::Io(e) })?;
         Ok(KeptState {
@@ -151,7 +152,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             let widen = |(to, from): (&mut R, &f32)| *to = R::of(*from as f64);
             kept.numbers.read(|state: &[f32]| run.state.iter_mut().zip(state).for_each(widen));
         } else {
-            kept.numbers.read(|state: &[R]| run.state.copy_from_slice(state));
+            kept.numbers.read(|state: &[R]| copy(state, &mut run.state));
         }
         run.step = kept.step;
         run.pace = Pace::after(kept.parts);
@@ -286,7 +287,7 @@ impl<R: Sweeps> Sph<R> {
 
     fn state_tensor(&self, step: usize, state: &[R]) -> Result<Tensor, RunError> {
         let rows = self.model.layout.state_rows();
-        Tensor::from_slice(state, (rows, self.model.particles()), &Device::Cpu)
+        Tensor::from_vec(copied(state), (rows, self.model.particles()), &Device::Cpu)
             .map_err(|source| RunError::Tensor { step, source })
     }
 

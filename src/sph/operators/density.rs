@@ -12,7 +12,9 @@ use crate::sph::chain::{Chain, Step};
 use crate::sph::kernels::KernelLanes;
 use crate::sph::operators::composed;
 use crate::sph::operators::pairs;
-use crate::sph::operators::pairs::{pack_positions, Masses, PairCache, RowGeometry};
+use crate::sph::operators::pairs::{pack_positions, stride, Masses, PairCache, RowGeometry};
+use crate::sph::operators::rates::record_fields;
+use crate::sph::operators::wall_condition::pack_fluid;
 use crate::sph::sweeps::Sweeps;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -28,6 +30,8 @@ struct Forward<'a, R, const D: usize, const CURVATURE: bool> {
     density: Shared<'a, R>,
     slope: Shared<'a, R>,
     curvature: Shared<'a, R>,
+    moved: &'a [R],
+    records: Shared<'a, R>,
 }
 
 impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE> {
@@ -70,6 +74,7 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
         let kernel = model.kernel.lanes::<L>();
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         let own = R::of(model.kernel.at_zero());
+        let width = stride(record_fields(D, model.layout.transport, model.layout.heat));
         for row in rows {
             let i = pairs::particle_of_row(list, row);
             let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
@@ -78,19 +83,32 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
                 self.row::<L, false>(&kernel, &geometry, i)
             };
             if !CURVATURE || row < list.fluid_rows.len() {
-                // SAFETY: each fluid row writes its own particle.
-                unsafe { self.density.set(i, self.mass.of(i) * (own + sum.sum())) };
+                let (mass, sum) = (self.mass.of(i), own + sum.sum());
+                // SAFETY: each fluid row writes its own particle and record.
+                unsafe {
+                    self.density.set(i, mass * sum);
+                    pack_fluid(
+                        self.step,
+                        self.moved,
+                        mass,
+                        mass * sum,
+                        i,
+                        self.records.slice(i * width..(i + 1) * width),
+                    );
+                }
             }
         }
     }
 }
 
-/// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated. `density` must be zero
-/// for walls.
+/// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated, and the fluid's records while
+/// they are at hand. `density` must be zero for walls.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, differentiate: bool, density: &mut [R]) {
     let (model, list) = (&*step.model, &*step.list);
     kept.make_room(model, list, moved, differentiate);
-    let mass = Masses::new(model, moved);
+    let (mass, l) = (Masses::new(model, moved), model.layout);
+    kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * model.particles(), R::default());
+    kept.has_fluid_records = true;
     macro_rules! go {
         ($d:literal, $curvature:literal) => {
             run_rows(
@@ -101,6 +119,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, di
                     density: Shared::new(density),
                     slope: Shared::new(&mut kept.slope),
                     curvature: Shared::new(&mut kept.curvature),
+                    moved,
+                    records: Shared::new(&mut kept.records),
                 },
                 if $curvature { pairs::all_rows(list) } else { list.fluid_rows.len() },
             )
@@ -118,7 +138,10 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, di
 pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
     if !kept.has_pairs {
         let mut density = step.model.scratch.buffers.buffer(step.model.particles());
+        // Records that are there may be of another density.
+        let (records, has_fluid_records) = (std::mem::take(&mut kept.records), kept.has_fluid_records);
         R::density(step, moved, kept, true, &mut density);
+        (kept.records, kept.has_fluid_records) = (records, has_fluid_records);
     }
 }
 

@@ -214,6 +214,8 @@ pub struct PairCache<R> {
     pub records: Vec<R>,
     /// Whether the vectors hold something.
     pub has_pairs: bool,
+    /// Those of the fluid, and those of all.
+    pub has_fluid_records: bool,
     pub has_records: bool,
 }
 

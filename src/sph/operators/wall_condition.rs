@@ -224,28 +224,35 @@ struct FluidRecords<'a, R> {
 impl<R: Real> RowKernel<R> for FluidRecords<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (n, l) = (self.step.model.particles(), self.step.model.layout);
-        let d = l.dimension;
-        let width = stride(record_fields(d, l.transport, l.heat));
+        let l = self.step.model.layout;
+        let width = stride(record_fields(l.dimension, l.transport, l.heat));
         for row in rows {
             let i = self.step.list.fluid_rows[row] as usize;
             // SAFETY: each row writes its own record.
             let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
-            for k in 0..d {
-                record[k] = self.moved[k * n + i];
-                record[d + 2 + k] = self.moved[(l.velocity() + k) * n + i];
-                if l.transport {
-                    record[2 * d + 2 + k] = self.moved[(l.moved_shift() + k) * n + i];
-                }
-            }
-            record[d] = self.mass.of(i) / self.density[i];
-            record[d + 1] = self.density[i];
-            if l.heat {
-                let at = record_temperature(d, l.transport);
-                record[at] = self.moved[l.moved_temperature() * n + i];
-                record[at + 1] = self.moved[l.moved_old_temperature() * n + i];
-            }
+            pack_fluid(self.step, self.moved, self.mass.of(i), self.density[i], i, record);
         }
+    }
+}
+
+/// Writes the record of a fluid particle, whose primitives are its own.
+#[inline(always)]
+pub fn pack_fluid<R: Real>(step: &Step<R>, moved: &[R], mass: R, density: R, i: usize, record: &mut [R]) {
+    let (n, l) = (step.model.particles(), step.model.layout);
+    let d = l.dimension;
+    for k in 0..d {
+        record[k] = moved[k * n + i];
+        record[d + 2 + k] = moved[(l.velocity() + k) * n + i];
+        if l.transport {
+            record[2 * d + 2 + k] = moved[(l.moved_shift() + k) * n + i];
+        }
+    }
+    record[d] = mass / density;
+    record[d + 1] = density;
+    if l.heat {
+        let at = record_temperature(d, l.transport);
+        record[at] = moved[l.moved_temperature() * n + i];
+        record[at + 1] = moved[l.moved_old_temperature() * n + i];
     }
 }
 
@@ -325,7 +332,12 @@ pub fn forward<R: Real>(
     let mass = Masses::new(model, moved);
     let mut records = std::mem::take(&mut kept.records);
     records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
-    run_rows(&FluidRecords { step, moved, density, mass, records: Shared::new(&mut records) }, list.fluid_rows.len());
+    if !kept.has_fluid_records {
+        run_rows(
+            &FluidRecords { step, moved, density, mass, records: Shared::new(&mut records) },
+            list.fluid_rows.len(),
+        );
+    }
     if list.fluid_rows.len() < n && !kept.has_pairs {
         pack_positions(model, moved, None, &mut kept.position);
     }

@@ -8,7 +8,7 @@
 use crate::adjoint::RunError;
 use crate::numerics::candle::{apply1, read, Operator};
 use crate::numerics::pool::Buffer;
-use crate::numerics::sweep::clear;
+use crate::numerics::sweep::{clear, copied, zeros};
 use crate::sph::chain::{Chain, Step};
 use crate::sph::operators::rates::known;
 use crate::sph::solver::TensorSolver;
@@ -159,9 +159,9 @@ impl<R: Sweeps> Execution for Recording<'_, R> {
     fn assemble(&mut self, _: &(), _: &(), _: &()) -> std::result::Result<(), RunError> {
         let (_, step) = self.step_now();
         match (self.after, &self.rates) {
-            (Some(after), _) => self.state = after.to_vec(),
+            (Some(after), _) => self.state = copied(after),
             (None, Some(rates)) => {
-                self.state = vec![R::default(); step.model.layout.state_rows() * step.model.particles()];
+                self.state = zeros(step.model.layout.state_rows() * step.model.particles());
                 R::assemble(&step, &self.moved, &self.primitives, rates, &mut self.state);
             }
             (None, None) => {}
@@ -201,7 +201,7 @@ impl<R: Sweeps> Operator<1> for WholeStep<R> {
             true => R::evolution_bar(step, self.dt, moved, &kept, &self.density, &density_bar, &mut moved_bar),
             false => R::density_bar(step, moved, &kept, &self.density, &density_bar, &mut moved_bar),
         }
-        let mut state_bar = vec![R::default(); state.len()];
+        let mut state_bar = zeros(state.len());
         R::drift_bar(model, self.dt, &moved_bar, &mut state_bar);
         Ok([Some(state_bar)])
     }
