@@ -118,7 +118,8 @@ rm -rf shares whole
 
 echo "== cases with a known answer"
 cases=(validate --quick --filter poiseuille)
-submit --out validate.sh "${cases[@]}" --out shares
+"$hydrograd" slurm --submit --out validate.sh "${cases[@]}" --out shares | tee said
+read -r array merge < <(sed -n 's/^jobs: \(.*\) and then \(.*\)/\1 \2/p' said)
 together validate
 "$hydrograd" "${cases[@]}" --out whole --threads 2 >/dev/null
 [ "$(without_seconds whole/validation.csv)" = "$(without_seconds shares/validation.csv)" ] || fail "validation.csv differs"
