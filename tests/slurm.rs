@@ -58,13 +58,19 @@ fn strip(value: &mut serde_json::Value) {
 
 /// Columns that are no times.
 fn columns(text: &str) -> String {
-    let times: Vec<bool> =
-        text.lines().next().unwrap_or_default().split(',').map(|name| name.contains("seconds")).collect();
-    let cells = |line: &str| {
-        let kept = line.split(',').enumerate().filter(|(k, _)| !times.get(*k).copied().unwrap_or(false));
-        kept.map(|(_, cell)| cell).collect::<Vec<_>>().join(",") + "\n"
+    // Commas within quotes are none.
+    let cells = |line: &str| -> Vec<String> {
+        let parts = line.split('"').enumerate();
+        let plain: String =
+            parts.map(|(k, part)| if k % 2 == 1 { part.replace(',', ";") } else { part.into() }).collect();
+        plain.split(',').map(str::to_string).collect()
     };
-    text.lines().map(cells).collect()
+    let header = text.lines().next().map(cells).unwrap_or_default();
+    let line = |line: &str| {
+        let kept = cells(line).into_iter().zip(&header).filter(|(_, name)| !name.contains("seconds"));
+        kept.map(|(cell, _)| cell).collect::<Vec<_>>().join(",") + "\n"
+    };
+    text.lines().map(line).collect()
 }
 
 /// Every file of a folder by its name, as far as it is the same in every run: pages, logs and checkpoints have times in them.

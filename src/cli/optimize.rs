@@ -236,11 +236,15 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     let of_share = share.map_or(String::new(), |shard| format!(" --shard {}/{}", shard.index, shard.count));
     interrupt::listen(format!("hydrograd {kind} --resume {}{of_share}", folder.display()))?;
     if kind != KIND {
+        if share.is_some() {
+            check_begun(&folder, &loaded)?;
+        }
         // What all parts have in common is complete, and stays so.
         if earlier == Earlier::Resumed && is_finished(&folder) {
             let epochs = files::read_config(&folder)?.config.optimise.epochs;
             if loaded.config.optimise.epochs <= epochs {
-                return Err(has_its_epochs(epochs).place("--resume").into());
+                let option = if share.is_some() { "--shard" } else { "--resume" };
+                return Err(has_its_epochs(epochs).place(option).into());
             }
         }
         if let Some(shard) = share {
@@ -339,18 +343,24 @@ fn starts(loaded: &Loaded) -> anyhow::Result<Vec<(String, Loaded)>> {
     StartName::EACH.into_iter().map(of).collect()
 }
 
+/// An error if the shares of a folder have other settings.
+fn check_begun(folder: &Path, loaded: &Loaded) -> Result<(), Error> {
+    if !folder.join("config.toml").is_file() {
+        return Ok(());
+    }
+    match difference(&files::read_config(folder)?.config, &loaded.config, &FREE) {
+        None => Ok(()),
+        Some(what) => Err(BadInput::new(format!("the folder was begun with {what}"))
+            .place(format!("--out {}", folder.display()))
+            .allowed("the same scene and settings for all shares")
+            .advice("another --out, or remove the folder")
+            .into()),
+    }
+}
+
 /// The starts of a share, in the folder of all: whoever has no share compares them.
 fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::Result<()> {
     let runs = starts(loaded)?;
-    if folder.join("config.toml").is_file() {
-        if let Some(what) = difference(&files::read_config(folder)?.config, &loaded.config, &FREE) {
-            return Err(BadInput::new(format!("the folder was begun with {what}"))
-                .place(format!("--out {}", folder.display()))
-                .allowed("the same scene and settings for all shares")
-                .advice("another --out, or remove the folder")
-                .into());
-        }
-    }
     let _own = RunFolder::share(folder, STARTS)?;
     files::write_config(folder, loaded)?;
     let mine: Vec<&(String, Loaded)> = shard.of(&runs).collect();
