@@ -223,8 +223,8 @@ fn starts() {
     assert!(found.contains_key("starts.png") && found.contains_key("sine/summary.json"), "{:?}", found.keys());
     // Shares of other settings, and of one search.
     let out = ["--out", "shares", "--shard", "1/3"];
-    let other = [&all[..], &out, &["--set", "time.cfl=0.5"]].concat();
-    refused(&other, &hydrograd(at, &other), &["--out shares", "begun with", "time.cfl"]);
+    let other = [&all[..], &out, &["--set", "design.bound=0.015"]].concat();
+    refused(&other, &hydrograd(at, &other), &["--out shares", "begun with", "design.bound"]);
     let single = ["optimize", "--shard", "0/2", "--out", "none"];
     refused(&single, &hydrograd(at, &single), &["--shard", "--start all"]);
     let lost = [&all[..], &["--out", "shares", "--shard", "0/2", "--overwrite"]].concat();
