@@ -339,6 +339,29 @@ fn a_second_signal_ends_at_once() {
     assert_eq!(ended.signal(), Some(libc::SIGINT), "{ended}");
 }
 
+/// A batch system tells a program, and the shell of its job, which tells it again: that is one signal.
+#[test]
+fn what_is_told_twice_at_once_is_told_once() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let mut child =
+        start(at, &["optimize", "--out", "opt", "--epochs", "500", "--set", "optimise.method=adam", "--threads", "1"]);
+    let clock = Instant::now();
+    while !at.join("opt/checkpoint.safetensors").exists() {
+        assert!(clock.elapsed() < Duration::from_secs(60), "no checkpoint");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // SAFETY: a signal to our own child, which has not been waited for.
+    let send = |child: &Child| unsafe { libc::kill(child.id() as libc::pid_t, libc::SIGTERM) };
+    send(&child);
+    let mut said = std::io::BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    assert!(said.read_line(&mut line).unwrap() > 0 && line.starts_with("SIGTERM"), "{line}");
+    send(&child);
+    // It ends after its epoch, by itself.
+    assert_eq!(child.wait().unwrap().code(), Some(143));
+}
+
 /// Sends a signal once a file is there; the exit code and what was said.
 fn signalled(at: &Path, arguments: &[&str], file: &str, signal: libc::c_int) -> (Option<i32>, String) {
     let child = start(at, arguments);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::Parser;
-use hydrograd::cli::Cli;
+use hydrograd::cli::{Cli, Command};
 use hydrograd::config::scene::Config;
 use hydrograd::config::schema::known_keys;
 use hydrograd::config::training::Settings;
@@ -107,7 +107,13 @@ fn words(line: &str) -> Vec<String> {
 
 /// What is wrong with a command line of hydrograd, if anything. A line in running text may leave required options out.
 fn problem(line: &str, whole: bool) -> Option<String> {
-    let error = Cli::try_parse_from(words(line)).err()?;
+    let error = match Cli::try_parse_from(words(line)) {
+        // The command in a job is one, too.
+        Ok(Cli { command: Command::Slurm(job), .. }) => {
+            return problem(&format!("hydrograd {}", job.command.join(" ")), whole)
+        }
+        parsed => parsed.err()?,
+    };
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => None,
         ErrorKind::MissingRequiredArgument | ErrorKind::MissingSubcommand if !whole => None,
@@ -233,5 +239,6 @@ fn words_are_those_of_a_shell() {
     assert_eq!(words("hydrograd scenes heated-channel > my.toml"), ["hydrograd", "scenes", "heated-channel"]);
     assert_eq!(anchor("## Walls that are not flat"), "walls-that-are-not-flat");
     assert!(problem("hydrograd optimize --no-such-option", false).is_some());
+    assert!(problem("hydrograd slurm --tasks 2 optimize --no-such-option", false).is_some());
     assert!(problem("hydrograd evaluate", false).is_none() && problem("hydrograd evaluate", true).is_some());
 }

@@ -4,6 +4,7 @@ use super::arguments::CommonArguments;
 use super::files::VERSION;
 use super::prepare::{difference, share_out, workers};
 use super::run_folder::{Earlier, RunFolder};
+use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
 use crate::dataset::recipe::{Job, Recipe, Starts};
 use crate::dataset::record::record;
@@ -74,9 +75,8 @@ pub struct GenerateArguments {
     /// turns.
     #[arg(long, value_name = "FILE", conflicts_with = "walls")]
     pub walls_file: Option<PathBuf>,
-    /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all].
-    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
-    pub shard: Option<Shard>,
+    #[command(flatten)]
+    pub shard: ShardArgument,
 }
 
 /// Put the trajectories of all shards together (`generate` does it itself when the last one is there).
@@ -138,14 +138,6 @@ impl GenerateArguments {
             given,
         })
     }
-
-    /// The share to make.
-    pub fn shard(&self) -> Result<Shard, Error> {
-        match self.shard {
-            Some(shard) => Ok(shard),
-            None => Ok(Shard::from_slurm(|name| std::env::var(name).ok())?.unwrap_or(Shard::ALL)),
-        }
-    }
 }
 
 /// Keys that do not change what is in a data set.
@@ -154,18 +146,10 @@ const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 /// What its folders are marked with.
 const KIND: &str = "generate";
 
-/// A share of the trajectories: those whose number is `index` modulo `count`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shard {
-    /// From 0.
-    pub index: usize,
-    pub count: usize,
-}
-
 pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let recipe = arguments.recipe(&loaded)?;
     recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
-    let shard = arguments.shard()?;
+    let shard = arguments.shard.share()?.unwrap_or(Shard::ALL);
     // What is wrong with one trajectory's configuration is wrong before anything is written.
     for (line, job) in recipe.jobs().into_iter().take(recipe.given.len().max(1)).enumerate() {
         let of_line = |error| match error {
@@ -191,8 +175,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         store.begin(&loaded.text, &Begun { recipe: recipe.clone(), version: VERSION.into() })?;
     }
     std::fs::create_dir_all(store.parts()).map_err(|source| FileError::write(&store.parts(), source))?;
-    let mine: Vec<Job> =
-        jobs.iter().enumerate().filter(|(k, _)| k % shard.count == shard.index).map(|(_, job)| *job).collect();
+    let mine: Vec<Job> = shard.of(&jobs).copied().collect();
     let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
     for &job in mine.iter().filter(|job| !todo.contains(job)) {
         open(&store.part(job), "trajectory").map_err(|error| {
@@ -337,50 +320,6 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
     }
     bar.message(job.to_string());
     Ok(())
-}
-
-impl Shard {
-    pub const ALL: Self = Self { index: 0, count: 1 };
-
-    /// `i/n`, i from 0.
-    pub fn parse(text: &str) -> Result<Self, String> {
-        let allowed = || "allowed: I/N with I = 0 ... N - 1, for example 0/4".to_string();
-        let (index, count) = text.split_once('/').ok_or_else(allowed)?;
-        let (index, count) = (index.parse().map_err(|_| allowed())?, count.parse().map_err(|_| allowed())?);
-        if index < count {
-            Ok(Self { index, count })
-        } else {
-            Err(allowed())
-        }
-    }
-
-    /// From Slurm's job array, if the process is in one: `variable` reads an environment variable.
-    pub fn from_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Option<Self>, BadInput> {
-        let Some(task) = variable("SLURM_ARRAY_TASK_ID") else { return Ok(None) };
-        let number = |name: &str, text: Option<String>| -> Result<usize, BadInput> {
-            let shown = text.clone().unwrap_or_else(|| "nothing".into());
-            text.and_then(|text| text.parse().ok()).ok_or_else(|| {
-                BadInput::new(format!("{name} is {shown}"))
-                    .place("environment")
-                    .allowed("a whole number, as Slurm sets it in a job array (sbatch --array=0-9)")
-                    .advice("--shard I/N")
-            })
-        };
-        let optional = |name: &str, usual: usize| variable(name).map_or(Ok(usual), |text| number(name, Some(text)));
-        let count = number("SLURM_ARRAY_TASK_COUNT", variable("SLURM_ARRAY_TASK_COUNT"))?;
-        let task = number("SLURM_ARRAY_TASK_ID", Some(task))?;
-        let (first, step) = (optional("SLURM_ARRAY_TASK_MIN", 0)?, optional("SLURM_ARRAY_TASK_STEP", 1)?);
-        let index = task.saturating_sub(first) / step.max(1);
-        if task < first || index >= count {
-            return Err(BadInput::new(format!(
-                "task {task} of a job array of {count} tasks from {first} in steps of {step}"
-            ))
-            .place("environment")
-            .allowed("an array of evenly spaced tasks (sbatch --array=0-9)")
-            .advice("--shard I/N"));
-        }
-        Ok(Some(Self { index, count }))
-    }
 }
 
 /// `train/valid/test`.

@@ -24,8 +24,10 @@ mod recover;
 mod rollout;
 mod run_folder;
 mod scenes;
+mod shard;
 mod simulate;
 mod simulate_report;
+mod slurm;
 mod stress;
 mod study;
 mod train;
@@ -78,6 +80,7 @@ pub enum Command {
         command: dataset::DatasetCommand,
     },
     Compare(page::CompareArguments),
+    Slurm(slurm::SlurmArguments),
     Scenes(scenes::ScenesArguments),
     New(new::NewArguments),
     Completions(completions::CompletionsArguments),
@@ -108,6 +111,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Compare(arguments) => page::compare::run(arguments),
+        Command::Slurm(arguments) => slurm::run(&arguments),
         Command::Scenes(arguments) => scenes::run(arguments),
         Command::New(arguments) => new::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),

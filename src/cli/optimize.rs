@@ -4,8 +4,9 @@ use super::arguments::{
     name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
 };
 use super::explain::explain;
-use super::prepare::{build, change, diverged, share_out, use_threads, workers};
+use super::prepare::{build, change, difference, diverged, share_out, use_threads, workers};
 use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
+use super::shard::{Shard, ShardArgument};
 use super::simulate_report::warn;
 use super::verify;
 use super::{files, optimize_compare, optimize_shapes, page};
@@ -53,6 +54,9 @@ Examples:
       the heated channel from a flat wall, in less than a minute on two cores
   hydrograd optimize --start all --out runs/starts
       from four start shapes, compared in one plot
+  hydrograd optimize --start all --out runs/starts --shard 0/4
+      the first start alone, perhaps on another machine with the same disk; `hydrograd optimize --start all --resume
+      runs/starts` then compares all (`hydrograd slurm optimize --start all` writes a job array of it)
   hydrograd optimize --preset report --start random --seed 7
       the original report's settings, from a random wall
   hydrograd optimize --no-verify
@@ -103,6 +107,8 @@ pub struct OptimizeArguments {
     /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
     #[arg(long)]
     pub no_verify: bool,
+    #[command(flatten)]
+    pub shard: ShardArgument,
 }
 
 /// Start shapes of `optimize`.
@@ -154,8 +160,22 @@ impl OptimizeArguments {
         self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
     }
 
+    /// The share of the starts that was asked for; a single search has none, in a job array or not.
+    fn share(&self) -> Result<Option<Shard>, BadInput> {
+        let bad = |problem: &str, allowed: &str| Err(BadInput::new(problem).place("--shard").allowed(allowed));
+        match (self.kind(), self.shard.shard) {
+            (STARTS, _) if self.overwrite.overwrite && self.shard.share()?.is_some() => bad(
+                "--overwrite of one share would lose those of the others",
+                "a new folder, or one that the shares began",
+            ),
+            (STARTS, _) => self.shard.share(),
+            (_, Some(_)) => bad("a single search has no shares", "--start all, whose starts are shared out"),
+            (_, None) => Ok(None),
+        }
+    }
+
     /// A finished run in the folder that nobody has named stays as it is, and the new one goes to a folder with the next number.
-    fn free(&self, folder: PathBuf) -> PathBuf {
+    pub(super) fn free(&self, folder: PathBuf) -> PathBuf {
         if self.common.out.is_some() || self.resume.resume.is_some() || self.overwrite.overwrite {
             return folder;
         }
@@ -164,10 +184,10 @@ impl OptimizeArguments {
     }
 
     /// What its folder is marked with.
-    fn kind(&self) -> &'static str {
+    pub(super) fn kind(&self) -> &'static str {
         match self.start {
             _ if self.compare => "optimize --compare",
-            Some(StartName::All) => "optimize --start all",
+            Some(StartName::All) => STARTS,
             _ => KIND,
         }
     }
@@ -191,28 +211,44 @@ fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
 
 /// What the folder of a single run is marked with.
 const KIND: &str = "optimize";
+/// What that of all starts is marked with.
+pub const STARTS: &str = "optimize --start all";
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// Work units of the progress bar per epoch.
 const UNITS: u64 = 1000;
 
 pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
-    let folder = arguments.free(arguments.folder(&loaded)?);
+    let share = arguments.share()?;
+    let folder = match share {
+        // All shares go to the same one.
+        Some(_) => arguments.folder(&loaded)?,
+        None => arguments.free(arguments.folder(&loaded)?),
+    };
     use_threads(loaded.config.run.threads);
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
     }
     let resume = arguments.resume.resume.as_deref();
-    let otherwise = Earlier::of_options(false, arguments.overwrite.overwrite);
+    // A share goes on, too, with what it or others began.
+    let otherwise = Earlier::of_options(share.is_some(), arguments.overwrite.overwrite);
     let (kind, earlier) = (arguments.kind(), earlier(&folder, resume, otherwise));
     RunFolder::check(&folder, kind, earlier)?;
-    interrupt::listen(format!("hydrograd {kind} --resume {}", folder.display()))?;
+    let of_share = share.map_or(String::new(), |shard| format!(" --shard {}/{}", shard.index, shard.count));
+    interrupt::listen(format!("hydrograd {kind} --resume {}{of_share}", folder.display()))?;
     if kind != KIND {
+        if share.is_some() {
+            check_begun(&folder, &loaded)?;
+        }
         // What all parts have in common is complete, and stays so.
         if earlier == Earlier::Resumed && is_finished(&folder) {
             let epochs = files::read_config(&folder)?.config.optimise.epochs;
             if loaded.config.optimise.epochs <= epochs {
-                return Err(has_its_epochs(epochs).place("--resume").into());
+                let option = if share.is_some() { "--shard" } else { "--resume" };
+                return Err(has_its_epochs(epochs).place(option).into());
             }
+        }
+        if let Some(shard) = share {
+            return share_of_starts(&loaded, &folder, shard);
         }
         let own = RunFolder::take(&folder, kind, earlier)?;
         // Its parts only when all of it is there: what they have in common is made of each.
@@ -296,6 +332,51 @@ pub fn one(
     }
 }
 
+/// Every start, by name. A bad one must not be found out after an hour.
+fn starts(loaded: &Loaded) -> anyhow::Result<Vec<(String, Loaded)>> {
+    let of = |start: StartName| {
+        let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
+        let loaded = loaded.with(&[setting])?;
+        check_shape(&loaded.config)?;
+        Ok((format!("{start:?}").to_lowercase(), loaded))
+    };
+    StartName::EACH.into_iter().map(of).collect()
+}
+
+/// An error if the shares of a folder have other settings.
+fn check_begun(folder: &Path, loaded: &Loaded) -> Result<(), Error> {
+    if !folder.join("config.toml").is_file() {
+        return Ok(());
+    }
+    match difference(&files::read_config(folder)?.config, &loaded.config, &FREE) {
+        None => Ok(()),
+        Some(what) => Err(BadInput::new(format!("the folder was begun with {what}"))
+            .place(format!("--out {}", folder.display()))
+            .allowed("the same scene and settings for all shares")
+            .advice("another --out, or remove the folder")
+            .into()),
+    }
+}
+
+/// The starts of a share, in the folder of all: whoever has no share compares them.
+fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::Result<()> {
+    let runs = starts(loaded)?;
+    let _own = RunFolder::share(folder, STARTS)?;
+    files::write_config(folder, loaded)?;
+    let mine: Vec<&(String, Loaded)> = shard.of(&runs).collect();
+    let tasks = Tasks::default();
+    let outcomes = share_out(workers(loaded.config.run.threads, mine.len()), &mine, |(name, loaded)| {
+        let folder = folder.join(name);
+        one(loaded, &folder, Begin::part(&folder, Earlier::Resumed), name, &tasks)
+    })?;
+    for (_, outcome) in &outcomes {
+        println!("{}", outcome.text);
+    }
+    println!("{} of {} starts", mine.len(), runs.len());
+    println!("next: hydrograd {STARTS} --resume {}    once all shares are done, compares all starts", folder.display());
+    Ok(())
+}
+
 fn every_start(
     loaded: &Loaded,
     folder: &Path,
@@ -308,16 +389,9 @@ fn every_start(
     let mut table = Table::new(["start", &before, &after, "gain", "epoch", "seconds"]);
     let (mut curves, mut walls) = (vec![], vec![]);
     let mut all = Map::new();
-    let mut runs = Vec::new();
     let mut best_of_all: Option<(f64, String, Loaded, Shape)> = None;
     let mut least = (f64::INFINITY, String::new());
-    // Every start is built before the first runs: a bad one must not be found out after an hour.
-    for start in StartName::EACH {
-        let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
-        let loaded = loaded.with(&[setting])?;
-        check_shape(&loaded.config)?;
-        runs.push((format!("{start:?}").to_lowercase(), loaded));
-    }
+    let runs = starts(loaded)?;
     let (tasks, threads) = (Tasks::default(), loaded.config.run.threads);
     // At once: each run's numbers are those that it has alone.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {

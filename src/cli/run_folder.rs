@@ -241,7 +241,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 /// Whether there is more than what a run writes when it begins.
-fn holds_results(folder: &Path) -> bool {
+pub fn holds_results(folder: &Path) -> bool {
     names(folder).iter().any(|name| name != MARKER && name != "config.toml" && !is_temporary(name))
 }
 

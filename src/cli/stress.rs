@@ -2,12 +2,12 @@
 
 use super::arguments::set_option;
 use super::files::{write_json, VERSION};
-use super::generate::Shard;
 use super::machine;
 use super::page;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
-use crate::error::BadInput;
+use super::shard::{Shard, ShardArgument};
+use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::report::plots::{stability, StabilityAxes, StabilityPanel};
@@ -59,9 +59,8 @@ pub struct StressArguments {
     /// Keep the runs that are in the folder already.
     #[arg(long)]
     pub resume: bool,
-    /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all]. Keeps what is there.
-    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
-    pub shard: Option<Shard>,
+    #[command(flatten)]
+    pub shard: ShardArgument,
     /// Folder for stress.json, stress.csv, the maps, and runs/ with a file per run.
     #[arg(long, value_name = "DIR", default_value = "runs/stress")]
     pub out: PathBuf,
@@ -71,8 +70,21 @@ pub struct StressArguments {
 }
 
 impl StressArguments {
+    /// Every run, with the number of its map. What is wrong with one is wrong before the first is run.
+    pub(super) fn jobs(&self, maps: &[Map]) -> Result<Vec<(usize, Job)>, Error> {
+        let of = |(k, map)| Job::of(map, self.quick, &self.sets).into_iter().map(move |job| (k, job));
+        let jobs: Vec<(usize, Job)> = maps.iter().enumerate().flat_map(of).collect();
+        for (_, job) in &jobs {
+            job.load().map_err(|error| match error {
+                Error::Input(bad) => bad.located(|_| self.sets.first().map(|set| set_option(set).label)).into(),
+                other => other.of(&job.name),
+            })?;
+        }
+        Ok(jobs)
+    }
+
     /// The maps that were asked for.
-    fn maps(&self) -> Result<Vec<Map>, BadInput> {
+    pub(super) fn maps(&self) -> Result<Vec<Map>, BadInput> {
         let mut maps = maps::all();
         let mut scenes: Vec<&str> = maps.iter().map(|map| map.scene).collect();
         scenes.dedup();
@@ -89,15 +101,6 @@ impl StressArguments {
                 .allowed(names.join(", "))),
         }
     }
-
-    /// A share of the runs, and whether it is one of several.
-    fn shard(&self) -> Result<(Shard, bool), BadInput> {
-        let shard = match self.shard {
-            Some(shard) => Some(shard),
-            None => Shard::from_slurm(|name| std::env::var(name).ok())?,
-        };
-        Ok((shard.unwrap_or(Shard::ALL), shard.is_some()))
-    }
 }
 
 /// What its folders are marked with.
@@ -111,7 +114,8 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         println!("{}", list.to_text());
         return Ok(());
     }
-    let (shard, is_shared) = arguments.shard()?;
+    let share = arguments.shard.share()?;
+    let (shard, is_shared) = (share.unwrap_or(Shard::ALL), share.is_some());
     let out = &arguments.out;
     RunFolder::check(out, KIND, Earlier::Resumed)?;
     let runs = out.join("runs");
@@ -122,20 +126,7 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
             .advice("--resume, or another --out")
             .into());
     }
-    let jobs: Vec<(usize, Job)> = maps
-        .iter()
-        .enumerate()
-        .flat_map(|(k, map)| Job::of(map, arguments.quick, &arguments.sets).into_iter().map(move |job| (k, job)))
-        .collect();
-    // What is wrong with one is wrong before the first is run.
-    for (_, job) in &jobs {
-        job.load().map_err(|error| match error {
-            crate::error::Error::Input(bad) => {
-                bad.located(|_| arguments.sets.first().map(|set| set_option(set).label)).into()
-            }
-            other => other.of(&job.name),
-        })?;
-    }
+    let jobs = arguments.jobs(&maps)?;
     use_threads(1);
     let own = match is_shared {
         true => RunFolder::share(out, KIND)?,
@@ -143,8 +134,7 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     };
     prepare_output_folder(&runs)?;
     let known: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
-    let mine = |k: &usize| k % shard.count == shard.index;
-    let todo: Vec<usize> = (0..jobs.len()).filter(mine).filter(|&k| known[k].is_none()).collect();
+    let todo: Vec<usize> = (0..jobs.len()).filter(|&k| shard.has(k) && known[k].is_none()).collect();
     let bar = Progress::new(todo.len() as u64, "stress");
     let found = share_out(workers(arguments.threads, todo.len()), &todo, |&k| {
         let job = &jobs[k].1;

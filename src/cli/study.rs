@@ -4,6 +4,7 @@ use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
+use super::shard::{Shard, ShardArgument};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::io::csv::{write_table, Cell};
@@ -24,7 +25,10 @@ Examples:
   hydrograd study --data data/channel --grid noise=3e-5,3e-4 --grid model.latent=32,64,128 --steps 2000 --out runs/grid
       six models; run it again after a kill, or with more values, and only what is missing is trained
   hydrograd study --data data/channel --grid seed=1,2,3 --set model.rounds=5 --steps 500 --out runs/seeds
-      the same training three times, with a setting of all")]
+      the same training three times, with a setting of all
+  hydrograd study --data data/channel --grid seed=1,2,3 --steps 500 --out runs/seeds --shard 0/3
+      the first of three shares, perhaps on another machine with the same disk; without --shard the same command then
+      makes the table of all (`hydrograd slurm study ...` writes a job array of it)")]
 pub struct StudyArguments {
     /// Folder of the data set.
     #[arg(long, value_name = "DIR")]
@@ -44,26 +48,43 @@ pub struct StudyArguments {
     /// Worker threads of a training, 0 for every core; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
+    #[command(flatten)]
+    pub shard: ShardArgument,
 }
 
 /// What its folders are marked with.
 const KIND: &str = "study";
 
-pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
-    let grid = arguments.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
-    let points = points(&grid)?;
-    if let Err(error) = Metadata::read(&arguments.data) {
-        let place = format!("--data {}", arguments.data.display());
-        return Err(BadInput::new(error.to_string()).place(place).allowed("the folder of a data set").into());
+impl StudyArguments {
+    /// The grid, its points, and what they have in common.
+    ///
+    /// # Errors
+    /// A grid, settings or data that are not allowed.
+    pub(super) fn study(&self) -> anyhow::Result<(Vec<GridKey>, Vec<GridPoint>, Study)> {
+        let grid = self.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
+        let points = points(&grid)?;
+        if let Err(error) = Metadata::read(&self.data) {
+            let place = format!("--data {}", self.data.display());
+            return Err(BadInput::new(error.to_string()).place(place).allowed("the folder of a data set").into());
+        }
+        RunFolder::check(&self.out, KIND, Earlier::Resumed)?;
+        let program = std::env::current_exe()?;
+        let Self { data, sets, steps, out, threads, .. } = self.clone();
+        let study = Study { program, data, steps, sets, out, threads };
+        study.check(&points)?;
+        Ok((grid, points, study))
     }
-    RunFolder::check(&arguments.out, KIND, Earlier::Resumed)?;
-    let program = std::env::current_exe()?;
-    let StudyArguments { data, sets, steps, out, threads, .. } = arguments;
-    let study = Study { program, data, steps, sets, out, threads };
-    study.check(&points)?;
+}
+
+pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
+    let (grid, points, study) = arguments.study()?;
+    let share = arguments.shard.share()?;
     // Found out before hours of training, not after.
     let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     let kept = known.iter().flatten().count();
+    if let Some(shard) = share {
+        return train_share(&study, shard, &points, &known);
+    }
     // A study never discards what another one trained: what differs is refused.
     let own = RunFolder::take(&study.out, KIND, Earlier::Resumed)?;
 
@@ -105,6 +126,35 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
             Err(Error::run(problem, "the same command again: only what is missing is trained").into())
         }
     }
+}
+
+/// Trains the points of a share; whoever has no share makes the table of all.
+fn train_share(
+    study: &Study,
+    shard: Shard,
+    points: &[GridPoint],
+    known: &[Option<PointOutcome>],
+) -> anyhow::Result<()> {
+    let _own = RunFolder::share(&study.out, KIND)?;
+    interrupt::listen("the same command again: what is trained is kept")?;
+    let mine: Vec<usize> = (0..points.len()).filter(|&k| shard.has(k)).collect();
+    let bar = Progress::new(mine.len() as u64, "study");
+    let mut failed = 0;
+    for &k in mine.iter().filter(|&&k| known[k].is_none()) {
+        bar.message(points[k].name());
+        // Not an error here: the table says so, too.
+        if let PointOutcome::Failed(message) = study.train(&points[k])? {
+            failed += 1;
+            bar.log(&format!("{} failed: {message}", points[k].name()));
+        }
+        bar.done(1);
+    }
+    bar.finish();
+    let kept = mine.iter().filter(|&&k| known[k].is_some()).count();
+    let trained = mine.len() - kept - failed;
+    println!("{} of {} points: {trained} trained, {kept} kept from before, {failed} failed", mine.len(), points.len());
+    println!("next: the same command without --shard, once all shares are done    makes the table of all points");
+    Ok(())
 }
 
 fn table(grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> Table {

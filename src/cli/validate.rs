@@ -5,14 +5,17 @@ use super::files::{write_json, VERSION};
 use super::page;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
+use super::shard::{Shard, ShardArgument};
 use crate::error::{BadInput, Error};
+use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::validation::cases::{self, Case};
-use crate::validation::{Row, Validated};
+use crate::validation::cases::{self, Case, Level};
+use crate::validation::{Curve, Row, Validated};
 use clap::Args;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +30,11 @@ Examples:
       coarse resolutions only: under two minutes
   hydrograd validate --filter taylor-green --out runs/taylor-green
       all cases whose name has `taylor-green` in it, at every resolution
+  hydrograd validate --resume
+      go on with runs/validate after a kill
+  hydrograd validate --out runs/validate --shard 0/4
+      the first of four shares, perhaps on another machine with the same disk; `hydrograd validate --resume` then
+      judges all (`hydrograd slurm validate` writes a job array of it)
   hydrograd validate --list
       what there is")]
 pub struct ValidateArguments {
@@ -39,7 +47,12 @@ pub struct ValidateArguments {
     /// Print the cases and what they are compared with, and run none.
     #[arg(long)]
     pub list: bool,
-    /// Folder for validation.csv, validation.json and the pictures.
+    /// Keep the cases that are in the folder already.
+    #[arg(long)]
+    pub resume: bool,
+    #[command(flatten)]
+    pub shard: ShardArgument,
+    /// Folder for validation.csv, validation.json, the pictures, and cases/ with a file per case.
     #[arg(long, value_name = "DIR", default_value = "runs/validate")]
     pub out: PathBuf,
     /// Cases at a time, each on one thread; 0 for every core.
@@ -49,42 +62,124 @@ pub struct ValidateArguments {
 
 /// Parts of a case in the progress bar.
 const PARTS: f64 = 100.0;
+/// What its folders are marked with.
+const KIND: &str = "validate";
+
+impl ValidateArguments {
+    /// The cases that were asked for.
+    pub(super) fn cases(&self) -> Result<Vec<Case>, BadInput> {
+        let mut chosen = cases::all();
+        let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();
+        chosen.retain(|case| case.name.contains(&self.filter));
+        if self.quick {
+            chosen.retain(|case| case.levels.iter().any(|level| level.is_quick));
+        }
+        match chosen.is_empty() {
+            false => Ok(chosen),
+            true => Err(BadInput::new("no case has a name with this in it")
+                .place(format!("--filter {}", self.filter))
+                .allowed(names.join(", "))),
+        }
+    }
+}
+
+/// What a case left, for `--resume` and for those who put shares together.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    version: String,
+    /// Of all of its runs.
+    settings: Vec<String>,
+    rows: Vec<Row>,
+    curves: Vec<Curve>,
+}
+
+impl Kept {
+    /// Where that of a case is.
+    fn path(folder: &Path, case: &Case) -> PathBuf {
+        folder.join(format!("{}.json", case.name))
+    }
+
+    fn settings(case: &Case, quick: bool) -> Vec<String> {
+        let of_level = |level: &Level| {
+            let tolerance = format!("tolerance={:?}", level.tolerance);
+            level.settings.iter().map(|set| set.to_string()).chain([tolerance]).collect::<Vec<_>>()
+        };
+        let of_all = case.settings.iter().map(|set| set.to_string());
+        of_all.chain(case.levels_of(quick).flat_map(of_level)).collect()
+    }
+
+    /// What was found before, if that was of the same runs.
+    fn read(folder: &Path, case: &Case, quick: bool) -> Option<Validated> {
+        let text = std::fs::read_to_string(Self::path(folder, case)).ok()?;
+        let kept: Self = serde_json::from_str(&text).ok()?;
+        let is_same = kept.version == VERSION && kept.settings == Self::settings(case, quick);
+        is_same.then(|| Validated { case: case.clone(), rows: kept.rows, curves: kept.curves })
+    }
+
+    fn write(folder: &Path, found: &Validated, quick: bool) -> anyhow::Result<()> {
+        let Validated { case, rows, curves } = found.clone();
+        let kept = Self { version: VERSION.into(), settings: Self::settings(&case, quick), rows, curves };
+        let text = serde_json::to_string(&kept)? + "\n";
+        Ok(write_bytes_atomically(&Self::path(folder, &case), text.as_bytes())?)
+    }
+}
 
 pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
-    let mut chosen = cases::all();
-    let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();
-    chosen.retain(|case| case.name.contains(&arguments.filter));
-    if arguments.quick {
-        chosen.retain(|case| case.levels.iter().any(|level| level.is_quick));
-    }
-    if chosen.is_empty() {
-        return Err(BadInput::new("no case has a name with this in it")
-            .place(format!("--filter {}", arguments.filter))
-            .allowed(names.join(", "))
-            .into());
-    }
+    let chosen = arguments.cases()?;
     if arguments.list {
         println!("{}", list(&chosen).to_text());
         return Ok(());
     }
-    let _own = RunFolder::take(&arguments.out, "validate", Earlier::Replaced)?;
+    let share = arguments.shard.share()?;
+    let (shard, quick, out) = (share.unwrap_or(Shard::ALL), arguments.quick, &arguments.out);
+    let _own = match share {
+        Some(_) => RunFolder::share(out, KIND)?,
+        None => RunFolder::take(out, KIND, if arguments.resume { Earlier::Resumed } else { Earlier::Replaced })?,
+    };
+    let folder = out.join("cases");
+    prepare_output_folder(&folder)?;
+    let keeps = share.is_some() || arguments.resume;
+    let mut found: Vec<Option<Validated>> =
+        chosen.iter().map(|case| Kept::read(&folder, case, quick).filter(|_| keeps)).collect();
+    let todo: Vec<usize> = (0..chosen.len()).filter(|&k| shard.has(k) && found[k].is_none()).collect();
+    if !keeps {
+        // Those of an earlier run are not this one's, should it be stopped.
+        chosen.iter().for_each(|case| drop(std::fs::remove_file(Kept::path(&folder, case))));
+    }
     use_threads(1);
-    let bar = Progress::new(chosen.len() as u64 * PARTS as u64, "validate");
-    let found = share_out(workers(arguments.threads, chosen.len()), &chosen, |case| {
+    let bar = Progress::new(todo.len() as u64 * PARTS as u64, "validate");
+    let made = share_out(workers(arguments.threads, todo.len()), &todo, |&k| {
         let mut seen = 0;
-        let found = case.run(arguments.quick, &mut |share| {
-            let now = (share * PARTS) as u64;
+        let made = chosen[k].run(quick, &mut |part| {
+            let now = (part * PARTS) as u64;
             if now > seen {
                 bar.done(now - seen);
                 seen = now;
             }
-        });
+        })?;
         bar.done(PARTS as u64 - seen);
-        found
+        Kept::write(&folder, &made, quick)?;
+        Ok((k, made))
     })?;
     bar.finish();
+    let kept = found.iter().flatten().count();
+    for (k, made) in made {
+        found[k] = Some(made);
+    }
+    let found: Vec<Validated> = found.into_iter().flatten().collect();
     let rows: Vec<&Row> = found.iter().flat_map(|found| &found.rows).collect();
-    write(&arguments.out, &rows)?;
+    if keeps {
+        println!("{} of {} cases, {kept} kept from before", found.len(), chosen.len());
+    }
+    if share.is_some() {
+        // Not an error here: whoever judges all of them says so.
+        println!("{}", table(&rows).to_text());
+        println!(
+            "next: the same command with --resume instead of --shard, once all shares are done    judges all cases"
+        );
+        return Ok(());
+    }
+    write(out, &rows)?;
     let pictures = draw(&arguments.out, &found)?;
     page::write(&arguments.out)?;
     println!("{}", table(&rows).to_text());
@@ -123,8 +218,8 @@ fn table(rows: &[&Row]) -> Table {
     let mut table = Table::new(["case", "quantity", "dx", "N", "error", "in f32", "order", "tolerance", "seconds", ""]);
     for row in rows {
         table.row([
-            row.case.to_string(),
-            row.quantity.to_string(),
+            row.case.clone(),
+            row.quantity.clone(),
             format!("{:.4}", row.dx),
             row.particles.to_string(),
             number(row.error),
@@ -157,9 +252,9 @@ fn write(folder: &Path, rows: &[&Row]) -> anyhow::Result<()> {
     let cell = |value: Option<f64>| Cell::from(value.unwrap_or(f64::NAN));
     let cells = |row: &&Row| {
         vec![
-            Cell::from(row.case),
-            Cell::from(row.quantity),
-            Cell::from(row.reference),
+            Cell::from(row.case.as_str()),
+            Cell::from(row.quantity.as_str()),
+            Cell::from(row.reference.as_str()),
             Cell::from(row.dx),
             Cell::from(row.particles),
             Cell::from(row.steps),

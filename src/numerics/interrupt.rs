@@ -14,11 +14,16 @@ use std::cell::RefCell;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
 /// The signal that asked, or 0.
 static ASKED: AtomicI32 = AtomicI32::new(0);
 /// What a user is told to do then.
 static ADVICE: OnceLock<String> = OnceLock::new();
+
+/// SIGTERMs that come so soon after one another are one: a batch system tells all processes of a job, and the job's shell, which tells
+/// its own once more.
+const TOGETHER: Duration = Duration::from_secs(1);
 
 /// Listens from now on; `advice` is how the work goes on later. A second signal ends the process at once.
 ///
@@ -42,8 +47,14 @@ pub fn listen_quietly() -> std::io::Result<()> {
 fn begin(speaks: bool) -> std::io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     let wait = move || {
+        let mut first = None;
         for signal in signals.forever() {
-            if ASKED.swap(signal, Ordering::Relaxed) != 0 {
+            let since = first.get_or_insert_with(Instant::now).elapsed();
+            let is_first = ASKED.swap(signal, Ordering::Relaxed) == 0;
+            if !is_first && signal == SIGTERM && since < TOGETHER {
+                continue;
+            }
+            if !is_first {
                 let _ = emulate_default_handler(signal);
             }
             if speaks {

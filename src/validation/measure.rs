@@ -11,6 +11,7 @@ use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use anyhow::{anyhow, bail};
+use serde::{Deserialize, Serialize};
 
 /// Samples of a steady flow, over the last quarter of its run.
 const SAMPLES: usize = 50;
@@ -18,7 +19,7 @@ const SAMPLES: usize = 50;
 const PLACES: usize = 127;
 
 /// A named line of a picture.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
     pub name: String,
     pub points: Vec<(f64, f64)>,

@@ -16,15 +16,15 @@ use crate::config::scene::Config;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::Sweeps;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// One resolution of a case, run in both precisions.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    pub case: &'static str,
-    pub quantity: &'static str,
-    pub reference: &'static str,
+    pub case: String,
+    pub quantity: String,
+    pub reference: String,
     /// Particle spacing.
     pub dx: f64,
     pub particles: usize,
@@ -42,7 +42,7 @@ pub struct Row {
     /// Whether both errors are within the tolerance.
     pub passed: bool,
     /// Why a run did not get to its end.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failure: Option<String>,
 }
 
@@ -56,6 +56,11 @@ pub struct Validated {
 }
 
 impl Case {
+    /// The resolutions that it runs at.
+    pub fn levels_of(&self, quick: bool) -> impl Iterator<Item = &cases::Level> {
+        self.levels.iter().filter(move |level| level.is_quick || !quick)
+    }
+
     /// Runs the case at its resolutions; `quick`: at those that take little time. `progress` sees the share of the work done.
     ///
     /// # Errors
@@ -69,7 +74,7 @@ impl Case {
             Config::load(Some(self.scene), None, &settings)
         };
         let mut runs = Vec::new();
-        for level in self.levels.iter().filter(|level| level.is_quick || !quick) {
+        for level in self.levels_of(quick) {
             let double = loaded("f64", level)?;
             let work =
                 double.config.steps() as f64 / double.config.resolution.dx.powi(double.config.dimension() as i32);
@@ -90,9 +95,9 @@ impl Case {
                 .zip(error(&double))
                 .and_then(|(before, error)| Some((before.error? / error).ln() / (before.dx / double.dx).ln()));
             rows.push(Row {
-                case: self.name,
-                quantity: self.quantity,
-                reference: self.reference,
+                case: self.name.into(),
+                quantity: self.quantity.into(),
+                reference: self.reference.into(),
                 dx: double.dx,
                 particles: double.particles,
                 steps: double.steps,

@@ -1,0 +1,108 @@
+//! Shares of a command's work: `--shard I/N`, or the tasks of a Slurm job array.
+//!
+//! Every N-th piece of the work is of one share. Shares write side by side into one folder, keep what is there already, and what is made
+//! of all pieces is made by whoever gathers them.
+
+use crate::error::BadInput;
+use clap::Args;
+
+/// The option of all commands that can be shared out.
+#[derive(Debug, Clone, Args)]
+pub struct ShardArgument {
+    /// Make the I-th of N shares only, I from 0 [default: from a Slurm job array, else all]. Keeps what is there.
+    #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+}
+
+impl ShardArgument {
+    /// The share that was asked for, or that of the job array; none for the whole.
+    pub fn share(&self) -> Result<Option<Shard>, BadInput> {
+        match self.shard {
+            Some(shard) => Ok(Some(shard)),
+            None => Shard::from_slurm(|name| std::env::var(name).ok()),
+        }
+    }
+}
+
+/// A share of some pieces of work: those whose number is `index` modulo `count`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// From 0.
+    pub index: usize,
+    pub count: usize,
+}
+
+impl Shard {
+    pub const ALL: Self = Self { index: 0, count: 1 };
+
+    /// Whether the piece of this number is its own.
+    pub fn has(self, number: usize) -> bool {
+        number % self.count == self.index
+    }
+
+    /// Its own of all pieces.
+    pub fn of<T>(self, all: &[T]) -> impl Iterator<Item = &T> {
+        all.iter().skip(self.index).step_by(self.count)
+    }
+
+    /// `i/n`, i from 0.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let allowed = || "allowed: I/N with I = 0 ... N - 1, for example 0/4".to_string();
+        let (index, count) = text.split_once('/').ok_or_else(allowed)?;
+        let (index, count) = (index.parse().map_err(|_| allowed())?, count.parse().map_err(|_| allowed())?);
+        if index < count {
+            Ok(Self { index, count })
+        } else {
+            Err(allowed())
+        }
+    }
+
+    /// From Slurm's job array, if the process is in one: `variable` reads an environment variable.
+    pub fn from_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Option<Self>, BadInput> {
+        let Some(task) = variable("SLURM_ARRAY_TASK_ID") else { return Ok(None) };
+        let number = |name: &str, text: Option<String>| -> Result<usize, BadInput> {
+            let shown = text.clone().unwrap_or_else(|| "nothing".into());
+            text.and_then(|text| text.parse().ok()).ok_or_else(|| {
+                BadInput::new(format!("{name} is {shown}"))
+                    .place("environment")
+                    .allowed("a whole number, as Slurm sets it in a job array (sbatch --array=0-9)")
+                    .advice("--shard I/N")
+            })
+        };
+        let optional = |name: &str, usual: usize| variable(name).map_or(Ok(usual), |text| number(name, Some(text)));
+        let count = number("SLURM_ARRAY_TASK_COUNT", variable("SLURM_ARRAY_TASK_COUNT"))?;
+        let task = number("SLURM_ARRAY_TASK_ID", Some(task))?;
+        let (first, step) = (optional("SLURM_ARRAY_TASK_MIN", 0)?, optional("SLURM_ARRAY_TASK_STEP", 1)?);
+        let index = task.saturating_sub(first) / step.max(1);
+        if task < first || index >= count {
+            return Err(BadInput::new(format!(
+                "task {task} of a job array of {count} tasks from {first} in steps of {step}"
+            ))
+            .place("environment")
+            .allowed("an array of evenly spaced tasks (sbatch --array=0-9)")
+            .advice("--shard I/N"));
+        }
+        Ok(Some(Self { index, count }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_are_all_pieces_once() {
+        let all: Vec<usize> = (0..11).collect();
+        for count in 1..14 {
+            let mut found: Vec<usize> = Vec::new();
+            for index in 0..count {
+                let shard = Shard::parse(&format!("{index}/{count}")).unwrap();
+                let own: Vec<usize> = shard.of(&all).copied().collect();
+                assert!(all.iter().all(|&k| shard.has(k) == own.contains(&k)));
+                found.extend(own);
+            }
+            found.sort_unstable();
+            assert_eq!(found, all);
+        }
+    }
+}

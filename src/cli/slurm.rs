@@ -1,0 +1,791 @@
+//! `hydrograd slurm`: job files for Slurm, of any command whose work can be shared out or go on.
+//!
+//! A job is an array where the command has shares (see [`super::shard`]), and another job puts them together once all have ended well.
+//! Every job may be stopped and queued again at any time: what there is is kept, and it goes on with the rest.
+
+use super::arguments::at_least_one;
+use super::optimize::{OptimizeArguments, CHECKPOINT, STARTS};
+use super::run_folder::{holds_results, Earlier, RunFolder, MARKER};
+use super::{files, machine, Cli, Command};
+use crate::error::{BadInput, Error};
+use crate::io::atomic::write_bytes_atomically;
+use clap::error::ErrorKind;
+use clap::{Args, Parser};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::process;
+
+/// Write job files for Slurm: an array of shares and a job that puts them together, or one job; all of them go on when requeued.
+#[derive(Debug, Clone, Args)]
+#[command(after_long_help = "\
+An array: generate, stress, study, validate, optimize --start all. One job: simulate, train, optimize. A minute before its
+time limit (or by `scancel --signal=TERM --batch JOB`) a job keeps what there is, is queued again, and goes on. `scancel JOB`
+ends it.
+
+Examples:
+  hydrograd slurm --tasks 20 --time 02:00:00 generate heated-channel --out data/heated
+      slurm-generate.sh, an array of twenty tasks, and slurm-generate-merge.sh, which merges what they made
+  hydrograd slurm --submit --partition long stress --out runs/stress
+      the same of maps, and into the queue with both
+  hydrograd slurm --cpus 8 --memory 16G --time 1-00 train --data data/heated --steps 200000 --out runs/gns
+      one job of eight cores
+  hydrograd slurm --option=--account=project --option=--mail-type=END optimize --start all --out runs/starts
+      with other options of sbatch's
+  hydrograd slurm --print validate --quick
+      what it would write")]
+pub struct SlurmArguments {
+    /// The job file [default: slurm-COMMAND.sh]; the one that puts shares together has -merge in its name.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Print the job files and write none.
+    #[arg(long, conflicts_with_all = ["out", "submit"])]
+    pub print: bool,
+    /// Give the jobs to Slurm, too.
+    #[arg(long)]
+    pub submit: bool,
+    /// Tasks of an array [default: as many as there are pieces of work, at most 8].
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub tasks: Option<usize>,
+    /// Time limit of each job and task; what is not done then is gone on with.
+    #[arg(long, value_name = "HH:MM:SS", default_value = "01:00:00", value_parser = time)]
+    pub time: String,
+    /// Cores of each job, task or rank, and the command's --threads unless it has that option.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = at_least_one)]
+    pub cpus: usize,
+    /// Partition [default: the cluster's].
+    #[arg(long, value_name = "NAME", value_parser = name)]
+    pub partition: Option<String>,
+    /// Memory of each job or task [default: the cluster's].
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    pub memory: Option<String>,
+    /// Processes of a training that is shared out by MPI.
+    #[arg(long, value_name = "N", value_parser = at_least_one)]
+    pub ranks: Option<usize>,
+    /// Another option of sbatch's, e.g. `--option=--qos=long`; may be repeated, and wins over those above.
+    #[arg(long = "option", value_name = "OPTION", allow_hyphen_values = true, value_parser = sbatch_option)]
+    pub options: Vec<String>,
+    /// The command as it would be typed without Slurm.
+    #[arg(value_name = "COMMAND", required = true, trailing_var_arg = true, allow_hyphen_values = true)]
+    pub command: Vec<String>,
+}
+
+/// Most tasks of an array unless told otherwise.
+const USUAL_TASKS: usize = 8;
+/// Seconds before the time limit at which a job is told, and the shortest time limit: Slurm may tell a minute too early.
+const NOTICE: u64 = 60;
+const SHORTEST: u64 = 3 * NOTICE;
+/// A job that was queued again so often does not get on.
+const MOST_RESTARTS: usize = 100;
+/// What the job files of ours have, which may be written over.
+const OURS: &str = "# Written by `hydrograd slurm`";
+
+/// A job: what it runs, and how it goes on.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Job {
+    /// The command's, behind `hydrograd-`.
+    name: String,
+    /// Tasks of an array.
+    tasks: Option<usize>,
+    /// Processes that MPI joins.
+    ranks: Option<usize>,
+    /// Without `hydrograd`; of an array, without the share.
+    command: Vec<String>,
+    /// Where this file is there is something to go on with, and this is how.
+    resumed: Option<(PathBuf, Vec<String>)>,
+    /// Where this file says so there is nothing left to do.
+    marker: Option<PathBuf>,
+}
+
+/// What is asked of Slurm for each job.
+#[derive(Debug, Clone, PartialEq)]
+struct Wanted {
+    time: String,
+    cpus: usize,
+    partition: Option<String>,
+    memory: Option<String>,
+    options: Vec<String>,
+    /// Path of this program.
+    program: String,
+    /// Where the command was typed, which its paths begin at.
+    folder: String,
+}
+
+pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
+    let Some((main, merge)) = jobs(arguments)? else { return Ok(()) };
+    let wanted = Wanted {
+        time: arguments.time.clone(),
+        cpus: arguments.cpus,
+        partition: arguments.partition.clone(),
+        memory: arguments.memory.clone(),
+        options: arguments.options.clone(),
+        program: std::env::current_exe()?.display().to_string(),
+        folder: std::env::current_dir()?.display().to_string(),
+    };
+    let file = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("slurm-{}.sh", main.name)));
+    let mut scripts = vec![(file.clone(), main.text(&wanted, &file)?)];
+    if let Some(merge) = &merge {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+        let file = file.with_file_name(format!("{stem}-merge.sh"));
+        scripts.push((file.clone(), merge.text(&wanted, &file)?));
+    }
+    if arguments.print {
+        let all: String = scripts.iter().map(|(_, text)| text.as_str()).collect();
+        return Ok(files::print(all.as_bytes())?);
+    }
+    for (file, _) in &scripts {
+        check_ours(file)?;
+    }
+    for (file, text) in &scripts {
+        write_bytes_atomically(file, text.as_bytes())?;
+    }
+    let names: Vec<String> = scripts.iter().map(|(file, _)| file.display().to_string()).collect();
+    let tasks = main.tasks.map_or(String::new(), |tasks| format!(", an array of {tasks} tasks"));
+    println!("files: {}{tasks}", names.join(" and "));
+    let line = next(&scripts);
+    let mut numbers = Vec::new();
+    match arguments.submit {
+        false => println!("next: {line}"),
+        true => {
+            for (file, _) in &scripts {
+                numbers.push(submit(file, numbers.first())?);
+            }
+            println!("jobs: {}", numbers.join(" and then "));
+            println!("next: squeue --job {}    scancel ends a job", numbers.join(","));
+        }
+    }
+    machine::answer(&json!({ "files": names, "tasks": main.tasks, "jobs": numbers, "submit": line }));
+    Ok(())
+}
+
+/// The line of a shell that gives the jobs to Slurm.
+fn next(scripts: &[(PathBuf, String)]) -> String {
+    let words: Vec<String> = scripts.iter().map(|(file, _)| quoted(&file.display().to_string())).collect();
+    match &words[..] {
+        [main, merge] => format!("job=$(sbatch --parsable {main}) && sbatch --dependency=afterok:$job {merge}"),
+        words => format!("sbatch {}", words.join(" ")),
+    }
+}
+
+/// Gives a job to Slurm, to begin when another one has ended well; its number.
+fn submit(file: &Path, after: Option<&String>) -> anyhow::Result<String> {
+    let advice = "where the cluster's sbatch is, or without --submit";
+    let mut sbatch = process::Command::new("sbatch");
+    sbatch.arg("--parsable").args(after.map(|job| format!("--dependency=afterok:{job}"))).arg(file);
+    let output = sbatch.output().map_err(|error| Error::run(format!("can not start sbatch: {error}"), advice))?;
+    let (said, number) = (String::from_utf8_lossy(&output.stderr), String::from_utf8_lossy(&output.stdout));
+    // `12;cluster`, where there are several.
+    let number = number.trim().split(';').next().unwrap_or_default().to_string();
+    match output.status.success() && !number.is_empty() {
+        true => Ok(number),
+        false => Err(Error::run(format!("sbatch {}: {}", file.display(), said.trim()), advice).into()),
+    }
+}
+
+/// An error if a file of somebody else's would be lost.
+fn check_ours(file: &Path) -> Result<(), BadInput> {
+    match std::fs::read_to_string(file) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Ok(text) if text.contains(OURS) => Ok(()),
+        _ => Err(BadInput::new(format!("{} is there, and no job file of `hydrograd slurm`", file.display()))
+            .place(format!("--out {}", file.display()))
+            .allowed("a new file, or one that it wrote")
+            .advice("another --out")),
+    }
+}
+
+/// The command's job, and the one behind it that puts shares together. None: only help was asked for.
+fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Job>)>> {
+    let mut typed = arguments.command.as_slice();
+    if typed.first().is_some_and(|word| word == "hydrograd") {
+        typed = &typed[1..];
+    }
+    let line = || format!("hydrograd {}", typed.join(" "));
+    let cli = match Cli::try_parse_from(std::iter::once("hydrograd").chain(typed.iter().map(String::as_str))) {
+        Ok(cli) => cli,
+        Err(error) if [ErrorKind::DisplayHelp, ErrorKind::DisplayVersion].contains(&error.kind()) => {
+            files::print(error.to_string().as_bytes())?;
+            return Ok(None);
+        }
+        Err(error) => {
+            let problem = error.to_string();
+            let problem = problem.trim().trim_start_matches("error: ");
+            return Err(BadInput::new(problem)
+                .place(line())
+                .allowed("a command as it would be typed without Slurm")
+                .into());
+        }
+    };
+    for (option, why) in [
+        ("--shard", "each task of the array has a share of its own"),
+        ("--overwrite", "a job that goes on would lose what it has"),
+        ("--list", "it only prints"),
+        ("--explain", "it only prints"),
+        ("--print-config", "it only prints"),
+    ] {
+        if has(typed, option) {
+            return Err(BadInput::new(format!("{option} in a job: {why}"))
+                .place(line())
+                .allowed("the command without it")
+                .into());
+        }
+    }
+    let Shares { mut main, merge, pieces, is_shared } =
+        shares(&cli, Words { typed, cpus: arguments.cpus, json: cli.json })?;
+    match (arguments.ranks, &cli.command) {
+        (None, _) => {}
+        (Some(_), Command::Train(_)) => main.ranks = arguments.ranks,
+        (Some(ranks), _) => {
+            return Err(BadInput::new(format!("only a training has ranks, not {}", line()))
+                .place(format!("--ranks {ranks}"))
+                .allowed("train")
+                .advice("--tasks for what has shares")
+                .into())
+        }
+    }
+    let bad = |tasks: usize, problem: String, allowed: String| {
+        BadInput::new(problem).place(format!("--tasks {tasks}")).allowed(allowed)
+    };
+    main.tasks = match arguments.tasks {
+        Some(tasks) if !is_shared => {
+            let allowed = "of generate, stress, study, validate and optimize --start all";
+            return Err(bad(tasks, format!("{} is one run, without shares", line()), allowed.into()).into());
+        }
+        Some(tasks) if tasks > pieces => {
+            let problem = format!("there are {pieces} pieces of work");
+            return Err(bad(tasks, problem, format!("1 ... {pieces}")).into());
+        }
+        Some(tasks) => Some(tasks),
+        None => is_shared.then_some(pieces.min(USUAL_TASKS)),
+    };
+    Ok(Some((main, merge)))
+}
+
+/// Whether an option was typed, as `--option value` or `--option=value`.
+fn has(words: &[String], option: &str) -> bool {
+    words.iter().any(|word| word.strip_prefix(option).is_some_and(|rest| rest.is_empty() || rest.starts_with('=')))
+}
+
+/// A command's words, and what they lack.
+#[derive(Clone, Copy)]
+struct Words<'a> {
+    typed: &'a [String],
+    cpus: usize,
+    json: bool,
+}
+
+impl Words<'_> {
+    /// As typed, into a folder that the jobs have in common, on their cores.
+    fn whole(&self, folder: &Path) -> Vec<String> {
+        let mut words = self.typed.to_vec();
+        for (option, value) in [("--out", folder.display().to_string()), ("--threads", self.cpus.to_string())] {
+            if !has(&words, option) {
+                words.extend([option.into(), value]);
+            }
+        }
+        words
+    }
+
+    /// Another command that goes on with what this one began; its folder knows the threads.
+    fn other<'w>(&self, words: impl IntoIterator<Item = &'w str>, folder: &Path) -> Vec<String> {
+        let words = words.into_iter().map(str::to_string).chain([folder.display().to_string()]);
+        let json = self.json.then(|| "--json".to_string());
+        words.chain(json).collect()
+    }
+}
+
+/// How a command is shared out.
+struct Shares {
+    main: Job,
+    merge: Option<Job>,
+    /// Of its work.
+    pieces: usize,
+    is_shared: bool,
+}
+
+impl Shares {
+    /// An array, and what puts its shares together.
+    fn array(name: &str, pieces: usize, command: Vec<String>, merge: Vec<String>) -> Self {
+        let main = Job { name: name.into(), command, ..Job::default() };
+        let merge = Job { name: format!("{name}-merge"), command: merge, ..Job::default() };
+        Self { main, merge: Some(merge), pieces, is_shared: true }
+    }
+
+    fn single(main: Job) -> Self {
+        Self { main, merge: None, pieces: 1, is_shared: false }
+    }
+}
+
+/// An error if a job would go on with a run of which nobody said that it should.
+fn check_new(folder: &Path, kind: &'static str, resumes: bool) -> Result<(), BadInput> {
+    RunFolder::check(folder, kind, Earlier::Resumed)?;
+    match resumes || !holds_results(folder) {
+        true => Ok(()),
+        false => Err(BadInput::new(format!("{} holds a run of `hydrograd {kind}` already", folder.display()))
+            .place(format!("--out {}", folder.display()))
+            .allowed("a new folder, or --resume, which goes on with what is there")
+            .advice("another --out")),
+    }
+}
+
+/// What each command does in jobs; everything that is wrong with it comes out here, and not in the queue.
+fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
+    let also = |mut words: Vec<String>, option: &str| {
+        if !has(&words, option) {
+            words.push(option.into());
+        }
+        words
+    };
+    Ok(match &cli.command {
+        Command::Generate(own) => {
+            let loaded = own.load()?;
+            let (recipe, folder) = (own.recipe(&loaded)?, own.folder(&loaded)?);
+            recipe.check(&loaded)?;
+            RunFolder::check(&folder, "generate", Earlier::Replaced)?;
+            let merge = words.other(["merge"], &folder);
+            Shares::array("generate", recipe.jobs().len(), words.whole(&folder), merge)
+        }
+        Command::Stress(own) => {
+            let pieces = own.jobs(&own.maps()?)?.len();
+            check_new(&own.out, "stress", own.resume)?;
+            let whole = words.whole(&own.out);
+            Shares::array("stress", pieces, whole.clone(), also(whole, "--resume"))
+        }
+        Command::Study(own) => {
+            let (_, points, _) = own.study()?;
+            let whole = words.whole(&own.out);
+            Shares::array("study", points.len(), whole.clone(), whole)
+        }
+        Command::Validate(own) => {
+            let pieces = own.cases()?.len();
+            check_new(&own.out, "validate", own.resume)?;
+            let whole = words.whole(&own.out);
+            Shares::array("validate", pieces, whole.clone(), also(whole, "--resume"))
+        }
+        Command::Optimize(own) => optimize(own, words)?,
+        Command::Simulate(own) => {
+            let loaded = own.load()?;
+            let (folder, from) = (own.folder(&loaded)?, own.resume.resume.as_deref());
+            let again = words
+                .other(["simulate"].into_iter().chain(own.recover.then_some("--recover")).chain(["--resume"]), &folder);
+            one_run("simulate", "simulate", &folder, from, words, again)?
+        }
+        Command::Train(own) => {
+            check_new(&own.out, "train", own.resume)?;
+            let whole = words.whole(&own.out);
+            let job = Job { name: "train".into(), ..Job::default() };
+            Shares::single(match own.resume {
+                true => Job { command: whole, ..job },
+                // What was begun before the first checkpoint is nothing to lose.
+                false => Job {
+                    command: also(whole.clone(), "--overwrite"),
+                    resumed: Some((own.out.join("last.safetensors"), also(without_value(whole, "--init"), "--resume"))),
+                    marker: Some(own.out.join(MARKER)),
+                    ..job
+                },
+            })
+        }
+        _ => {
+            let typed = words.typed.join(" ");
+            return Err(BadInput::new(format!("`hydrograd {typed}` has no shares, and can not go on"))
+                .allowed("generate, stress, study, validate, optimize, simulate, train")
+                .advice(format!("sbatch --wrap {}", quoted(&format!("hydrograd {typed}"))))
+                .into());
+        }
+    })
+}
+
+/// One search, or all starts.
+fn optimize(own: &OptimizeArguments, words: Words<'_>) -> anyhow::Result<Shares> {
+    let loaded = own.load()?;
+    let folder = own.free(own.folder(&loaded)?);
+    let (kind, from) = (own.kind(), own.resume.resume.as_deref());
+    let mut again: Vec<&str> = kind.split(' ').collect();
+    again.extend(own.no_verify.then_some("--no-verify"));
+    again.push("--resume");
+    let again = words.other(again, &folder);
+    if kind != STARTS {
+        return one_run("optimize", kind, &folder, from, words, again);
+    }
+    check_new(&folder, kind, from.is_some_and(|from| from == folder))?;
+    let whole = words.whole(&folder);
+    let mut shares = Shares::array("optimize", super::optimize::StartName::EACH.len(), whole.clone(), whole);
+    if let (None, Some(merge)) = (from, &mut shares.merge) {
+        merge.command = again;
+        merge.marker = Some(folder.join(MARKER));
+        shares.main.marker = merge.marker.clone();
+    }
+    Ok(shares)
+}
+
+/// A run of `simulate` or `optimize`, whose configuration is in its folder: `again` goes on with it.
+fn one_run(
+    name: &str,
+    kind: &'static str,
+    folder: &Path,
+    from: Option<&Path>,
+    words: Words<'_>,
+    again: Vec<String>,
+) -> anyhow::Result<Shares> {
+    let goes_on = from.is_some_and(|from| from == folder);
+    check_new(folder, kind, goes_on)?;
+    let job = Job { name: name.into(), command: words.whole(folder), ..Job::default() };
+    // Several searches have their checkpoints in folders of their own.
+    let begun = if kind == "optimize --compare" { "config.toml" } else { CHECKPOINT };
+    Ok(Shares::single(match goes_on {
+        // It says itself how far it goes.
+        true => job,
+        false => Job { resumed: Some((folder.join(begun), again)), marker: Some(folder.join(MARKER)), ..job },
+    }))
+}
+
+/// Words without an option and its value.
+fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
+    let mut words = words.into_iter();
+    let mut kept = Vec::new();
+    while let Some(word) = words.next() {
+        if word == option {
+            words.next();
+        } else if !has(std::slice::from_ref(&word), option) {
+            kept.push(word);
+        }
+    }
+    kept
+}
+
+impl Job {
+    /// The job file.
+    fn text(&self, wanted: &Wanted, file: &Path) -> Result<String, BadInput> {
+        let is_array = self.tasks.is_some();
+        let log = file.with_extension("").display().to_string().replace('%', "%%");
+        let mut options = vec![format!("--job-name=hydrograd-{}", self.name)];
+        options.extend(self.tasks.map(|tasks| format!("--array=0-{}", tasks - 1)));
+        options.extend([
+            format!("--ntasks={}", self.ranks.unwrap_or(1)),
+            format!("--cpus-per-task={}", wanted.cpus),
+            format!("--time={}", wanted.time),
+        ]);
+        options.extend(wanted.memory.as_ref().map(|size| format!("--mem={size}")));
+        options.extend(wanted.partition.as_ref().map(|name| format!("--partition={name}")));
+        options.extend([
+            format!("--chdir={}", wanted.folder),
+            format!("--output={log}-{}.log", if is_array { "%A_%a" } else { "%j" }),
+            "--open-mode=append".to_string(),
+            "--requeue".to_string(),
+            format!("--signal=B:TERM@{NOTICE}"),
+        ]);
+        if self.name.ends_with("-merge") {
+            // Nothing to wait for where a task has failed.
+            options.push("--kill-on-invalid-dep=yes".into());
+        }
+        options.extend(wanted.options.iter().cloned());
+        let mut text = String::from("#!/bin/bash\n");
+        for option in &options {
+            text += &format!("#SBATCH {}\n", one_line(&of_sbatch(option))?);
+        }
+        let share = self.tasks.map_or(String::new(), |tasks| format!(" --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\""));
+        let launch = match self.ranks {
+            // srun does not take the cores of the job by itself.
+            Some(_) => format!("srun --mpi=pmix --kill-on-bad-exit --cpus-per-task={} ", wanted.cpus),
+            None => String::new(),
+        };
+        let call = |words: &[String]| -> Result<String, BadInput> {
+            let words: Vec<String> = std::iter::once(&wanted.program).chain(words).map(|word| quoted(word)).collect();
+            one_line(&format!("set -- {launch}{}{share}", words.join(" ")))
+        };
+        text += &format!("{OURS} {}, which writes it anew.\n", files::VERSION);
+        text += match is_array {
+            // The number of the whole array is that of one of its tasks, too: this is the task's own.
+            true => "job=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID\n",
+            false => "job=$SLURM_JOB_ID\n",
+        };
+        text.push('\n');
+        if let Some(marker) = &self.marker {
+            let marker = one_line(&quoted(&marker.display().to_string()))?;
+            text += &format!("if [ \"$(sed -n 2p {marker} 2>/dev/null)\" = finished ]; then\n");
+            text += "    echo \"nothing is left to do\"\n    exit 0\nfi\n";
+        }
+        match &self.resumed {
+            None => text += &format!("{}\n", call(&self.command)?),
+            Some((begun, resumed)) => {
+                let begun = one_line(&quoted(&begun.display().to_string()))?;
+                text += &format!("if [ -e {begun} ]; then\n    {}\n", call(resumed)?);
+                text += &format!("else\n    {}\nfi\n", call(&self.command)?);
+            }
+        }
+        let forward = match self.ranks {
+            // By way of Slurm: srun would kill them.
+            Some(_) => "scancel --signal=TERM \"$job\"",
+            None => "kill -TERM \"$child\" 2>/dev/null",
+        };
+        Ok(text + &body(forward))
+    }
+}
+
+/// What all jobs do: run the command, hand SIGTERM on to it, and go on later.
+fn body(forward: &str) -> String {
+    format!(
+        r#"
+echo "== $(date -u +%FT%TZ) job $job, start ${{SLURM_RESTART_COUNT:-0}}: $*"
+# SIGTERM comes before the time limit: hydrograd keeps what there is and ends with 143.
+trap '{forward}' TERM
+"$@" &
+child=$!
+wait "$child"
+code=$?
+# A signal ends `wait`, and not yet the command.
+while kill -0 "$child" 2>/dev/null; do
+    wait "$child"
+    code=$?
+done
+# Queued again, unless it was cancelled (then it is not RUNNING any more) or does not get on.
+if [ "$code" = 143 ] && [ "$(squeue --noheader --job "$job" --format %T)" = RUNNING ] &&
+    [ "${{SLURM_RESTART_COUNT:-0}}" -lt {MOST_RESTARTS} ]; then
+    scontrol requeue "$job"
+fi
+exit "$code"
+"#
+    )
+}
+
+/// A word as a shell reads it back.
+fn quoted(word: &str) -> String {
+    match !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c)) {
+        true => word.to_string(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
+/// An option as sbatch reads it back from a file.
+fn of_sbatch(option: &str) -> String {
+    let plain = |text: &str| text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c));
+    match option.split_once('=') {
+        Some((name, value)) if !plain(value) => {
+            format!("{name}=\"{}\"", value.replace('\\', r"\\").replace('"', "\\\""))
+        }
+        _ => option.to_string(),
+    }
+}
+
+/// An error if a text is not one line.
+fn one_line(text: &str) -> Result<String, BadInput> {
+    match text.contains(['\n', '\r', '\0']) {
+        false => Ok(text.to_string()),
+        true => Err(BadInput::new(format!("a line break in {text:?}")).allowed("words and names of files of one line")),
+    }
+}
+
+/// Slurm's ways to write a time: `MM`, `MM:SS`, `HH:MM:SS`, `D-HH`, `D-HH:MM`, `D-HH:MM:SS`.
+fn time(text: &str) -> Result<String, String> {
+    let allowed = || {
+        "allowed: minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before".into()
+    };
+    let (days, rest) = match text.split_once('-') {
+        Some((days, rest)) => (Some(days), rest),
+        None => (None, text),
+    };
+    let numbers: Option<Vec<u64>> = days.into_iter().chain(rest.split(':')).map(|part| part.parse().ok()).collect();
+    let of = |units: &[u64], numbers: &[u64]| -> Option<u64> {
+        let parts = units.iter().zip(numbers).map(|(unit, number)| unit.checked_mul(*number));
+        parts.sum::<Option<u64>>()
+    };
+    const UNITS: [u64; 4] = [86_400, 3_600, 60, 1];
+    let seconds = numbers.and_then(|numbers| match (days.is_some(), numbers.len()) {
+        (true, 2..=4) => of(&UNITS, &numbers),
+        (false, 1 | 2) => of(&UNITS[2..], &numbers),
+        (false, 3) => of(&UNITS[1..], &numbers),
+        _ => None,
+    });
+    match seconds {
+        Some(seconds) if seconds >= SHORTEST => Ok(text.to_string()),
+        _ => Err(allowed()),
+    }
+}
+
+fn memory(text: &str) -> Result<String, String> {
+    let number = text.strip_suffix(['K', 'M', 'G', 'T']).unwrap_or(text);
+    match number.parse::<u64>() {
+        Ok(size) if size > 0 => Ok(text.to_string()),
+        _ => Err("allowed: a whole number with K, M, G or T behind it, such as 4G".into()),
+    }
+}
+
+fn name(text: &str) -> Result<String, String> {
+    match !text.is_empty() && text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c)) {
+        true => Ok(text.to_string()),
+        false => Err("allowed: a name without spaces and quotes, as sinfo prints it".into()),
+    }
+}
+
+fn sbatch_option(text: &str) -> Result<String, String> {
+    match text.starts_with('-') && !text.contains(char::is_control) {
+        true => Ok(text.to_string()),
+        false => Err("allowed: an option of sbatch's, such as --option=--qos=long".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wanted() -> Wanted {
+        Wanted {
+            time: "01:00:00".into(),
+            cpus: 2,
+            partition: None,
+            memory: Some("4G".into()),
+            options: vec!["--comment=two words".into()],
+            program: "/opt/my programs/hydrograd".into(),
+            folder: "/home/a \"b\"".into(),
+        }
+    }
+
+    fn words(line: &str) -> Vec<String> {
+        line.split(' ').map(str::to_string).collect()
+    }
+
+    /// The jobs of a typed line, from a folder without runs.
+    fn of(line: &str) -> anyhow::Result<(Job, Option<Job>)> {
+        let typed = words(line);
+        let cli = Cli::try_parse_from(["hydrograd", "slurm"].into_iter().chain(typed.iter().map(String::as_str)))?;
+        let Command::Slurm(arguments) = cli.command else { panic!("not slurm") };
+        Ok(jobs(&arguments)?.unwrap())
+    }
+
+    /// What a shell makes of a script.
+    fn bash(script: &str, variables: &[(&str, &str)]) -> String {
+        let mut bash = process::Command::new("bash");
+        let output = bash.arg("-c").arg(script).envs(variables.iter().copied()).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    #[test]
+    fn an_array_is_written_as_sbatch_and_bash_read_it() {
+        let job =
+            Job { name: "generate".into(), tasks: Some(4), command: words("generate --out data"), ..Job::default() };
+        let text = job.text(&wanted(), Path::new("jobs/a.sh")).unwrap();
+        for line in [
+            "#!/bin/bash",
+            "#SBATCH --array=0-3",
+            "#SBATCH --cpus-per-task=2",
+            "#SBATCH --mem=4G",
+            "#SBATCH --chdir=\"/home/a \\\"b\\\"\"",
+            "#SBATCH --output=jobs/a-%A_%a.log",
+            "#SBATCH --signal=B:TERM@60",
+            "#SBATCH --requeue",
+            "#SBATCH --open-mode=append",
+            "#SBATCH --comment=\"two words\"",
+            "set -- '/opt/my programs/hydrograd' generate --out data --shard \"$SLURM_ARRAY_TASK_ID/4\"",
+        ] {
+            assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
+        }
+        assert!(!text.contains("afterok") && !text.contains("kill-on-invalid-dep"), "{text}");
+    }
+
+    /// The words of a command reach it as they were typed, and its exit code gets out.
+    #[test]
+    fn words_reach_the_command() {
+        let odd = ["%s\\n", "a b", "it's", "$HOME `date`", "", "\"x\"", "*"];
+        let job = Job { command: odd.map(str::to_string).to_vec(), ..Job::default() };
+        let text = job.text(&Wanted { program: "printf".into(), ..wanted() }, Path::new("a.sh")).unwrap();
+        let said = bash(&text, &[("SLURM_JOB_ID", "7")]);
+        assert!(said.ends_with("a b\nit's\n$HOME `date`\n\n\"x\"\n*\n"), "{said}");
+        let lines = Job { command: vec!["a\nb".into()], ..Job::default() }.text(&wanted(), Path::new("a.sh"));
+        assert!(lines.unwrap_err().to_string().contains("line break"));
+    }
+
+    /// One that is there goes on, and one that is finished is let be.
+    #[test]
+    fn a_job_goes_on_with_what_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let job = Job {
+            command: words("begin"),
+            resumed: Some((at("it's begun"), words("again"))),
+            marker: Some(at("marker")),
+            ..Job::default()
+        };
+        let text = job.text(&Wanted { program: "echo".into(), ..wanted() }, Path::new("a.sh")).unwrap();
+        let last = || bash(&text, &[("SLURM_JOB_ID", "7")]).lines().last().unwrap().to_string();
+        assert_eq!(last(), "begin");
+        std::fs::write(at("it's begun"), "").unwrap();
+        std::fs::write(at("marker"), "simulate\n").unwrap();
+        assert_eq!(last(), "again");
+        std::fs::write(at("marker"), "simulate\nfinished\n").unwrap();
+        assert_eq!(last(), "nothing is left to do");
+    }
+
+    #[test]
+    fn ranks_are_started_and_told_by_slurm() {
+        let (job, merge) = of("--ranks 3 --cpus 2 train --data data --init old.safetensors --out runs/none").unwrap();
+        assert_eq!((job.ranks, job.tasks, merge), (Some(3), None, None));
+        let text = job.text(&Wanted { program: "hydrograd".into(), ..wanted() }, Path::new("a.sh")).unwrap();
+        let srun = "set -- srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 hydrograd train --data data";
+        for line in [
+            "#SBATCH --ntasks=3".to_string(),
+            format!("    {srun} --init old.safetensors --out runs/none --threads 2 --overwrite"),
+            // Parameters are taken over once.
+            format!("    {srun} --out runs/none --threads 2 --resume"),
+            "trap 'scancel --signal=TERM \"$job\"' TERM".to_string(),
+        ] {
+            assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
+        }
+    }
+
+    #[test]
+    fn what_an_array_means_follows_from_the_command() {
+        let command = |job: &Job| job.command.join(" ");
+        let (main, merge) = of("generate --trajectories 3/1/1 --out runs/none").unwrap();
+        assert_eq!((main.tasks, command(&merge.unwrap())), (Some(5), "merge runs/none".into()));
+        assert_eq!(command(&main), "generate --trajectories 3/1/1 --out runs/none --threads 1");
+        let (main, merge) = of("--tasks 3 --cpus 2 stress taylor-green --quick --out runs/none").unwrap();
+        assert_eq!(main.tasks, Some(3));
+        assert_eq!(command(&merge.unwrap()), "stress taylor-green --quick --out runs/none --threads 2 --resume");
+        let (main, merge) = of("validate --quick --threads=0 --out runs/none").unwrap();
+        assert_eq!((main.tasks, command(&main)), (Some(8), "validate --quick --threads=0 --out runs/none".into()));
+        assert_eq!(command(&merge.unwrap()), "validate --quick --threads=0 --out runs/none --resume");
+        let (main, merge) = of("optimise --start all --no-verify --out runs/none").unwrap();
+        assert_eq!(main.tasks, Some(4));
+        assert_eq!(command(&merge.unwrap()), "optimize --start all --no-verify --resume runs/none");
+        let (main, merge) = of("simulate --recover --out runs/none --set time.end=1 --json").unwrap();
+        assert_eq!((main.tasks, merge), (None, None));
+        let (begun, again) = main.resumed.unwrap();
+        assert_eq!(begun, Path::new("runs/none/checkpoint.safetensors"));
+        assert_eq!(again.join(" "), "simulate --recover --resume runs/none --json");
+        // One whose folder is not named has the one that it would have without Slurm.
+        let (main, _) = of("optimize --epochs 3").unwrap();
+        assert!(command(&main).starts_with("optimize --epochs 3 --out runs/optimize-heated-channel"), "{main:?}");
+    }
+
+    #[test]
+    fn mistakes_are_told_before_the_queue() {
+        for (line, parts) in [
+            ("generate --no-such-option", ["--no-such-option", "hydrograd generate"]),
+            ("generate --set time.cfl=99", ["time.cfl", "99"]),
+            ("evaluate --model a --data b", ["no shares", "generate, stress, study"]),
+            ("slurm generate", ["no shares", "sbatch --wrap"]),
+            ("--tasks 2 simulate", ["--tasks 2", "generate, stress"]),
+            ("--tasks 5 optimize --start all --out runs/none", ["--tasks 5", "1 ... 4"]),
+            ("--ranks 2 generate --out runs/none", ["--ranks 2", "train"]),
+            ("stress --shard 0/4", ["--shard", "share of its own"]),
+            ("optimize --overwrite", ["--overwrite", "lose"]),
+            ("study --data nowhere --grid noise=1 --steps 5", ["--data nowhere", "data set"]),
+        ] {
+            let message = of(line).unwrap_err().to_string();
+            assert!(parts.iter().all(|part| message.contains(part)), "{line}: {message}");
+        }
+    }
+
+    #[test]
+    fn times_and_sizes_are_slurms() {
+        for good in ["5", "03:00", "01:00:00", "1-0", "2-12:30", "7-00:00:00", "90"] {
+            assert_eq!(time(good), Ok(good.to_string()));
+        }
+        for bad in ["", "2", "00:02:59", "1h", "1-", "1:2:3:4", "-1", "99999999999999999999", "1 0"] {
+            assert!(time(bad).is_err(), "{bad}");
+        }
+        assert!(["4G", "512M", "1000"].iter().all(|size| memory(size).is_ok()));
+        assert!(["4GB", "0", "G", "-1G", "four"].iter().all(|size| memory(size).is_err()));
+        assert!(sbatch_option("--qos=long").is_ok() && sbatch_option("qos").is_err());
+        assert_eq!(next(&[("a b.sh".into(), "".into())]), "sbatch 'a b.sh'");
+    }
+}
