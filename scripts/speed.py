@@ -94,7 +94,7 @@ def bench_formulations():
 
 
 def bench_scaling():
-    rows = bench("bench-scaling", "scaling", "--sizes", "100^2,316^2,1000^2,40^3", "--precision", "f64", "--repeats", "1")
+    rows = bench("bench-scaling", "scaling", "--sizes", "100^2,316^2,1000^2,40^3", "--precision", "f64", "--repeats", "2", "--memory-limit", "6GB")
     lines = []
     for n in dict.fromkeys(row["particles"] for row in rows):
         cells = [find(rows, particles=n, kind=kind, threads=threads) for kind in ("forward", "gradient") for threads in (1, 2)]
