@@ -23,7 +23,7 @@ impl World {
         let failed = |problem: String| {
             BadInput::new(problem)
                 .allowed("processes that were all started by the mpirun of the MPI that hydrograd was built with")
-                .advice("mpirun -n 2 hydrograd ..., or srun with Slurm's own MPI plugin (srun --mpi=list)")
+                .advice("mpirun -n 2 hydrograd ..., or Slurm's srun with a plugin for it")
         };
         // Only the thread that began speaks to MPI; worker threads do not.
         let Some((universe, _)) = ::mpi::initialize_with_threading(Threading::Funneled) else {

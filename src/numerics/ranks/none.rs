@@ -13,7 +13,7 @@ impl World {
             "{several} processes were started together, and this hydrograd cannot talk to the others"
         ))
         .allowed("one process, or a program built with MPI")
-        .advice("cargo build --release with the feature mpi, or start it without mpirun"))
+        .advice("build it with the feature mpi, or start it without mpirun"))
     }
 
     pub fn rank(&self) -> usize {
