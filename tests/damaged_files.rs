@@ -9,7 +9,7 @@ use hydrograd::numerics::random::{numbered, uniform};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 use std::path::Path;
-use support::data_set::{heat, heated_metadata, metadata, trajectory, write};
+use support::data_set::{heat, heated_metadata, metadata, trajectory, without_checksum, write};
 use support::program::{hydrograd, refused, succeeds};
 
 fn count() -> u32 {
@@ -149,6 +149,26 @@ fn a_data_set_and_a_model() {
     // A model of other data.
     write(&data, &metadata(false), Split::Test, &[trajectory("00000", 30, |_, _| [0.01, 0.0])]);
     refused(&evaluate, &hydrograd(folder.path(), &evaluate), &["periodic directions"]);
+}
+
+#[test]
+fn a_data_set_of_ours() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = ["--set", "resolution.dx=0.1", "--trajectories", "1/1/1", "--frames", "4", "--out", "data"];
+    succeeds(folder.path(), &[&["generate", "taylor-green"][..], &small].concat());
+    let look = ["dataset", "inspect", "data", "--split", "test", "--frames", "2"];
+    succeeds(folder.path(), &look);
+    survives(folder.path(), "data/test.h5", &look);
+    // A byte of what HDF5 keeps about the file, which it would believe.
+    let path = folder.path().join("data/test.h5");
+    let whole = std::fs::read(&path).unwrap();
+    let mut bytes = whole.clone();
+    bytes[512 + 40] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    refused(&look, &hydrograd(folder.path(), &look), &["test.h5", "checksum"]);
+    std::fs::write(&path, &whole).unwrap();
+    without_checksum(&path);
+    succeeds(folder.path(), &look);
 }
 
 #[test]

@@ -7,8 +7,10 @@ use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
 use crate::config::scene::{Config, DensityEquation, Family, FluxName, SlipName};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::{is_temporary, write_bytes_atomically, write_path_atomically};
-use crate::io::hdf5_file::{failed, open, read_number, read_text, write_attribute, write_chunked, write_text};
+use crate::io::atomic::{is_temporary, write_bytes_atomically};
+use crate::io::hdf5_file::{
+    failed, open, read_number, read_text, write_attribute, write_chunked, write_file, write_text,
+};
 use crate::io::FileError;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -91,11 +93,7 @@ impl Store {
     /// Writes a finished trajectory.
     pub fn write_part(&self, job: Job, trajectory: &Trajectory, provenance: &Provenance) -> Result<(), FileError> {
         let path = &self.part(job);
-        write_path_atomically(path, |temporary| {
-            let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
-            write_trajectory(path, &file, trajectory, provenance)?;
-            file.close().map_err(failed(path, "write")("the end of the file"))
-        })
+        write_file(path, |file| write_trajectory(path, file, trajectory, provenance))
     }
 
     fn read_part(&self, job: Job, dimension: usize) -> Result<(Trajectory, Provenance), FileError> {
@@ -140,16 +138,15 @@ impl Store {
             let mut statistics = Statistics::default();
             for split in Split::ALL {
                 let path = &split.path(&self.folder);
-                write_path_atomically(path, |temporary| {
-                    let file = hdf5::File::create(temporary).map_err(failed(path, "create")("the file"))?;
+                write_file(path, |file| {
                     for job in recipe.jobs().into_iter().filter(|job| job.split == split) {
                         let (trajectory, provenance) = self.read_part(job, frame.dimension)?;
                         if split == Split::Train {
                             statistics.add(&metadata, &trajectory);
                         }
-                        write_trajectory(path, &file, &trajectory, &provenance)?;
+                        write_trajectory(path, file, &trajectory, &provenance)?;
                     }
-                    file.close().map_err(failed(path, "write")("the end of the file"))
+                    Ok(())
                 })?;
             }
             statistics.write_to(&mut metadata);

@@ -1,10 +1,22 @@
-//! Reading and writing parts of an HDF5 file, with errors that name the file and the part.
+//! Reading and writing HDF5 files and parts of them, with errors that name the file and the part.
+//!
+//! A file of ours begins with a user block, 512 bytes that are not HDF5's, with the number of bytes and the CRC-32C of all that
+//! follows. It is verified before HDF5 sees the file: HDF5 believes what damaged bytes say of sizes and places. (Its own
+//! checksums guard numbers only, in the format that gives equal bytes for equal contents.) Readers of HDF5 skip the block;
+//! one that does not begin as ours does is not looked at.
 
+use super::atomic::write_path_atomically;
 use super::FileError;
 use hdf5::types::VarLenUnicode;
 use hdf5::H5Type;
+use std::fs;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
+/// Bytes of the user block; the smallest that HDF5 knows.
+const BLOCK: usize = 512;
+/// What it begins with.
+const MARK: &str = "hydrograd: HDF5 from byte 512 on\n";
 const HINT: &str = "the file may come from another program or version; write it again with this one";
 /// Rows per compressed chunk: large enough to compress, small enough to read a part.
 const CHUNK: usize = 16_384;
@@ -12,10 +24,18 @@ const CHUNK: usize = 16_384;
 /// Opens a file for reading.
 ///
 /// # Errors
-/// The file is missing, locked or not HDF5.
+/// The file is missing, locked, not HDF5, or one of ours with other bytes than were written.
 pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> {
     // HDF5's own message for a missing file is a page long.
-    std::fs::File::open(path).map_err(|source| FileError::read(path, source))?;
+    let whole = verify(path).map_err(|source| FileError::read(path, source))?;
+    if let Some(what) = whole {
+        return Err(FileError::Damaged {
+            path: path.to_owned(),
+            format,
+            what,
+            hint: "take another file, or write it again (one changed on purpose is read if its first byte is made another)",
+        });
+    }
     hdf5::File::open(path).map_err(|error| {
         let (path, what) = (path.to_owned(), error.to_string());
         if what.contains("unable to lock file") {
@@ -23,6 +43,62 @@ pub fn open(path: &Path, format: &'static str) -> Result<hdf5::File, FileError> 
         }
         FileError::Damaged { path, format, what, hint: "take another file, or write it again" }
     })
+}
+
+/// Writes a file atomically, and its user block.
+///
+/// # Errors
+/// What `write` returns; HDF5's and the system's errors. No file is left then, and an old one is as it was.
+pub fn write_file(path: &Path, write: impl FnOnce(&hdf5::File) -> Result<(), FileError>) -> Result<(), FileError> {
+    write_path_atomically(path, |temporary| {
+        let file = hdf5::File::with_options()
+            .with_fcpl(|properties| properties.userblock(BLOCK as u64))
+            .create(temporary)
+            .map_err(failed(path, "create")("the file"))?;
+        write(&file)?;
+        file.close().map_err(failed(path, "write")("the end of the file"))?;
+        seal(temporary).map_err(|source| FileError::write(path, source))
+    })
+}
+
+/// Writes the user block.
+fn seal(path: &Path) -> std::io::Result<()> {
+    let mut file = fs::File::options().read(true).write(true).open(path)?;
+    file.seek(SeekFrom::Start(BLOCK as u64))?;
+    let mut block = block_of(&mut file)?.into_bytes();
+    block.resize(BLOCK, 0);
+    file.seek(SeekFrom::Start(0))?;
+    file.write_all(&block)
+}
+
+/// What is wrong with a file of ours, if anything is; nothing is known of others.
+fn verify(path: &Path) -> std::io::Result<Option<String>> {
+    let mut file = fs::File::open(path)?;
+    let mut block = Vec::with_capacity(BLOCK);
+    // Nothing else is read to its end: a pipe might never have one.
+    (&mut file).take(BLOCK as u64).read_to_end(&mut block)?;
+    if !block.starts_with(MARK.as_bytes()) {
+        return Ok(None);
+    }
+    let found = block_of(&mut file)?;
+    let is_whole = block.len() == BLOCK && block.starts_with(found.as_bytes());
+    Ok((!is_whole).then(|| "its bytes are not those that were written (checksum)".to_string()))
+}
+
+/// The text of the user block for what follows in a file.
+fn block_of(rest: &mut fs::File) -> std::io::Result<String> {
+    let (mut count, mut checksum, mut piece) = (0, 0, vec![0; 1 << 18]);
+    loop {
+        let read = match rest.read(&mut piece) {
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+            read => read?,
+        };
+        if read == 0 {
+            return Ok(format!("{MARK}bytes {count}\ncrc32c {checksum:08x}\n"));
+        }
+        count += read;
+        checksum = crc32c::crc32c_append(checksum, &piece[..read]);
+    }
 }
 
 /// Maps an HDF5 failure to an error that says during what: `failed(path, "write")("position")`.
@@ -149,6 +225,35 @@ pub fn write_text(path: &Path, group: &hdf5::Group, name: &str, text: &str) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_changed_byte_is_found_wherever_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.h5");
+        write_file(&path, |file| write_dataset(&path, file, "numbers", &[50], &[1.5f64; 50])).unwrap();
+        let numbers =
+            |path: &Path| -> Vec<f64> { open(path, "file").unwrap().dataset("numbers").unwrap().read_raw().unwrap() };
+        assert_eq!(numbers(&path), [1.5; 50]);
+        let whole = fs::read(&path).unwrap();
+        let is_refused = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            matches!(open(&path, "file"), Err(FileError::Damaged { what, .. }) if what.contains("checksum"))
+        };
+        let end = whole.iter().position(|&byte| byte == 0).unwrap();
+        for place in (MARK.len()..end).chain(BLOCK..whole.len()) {
+            let mut bytes = whole.clone();
+            bytes[place] ^= 4;
+            assert!(is_refused(&bytes), "byte {place} of {}", whole.len());
+        }
+        for length in [BLOCK - 1, BLOCK, whole.len() - 1] {
+            assert!(is_refused(&whole[..length]), "cut to {length}");
+        }
+        // What does not begin so is HDF5 as any other.
+        let mut other = whole.clone();
+        other[0] = 0;
+        fs::write(&path, other).unwrap();
+        assert_eq!(numbers(&path), [1.5; 50]);
+    }
 
     #[test]
     fn a_full_disk_is_one_line() {

@@ -4,10 +4,9 @@
 //! `[N]` (all f64) and `tag` `[N]` (u8). Attributes of the file: `time`, `step`, `box_size` `[D]`, `dx`,
 //! `configuration` (TOML text), `version`, `seed`.
 
-use super::atomic::write_path_atomically;
 use super::hdf5_file::{
     failed, mismatch, missing, open, read_attribute, read_dataset, read_number, read_text, write_attribute,
-    write_dataset, write_text,
+    write_dataset, write_file, write_text,
 };
 use super::FileError;
 use std::path::Path;
@@ -87,30 +86,27 @@ impl State {
 pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
     state.check(path)?;
     let count = state.count();
-    write_path_atomically(path, |temporary| {
-        let fail = failed(path, "write");
-        let file = hdf5::File::create(temporary).map_err(fail("the file"))?;
+    write_file(path, |file| {
         let shape = [count, state.dimension];
-        write_dataset(path, &file, "position", &shape, &particle_major(&state.position, state.dimension))?;
+        write_dataset(path, file, "position", &shape, &particle_major(&state.position, state.dimension))?;
         if let Some(velocity) = &state.velocity {
-            write_dataset(path, &file, "velocity", &shape, &particle_major(velocity, state.dimension))?;
+            write_dataset(path, file, "velocity", &shape, &particle_major(velocity, state.dimension))?;
         }
         for (name, values) in state.scalars() {
             if let Some(values) = values {
-                write_dataset(path, &file, name, &[count], values)?;
+                write_dataset(path, file, name, &[count], values)?;
             }
         }
         if let Some(tag) = &state.tag {
-            write_dataset(path, &file, "tag", &[count], tag)?;
+            write_dataset(path, file, "tag", &[count], tag)?;
         }
-        write_attribute(path, &file, "time", &[], &[state.time])?;
-        write_attribute(path, &file, "step", &[], &[state.step])?;
-        write_attribute(path, &file, "box_size", &[state.dimension], &state.box_size)?;
-        write_attribute(path, &file, "dx", &[], &[state.dx])?;
-        write_attribute(path, &file, "seed", &[], &[state.seed])?;
-        write_text(path, &file, "configuration", &state.configuration)?;
-        write_text(path, &file, "version", &state.version)?;
-        file.close().map_err(fail("the end of the file"))
+        write_attribute(path, file, "time", &[], &[state.time])?;
+        write_attribute(path, file, "step", &[], &[state.step])?;
+        write_attribute(path, file, "box_size", &[state.dimension], &state.box_size)?;
+        write_attribute(path, file, "dx", &[], &[state.dx])?;
+        write_attribute(path, file, "seed", &[], &[state.seed])?;
+        write_text(path, file, "configuration", &state.configuration)?;
+        write_text(path, file, "version", &state.version)
     })
 }
 

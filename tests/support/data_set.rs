@@ -85,3 +85,11 @@ pub fn write(folder: &Path, metadata: &Metadata, split: Split, trajectories: &[T
     std::fs::copy(&written, split.path(folder)).unwrap();
     std::fs::remove_file(&written).unwrap();
 }
+
+/// Takes the checksum off an HDF5 file of ours, which is to be changed on purpose.
+pub fn without_checksum(path: &Path) {
+    let mut bytes = std::fs::read(path).unwrap();
+    assert!(bytes.starts_with(b"hydrograd"));
+    bytes[0] = 0;
+    std::fs::write(path, bytes).unwrap();
+}
