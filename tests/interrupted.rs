@@ -1,11 +1,11 @@
 //! Runs that are ended on their way, as real processes: by SIGKILL at any moment nothing is damaged, and what is resumed ends to the
 //! bit as if it had never stopped; SIGINT and SIGTERM keep what there is, and say how to go on.
 //!
-//! `HYDROGRAD_KILLS=20` kills so often per command; a few times otherwise.
+//! `HYDROGRAD_KILLS=200` kills so often per command; 20 times otherwise.
 
 mod support;
 
-use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::io::{hdf5_file, tensor_file::TensorFile};
 use std::io::BufRead;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 
 /// Times that a run is killed.
 fn kills() -> usize {
-    std::env::var("HYDROGRAD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(3)
+    std::env::var("HYDROGRAD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(20)
 }
 
 /// Uniform numbers in 0 ... 1, the same in every run of the tests.
@@ -66,7 +66,8 @@ fn all_whole(folder: &Path, when: &str) {
             }
             "toml" => drop(text().parse::<toml::Table>().unwrap_or_else(|e| panic!("{}: {e}", at()))),
             "safetensors" => drop(TensorFile::read(&path).unwrap_or_else(|e| panic!("{}: {e}", at()))),
-            "h5" => drop(hdf5::File::open(&path).unwrap_or_else(|e| panic!("{}: {e}", at()))),
+            // With the checksum of all bytes.
+            "h5" => drop(hdf5_file::open(&path, "file").unwrap_or_else(|e| panic!("{}: {e}", at()))),
             "csv" => {
                 let text = text();
                 // Commas within quotes are none.
