@@ -2,7 +2,6 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use hydrograd::cli;
 use hydrograd::numerics::memory;
 
@@ -14,5 +13,5 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 fn main() -> ExitCode {
     memory::keep_freed();
     cli::install_panic_hook();
-    ExitCode::from(cli::guarded(|| cli::run(cli::Cli::parse())))
+    ExitCode::from(cli::guarded(|| cli::run(cli::parse(std::env::args_os()).unwrap_or_else(|error| error.exit()))))
 }

@@ -47,17 +47,17 @@ pub struct CommonArguments {
     /// Folder for the results [default: runs/COMMAND-SCENE].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Floating-point type (run.precision).
+    /// Floating-point type (run.precision) [default: the scene's].
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
-    /// Worker threads, 0 for every core (run.threads).
+    /// Worker threads, 0 for every core (run.threads) [default: the scene's].
     #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
-    /// Seed of every random number (run.seed).
+    /// Seed of every random number (run.seed) [default: the scene's].
     // TOML's integers are signed.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
     pub seed: Option<u64>,
-    /// Implementation of the operators (run.kernels).
+    /// Implementation of the operators (run.kernels) [default: the scene's].
     #[arg(long, value_enum)]
     pub kernels: Option<Kernels>,
 }

@@ -52,8 +52,8 @@ pub struct CalibrateArguments {
     /// Frames to look at, from the first on.
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = at_least_one)]
     pub frames: usize,
-    /// What to find.
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["viscosity", "conductivity"])]
+    /// What to find, separated by commas [default: viscosity,conductivity].
+    #[arg(long, value_enum, value_name = "NAME,...", value_delimiter = ',', default_values = ["viscosity", "conductivity"], hide_default_value = true)]
     pub parameters: Vec<Parameter>,
     /// What is assumed at first, e.g. `--set fluid.viscosity=0.02`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -130,10 +130,11 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     header.extend(parameters.iter().map(|p| p.key()));
     header.push("seconds");
     write_rows(&arguments.out.join("history.csv"), &header, &rows)?;
-    let curve = |k: usize| rows.iter().map(|row| (row[0], (row[2 + k] / known[k] - 1.0).abs())).collect::<Vec<_>>();
+    let curve =
+        |k: usize| rows.iter().map(|row| (row[0] + 1.0, (row[2 + k] / known[k] - 1.0).abs())).collect::<Vec<_>>();
     let mut curves: Vec<(String, Vec<(f64, f64)>)> =
         parameters.iter().enumerate().map(|(k, p)| (format!("{}, relative error", p.key()), curve(k))).collect();
-    curves.push(("loss".into(), rows.iter().map(|row| (row[0], row[1])).collect()));
+    curves.push(("loss".into(), rows.iter().map(|row| (row[0] + 1.0, row[1])).collect()));
     compare(&arguments.out.join("history"), "Calibration", "epoch", "", &curves, false, true)?;
     let mut table = Table::new(["", "assumed", "found", "made with", "error"]);
     let mut summary = Map::new();
@@ -175,6 +176,6 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
         problem.steps,
         clock.elapsed().as_secs_f64()
     );
-    println!("files in {}: summary.json, history.csv, history.png", arguments.out.display());
+    println!("files in {}: summary.json, history.csv, history.png, report.html", arguments.out.display());
     Ok(())
 }

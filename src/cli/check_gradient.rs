@@ -197,7 +197,11 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));
     println!("every design variable received a finite, non-zero gradient");
-    println!("files in {}: gradient_check.json, gradient_check.png", folder.display());
+    // Scene units make numbers of the order of 1.
+    if norm < f64::EPSILON * value.abs().max(1.0) {
+        println!("WARNING: it is {norm:.0e} of {value:.1e}: the design has hardly reached what is measured, and little is checked; more --steps");
+    }
+    println!("files in {}: gradient_check.json, gradient_check.png, report.html", folder.display());
     if !passed {
         let truncated = config.optimise.gradient == GradientMode::Truncated;
         let advice = if truncated {

@@ -1,9 +1,10 @@
 //! `hydrograd completions` and `hydrograd man`: what shells and `man` want to know of the command line.
 
-use super::{files, Cli};
+use super::{files, line};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
-use clap::{Args, Command, CommandFactory};
+use clap::{Args, Command};
 use clap_complete::Shell;
+use clap_mangen::roff::{roman, Roff};
 use clap_mangen::Man;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +25,7 @@ pub struct CompletionsArguments {
 
 pub fn run(arguments: &CompletionsArguments) -> anyhow::Result<()> {
     let mut text = Vec::new();
-    clap_complete::generate(arguments.shell, &mut Cli::command(), "hydrograd", &mut text);
+    clap_complete::generate(arguments.shell, &mut line(), "hydrograd", &mut text);
     Ok(files::print(&text)?)
 }
 
@@ -43,7 +44,7 @@ pub struct ManArguments {
 
 pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
     prepare_output_folder(&arguments.folder)?;
-    let mut command = Cli::command();
+    let mut command = without_help(line());
     // Then every command knows its whole name.
     command.build();
     let count = page(&command, &arguments.folder)?;
@@ -54,13 +55,53 @@ pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
 
 /// The pages of a command and of those below it.
 fn page(command: &Command, folder: &Path) -> anyhow::Result<usize> {
-    let man = Man::new(command.clone());
+    let man = Man::new(command.clone()).source(format!("hydrograd {}", files::VERSION)).manual("hydrograd");
     let mut text = Vec::new();
-    man.render(&mut text)?;
+    man.render_title(&mut text)?;
+    man.render_name_section(&mut text)?;
+    man.render_synopsis_section(&mut text)?;
+    man.render_description_section(&mut text)?;
+    man.render_options_section(&mut text)?;
+    if command.has_subcommands() {
+        man.render_subcommands_section(&mut text)?;
+    }
+    notes(command).to_writer(&mut text)?;
     write_bytes_atomically(&folder.join(man.get_filename()), &text)?;
     let mut count = 1;
-    for below in command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help") {
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         count += page(below, folder)?;
     }
     Ok(count)
+}
+
+/// `hydrograd help` is no page.
+fn without_help(line: Command) -> Command {
+    let names: Vec<String> = line.get_subcommands().map(|below| below.get_name().to_string()).collect();
+    let line = line.disable_help_subcommand(true);
+    names.into_iter().fold(line, |line, name| line.mut_subcommand(name, without_help))
+}
+
+/// What stands below the options in a command's help: its sections by their names in manuals, examples line by line.
+fn notes(command: &Command) -> Roff {
+    let mut page = Roff::new();
+    let text = command.get_after_long_help().or(command.get_after_help()).map(|text| text.to_string());
+    let mut is_begun = false;
+    for block in text.iter().flat_map(|text| text.split("\n\n")) {
+        if let Some(examples) = block.strip_prefix("Examples:\n") {
+            page.control("SH", ["EXAMPLES"]).control("nf", []);
+            for line in examples.lines() {
+                page.text([roman(line)]);
+            }
+            page.control("fi", []);
+            is_begun = false;
+        } else if let Some(codes) = block.strip_prefix("Exit codes: ") {
+            page.control("SH", ["EXIT STATUS"]).text([roman(codes)]);
+            is_begun = false;
+        } else {
+            page.control(if is_begun { "PP" } else { "SH" }, if is_begun { vec![] } else { vec!["NOTES"] });
+            page.text([roman(block)]);
+            is_begun = true;
+        }
+    }
+    page
 }

@@ -112,7 +112,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
             scores.model, scores.sinkhorn_failures
         );
     }
-    println!("files in {}: evaluation.json, {}", arguments.out.display(), pictures.join(", "));
+    println!("files in {}: evaluation.json, {}, report.html", arguments.out.display(), pictures.join(", "));
     Ok(())
 }
 
@@ -130,7 +130,11 @@ fn table(scores: &[Scores]) -> Table {
         let mut row = vec![name.to_string()];
         row.extend(values.iter().map(|value| value.map_or("-".into(), |value| format!("{value:.3e}"))));
         if let (true, Some(model), Some(Some(linear))) = (compared, values[0], values.get(1)) {
-            row.push(if model > 0.0 { format!("{:.3}", linear / model) } else { "-".into() });
+            row.push(match linear / model {
+                ratio if model <= 0.0 || !ratio.is_finite() => "-".into(),
+                ratio if ratio < 0.01 => format!("{ratio:.1e}"),
+                ratio => format!("{ratio:.3}"),
+            });
         }
         table.row(row);
     }
@@ -164,9 +168,15 @@ fn plot(folder: &Path, scores: &[Scores]) -> anyhow::Result<Vec<String>> {
     for (stem, title, label, predicted, truth, log) in pictures {
         let points =
             |values: Vec<f64>| values.iter().enumerate().map(|(k, &y)| ((k + 1) as f64, y)).collect::<Vec<_>>();
+        // What is not shown keeps its place: a model has one colour in all pictures.
+        let shown = |values: Option<Vec<f64>>| values.map_or(Vec::new(), points);
         let mut series: Vec<(String, Vec<(f64, f64)>)> =
-            truth(&scores[0].curves).map(|values| ("true".to_string(), points(values))).into_iter().collect();
-        series.extend(scores.iter().filter_map(|s| Some((s.model.clone(), points(predicted(&s.curves)?)))));
+            scores.iter().map(|s| (s.model.clone(), shown(predicted(&s.curves)))).collect();
+        series.push(("true".to_string(), shown(truth(&scores[0].curves))));
+        // Who stands still has no energy, and would leave the others a line at the top.
+        for (_, points) in series.iter_mut().filter(|(_, points)| !log && points.iter().all(|(_, y)| *y == 0.0)) {
+            points.clear();
+        }
         // A logarithmic axis has no place for a model without error.
         if series.iter().any(|(_, points)| points.iter().any(|&(_, y)| !log || y > 0.0)) {
             compare(&folder.join(stem), title, "step", label, &series, false, log)?;

@@ -36,7 +36,8 @@ mod verify;
 
 pub use guard::{guarded, install_panic_hook, shown};
 
-use clap::{Parser, Subcommand};
+use clap::{Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::ffi::OsString;
 
 /// Differentiable particle flow: simulate a fluid by SPH and shape its walls by exact gradients.
 #[derive(Debug, Parser)]
@@ -54,6 +55,56 @@ pub struct Cli {
     pub json: bool,
     #[command(subcommand)]
     pub command: Command,
+}
+
+/// What was typed.
+///
+/// # Errors
+/// It is not understood, or asks for help.
+pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
+    Cli::from_arg_matches(&line().try_get_matches_from(words)?)
+}
+
+/// The command line with the texts of its help in lines as long as the terminal has room for.
+fn line() -> Line {
+    // An option that commands share has one default in its text, and one command has another.
+    let other = "Built-in scene (`hydrograd scenes` lists them) or TOML file [default: taylor-green]";
+    unwrapped(Cli::command().mut_subcommand("recover", |recover| recover.mut_arg("scene", |scene| scene.help(other))))
+}
+
+/// A command and those below it.
+fn unwrapped(mut line: Line) -> Line {
+    if let Some(text) = line.get_after_help().map(|text| in_paragraphs(&text.to_string())) {
+        line = line.after_help(text);
+    }
+    if let Some(text) = line.get_after_long_help().map(|text| in_paragraphs(&text.to_string())) {
+        line = line.after_long_help(text);
+    }
+    let names: Vec<String> = line.get_subcommands().map(|below| below.get_name().to_string()).collect();
+    names.into_iter().fold(line, |line, name| line.mut_subcommand(name, unwrapped))
+}
+
+/// A text whose lines are broken for those who read the source: one line for a paragraph, and for what explains an example.
+fn in_paragraphs(text: &str) -> String {
+    let depth = |line: &str| line.len() - line.trim_start().len();
+    let mut lines: Vec<String> = Vec::new();
+    for line in text.lines() {
+        match lines.last_mut() {
+            // Two spaces: a command, which ends where its line does.
+            Some(last)
+                if !last.is_empty()
+                    && !last.ends_with(':')
+                    && !line.is_empty()
+                    && depth(last) == depth(line)
+                    && depth(line) != 2 =>
+            {
+                *last += " ";
+                *last += line.trim_start();
+            }
+            _ => lines.push(line.to_string()),
+        }
+    }
+    lines.join("\n")
 }
 
 #[derive(Debug, Subcommand)]

@@ -419,7 +419,7 @@ fn every_start(
             (best + 1).to_string(),
             format!("{seconds:.1}"),
         ]);
-        curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| (k as f64, q)).collect()));
+        curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| ((k + 1) as f64, q)).collect()));
         all.insert(name, Value::Object(outcome.summary));
     }
     compare(
@@ -439,7 +439,7 @@ fn every_start(
         let (loss, other) = &least;
         println!("best {}: {value:.6}, began {name}; least loss: {loss:+.6}, began {other}", figure.symbol);
     }
-    println!("files in {}: starts.png, walls.png, summary.json, and a folder per start", folder.display());
+    println!("files in {}: report.html, starts.png, walls.png, summary.json, and a folder per start", folder.display());
     if let Some((_, name, loaded, best)) = best_of_all.filter(|_| !arguments.no_verify) {
         all.insert("verified_start".into(), json!(name));
         let reference = best.flat();
@@ -455,14 +455,27 @@ fn plot_walls(folder: &Path, config: &Config, walls: &[(String, Shape)], chosen:
         let walls: Vec<(&str, &Shape)> = walls.iter().map(|(name, wall)| (name.as_str(), wall)).collect();
         return files::plot_relief(folder, "walls", config, &walls);
     }
-    let (nodes, bound) = (&walls[0].1.nodes, config.design.bound);
+    let nodes = &walls[0].1.nodes;
+    // In the colours of the searches in the picture beside it.
+    let plot = |name: &str, walls: &[(String, Vec<f64>)]| {
+        let series: Vec<(String, Vec<(f64, f64)>)> = walls
+            .iter()
+            .enumerate()
+            .map(|(k, (from, offsets))| {
+                let best = if chosen == Some(k) { " (the best)" } else { "" };
+                (format!("{from}{best}"), nodes.iter().copied().zip(offsets.iter().copied()).collect())
+            })
+            .collect();
+        let stem = folder.join(name);
+        compare(&stem, "Best walls", "x (scene units)", "wall offset (scene units)", &series, false, false)
+    };
     let heights: Vec<(String, Vec<f64>)> =
         walls.iter().map(|(name, wall)| (name.clone(), wall.offsets.clone())).collect();
-    wall_shapes(&folder.join("walls"), nodes, &heights, chosen, bound)?;
+    plot("walls", &heights)?;
     let tops = walls.iter().filter_map(|(name, wall)| Some((name.clone(), wall.top.clone()?)));
     let tops: Vec<(String, Vec<f64>)> = tops.collect();
     if !tops.is_empty() {
-        wall_shapes(&folder.join("walls-top"), nodes, &tops, chosen, bound)?;
+        plot("walls-top", &tops)?;
     }
     Ok(())
 }

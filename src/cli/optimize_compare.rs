@@ -315,7 +315,7 @@ fn report(
         horizons.iter().map(|h| format!("{:.2e} / {:.2e} at {:.2}", h.surrogate, h.solver, h.time)).collect();
     println!("|gradient| of surrogate / solver by the time they look back from: {}", growth.join(", "));
     println!(
-        "files in {}: compare.png, horizons.png, horizons.csv, summary.json, and a folder per search",
+        "files in {}: report.html, compare.png, horizons.png, horizons.csv, summary.json, and a folder per search",
         folder.display()
     );
     Ok(())

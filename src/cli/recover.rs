@@ -251,7 +251,7 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
 }
 
 const END: &str = "distance at the end (root mean square of a coordinate)";
-const FILES: &str = "summary.json, history.csv, history.png, end.png, start.png";
+const FILES: &str = "summary.json, history.csv, history.png, end.png, start.png, report.html";
 
 fn cells(name: &str, numbers: &[f64]) -> Vec<String> {
     [vec![name.to_string()], numbers.iter().map(|x| format!("{x:.6}")).collect()].concat()
@@ -390,7 +390,8 @@ struct Recovered {
 
 impl Recovered {
     fn column(&self, k: usize) -> Vec<(f64, f64)> {
-        self.rows.iter().map(|row| (row[0], row[k])).collect()
+        // In pictures epochs count from one.
+        self.rows.iter().map(|row| (row[0] + 1.0, row[k])).collect()
     }
 
     fn seconds(&self) -> f64 {

@@ -84,7 +84,10 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
         first + run.frames.len() - 1,
         run.seconds / run.frames.len() as f64
     );
-    println!("files in {}: rollout.png, predicted/predicted.pvd and true/true.pvd (ParaView)", folder.display());
+    println!(
+        "files in {}: rollout.png, predicted/predicted.pvd and true/true.pvd (ParaView), report.html",
+        folder.display()
+    );
     Ok(())
 }
 
@@ -246,7 +249,11 @@ impl Scene<'_> {
                 (low.min(0.0), low.max(0.0) + 1e-12)
             }
         };
-        let (name, unit) = if with_heat { ("temperature T", "|T - T true|") } else { ("speed |v|", "|v - v true|") };
+        let (name, unit) = if with_heat {
+            ("temperature T", "|T - T true|, the largest 5 % alike")
+        } else {
+            ("speed |v|", "|v - v true|, the largest 5 % alike")
+        };
         // Walls may lie outside of the box.
         let bounds = |d: usize| {
             let (low, high) = (self.metadata.bounds[d][0], self.metadata.bounds[d][1]);

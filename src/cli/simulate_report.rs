@@ -85,7 +85,7 @@ pub fn report_design<R: Sweeps>(
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
     println!("mean density        {:.6}", d.mean_density);
     println!(
-        "files in {}: summary.json, temperature.png, flow.png, history.csv, state.h5{}{}",
+        "files in {}: report.html, summary.json, temperature.png, flow.png, history.csv, history.png, state.h5{}{}",
         folder.display(),
         if is_deep { ", wall.png, wall.vtp" } else { "" },
         finished.pictures
@@ -157,7 +157,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         (None, None) => {}
     }
     println!(
-        "files in {}: summary.json, history.csv{}{pictures}{}, state.h5{}",
+        "files in {}: report.html, summary.json, history.csv{}{pictures}{}, state.h5{}",
         folder.display(),
         if rests { "" } else { ", kinetic_energy.png" },
         if profile.is_some() { ", profile.png" } else { "" },

@@ -45,7 +45,7 @@ pub struct StressArguments {
     #[arg(value_name = "SCENE")]
     pub scenes: Vec<String>,
     /// Only maps with this in their name.
-    #[arg(long, value_name = "TEXT", default_value = "")]
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
     pub filter: String,
     /// Few values, coarse and short runs.
     #[arg(long)]
@@ -171,7 +171,7 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         count(Verdict::Diverged),
         seen.len() - todo.len(),
     );
-    println!("files in {}: stress.json, stress.csv, a picture per map, runs/", out.display());
+    println!("files in {}: stress.json, stress.csv, a picture per map, runs/, report.html", out.display());
     if seen.len() < done.len() {
         println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display());
         return Ok(());

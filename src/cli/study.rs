@@ -108,7 +108,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     println!("{}", table(&grid, &outcomes));
     println!("{} points, {kept} of them trained before", outcomes.len());
     println!(
-        "files in {}: study.csv, {}, and a folder per point",
+        "files in {}: report.html, study.csv, {}, and a folder per point",
         study.out.display(),
         if pictures.is_empty() { "no plots".into() } else { pictures.join(", ") }
     );

@@ -42,7 +42,7 @@ pub struct ValidateArguments {
     #[arg(long)]
     pub quick: bool,
     /// Only cases with this in their name.
-    #[arg(long, value_name = "TEXT", default_value = "")]
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
     pub filter: String,
     /// Print the cases and what they are compared with, and run none.
     #[arg(long)]
@@ -186,7 +186,11 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     for row in rows.iter().filter(|row| row.failure.is_some()) {
         println!("{}, dx {}: {}", row.case, row.dx, row.failure.as_deref().unwrap_or_default());
     }
-    println!("files in {}: validation.csv, validation.json, {}", arguments.out.display(), pictures.join(", "));
+    println!(
+        "files in {}: validation.csv, validation.json, {}, report.html",
+        arguments.out.display(),
+        pictures.join(", ")
+    );
     let failed: Vec<&&Row> = rows.iter().filter(|row| !row.passed).collect();
     if let Some(row) = failed.first() {
         let first = format!("{} at dx {}", row.case, row.dx);
@@ -196,7 +200,8 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         )
         .into());
     }
-    println!("PASSED: all {} rows, in double and single precision", rows.len());
+    let all = if rows.len() == 1 { "the row".into() } else { format!("all {} rows", rows.len()) };
+    println!("PASSED: {all}, in double and single precision");
     Ok(())
 }
 

@@ -68,10 +68,9 @@ mod _native {
     #[pyfunction]
     fn command_line(py: Python<'_>, arguments: Vec<String>) -> u8 {
         use crate::cli;
-        use clap::Parser;
         cli::install_panic_hook();
         let all = std::iter::once("hydrograd".to_string()).chain(arguments);
-        py.detach(|| match cli::Cli::try_parse_from(all) {
+        py.detach(|| match cli::parse(all.map(Into::into)) {
             Ok(parsed) => cli::guarded(|| cli::run(parsed)),
             Err(error) => {
                 // Where stdout or stderr is closed there is nobody to tell.

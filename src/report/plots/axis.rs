@@ -54,6 +54,10 @@ impl Axis {
     pub fn whole_numbers(values: impl IntoIterator<Item = f64>) -> Self {
         let mut axis = Self::around(values);
         axis.ticks.retain(|(value, _)| (value - value.round()).abs() < 1e-9);
+        // "1", not "1.0", where the others were halves.
+        for (value, label) in axis.ticks.iter_mut().filter(|(value, _)| value.abs() < 1e5) {
+            *label = plain(value.round(), 0);
+        }
         if axis.ticks.is_empty() {
             let middle = (0.5 * (axis.low + axis.high)).round();
             axis.ticks.push((middle, format!("{middle}")));
@@ -137,7 +141,7 @@ fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let small = low > -3.1 && high < 4.1;
     let stride = (((high - low) / 8.0).ceil() as i32).max(1);
     let factors: &[f64] = if high - low < 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-    (low.floor() as i32..=high.ceil() as i32)
+    let ticks: Vec<_> = (low.floor() as i32..=high.ceil() as i32)
         .filter(|power| power.rem_euclid(stride) == 0)
         .flat_map(|power| factors.iter().map(move |factor| (factor * 10_f64.powi(power), *factor, power)))
         .filter(|(value, ..)| (low - 1e-9..=high + 1e-9).contains(&value.log10()))
@@ -149,7 +153,12 @@ fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
             };
             (value, label)
         })
-        .collect()
+        .collect();
+    match ticks.len() {
+        // One tick is no scale.
+        0 | 1 => linear_ticks(10_f64.powf(low), 10_f64.powf(high), 5),
+        _ => ticks,
+    }
 }
 
 /// Fixed number of decimals, with a true minus sign.

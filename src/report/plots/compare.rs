@@ -10,8 +10,13 @@ use std::path::{Path, PathBuf};
 /// Beyond this many points the markers would be a band.
 const MOST_MARKERS: usize = 40;
 
+/// Lengths of dashes and of what is between them; the first is that of legends.
+const DASHES: [(f64, f64); 3] = [(7.0, 4.5), (2.5, 4.0), (14.0, 5.0)];
+
 /// Draws named series of (x, y) as lines with markers, legend on the right. On a logarithmic axis values that are
-/// not positive are left out, as are NaN and infinities.
+/// not positive are left out, as are NaN and infinities. Lines of many points have no markers: behind the first they are
+/// dashed, so that one that lies under them is seen. A series without points is not shown; its colour stays free, for pictures
+/// beside each other.
 ///
 /// # Errors
 /// [`FileError::Input`] if there is not a single point to show; system errors.
@@ -36,15 +41,23 @@ pub fn compare(
     }
     let axis = |values: Vec<f64>, log: bool| match log {
         true => Axis::around_log(values),
+        // Between epochs or steps there is nothing.
+        false if values.iter().all(|value| value.fract() == 0.0) => Axis::whole_numbers(values),
         false => Axis::around(values),
     };
+    let is_marked = |points: &[Point]| points.len() <= MOST_MARKERS;
     let entries: Vec<Entry> = series
         .iter()
         .enumerate()
-        .map(|(index, (name, _))| Entry {
+        .filter(|(_, (_, points))| !points.is_empty())
+        .map(|(index, (name, points))| Entry {
             text: name.clone(),
             color: colors::series(index),
-            sample: Sample::Marked(index),
+            sample: match index {
+                _ if is_marked(points) => Sample::Marked(index),
+                0 => Sample::Line { width: 2.0 },
+                _ => Sample::Dashed,
+            },
         })
         .collect();
 
@@ -61,8 +74,11 @@ pub fn compare(
     for (index, (_, points)) in series.iter().enumerate() {
         let lines = frame.map_lines(points);
         for line in lines {
-            drawing.line(line.clone(), colors::series(index), 2.0);
-            if points.len() <= MOST_MARKERS || line.len() == 1 {
+            match is_marked(points) || index == 0 {
+                true => drawing.line(line.clone(), colors::series(index), 2.0),
+                false => drawing.dashed(&line, colors::series(index), 1.8, DASHES[(index - 1) % DASHES.len()]),
+            }
+            if is_marked(points) || line.len() == 1 {
                 for point in line {
                     legend::marker(&mut drawing, point, index, colors::series(index));
                 }

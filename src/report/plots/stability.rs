@@ -54,12 +54,17 @@ pub fn stability(
         ));
     }
     let widest = axes.y.1.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max);
-    let (left, top, gap_x, gap_y) = (widest + 50.0, 70.0, 34.0, 88.0);
     let (width, height) = (across as f64 * CELL, up as f64 * CELL);
+    // Titles and the name of the axis may be wider than a panel.
+    let titles = panels.iter().map(|panel| text_width(&panel.title, 15.0));
+    let text = titles.chain([text_width(axes.x.0, 15.0)]).fold(0.0, f64::max);
+    let (left, top, gap_x, gap_y) = (widest + 50.0, 70.0, f64::max(34.0, text + 16.0 - width), 88.0);
     let rows = panels.len().div_ceil(columns);
     let total = left + columns as f64 * (width + gap_x);
     let legend = [('S', "stable"), ('D', "degraded"), ('X', "diverged")];
-    let mut drawing = Drawing::new(total.max(460.0), top + rows as f64 * (height + gap_y));
+    let legend_end = left + 120.0 * (legend.len() - 1) as f64 + CELL + 6.0 + text_width("diverged", LABEL) + 16.0;
+    let mut drawing =
+        Drawing::new(total.max(legend_end).max(text_width(title, 17.0) + 36.0), top + rows as f64 * (height + gap_y));
     drawing.text(title, (20.0, 22.0), 17.0, Anchor::Left, INK);
     for (k, panel) in panels.iter().enumerate() {
         let (x0, y0) = (left + (k % columns) as f64 * (width + gap_x), top + (k / columns) as f64 * (height + gap_y));
