@@ -53,7 +53,7 @@ fn range(counts: impl Iterator<Item = usize> + Clone) -> String {
     match (counts.clone().min(), counts.max()) {
         (Some(low), Some(high)) if low == high => low.to_string(),
         (Some(low), Some(high)) => format!("{low} to {high}"),
-        _ => "no".into(),
+        _ => "-".into(),
     }
 }
 
