@@ -125,6 +125,8 @@ fn survives(case: &Case, prepare: impl Fn(&Path), seed: u64) {
             let output = support::program::hydrograd(at, &case.resume);
             // What was killed before it began, or when all was there but the last word, says so.
             let error = String::from_utf8_lossy(&output.stderr).into_owned();
+            // Shown where something is wrong behind it.
+            eprintln!("{when}: {:?} {error}", output.status.code());
             match output.status.code() {
                 Some(0) => {}
                 Some(2) if error.contains("already") => {}

@@ -307,11 +307,14 @@ fn attended(command: &mut Command) -> std::io::Result<ExitStatus> {
     command.process_group(0);
     #[cfg(target_os = "linux")]
     {
-        let with_parent = || match unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) } {
+        let parent = std::process::id() as libc::pid_t;
+        let with_parent = move || match unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) } {
+            // Gone since the fork: nobody will tell.
+            0 if unsafe { libc::getppid() } != parent => Err(std::io::Error::from_raw_os_error(libc::ESRCH)),
             0 => Ok(()),
             _ => Err(std::io::Error::last_os_error()),
         };
-        // SAFETY: a system call is all that happens between fork and exec.
+        // SAFETY: two system calls are all that happens between fork and exec.
         unsafe { command.pre_exec(with_parent) };
     }
     let mut child = command.spawn()?;

@@ -324,13 +324,13 @@ fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// Removes files that a killed process had not finished, here and among frames.
+/// Removes files that a killed process had not finished, here, among frames and among the runs of maps.
 fn remove_temporaries(folder: &Path) {
     for name in names(folder) {
         let path = folder.join(&name);
         if is_temporary(&name) {
             let _ = std::fs::remove_file(path);
-        } else if name.starts_with("particles") && path.is_dir() {
+        } else if (name.starts_with("particles") || name == "runs") && path.is_dir() {
             remove_temporaries(&path);
         }
     }
