@@ -5,6 +5,8 @@
 pub mod compare;
 mod designs;
 mod folder;
+mod leads;
+mod names;
 mod others;
 mod series;
 mod tables;

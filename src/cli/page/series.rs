@@ -53,6 +53,25 @@ pub fn lists(folder: &Path) -> Vec<PathBuf> {
     own.map(|name| folder.join(name).join("particles.pvd")).collect()
 }
 
+/// The mean square of the distances between the places of some particles. One that has just left a periodic box on one side
+/// comes back on the other: those at opposite sides are left out, because no file says how long the box is.
+pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize]) -> f64 {
+    let width = |d: usize| {
+        let places = || other.position.iter().map(|place| place[d]);
+        places().fold(f64::NEG_INFINITY, f64::max) - places().fold(f64::INFINITY, f64::min)
+    };
+    let widths = [width(0), width(1), width(2)];
+    let (mut sum, mut count) = (0.0, 0);
+    for &i in kept {
+        let apart: [f64; 3] = std::array::from_fn(|d| one.position[i][d] - other.position[i][d]);
+        if (0..3).all(|d| apart[d].abs() <= 0.5 * widths[d].max(1e-300)) {
+            sum += apart.iter().map(|x| x * x).sum::<f64>();
+            count += 1;
+        }
+    }
+    sum / f64::from(count.max(1))
+}
+
 /// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.
 fn layer(file: &ParticleFile, dx: f64) -> (Option<(f64, f64)>, String) {
     let z = || file.position.iter().map(|place| place[2]);
