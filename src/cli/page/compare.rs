@@ -318,7 +318,11 @@ fn lead(
     }
     let errors: Option<Vec<f64>> = runs.iter().map(|run| position_error(&run.folder)).collect();
     if let Some((k, mse)) = errors.and_then(|all| all.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))) {
-        return format!("Of {} models that of {} has the least position error: MSE {mse:.2e}.", runs.len(), runs[k].name);
+        return format!(
+            "Of {} models that of {} has the least position error: MSE {mse:.2e}.",
+            runs.len(),
+            runs[k].name
+        );
     }
     format!("{plain}.")
 }

@@ -1,7 +1,7 @@
 //! Pages of `optimize` and `simulate`.
 
 use super::folder::{figure, percent, warnings, Folder};
-use super::names::{counted};
+use super::names::counted;
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::cli::files::read_config;

@@ -46,7 +46,11 @@ impl Folder {
     /// run has none.
     pub fn scene(&self) -> String {
         let read = |file: &str| std::fs::read_to_string(self.path.join(file)).ok();
-        let text = || read("summary.json")?.parse::<Value>().ok()?.get("scene")?.as_str().map(str::to_string);
+        let text = || {
+            let summary = read("summary.json")?.parse::<Value>().ok()?;
+            let name = summary.get("scene_file").or_else(|| summary.get("scene"))?;
+            name.as_str().map(str::to_string)
+        };
         let config = || read("config.toml")?.parse::<toml::Table>().ok()?.get("scene")?.as_str().map(str::to_string);
         text().or_else(config).unwrap_or_default()
     }

@@ -27,8 +27,11 @@ pub fn bench(rows: &[Value]) -> String {
     let is = |row: &&Value, kind: &str| text(row, "kind") == kind;
     let Some(first) = rows.iter().find(|row| is(row, "forward")) else { return plain };
     let Some(ms) = number(first, "ms_per_step") else { return plain };
-    let same = |row: &&Value| ["scene", "particles", "threads", "precision"].iter().all(|key| row.get(*key) == first.get(*key));
-    let others = rows.iter().filter(same).filter(|row| is(row, "gradient") && !text(row, "mode").starts_with("truncated"));
+    let same = |row: &&Value| {
+        ["scene", "particles", "threads", "precision"].iter().all(|key| row.get(*key) == first.get(*key))
+    };
+    let others =
+        rows.iter().filter(same).filter(|row| is(row, "gradient") && !text(row, "mode").starts_with("truncated"));
     let gradient = others.filter_map(|row| number(row, "ms_per_step")).reduce(f64::min);
     let count = |key: &str| number(first, key).unwrap_or(0.0) as usize;
     format!(
@@ -80,7 +83,11 @@ pub fn recover(found: &Map<String, Value>) -> (String, String) {
     };
     let remark = match (number("distance_before"), number("distance")) {
         (Some(before), Some(now)) => {
-            format!("Its particles end {} from where they were seen, {} before: in units of the scene.", about(now), about(before))
+            format!(
+                "Its particles end {} from where they were seen, {} before: in units of the scene.",
+                about(now),
+                about(before)
+            )
         }
         _ => String::new(),
     };
@@ -93,7 +100,8 @@ pub fn calibrate(found: &Map<String, Value>, history: &Columns) -> (String, Stri
         .iter()
         .filter_map(|(key, of)| {
             let (name, value) = (key.rsplit('.').next()?, number(of, "found")?);
-            let error = number(of, "error").map_or(String::new(), |error| format!(" ({:+.2}\u{a0}% off)", 100.0 * error));
+            let error =
+                number(of, "error").map_or(String::new(), |error| format!(" ({:+.2}\u{a0}% off)", 100.0 * error));
             Some(format!("{name} {}{error}", about(value)))
         })
         .collect();
@@ -163,7 +171,9 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
         "After {} the predicted positions are {} off the true ones (MSE {mse:.2e}){}.",
         counted(step as usize, "step"),
         about(mse.sqrt()),
-        temperatures.last().map_or(String::new(), |(_, mse)| format!(", temperatures {} (MSE {mse:.2e})", about(mse.sqrt())))
+        temperatures
+            .last()
+            .map_or(String::new(), |(_, mse)| format!(", temperatures {} (MSE {mse:.2e})", about(mse.sqrt())))
     );
     let chart = |title: &str, y: &str, points: Vec<(f64, f64)>| Chart {
         title: title.into(),

@@ -115,7 +115,9 @@ mod tests {
 
     #[test]
     fn numbers_have_few_digits() {
-        for (value, expected) in [(0.2595789, "0.2596"), (77.014123, "77.01"), (12.0, "12"), (3.2e-7, "3.200e-7"), (12345.6, "12346")] {
+        for (value, expected) in
+            [(0.2595789, "0.2596"), (77.014123, "77.01"), (12.0, "12"), (3.2e-7, "3.200e-7"), (12345.6, "12346")]
+        {
             assert_eq!(rounded(Cell::number(value), 4).text, expected);
         }
         assert_eq!(sized("peak_memory_bytes", Cell::number(164904960.0)).text, "164.9 MB");

@@ -122,7 +122,9 @@ pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>], choice: Cho
         names.iter().filter_map(|name| Some((name, header.iter().position(|other| other == name)?))).collect();
     let cell = |name: &str, text: &String| match text.parse::<f64>() {
         // As it was written, where that is short: settings are given as 3e-5.
-        Ok(_) if text.len() <= 6 => Cell { value: Some(text.clone()), ..Cell::text(text.strip_suffix(".0").unwrap_or(text)) },
+        Ok(_) if text.len() <= 6 => {
+            Cell { value: Some(text.clone()), ..Cell::text(text.strip_suffix(".0").unwrap_or(text)) }
+        }
         Ok(number) => choice.shown(name, Cell { text: short(number), value: Some(text.clone()), ..Cell::default() }),
         Err(_) => Cell::text(text),
     };
