@@ -252,7 +252,8 @@ fn runs_of_different_problems_are_not_ranked() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     succeeds(at, &with(&["simulate", "--out", "heated"], &["--set", "output.frames=0"]));
-    let other = ["simulate", "isothermal-channel", "--out", "other", "--set", "time.end=0.02", "--set", "output.frames=0"];
+    let other =
+        ["simulate", "isothermal-channel", "--out", "other", "--set", "time.end=0.02", "--set", "output.frames=0"];
     succeeds(at, &other);
     let text = succeeds(at, &["compare", "heated", "other", "--out", "page.html"]);
     assert!(text.contains("not to be ranked"), "{text}");
@@ -264,7 +265,8 @@ fn runs_of_different_problems_are_not_ranked() {
 fn evaluated(at: &Path, name: &str, model: &str, data: &str, mse: f64) {
     std::fs::create_dir(at.join(name)).unwrap();
     std::fs::write(at.join(name).join(".hydrograd"), "evaluate\nfinished\n").unwrap();
-    let score = |model: &str, mse: f64| serde_json::json!({ "model": model, "windows": 2, "mse_1": mse / 9.0, "mse": mse });
+    let score =
+        |model: &str, mse: f64| serde_json::json!({ "model": model, "windows": 2, "mse_1": mse / 9.0, "mse": mse });
     let scores = serde_json::json!({
         "model": format!("{model}.safetensors"), "data": data, "split": "valid",
         "scores": [score(model, mse), score("linear", 0.5)],
@@ -282,10 +284,10 @@ fn models_are_compared_whatever_their_files_are_called() {
     let text = succeeds(at, &["compare", "a", "b", "--out", "same.html"]);
     assert!(text.contains("that of b has the least position error: MSE 1.00e-4"), "{text}");
     let text = page(&at.join("same.html"));
-    let (_, row) = text.split_once("model: position MSE, all steps").unwrap();
+    let (_, row) = text.split_once("model: position MSE over all steps").unwrap();
     let row = row.split("</tr>").next().unwrap();
     assert!(row.contains("value=\"0.0002\"") && row.contains("value=\"0.0001\""), "{row}");
-    assert!(text.contains("linear: position MSE, 1 step") && !text.contains("config.toml"));
+    assert!(text.contains("linear: position MSE over 1 step") && !text.contains("config.toml"));
     let text = succeeds(at, &["compare", "a", "c", "--out", "other.html"]);
     assert!(text.contains("not to be ranked"), "{text}");
 }

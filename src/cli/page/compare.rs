@@ -193,6 +193,7 @@ fn problem(folder: &Folder) -> Vec<(String, String)> {
     found.retain(|(key, _)| keys.contains(&key.as_str()));
     if let Ok(scores) = serde_json::from_str::<Value>(&read("evaluation.json")) {
         found.extend(["data", "split"].map(|key| (key.to_string(), scores[key].to_string())));
+        found.push(("steps of a rollout".into(), scores["scores"][0]["steps"].to_string()));
     }
     found
 }

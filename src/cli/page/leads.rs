@@ -3,7 +3,7 @@
 use super::folder::{Columns, Folder};
 use super::names::{counted, label};
 use super::series;
-use crate::io::vtk::{read_list, read_vtp};
+use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{short, Chart, Series};
 use serde_json::{Map, Value};
@@ -53,7 +53,7 @@ pub fn study(header: &[String], rows: &[Vec<String>]) -> String {
     let Some((row, least)) = found else { return plain };
     let settings = settings(header).iter().zip(row).map(|(name, value)| format!("{name} = {value}"));
     format!(
-        "Of {} {} does best: {} {least:.2e} on the validation split.",
+        "Of {} that with {} does best: {least:.2e} on the validation split ({}).",
         counted(rows.len(), "training"),
         settings.collect::<Vec<_>>().join(", "),
         label(&header[best])
@@ -152,15 +152,19 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
     if !(list("predicted").is_file() && list("true").is_file()) {
         return Ok((none, vec![]));
     }
-    let (predicted, truth) = (read_list(&list("predicted"))?, read_list(&list("true"))?);
+    let read = |name: &str| -> anyhow::Result<Vec<(f64, ParticleFile)>> {
+        read_list(&list(name))?.into_iter().map(|(time, path)| Ok((time, read_vtp(&path)?))).collect()
+    };
+    let (predicted, truth) = (read("predicted")?, read("true")?);
+    let period = [&predicted, &truth].map(|frames| series::period(frames));
+    let period = std::array::from_fn(|d| period[0][d].or(period[1][d]));
     let (mut positions, mut temperatures) = (Vec::new(), Vec::new());
-    for (k, ((_, predicted), (_, truth))) in predicted.iter().zip(&truth).enumerate() {
-        let (p, t) = (read_vtp(predicted)?, read_vtp(truth)?);
+    for (k, ((_, p), (_, t))) in predicted.iter().zip(&truth).enumerate() {
         let step = (k + 1) as f64;
         let fluid: Vec<usize> = (0..p.position.len().min(t.position.len()))
             .filter(|&i| t.tag.get(i).is_none_or(|tag| *tag == FLUID))
             .collect();
-        positions.push((step, series::mean_square(&p, &t, &fluid)));
+        positions.push((step, series::mean_square(p, t, &fluid, period)));
         if let (Some(p), Some(t)) = (p.scalars.get("temperature"), t.scalars.get("temperature")) {
             let sum: f64 = fluid.iter().map(|&i| (p[i] - t[i]).powi(2)).sum();
             temperatures.push((step, sum / fluid.len().max(1) as f64));
@@ -168,12 +172,8 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
     }
     let Some((step, mse)) = positions.last().copied() else { return Ok((none, vec![])) };
     let lead = format!(
-        "After {} the predicted positions are {} off the true ones (MSE {mse:.2e}){}.",
-        counted(step as usize, "step"),
-        about(mse.sqrt()),
-        temperatures
-            .last()
-            .map_or(String::new(), |(_, mse)| format!(", temperatures {} (MSE {mse:.2e})", about(mse.sqrt())))
+        "At step {step} the MSE of the predicted positions is {mse:.2e}{}.",
+        temperatures.last().map_or(String::new(), |(_, mse)| format!(", that of the temperatures {mse:.2e}"))
     );
     let chart = |title: &str, y: &str, points: Vec<(f64, f64)>| Chart {
         title: title.into(),

@@ -20,7 +20,7 @@ const NAMES: [(&str, &str); 36] = [
     ("q_first", "Q of the first design"),
     ("q_sum", "Q, sum over the targets"),
     ("error_f32", "error in f32"),
-    ("mse", "position MSE, all steps"),
+    ("mse", "position MSE over all steps"),
     ("mae", "position error, mean absolute"),
     ("sinkhorn", "Sinkhorn divergence"),
     ("sinkhorn_failures", "Sinkhorn failures"),
@@ -54,7 +54,7 @@ pub fn label(key: &str) -> String {
         if let ("" | "best_", Ok(steps)) = (of, steps.parse::<usize>()) {
             let least = if of.is_empty() { "" } else { "least " };
             let unit = if steps == 1 { "step" } else { "steps" };
-            return format!("{least}position MSE, {steps} {unit}");
+            return format!("{least}position MSE over {steps} {unit}");
         }
     }
     for mark in [": ", "."] {
@@ -103,8 +103,8 @@ mod tests {
     fn keys_have_names() {
         for (key, expected) in [
             ("q", "outflowing heat Q"),
-            ("mse_20", "position MSE, 20 steps"),
-            ("best_mse_1", "least position MSE, 1 step"),
+            ("mse_20", "position MSE over 20 steps"),
+            ("best_mse_1", "least position MSE over 1 step"),
             ("no change: e_kin", "no change: kinetic energy, squared error"),
             ("before.flow_rate", "before: flow rate"),
             ("some_key", "some key"),

@@ -53,23 +53,43 @@ pub fn lists(folder: &Path) -> Vec<PathBuf> {
     own.map(|name| folder.join(name).join("particles.pvd")).collect()
 }
 
-/// The mean square of the distances between the places of some particles. One that has just left a periodic box on one side
-/// comes back on the other: those at opposite sides are left out, because no file says how long the box is.
-pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize]) -> f64 {
-    let width = |d: usize| {
-        let places = || other.position.iter().map(|place| place[d]);
+/// How wide the places of particles are, by component.
+fn widths(frame: &ParticleFile) -> [f64; 3] {
+    std::array::from_fn(|d| {
+        let places = || frame.position.iter().map(|place| place[d]);
         places().fold(f64::NEG_INFINITY, f64::max) - places().fold(f64::INFINITY, f64::min)
-    };
-    let widths = [width(0), width(1), width(2)];
-    let (mut sum, mut count) = (0.0, 0);
-    for &i in kept {
-        let apart: [f64; 3] = std::array::from_fn(|d| one.position[i][d] - other.position[i][d]);
-        if (0..3).all(|d| apart[d].abs() <= 0.5 * widths[d].max(1e-300)) {
-            sum += apart.iter().map(|x| x * x).sum::<f64>();
-            count += 1;
+    })
+}
+
+/// How long a periodic box is, which no file says: a particle that leaves it is elsewhere than its velocity has brought it. None
+/// where none left.
+pub fn period(frames: &[(f64, ParticleFile)]) -> [Option<f64>; 3] {
+    let mut found = [None; 3];
+    for pair in frames.windows(2) {
+        let [(before, old), (now, new)] = pair else { continue };
+        let (widths, time) = (widths(new), now - before);
+        for (i, (from, to)) in old.position.iter().zip(&new.position).enumerate() {
+            let Some(velocity) = new.velocity.get(i) else { continue };
+            for d in 0..3 {
+                let jump = (to[d] - from[d] - velocity[d] * time).abs();
+                if found[d].is_none() && jump > 0.5 * widths[d] && jump > 0.0 {
+                    found[d] = Some(jump);
+                }
+            }
         }
     }
-    sum / f64::from(count.max(1))
+    found
+}
+
+/// The mean square of the difference between the places of some particles, by component as `hydrograd rollout` prints it.
+pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize], period: [Option<f64>; 3]) -> f64 {
+    let apart = |i: usize, d: usize| {
+        let apart = one.position[i][d] - other.position[i][d];
+        period[d].map_or(apart, |length| apart - length * (apart / length).round())
+    };
+    let components: Vec<usize> = (0..3).filter(|&d| widths(other)[d] > 0.0).collect();
+    let squares = kept.iter().flat_map(|&i| components.iter().map(move |&d| apart(i, d).powi(2)));
+    squares.sum::<f64>() / (kept.len() * components.len()).max(1) as f64
 }
 
 /// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.
