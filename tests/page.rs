@@ -258,7 +258,7 @@ fn runs_of_different_problems_are_not_ranked() {
     let text = succeeds(at, &["compare", "heated", "other", "--out", "page.html"]);
     assert!(text.contains("not to be ranked"), "{text}");
     let text = page(&at.join("page.html"));
-    assert!(text.contains("Not the same in all of them: ") && !text.contains(" marked\""), "{text}");
+    assert!(text.contains("Not the same in all of them: scene.") && !text.contains(" marked\""), "{text}");
 }
 
 /// A folder as `evaluate` leaves it.

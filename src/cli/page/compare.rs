@@ -212,7 +212,11 @@ fn unlike(runs: &[Compared]) -> Vec<String> {
     found.extend(more.map(|(key, _)| key.clone()));
     found.sort();
     found.dedup();
-    found
+    // Different scenes differ in whatever else.
+    match found.iter().any(|key| key == "scene") {
+        true => vec!["scene".into()],
+        false => found,
+    }
 }
 
 /// Runs of one kind beside each other; `together` are the figures that they have together, if they are parts of one run.
@@ -395,8 +399,8 @@ fn add_figures(
                         // The first is the one that was evaluated, whatever its file is called; the others are its baselines.
                         let own = model.get("model").and_then(Value::as_str).filter(|_| k > 0);
                         let name = own.unwrap_or("model");
-                        let of = |(key, cell)| (format!("{name}: {key}"), cell);
-                        found.extend(tables::scalars(model).into_iter().map(of));
+                        let scores = tables::scalars(model).into_iter().filter(|(key, _)| key != "model");
+                        found.extend(scores.map(|(key, cell)| (format!("{name}: {key}"), cell)));
                     }
                 }
             }
@@ -413,7 +417,9 @@ fn add_figures(
     let others = all.iter().flatten().map(|(name, _)| name.clone());
     // The figures before are in the files; of all runs the first design's are rarely asked for.
     for name in known.chain(others).filter(|name| !name.starts_with("before.")) {
-        if !names.contains(&name) && all.iter().any(|found| found.iter().any(|(other, _)| *other == name)) {
+        // What no run knows is no figure.
+        let is_known = |(other, cell): &(String, Cell)| *other == name && cell.text != "-";
+        if !names.contains(&name) && all.iter().flatten().any(is_known) {
             names.push(name);
         }
     }
