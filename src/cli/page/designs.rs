@@ -1,7 +1,7 @@
 //! Pages of `optimize` and `simulate`.
 
 use super::folder::{figure, percent, warnings, Folder};
-use super::names::counted;
+use super::names::{counted, rounded};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::cli::files::read_config;
@@ -253,7 +253,9 @@ fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
     let mut table = Table::new("Before and after", ["", "before", "after", "change"]);
     let mut row = |name: String, b: f64, a: f64, has_change: bool| {
         let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
-        table.rows.push(vec![Cell::text(name), Cell::number(b), Cell::number(a), change]);
+        // Small residuals are no figures to be read to the sixth digit.
+        let cell = |x: f64| if x.abs() < 1e-3 { rounded(Cell::number(x), 4) } else { Cell::number(x) };
+        table.rows.push(vec![Cell::text(name), cell(b), cell(a), change]);
     };
     let Figure { symbol, quantity, .. } = search.figure;
     row(format!("{symbol}, {quantity}"), search.first, search.best, true);
