@@ -181,3 +181,61 @@ fn a_search() {
         survives(folder.path(), file, &resume);
     }
 }
+
+/// Nothing that a terminal or a browser would do something else with, and no line that fills the screen.
+#[track_caller]
+fn can_be_shown(text: &str) {
+    let harmful = |c: &char| c.is_control() && *c != '\n';
+    assert_eq!(text.chars().find(harmful), None, "{text:?}");
+    assert!(text.lines().all(|line| line.len() < 6000), "{text}");
+}
+
+#[test]
+fn what_files_say_in_warnings_and_pages() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let small = ["--set", "time.end=0.1", "--set", "output.frames=0", "--set", "resolution.dx=0.025"];
+    succeeds(at, &[&["optimize", "--epochs", "1", "--no-verify", "--out", "run"][..], &small].concat());
+    // Control characters in the name of the folder, which a warning names, and in what its files say.
+    let name = "r\u{1b}[2Jn";
+    let run = at.join(name);
+    std::fs::rename(at.join("run"), &run).unwrap();
+    std::fs::write(run.join("verification.json"), "[").unwrap();
+    let read = |file: &str| std::fs::read_to_string(run.join(file)).unwrap();
+    let mut summary: serde_json::Value = serde_json::from_str(&read("summary.json")).unwrap();
+    let long = "long ".repeat(20_000);
+    summary["scene"] = json!("heated\u{1b}]0;title\u{7}");
+    summary["warnings"] = json!([{ "problem": format!("\u{1b}[31m{long}"), "advice": "\u{9b}2J" }]);
+    std::fs::write(run.join("summary.json"), summary.to_string()).unwrap();
+    let output = hydrograd(at, &["optimize", "--resume", name, "--epochs", "2", "--no-verify"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && error.contains("warning: the page is without verification.json"), "{error}");
+    assert!(error.contains("r\\u{1b}[2Jn/verification.json"), "{error}");
+    can_be_shown(&error);
+    // Its own summary is written anew; one among several is quoted as it is.
+    succeeds(at, &[&["optimize", "--epochs", "1", "--no-verify", "--out", "other"][..], &small].concat());
+    std::fs::write(run.join("summary.json"), summary.to_string()).unwrap();
+    std::fs::write(run.join("config.toml"), format!("# {}\n{}", "x".repeat(90_000), read("config.toml"))).unwrap();
+    let compared = succeeds(at, &["compare", name, "other", "--out", "both.html"]);
+    can_be_shown(&compared);
+    // Of all that stands in the text, but what the script draws: its data are JSON in one line.
+    let html = std::fs::read_to_string(at.join("both.html")).unwrap();
+    let (text, _) = html.split_once("<script type=\"application/json\"").unwrap();
+    assert_eq!(text.chars().find(|c| c.is_control() && *c != '\n'), None);
+    assert!(text.contains("heated\\u{1b}]0;title\\u{7}"), "the page does not quote the scene");
+    assert!(!html.contains(&"x".repeat(30_000)) && html.len() < 500_000, "{} bytes", html.len());
+
+    // A data set's own words.
+    let data = at.join("data");
+    std::fs::create_dir(&data).unwrap();
+    let mut words = metadata(false);
+    words.other.insert("case".into(), json!("\u{1b}[2Jcase"));
+    for split in Split::ALL {
+        write(&data, &words, split, &[trajectory("0\u{7}0", 12, |_, _| [0.01, 0.0])]);
+    }
+    let inspected = succeeds(at, &["dataset", "inspect", "data", "--frames", "1"]);
+    assert!(inspected.contains("\\u{1b}[2Jcase"), "{inspected}");
+    can_be_shown(&inspected);
+    let rollout = ["rollout", "--model", "linear", "--data", "data", "--steps", "2", "--out", "rolled"];
+    can_be_shown(&succeeds(at, &rollout));
+}

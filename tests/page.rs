@@ -2,6 +2,7 @@
 
 mod support;
 
+use hydrograd::dataset::{read_split, Metadata, Split};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -128,6 +129,124 @@ fn optimize_shows_what_its_files_say() {
     assert!(lead.contains("gain of run over the first design") && lead.contains("surviv"), "{lead}");
     assert!(lead.contains(&survives), "{lead}");
     assert!(text.contains(">Q reference<") && !text.contains(">error<"), "{text}");
+}
+
+/// A small data set of the heated channel.
+const DATA: [&str; 13] = [
+    "generate",
+    "heated-channel",
+    "--trajectories",
+    "3/1/1",
+    "--frames",
+    "30",
+    "--every",
+    "30",
+    "--set",
+    "resolution.dx=0.025",
+    "--threads",
+    "1",
+    "--out",
+];
+
+#[test]
+fn a_data_set_shows_what_it_holds() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let said = succeeds(at, &[&DATA[..], &["data"]].concat());
+    assert!(said.contains("report.html"), "{said}");
+    let text = page(&at.join("data/report.html"));
+    assert!(text.len() < 2_000_000, "{} bytes", text.len());
+    assert!(
+        text.contains("5 trajectories of heated-channel, each of 30 frames with 480 particles: 3 to train with"),
+        "{text}"
+    );
+    let metadata = json(&at.join("data/metadata.json"));
+    for value in [&metadata["dx"], &metadata["dt"], &metadata["vel_mean"][0], &metadata["acc_std"][1]] {
+        has_number(&text, value);
+    }
+    for key in ["temperature_mean", "change_std", "diffusivity", "target_x"] {
+        has_number(&text, &metadata["heat"][key]);
+    }
+    for part in ["href=\"train.h5\"", "hydrograd train --data data", "hydrograd dataset inspect data", "[resolution]"] {
+        assert!(text.contains(part), "no {part}");
+    }
+    // The trajectory and the walls are those of the files.
+    let own = Metadata::read(&at.join("data")).unwrap();
+    let trajectory = &read_split(&at.join("data"), &own, Split::Train).unwrap()[0];
+    let data = drawn(&text);
+    let fields = &data["fields"];
+    let names: Vec<&str> =
+        fields["quantities"].as_array().unwrap().iter().map(|q| q["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["temperature", "speed"]);
+    let frames = fields["panels"][0]["frames"].as_array().unwrap();
+    assert!(frames.len() == 21 && fields["panels"].as_array().unwrap().len() == 1);
+    let apart = own.dt * own.write_every as f64;
+    assert!((frames[20]["time"].as_f64().unwrap() - 29.0 * apart).abs() < 1e-9);
+    let fluid = || (0..trajectory.particles).filter(|&i| trajectory.kind[i] == 0);
+    let shown = (0..21).map(|k| (k * 29_usize).div_ceil(20));
+    let warmest = shown.flat_map(|k| fluid().map(move |i| trajectory.temperature_of(k).unwrap()[i]));
+    assert_eq!(fields["quantities"][0]["high"].as_f64().unwrap() as f32, warmest.fold(0.0, f32::max));
+    let walls = &data["walls"];
+    let offsets = walls["sides"][0]["offsets"].as_array().unwrap();
+    assert_eq!(
+        (offsets.len(), floats(&walls["nodes"]), floats(&offsets[0])),
+        (5, trajectory.wall_x.clone(), trajectory.wall_offset.clone())
+    );
+    assert!(walls["names"][4].as_str().unwrap().starts_with("test 00000"), "{}", walls["names"]);
+    assert!(text.contains("Wall by trajectory") && !text.contains("Wall by epoch"));
+    // Whoever looks at it adds to it, and the same command again writes the page that is missing, as does `merge`.
+    succeeds(at, &["dataset", "inspect", "data"]);
+    assert!(page(&at.join("data/report.html")).contains("href=\"frames.svg\""));
+    for again in [[&DATA[..], &["data"]].concat(), vec!["merge", "data"]] {
+        std::fs::remove_file(at.join("data/report.html")).unwrap();
+        succeeds(at, &again);
+        page(&at.join("data/report.html"));
+    }
+}
+
+#[test]
+fn data_of_flows_have_no_walls_and_a_layer_of_three_dimensions() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    let sizes = ["--trajectories", "1/1/1", "--frames", "3", "--every", "5", "--relax", "20", "--threads", "1"];
+    let dx = ["--set", "resolution.dx=0.7853981633974483", "--out", "data"];
+    succeeds(at, &[&["generate", "taylor-green-3d"], &sizes[..], &dx].concat());
+    let text = page(&at.join("data/report.html"));
+    let data = drawn(&text);
+    assert!(data["walls"].is_null() && text.contains("The layer in the middle of z"), "{text}");
+    assert!(text.contains("512 particles") && !text.contains("Kinds of walls"));
+    assert_eq!(data["fields"]["quantities"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn a_page_does_without_what_is_damaged() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "run", &["--no-verify"]);
+    succeeds(at, &["verify", "run", "--threads", "1"]);
+    assert!(page(&at.join("run/report.html")).contains("Checked again"));
+    std::fs::write(at.join("run/verification.json"), "{ \"verification\": [\u{1b}[2J").unwrap();
+    let output = hydrograd(at, &["optimize", "--resume", "run", "--epochs", "4", "--no-verify"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{error}");
+    assert_eq!(error.matches("warning: the page is without verification.json").count(), 1, "{error}");
+    assert!(error.contains("try: hydrograd verify run") && !error.contains('\u{1b}'), "{error}");
+    let text = page(&at.join("run/report.html"));
+    assert!(!text.contains("Checked again") && text.contains("the page is without verification.json"));
+    has_number(&text, &json(&at.join("run/summary.json"))["q"]);
+    // Another one, among several runs, and a table; the rest is still compared.
+    optimize(at, "other", &["--no-verify"]);
+    std::fs::write(at.join("other/summary.json"), "[").unwrap();
+    std::fs::write(at.join("other/history.csv"), [0xff, 0xfe]).unwrap();
+    let output = hydrograd(at, &["compare", "run", "other", "--out", "both.html"]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && error.matches("warning:").count() == 2, "{error}");
+    let text = page(&at.join("both.html"));
+    assert!(text.contains("without summary.json") && text.contains("without history.csv"));
+    // What is damaged is written anew, and the page is whole again.
+    succeeds(at, &["verify", "run", "--threads", "1"]);
+    let text = page(&at.join("run/report.html"));
+    assert!(text.contains("Checked again") && !text.contains("the page is without"));
 }
 
 #[test]

@@ -18,7 +18,14 @@ fn study(folder: &Path, script: &str) -> Study {
     std::fs::write(&program, text).unwrap();
     #[cfg(unix)]
     std::fs::set_permissions(&program, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
-    Study { program, data: folder.into(), steps: 100, sets: vec!["seed=3".into()], out: folder.join("out"), threads: 1 }
+    Study {
+        program: vec![program.into()],
+        data: folder.into(),
+        steps: 100,
+        sets: vec!["seed=3".into()],
+        out: folder.join("out"),
+        threads: 1,
+    }
 }
 
 /// Writes what training does, and one line to `trained` beside the study.
@@ -136,7 +143,7 @@ fn training_that_fails() {
     let error = train("echo 'error: no key `noise`' >&2; exit 2").unwrap_err();
     assert!(error.is::<BadInput>());
     assert_eq!(error.to_string(), "noise=1: no key `noise`");
-    let missing = Study { program: folder.path().join("nowhere"), ..study };
+    let missing = Study { program: vec![folder.path().join("nowhere").into()], ..study };
     assert!(missing.train(point).unwrap_err().to_string().contains("can not start"));
 }
 

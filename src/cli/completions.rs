@@ -1,10 +1,11 @@
 //! `hydrograd completions` and `hydrograd man`: what shells and `man` want to know of the command line.
 
-use super::{files, Cli};
+use super::{files, machine, Cli};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use clap::{Args, Command, CommandFactory};
 use clap_complete::Shell;
 use clap_mangen::Man;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Print what a shell needs to complete hydrograd's commands and options.
@@ -25,6 +26,7 @@ pub struct CompletionsArguments {
 pub fn run(arguments: &CompletionsArguments) -> anyhow::Result<()> {
     let mut text = Vec::new();
     clap_complete::generate(arguments.shell, &mut Cli::command(), "hydrograd", &mut text);
+    machine::answer(&json!({ "shell": arguments.shell.to_string(), "text": String::from_utf8_lossy(&text) }));
     Ok(files::print(&text)?)
 }
 
@@ -48,6 +50,9 @@ pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
     command.build();
     let count = page(&command, &arguments.folder)?;
     let first = arguments.folder.join("hydrograd.1");
+    machine::answer(
+        &json!({ "folder": machine::path(&arguments.folder), "pages": count, "first": machine::path(&first) }),
+    );
     println!("{count} pages in {}; man -l {}", arguments.folder.display(), first.display());
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use super::arguments::at_least_one;
 use super::machine;
+use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::store::{read_provenance, Store};
 use crate::dataset::{kind, read_split, Metadata, Split, Trajectory};
@@ -10,6 +11,7 @@ use crate::io::hdf5_file::{failed, open};
 use crate::particles::tag;
 use crate::report::plots::{colored_particles, TemperaturePanel};
 use crate::report::table::Table;
+use crate::report::text::shown;
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -111,12 +113,19 @@ pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
         println!("hot wall            {} particles of set temperature", set.iter().filter(|t| t.is_finite()).count());
     }
     if !walls.is_empty() {
-        let walls: Vec<String> = walls.iter().map(|(name, count)| format!("{count} {name}")).collect();
+        let walls: Vec<String> = walls.iter().map(|(name, count)| format!("{count} {}", shown(name))).collect();
         println!("walls               {}", walls.join(", "));
     }
     let _own = RunFolder::take(out, KIND, earlier)?;
     let picture = plot(out, &metadata, &trajectory, arguments.frames)?;
-    println!("{picture} of {}/{} in {}", arguments.split.name(), trajectory.name, out.join("frames.png").display());
+    // Of a data set of ours: the picture is part of it from now on.
+    page::refresh(out)?;
+    println!(
+        "{picture} of {}/{} in {}",
+        arguments.split.name(),
+        shown(&trajectory.name),
+        out.join("frames.png").display()
+    );
     Ok(())
 }
 
@@ -142,7 +151,7 @@ fn load_metadata(folder: &Path) -> Result<Metadata, BadInput> {
 
 fn print_metadata(folder: &Path, metadata: &Metadata) {
     let d = metadata.dim;
-    let text = |key: &str| metadata.other.get(key).map(|value| value.to_string().trim_matches('"').to_string());
+    let text = |key: &str| metadata.other.get(key).map(|value| shown(value.as_str().unwrap_or(&value.to_string())));
     let list = |values: &[f64]| values[..d].iter().map(|x| format!("{x:.4e}")).collect::<Vec<_>>().join(", ");
     println!("{}: {}", folder.display(), text("case").unwrap_or_else(|| "a data set".into()));
     let bounds: Vec<String> = metadata.bounds[..d].iter().map(|[low, high]| format!("{low} ... {high:.4}")).collect();
@@ -248,7 +257,7 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
 }
 
 /// Distances to the next frame (of the last one, from the one before), in spacings.
-fn speeds(metadata: &Metadata, trajectory: &Trajectory, frame: usize, shown: &[usize]) -> Vec<f64> {
+pub(super) fn speeds(metadata: &Metadata, trajectory: &Trajectory, frame: usize, shown: &[usize]) -> Vec<f64> {
     let d = metadata.dim;
     let (from, to) = match frame + 1 < trajectory.frames {
         true => (frame, frame + 1),

@@ -2,12 +2,14 @@
 
 use super::arguments::at_least_one;
 use super::files::{write_json, VERSION};
+use super::machine;
 use super::model_data::{ModelData, ModelDataArguments};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::report::text::shown;
 use crate::surrogate::evaluation::scores::{chosen_windows, evaluate_with, Curves, Options, Scores};
 use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::still::Still;
@@ -75,8 +77,8 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     bar.finish();
 
     let file = json!({
-        "model": arguments.source.model,
-        "data": arguments.source.data,
+        "model": machine::path(&arguments.source.model),
+        "data": machine::path(&arguments.source.data),
         "split": arguments.source.split,
         "version": VERSION,
         "scores": scores,
@@ -100,10 +102,10 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
             scores.model,
             scores.broken.len(),
             scores.windows,
-            first.trajectory,
+            shown(&first.trajectory),
             first.start,
             first.step,
-            first.reason
+            shown(&first.reason)
         );
     }
     for scores in scores.iter().filter(|scores| scores.sinkhorn_failures > 0) {

@@ -1,5 +1,6 @@
 //! `--explain`: what would be run, without running it.
 
+use super::machine;
 use super::prepare::require_design;
 use crate::config::scene::{Config, Precision};
 use crate::error::Error;
@@ -7,11 +8,18 @@ use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::plan::Plan;
 use crate::sph::Sweeps;
+use serde_json::json;
 
 /// Prints the plan of a scene, with that of its gradient if one would be taken.
 pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
     let config = &loaded.config;
     let plan = plan_of(config, gradient)?;
+    machine::answer(&json!({
+        "scene": config.scene,
+        "steps": config.steps(),
+        "time_step": config.time_step(),
+        "plan": plan.to_string().lines().collect::<Vec<_>>(),
+    }));
     println!("{}, {} steps", loaded.source, config.steps());
     print!("{plan}");
     Ok(())

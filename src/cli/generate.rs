@@ -2,6 +2,8 @@
 
 use super::arguments::CommonArguments;
 use super::files::VERSION;
+use super::machine;
+use super::page;
 use super::prepare::{difference, share_out, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
@@ -11,13 +13,17 @@ use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
 use crate::dataset::walls::{read_walls, Walls};
+use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::io::hdf5_file::open;
 use crate::io::FileError;
 use crate::numerics::interrupt;
+use crate::report::page::PAGE;
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use clap::Args;
+use serde::Serialize;
+use serde_json::{json, Value};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -167,6 +173,13 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let jobs = recipe.jobs();
     if store.is_complete() {
         println!("{} is complete: {} trajectories", folder.display(), jobs.len());
+        // One that was ended behind the merge, or is of an earlier version.
+        if !folder.join(PAGE).is_file() {
+            let own = RunFolder::share(&folder, KIND)?;
+            page::write(&folder)?;
+            own.finish()?;
+        }
+        machine::answer(&summary(&store, &recipe, &Made { kept: jobs.len(), ..Made::default() })?);
         return Ok(());
     }
     // Shards write there together; nothing of an earlier run of the same set is discarded.
@@ -189,6 +202,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();
+    let made = Made { made: todo.len(), kept: mine.len() - todo.len(), seconds, workers };
     println!(
         "{} trajectories made in {seconds:.1} s by {workers} workers ({:.2} s of a worker each), {} kept from before",
         todo.len(),
@@ -209,10 +223,49 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     if missing > 0 && !store.is_complete() {
         println!("{missing} of {} trajectories are left to other shards; the last one merges", jobs.len());
         println!("next: hydrograd merge {}    if none does", folder.display());
+        machine::answer(&summary(&store, &recipe, &made)?);
         return Ok(());
     }
     finish(&store, &loaded.config, &recipe)?;
+    machine::answer(&summary(&store, &recipe, &made)?);
     own.finish()
+}
+
+/// What this process did of a data set.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+struct Made {
+    made: usize,
+    kept: usize,
+    seconds: f64,
+    workers: usize,
+}
+
+/// What `--json` says of a data set, finished or not.
+fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value> {
+    let folder = &store.folder;
+    let is_complete = store.is_complete();
+    let missing = if is_complete { 0 } else { store.missing(recipe).len() };
+    let metadata = match is_complete {
+        true => Some(Metadata::read(folder)?),
+        false => None,
+    };
+    let [train, valid, test] = recipe.trajectories;
+    let Value::Object(mut all) = json!({
+        "folder": machine::path(folder),
+        "complete": is_complete,
+        "missing": missing,
+        "trajectories": { "train": train, "valid": valid, "test": test },
+        "frames": recipe.frames,
+        "particles": metadata.as_ref().map(|metadata| metadata.num_particles_max),
+        "files": machine::paths_in(folder, ["train.h5", "valid.h5", "test.h5", "metadata.json", PAGE]),
+        "metadata": metadata,
+    }) else {
+        unreachable!("a JSON object")
+    };
+    if let Value::Object(made) = serde_json::to_value(made)? {
+        all.extend(made);
+    }
+    Ok(Value::Object(all))
 }
 
 /// The option, as it was given, of a number of the recipe.
@@ -236,16 +289,27 @@ pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
     };
     let config = Config::load(Some(&store.config_path().to_string_lossy()), None, &[])?.config;
     let own = RunFolder::share(&arguments.folder, KIND)?;
+    let is_merged = store.is_complete();
     finish(&store, &config, &begun.recipe)?;
+    let kept = begun.recipe.jobs().len();
+    let made = Made { made: 0, kept, ..Made::default() };
+    let mut answer = summary(&store, &begun.recipe, &made)?;
+    answer["merged_before"] = is_merged.into();
+    machine::answer(&answer);
     own.finish()
 }
 
 fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()> {
     store.merge(config, recipe)?;
+    page::write(&store.folder)?;
     let size = |split: Split| std::fs::metadata(split.path(&store.folder)).map_or(0, |file| file.len());
     let sizes: Vec<String> =
         Split::ALL.iter().map(|&s| format!("{} {:.1} MB", s.name(), size(s) as f64 / 1e6)).collect();
-    println!("files in {}: train.h5, valid.h5, test.h5, metadata.json ({})", store.folder.display(), sizes.join(", "));
+    println!(
+        "files in {}: train.h5, valid.h5, test.h5, metadata.json ({}), {PAGE}",
+        store.folder.display(),
+        sizes.join(", ")
+    );
     println!("next: hydrograd dataset inspect {}", store.folder.display());
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! A grid over training settings: every point trained by this program in a process of its own, finished ones kept.
 
+use super::program;
 use super::train::ended_early;
 use crate::config::training::Settings;
 use crate::error::{BadInput, Error};
@@ -8,6 +9,7 @@ use crate::io::csv::read_columns;
 use crate::numerics::interrupt;
 use crate::surrogate::training::train::METRICS;
 use serde::{Deserialize, Serialize};
+use std::ffi::{OsStr, OsString};
 use std::io::Read;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -105,8 +107,8 @@ pub fn points(grid: &[GridKey]) -> Result<Vec<GridPoint>, BadInput> {
 /// What all points have in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Study {
-    /// The program to start: ourselves.
-    pub program: PathBuf,
+    /// What starts the program: ourselves.
+    pub program: Vec<OsString>,
     pub data: PathBuf,
     pub steps: usize,
     /// `key=value`, below those of the grid.
@@ -247,7 +249,7 @@ impl Study {
         let folder = self.folder(point);
         // Not into the folder: that is training's to create, once it knows that its input is good.
         let mut log = tempfile::tempfile()?;
-        let mut command = Command::new(&self.program);
+        let mut command = program::command(&self.program);
         command.arg("train").arg("--data").arg(&self.data).arg("--out").arg(&folder);
         command.args(["--steps", &self.steps.to_string(), "--threads", &self.threads.to_string()]);
         // Killed on the way: goes on with the settings it was begun with.
@@ -259,7 +261,10 @@ impl Study {
         }
         command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?);
         let status = attended(&mut command).map_err(|error| {
-            Error::run(format!("can not start {}: {error}", self.program.display()), "check that it is still there")
+            Error::run(
+                format!("can not start {}: {error}", self.program.join(OsStr::new(" ")).display()),
+                "check that it is still there",
+            )
         })?;
         interrupt::check()?;
         let mut text = String::new();

@@ -8,6 +8,7 @@ use super::arguments::with_options;
 use super::machine;
 use crate::error::{exit_code, Error, EXIT_INTERNAL};
 use crate::numerics::interrupt;
+use crate::report::text::shown;
 
 /// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
 const BROKEN_PIPE: &str = "failed printing to std";
@@ -81,19 +82,9 @@ fn tell(text: &str) {
     complain(&text);
 }
 
-/// Characters of a line of a message at most.
-const LONGEST_LINE: usize = 2000;
-
-/// A message as it may be shown, whatever a file has put into it: no control characters, with which a terminal would do something
-/// else, and no line that fills the screen.
-pub fn shown(text: &str) -> String {
-    let line = |line: &str| -> String {
-        let mut letters = line.chars();
-        let plain = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
-        let start: String = letters.by_ref().take(LONGEST_LINE).map(plain).collect();
-        start + if letters.next().is_some() { " ..." } else { "" }
-    };
-    text.split('\n').map(line).collect::<Vec<_>>().join("\n")
+/// A warning, and what to try: where a user looks last, and not among the figures that go to a file.
+pub(super) fn warn(problem: &str, advice: &str) {
+    complain(&shown(&with_options(&format!("warning: {problem}\n  try: {advice}"))));
 }
 
 /// A line on stderr; if stderr is closed there is nobody to tell (`eprintln!` would panic).
@@ -114,15 +105,6 @@ mod tests {
     use super::*;
     use crate::error::{BadInput, Error};
     use anyhow::Context;
-
-    #[test]
-    fn messages_can_be_shown() {
-        let plain = "error: bad\n  allowed: 0 ... 1, \u{e4}";
-        assert_eq!(shown(plain), plain);
-        assert_eq!(shown("a\u{1b}[2J\u{7}b\tc"), "a\\u{1b}[2J\\u{7}b\\tc");
-        let long = "x".repeat(9000) + "\nnext";
-        assert_eq!(shown(&long), "x".repeat(LONGEST_LINE) + " ...\nnext");
-    }
 
     #[test]
     fn exit_codes() {

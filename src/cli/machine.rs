@@ -4,13 +4,15 @@
 //! { "version": "0.1.0", "exit_code": 0, "error": null, "result": { "q": 0.0237 } }
 //! ```
 //!
-//! `result` is what the command writes as its JSON file (`summary.json`, `validation.json`, ...), or what it lists.
+//! `result` is what the command writes as its JSON file (`summary.json`, `validation.json`, ...), or what it says at its end: counts, figures,
+//! and which files it wrote.
 
 use super::files::VERSION;
 use serde_json::{json, Value};
 use std::fs::File;
 use std::io::Write;
 use std::os::fd::FromRawFd;
+use std::path::Path;
 use std::sync::Mutex;
 
 /// What is said at the end.
@@ -52,11 +54,6 @@ pub fn be_silent() {
     *MACHINE.lock().unwrap_or_else(|broken| broken.into_inner()) = None;
 }
 
-/// Whether somebody asked for JSON.
-pub fn listens() -> bool {
-    MACHINE.lock().unwrap_or_else(|broken| broken.into_inner()).is_some()
-}
-
 /// What the command has found; the last one counts.
 pub fn answer(result: &Value) {
     with(|machine| machine.result = result.clone());
@@ -65,6 +62,16 @@ pub fn answer(result: &Value) {
 /// The error that is told, whole.
 pub fn fail(error: &str) {
     with(|machine| machine.error = Some(error.to_string()));
+}
+
+/// A path as programs are told it.
+pub fn path(path: &Path) -> Value {
+    path.display().to_string().into()
+}
+
+/// Those of some files in a folder that are there.
+pub fn paths_in<'a>(folder: &Path, names: impl IntoIterator<Item = &'a str>) -> Value {
+    names.into_iter().map(|name| folder.join(name)).filter(|file| file.exists()).map(|file| path(&file)).collect()
 }
 
 /// Says it.

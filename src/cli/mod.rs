@@ -20,6 +20,7 @@ mod optimize_compare;
 mod optimize_shapes;
 mod page;
 mod prepare;
+pub mod program;
 mod recover;
 mod rollout;
 mod run_folder;
@@ -34,7 +35,8 @@ mod train;
 mod validate;
 mod verify;
 
-pub use guard::{guarded, install_panic_hook, shown};
+pub use crate::report::text::shown;
+pub use guard::{guarded, install_panic_hook};
 
 use clap::{Parser, Subcommand};
 

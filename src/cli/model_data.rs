@@ -1,6 +1,7 @@
 //! What `evaluate` and `rollout` begin with: a model and a split of a data set.
 
 use super::arguments::threads;
+use super::guard;
 use super::prepare::use_threads;
 use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
@@ -44,7 +45,10 @@ impl ModelDataArguments {
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
         let model = load_predictor(&self.model, &metadata, self.kernels)?;
         if let Some(unlike) = model.unlike(&metadata) {
-            eprintln!("warning: {unlike}: its predictions mean little there");
+            guard::warn(
+                &format!("{unlike}: its predictions mean little there"),
+                "a model that was trained on such data",
+            );
         }
         Ok(ModelData { model, metadata, trajectories })
     }

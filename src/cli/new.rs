@@ -1,15 +1,18 @@
 //! `hydrograd new`: a scene to begin with, after a few questions.
 
 use super::arguments::{check_preset, set_option, with_options};
+use super::machine;
 use crate::config::builtin::{self, BuiltIn, SCENES};
 use crate::config::layers::Setting;
 use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::io::atomic::write_bytes_atomically;
+use crate::report::text::shown;
 use crate::scene::load::Loaded;
 use clap::Args;
 use dialoguer::console::{truncate_str, Term};
 use dialoguer::{Input, Select};
+use serde_json::json;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
@@ -93,6 +96,13 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     }
     write_bytes_atomically(file, loaded.text.as_bytes())?;
     let steps = loaded.config.steps();
+    machine::answer(&json!({
+        "file": machine::path(file),
+        "scene": scene.name,
+        "steps": steps,
+        "time_step": loaded.config.time_step(),
+        "has_design": loaded.config.has_design(),
+    }));
     println!("{}: scene {}, {steps} steps of {:.3e}", file.display(), scene.name, loaded.config.time_step());
     println!(
         "next: hydrograd scenes check {0}    what it would build and cost\n      hydrograd simulate {0}",
@@ -141,7 +151,7 @@ fn ask(
         }
         match load(&all) {
             Ok(loaded) => return Ok((all, loaded)),
-            Err(error) => eprintln!("{}", with_options(&error.to_string())),
+            Err(error) => eprintln!("{}", shown(&with_options(&error.to_string()))),
         }
     }
 }

@@ -9,7 +9,7 @@ use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder}
 use super::shard::{Shard, ShardArgument};
 use super::simulate_report::warn;
 use super::verify;
-use super::{files, optimize_compare, optimize_shapes, page};
+use super::{files, machine, optimize_compare, optimize_shapes, page};
 use crate::adjoint::gradient::Progress as Share;
 use crate::adjoint::run::Observer;
 use crate::adjoint::schedule::Schedule;
@@ -29,6 +29,7 @@ use crate::numerics::interrupt;
 use crate::report::plots::{compare, history, wall_shapes, HistoryPoint};
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
+use crate::report::text::shown;
 use crate::scene::checkpoint::open;
 use crate::scene::load::{check_shape, Loaded};
 use crate::scene::observers::Frames;
@@ -369,6 +370,9 @@ fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::Resu
         let folder = folder.join(name);
         one(loaded, &folder, Begin::part(&folder, Earlier::Resumed), name, &tasks)
     })?;
+    // Without a share the answer is the same of every start.
+    let found = mine.iter().zip(&outcomes).map(|((name, _), (_, outcome))| (name.clone(), json!(outcome.summary)));
+    machine::answer(&found.collect());
     for (_, outcome) in &outcomes {
         println!("{}", outcome.text);
     }
@@ -737,7 +741,13 @@ fn report<R: Sweeps>(
         None => (both(problem), String::new()),
         Some(Err(error)) if error.is::<RunError>() => {
             let motion = config.fluid.motion.name();
-            (both(problem), format!("\nWARNING: with {motion} particles a run failed ({error}); this is of the others"))
+            (
+                both(problem),
+                format!(
+                    "\nWARNING: with {motion} particles a run failed ({}); this is of the others",
+                    shown(&error.to_string())
+                ),
+            )
         }
         Some(shown) => (shown, String::new()),
     };

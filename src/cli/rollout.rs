@@ -1,6 +1,7 @@
 //! `hydrograd rollout`: what a model predicts, beside what happened, to look at.
 
 use super::arguments::at_least_one;
+use super::machine;
 use super::model_data::{ModelData, ModelDataArguments};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
@@ -8,12 +9,15 @@ use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
 use crate::error::{BadInput, Error};
 use crate::io::vtk::{ParticleFrame, VtkSeries};
+use crate::report::page::PAGE;
 use crate::report::plots::{side_by_side, SideBySide, TemperaturePanel};
 use crate::report::table::Table;
+use crate::report::text;
 use crate::surrogate::evaluation::metrics::{mean_square, select, temperature_mean_square, Counted};
 use crate::surrogate::evaluation::rollout::{check_length, rollout, HISTORY};
 use crate::surrogate::predictor::Frame;
 use clap::Args;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Rows of the picture.
@@ -74,16 +78,40 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     page::write(folder)?;
 
     let shown = shown(run.frames.len());
-    println!("{}", errors(&scene, &run.frames, &truth, &shown));
+    let errors = errors(&scene, &run.frames, &truth);
+    println!("{}", table(&errors, &shown));
     if let Some(broken) = &run.broken {
-        println!("{} broke at step {} of {}: {}", model.name(), broken.step, arguments.steps, broken.reason);
+        println!(
+            "{} broke at step {} of {}: {}",
+            model.name(),
+            broken.step,
+            arguments.steps,
+            text::shown(&broken.reason)
+        );
     }
     println!(
         "trajectory {}, frames {first} to {}, {:.1e} s per step",
-        trajectory.name,
+        text::shown(&trajectory.name),
         first + run.frames.len() - 1,
         run.seconds / run.frames.len() as f64
     );
+    let of_step = |error: &StepError| json!({ "step": error.step, "position_mse": error.position, "temperature_mse": error.temperature });
+    let broken = run.broken.as_ref().map(|broken| json!({ "step": broken.step, "reason": broken.reason }));
+    machine::answer(&json!({
+        "folder": machine::path(folder),
+        "model": machine::path(&arguments.source.model),
+        "data": machine::path(&arguments.source.data),
+        "split": arguments.source.split,
+        "trajectory": trajectory.name,
+        "particles": trajectory.particles,
+        "first_frame": first,
+        "steps": run.frames.len(),
+        "steps_wanted": arguments.steps,
+        "broken": broken,
+        "errors": errors.iter().map(of_step).collect::<Vec<_>>(),
+        "seconds_per_step": run.seconds / run.frames.len() as f64,
+        "files": machine::paths_in(folder, ["rollout.png", "rollout.svg", "predicted/predicted.pvd", "true/true.pvd", PAGE]),
+    }));
     println!("files in {}: rollout.png, predicted/predicted.pvd and true/true.pvd (ParaView)", folder.display());
     Ok(())
 }
@@ -105,26 +133,41 @@ fn shown(steps: usize) -> Vec<usize> {
     (1..=rows).map(|row| (row * steps).div_ceil(rows)).collect()
 }
 
-fn errors(scene: &Scene, predicted: &[Frame], truth: &[Frame], shown: &[usize]) -> Table {
+/// How far a step is off, mean squares over the particles that move by themselves.
+struct StepError {
+    /// From 1.
+    step: usize,
+    position: f64,
+    temperature: Option<f64>,
+}
+
+fn errors(scene: &Scene, predicted: &[Frame], truth: &[Frame]) -> Vec<StepError> {
     let extent = Extent::of(scene.metadata);
     let counted = Counted::Moving.of(&scene.trajectory.kind);
-    let mut table = Table::new(["step", "position MSE", "temperature MSE"]);
-    for &step in shown {
-        let (p, t) = (&predicted[step - 1], &truth[step - 1]);
+    let of = |(k, (p, t)): (usize, (&Frame, &Frame))| {
         let position = |frame: &Frame| select(&frame.position, extent.dimension(), &counted);
         let temperature = |frame: &Frame| frame.temperature.as_ref().map(|t| select(t, 1, &counted));
         let hot = temperature(p).zip(temperature(t)).map(|(p, t)| temperature_mean_square(&p, &t));
+        StepError { step: k + 1, position: mean_square(&extent, &position(p), &position(t)), temperature: hot }
+    };
+    predicted.iter().zip(truth).enumerate().map(of).collect()
+}
+
+/// The errors of some steps.
+fn table(errors: &[StepError], shown: &[usize]) -> Table {
+    let mut table = Table::new(["step", "position MSE", "temperature MSE"]);
+    for error in errors.iter().filter(|error| shown.contains(&error.step)) {
         table.row([
-            step.to_string(),
-            format!("{:.3e}", mean_square(&extent, &position(p), &position(t))),
-            hot.map_or("-".into(), |mse| format!("{mse:.3e}")),
+            error.step.to_string(),
+            format!("{:.3e}", error.position),
+            error.temperature.map_or("-".into(), |mse| format!("{mse:.3e}")),
         ]);
     }
     table
 }
 
 /// 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as everywhere in hydrograd), 4 rigid body, 5 padding.
-fn tags(trajectory: &Trajectory) -> Vec<u8> {
+pub(super) fn tags(trajectory: &Trajectory) -> Vec<u8> {
     let hot = |i: usize| trajectory.wall_temperature.as_ref().is_some_and(|t| t[i].is_finite());
     let tag = |(i, &k): (usize, &i32)| match k {
         kind::FLUID => 0,

@@ -16,12 +16,12 @@ use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
-use crate::scene::plausible::Findings;
+use crate::scene::plausible::{Criterion, Findings};
 use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use clap::{Args, Subcommand};
-use serde_json::{json, Value};
+use serde_json::{json, Map, Value};
 use std::path::Path;
 use std::time::Instant;
 
@@ -73,20 +73,19 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     if let Some(ScenesCommand::Check(arguments)) = &arguments.command {
         return check(&arguments.common);
     }
-    if machine::listens() {
-        machine::answer(&match &arguments.scene {
-            None => json!({ "scenes": named(SCENES), "presets": named(PRESETS) }),
-            Some(name) => serde_json::to_value(Config::load(Some(name), arguments.preset.as_deref(), &[])?.config)?,
-        });
-    }
     let text = match &arguments.scene {
-        None => list(),
+        None => {
+            machine::answer(&json!({ "scenes": named(SCENES), "presets": named(PRESETS) }));
+            list()
+        }
         Some(name) => {
             if builtin::scene(name).is_none() {
                 return Err(Error::from(builtin::unknown("built-in scene", name, SCENES)).into());
             }
             check_preset(arguments.preset.as_deref())?;
-            Config::load(Some(name), arguments.preset.as_deref(), &[])?.text
+            let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
+            machine::answer(&serde_json::to_value(&loaded.config)?);
+            loaded.text
         }
     };
     Ok(files::print(text.as_bytes())?)
@@ -162,8 +161,30 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     println!("\nmemory              {:.0} MB at the peak", peak_memory_bytes() as f64 / 1e6);
     println!("run time            about {}, from {done} steps of {:.3} ms", duration(each * steps as f64), 1e3 * each);
     println!("picture             {}", folder.join("particles.png").display());
-    let mut warnings = findings.warnings;
+    let mut warnings = findings.warnings.clone();
     warnings.extend(failed.map(|error| format!("the first {done} steps fail already: {error}")));
+    let of_criterion = |one: &Criterion| json!({ "name": one.name, "allows": one.dt, "by": one.formula });
+    let kinds: Map<String, Value> =
+        findings.particles.iter().map(|(name, count)| (name.to_string(), json!(count))).collect();
+    machine::answer(&json!({
+        "scene": config.scene,
+        "dimensions": config.dimension(),
+        "dx": scene.spacing,
+        "particles": { "all": scene.model.particles(), "kinds": kinds },
+        "narrowest_passage": findings.narrowest,
+        "thinnest_wall": findings.thinnest,
+        "expected_speed": findings.speed,
+        "sound_speed": scene.sound_speed(),
+        "time_step": dt,
+        "steps": steps,
+        "end": config.duration(),
+        "criteria": findings.criteria.iter().map(of_criterion).collect::<Vec<_>>(),
+        "peak_memory_bytes": peak_memory_bytes(),
+        "seconds_per_step": each,
+        "expected_seconds": each * steps as f64,
+        "warnings": warnings,
+        "files": machine::paths_in(folder, ["particles.png", "particles.svg"]),
+    }));
     match warnings.len() {
         0 => println!("\nnothing looks implausible"),
         count => println!("\n{count} to look at:"),

@@ -3,6 +3,7 @@
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files;
+use super::guard;
 use super::page;
 use super::prepare::use_threads;
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
@@ -211,7 +212,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         measurement.iter_mut().for_each(|it| it.go_back(step));
         frames.iter_mut().for_each(|it| it.go_back(step as f64 * scene.model.dt));
         bar.suspend(|| {
-            eprintln!("warning: {error}\n  try: nothing, it goes on from step {step} with every step in {parts} parts")
+            let advice = format!("nothing, it goes on from step {step} with every step in {parts} parts");
+            guard::warn(&error.to_string(), &advice);
         });
         recovered.push(Recovery { step: found.step, from_step: step, parts, cause: found.cause.why });
     };

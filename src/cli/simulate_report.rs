@@ -1,7 +1,7 @@
 //! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
 
-use super::arguments::with_options;
 use super::files::{self, VERSION};
+use super::guard;
 use super::simulate::Recovery;
 use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
@@ -171,7 +171,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
 /// Where a user looks last, and not among the figures that go to a file.
 pub fn warn(warnings: &[Warning]) {
     for Warning { problem, advice } in warnings {
-        eprintln!("{}", with_options(&format!("warning: {problem}\n  try: {advice}")));
+        guard::warn(problem, advice);
     }
 }
 

@@ -6,7 +6,7 @@
 use super::arguments::at_least_one;
 use super::optimize::{OptimizeArguments, CHECKPOINT, STARTS};
 use super::run_folder::{holds_results, Earlier, RunFolder, MARKER};
-use super::{files, machine, Cli, Command};
+use super::{files, machine, program, Cli, Command};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::write_bytes_atomically;
 use clap::error::ErrorKind;
@@ -104,8 +104,8 @@ struct Wanted {
     partition: Option<String>,
     memory: Option<String>,
     options: Vec<String>,
-    /// Path of this program.
-    program: String,
+    /// What starts this program.
+    program: Vec<String>,
     /// Where the command was typed, which its paths begin at.
     folder: String,
 }
@@ -118,7 +118,7 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
         partition: arguments.partition.clone(),
         memory: arguments.memory.clone(),
         options: arguments.options.clone(),
-        program: std::env::current_exe()?.display().to_string(),
+        program: program::words()?.iter().map(|word| word.display().to_string()).collect(),
         folder: std::env::current_dir()?.display().to_string(),
     };
     let file = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("slurm-{}.sh", main.name)));
@@ -130,6 +130,9 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
     }
     if arguments.print {
         let all: String = scripts.iter().map(|(_, text)| text.as_str()).collect();
+        let of_file = |(file, text): &(PathBuf, String)| json!({ "file": machine::path(file), "text": text });
+        let files: Vec<_> = scripts.iter().map(of_file).collect();
+        machine::answer(&json!({ "files": files, "tasks": main.tasks }));
         return Ok(files::print(all.as_bytes())?);
     }
     for (file, _) in &scripts {
@@ -489,7 +492,7 @@ impl Job {
             None => String::new(),
         };
         let call = |words: &[String]| -> Result<String, BadInput> {
-            let words: Vec<String> = std::iter::once(&wanted.program).chain(words).map(|word| quoted(word)).collect();
+            let words: Vec<String> = wanted.program.iter().chain(words).map(|word| quoted(word)).collect();
             one_line(&format!("set -- {launch}{}{share}", words.join(" ")))
         };
         text += &format!("{OURS} {}, which writes it anew.\n", files::VERSION);
@@ -634,7 +637,7 @@ mod tests {
             partition: None,
             memory: Some("4G".into()),
             options: vec!["--comment=two words".into()],
-            program: "/opt/my programs/hydrograd".into(),
+            program: vec!["/opt/my programs/hydrograd".into()],
             folder: "/home/a \"b\"".into(),
         }
     }
@@ -686,7 +689,7 @@ mod tests {
     fn words_reach_the_command() {
         let odd = ["%s\\n", "a b", "it's", "$HOME `date`", "", "\"x\"", "*"];
         let job = Job { command: odd.map(str::to_string).to_vec(), ..Job::default() };
-        let text = job.text(&Wanted { program: "printf".into(), ..wanted() }, Path::new("a.sh")).unwrap();
+        let text = job.text(&Wanted { program: vec!["printf".into()], ..wanted() }, Path::new("a.sh")).unwrap();
         let said = bash(&text, &[("SLURM_JOB_ID", "7")]);
         assert!(said.ends_with("a b\nit's\n$HOME `date`\n\n\"x\"\n*\n"), "{said}");
         let lines = Job { command: vec!["a\nb".into()], ..Job::default() }.text(&wanted(), Path::new("a.sh"));
@@ -704,7 +707,7 @@ mod tests {
             marker: Some(at("marker")),
             ..Job::default()
         };
-        let text = job.text(&Wanted { program: "echo".into(), ..wanted() }, Path::new("a.sh")).unwrap();
+        let text = job.text(&Wanted { program: vec!["echo".into()], ..wanted() }, Path::new("a.sh")).unwrap();
         let last = || bash(&text, &[("SLURM_JOB_ID", "7")]).lines().last().unwrap().to_string();
         assert_eq!(last(), "begin");
         std::fs::write(at("it's begun"), "").unwrap();
@@ -718,8 +721,13 @@ mod tests {
     fn ranks_are_started_and_told_by_slurm() {
         let (job, merge) = of("--ranks 3 --cpus 2 train --data data --init old.safetensors --out runs/none").unwrap();
         assert_eq!((job.ranks, job.tasks, merge), (Some(3), None, None));
-        let text = job.text(&Wanted { program: "hydrograd".into(), ..wanted() }, Path::new("a.sh")).unwrap();
-        let srun = "set -- srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 hydrograd train --data data";
+        let text = job
+            .text(
+                &Wanted { program: vec!["python3".into(), "-m".into(), "hydrograd".into()], ..wanted() },
+                Path::new("a.sh"),
+            )
+            .unwrap();
+        let srun = "set -- srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 python3 -m hydrograd train --data data";
         for line in [
             "#SBATCH --ntasks=3".to_string(),
             format!("    {srun} --init old.safetensors --out runs/none --threads 2 --overwrite"),

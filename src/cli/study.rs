@@ -2,18 +2,22 @@
 
 use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
+use super::machine;
 use super::page;
+use super::program;
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::io::csv::{write_table, Cell};
 use crate::numerics::interrupt;
+use crate::report::page::PAGE;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::surrogate::training::train::METRICS;
 use clap::Args;
+use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
 
 /// Train models over a grid of settings and compare them; finished points are kept.
@@ -68,7 +72,7 @@ impl StudyArguments {
             return Err(BadInput::new(error.to_string()).place(place).allowed("the folder of a data set").into());
         }
         RunFolder::check(&self.out, KIND, Earlier::Resumed)?;
-        let program = std::env::current_exe()?;
+        let program = program::words()?;
         let Self { data, sets, steps, out, threads, .. } = self.clone();
         let study = Study { program, data, steps, sets, out, threads };
         study.check(&points)?;
@@ -105,6 +109,9 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     bar.finish();
     let pictures = plot(&study.out, &grid, &outcomes)?;
     page::write(&study.out)?;
+    let names = ["study.csv", PAGE].into_iter().chain(pictures.iter().map(String::as_str));
+    let files = machine::paths_in(&study.out, names);
+    machine::answer(&summary(&study, &outcomes, kept, files));
     println!("{}", table(&grid, &outcomes));
     println!("{} points, {kept} of them trained before", outcomes.len());
     println!(
@@ -140,21 +147,63 @@ fn train_share(
     let mine: Vec<usize> = (0..points.len()).filter(|&k| shard.has(k)).collect();
     let bar = Progress::new(mine.len() as u64, "study");
     let mut failed = 0;
-    for &k in mine.iter().filter(|&&k| known[k].is_none()) {
-        bar.message(points[k].name());
+    let mut outcomes = Vec::new();
+    for &k in &mine {
+        let outcome = match &known[k] {
+            Some(outcome) => outcome.clone(),
+            None => {
+                bar.message(points[k].name());
+                study.train(&points[k])?
+            }
+        };
         // Not an error here: the table says so, too.
-        if let PointOutcome::Failed(message) = study.train(&points[k])? {
+        if let PointOutcome::Failed(message) = &outcome {
             failed += 1;
             bar.log(&format!("{} failed: {message}", points[k].name()));
         }
+        outcomes.push((points[k].clone(), outcome));
         bar.done(1);
     }
     bar.finish();
     let kept = mine.iter().filter(|&&k| known[k].is_some()).count();
     let trained = mine.len() - kept - failed;
+    machine::answer(&summary(study, &outcomes, kept, json!([])));
     println!("{} of {} points: {trained} trained, {kept} kept from before, {failed} failed", mine.len(), points.len());
     println!("next: the same command without --shard, once all shares are done    makes the table of all points");
     Ok(())
+}
+
+/// What `--json` says of the points of a study, or of a share of them.
+fn summary(study: &Study, outcomes: &[(GridPoint, PointOutcome)], kept: usize, files: Value) -> Value {
+    let row = |(point, outcome): &(GridPoint, PointOutcome)| {
+        let settings: Map<String, Value> = point.0.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
+        let mut row = Map::new();
+        row.insert("point".into(), Value::Object(settings));
+        row.insert("folder".into(), machine::path(&study.folder(point)));
+        match outcome {
+            PointOutcome::Trained { seconds, validation } => {
+                let best = validation.best("mse_5");
+                row.extend(METRICS.map(|metric| (metric.to_string(), json!(validation.last(metric)))));
+                row.insert("best_mse_5".into(), json!(best.map(|best| best.0)));
+                row.insert("best_step".into(), json!(best.map(|best| best.1)));
+                row.insert("seconds".into(), json!(seconds));
+                row.insert("error".into(), Value::Null);
+            }
+            PointOutcome::Failed(message) => drop(row.insert("error".into(), json!(message))),
+        }
+        Value::Object(row)
+    };
+    let failed = outcomes.iter().filter(|(_, outcome)| matches!(outcome, PointOutcome::Failed(_))).count();
+    json!({
+        "folder": machine::path(&study.out),
+        "data": machine::path(&study.data),
+        "steps": study.steps,
+        "kept": kept,
+        "trained": outcomes.len() - kept - failed,
+        "failed": failed,
+        "points": outcomes.iter().map(row).collect::<Vec<_>>(),
+        "files": files,
+    })
 }
 
 fn table(grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> Table {

@@ -14,15 +14,18 @@ use crate::dataset::Metadata;
 use crate::error::BadInput;
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
+use crate::report::page::PAGE;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::surrogate::evaluation::scores::Scores;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::Header;
-use crate::surrogate::training::train::{Outcome, Training};
+use crate::surrogate::training::train::{Outcome, Training, METRICS};
 use clap::Args;
+use serde_json::{json, Value};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -92,7 +95,9 @@ const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     if arguments.print_config {
-        print!("{}", arguments.settings(arguments.init()?.as_ref())?.shown());
+        let settings = arguments.settings(arguments.init()?.as_ref())?;
+        machine::answer(&serde_json::to_value(&settings)?);
+        print!("{}", settings.shown());
         return Ok(());
     }
     let ranks = Ranks::of_environment()?;
@@ -145,6 +150,7 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     page::write(folder)?;
     own.finish()?;
     bar.finish();
+    machine::answer(&summary(arguments, &training, &outcome));
     show(&outcome, settings, training.state.seconds);
     println!("best.safetensors, last.safetensors, history.csv, validation.csv, curves.png in {}", folder.display());
     println!(
@@ -269,6 +275,40 @@ pub(super) fn ended_early(folder: &Path) -> bool {
 /// An error in a file that --init names.
 fn of_init(from: &Path) -> impl Fn(BadInput) -> BadInput + '_ {
     move |bad| bad.place(format!("--init {}", from.display()))
+}
+
+/// What `--json` says of a training.
+fn summary(arguments: &TrainArguments, training: &Training, outcome: &Outcome) -> Value {
+    let folder = &arguments.out;
+    let figures = |scores: &Scores| {
+        let Scores { windows, mse, mse_1, mse_5, mse_10, mse_20, sinkhorn, e_kin, temperature_mse, .. } = scores;
+        json!({ "windows": windows, "mse": mse, "mse_1": mse_1, "mse_5": mse_5, "mse_10": mse_10, "mse_20": mse_20,
+            "sinkhorn": sinkhorn, "e_kin": e_kin, "temperature_mse": temperature_mse })
+    };
+    let is_best = |row: &&Vec<f64>| outcome.best_step.is_some_and(|step| row[0] == step as f64);
+    let at_best = training.validation.iter().find(is_best).map(|row| {
+        METRICS.iter().zip(&row[2..]).map(|(name, value)| (name.to_string(), json!(value))).collect::<Value>()
+    });
+    let checkpoint = |name: &str| folder.join(name).is_file().then(|| machine::path(&folder.join(name)));
+    json!({
+        "folder": machine::path(folder),
+        "data": arguments.data.as_deref().map(machine::path),
+        "parameters": training.parameters(),
+        "trajectories": training.train.len(),
+        "frames": training.train.first().map(|trajectory| trajectory.frames),
+        "steps": training.state.step,
+        "seconds": training.state.seconds,
+        "seconds_per_step": outcome.seconds_per_step,
+        "loss": training.history.last().map(|row| row[2]),
+        "best_validation_loss": training.state.best,
+        "best_step": outcome.best_step,
+        "validation_at_best": at_best,
+        "validation": figures(&outcome.scores),
+        "linear": figures(&outcome.linear),
+        "best": checkpoint("best.safetensors"),
+        "last": checkpoint(LAST),
+        "files": machine::paths_in(folder, ["config.toml", "history.csv", "validation.csv", "curves.png", PAGE]),
+    })
 }
 
 /// The scores of the last step beside the baseline's, and how long it took.

@@ -2,6 +2,7 @@
 
 use super::arguments::threads;
 use super::files::{write_json, VERSION};
+use super::machine;
 use super::page;
 use super::prepare::{share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
@@ -127,7 +128,9 @@ impl Kept {
 pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     let chosen = arguments.cases()?;
     if arguments.list {
-        println!("{}", list(&chosen).to_text());
+        let list = list(&chosen);
+        machine::answer(&list.to_json());
+        println!("{}", list.to_text());
         return Ok(());
     }
     let share = arguments.shard.share()?;
@@ -172,6 +175,7 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         println!("{} of {} cases, {kept} kept from before", found.len(), chosen.len());
     }
     if share.is_some() {
+        machine::answer(&json!({ "version": VERSION, "rows": rows }));
         // Not an error here: whoever judges all of them says so.
         println!("{}", table(&rows).to_text());
         println!(

@@ -10,6 +10,7 @@ use crate::design::shape::{self, read_column, read_columns, read_surface, Column
 use crate::error::{BadInput, Error};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::report::text::shown;
 use crate::scene::load::Loaded;
 use crate::scene::verification::{Finding, Verification, Verified};
 use clap::Args;
@@ -217,7 +218,7 @@ pub fn text_of(verified: &Verified) -> String {
     text.push_str(&format!(" (reference: {reference}; {:.1} s)", verified.seconds));
     for finding in verified.failed() {
         let why = finding.figures.as_ref().err().map_or("", String::as_str);
-        text.push_str(&format!("\nWARNING: the check `{}` failed: {}", finding.check, with_options(why)));
+        text.push_str(&format!("\nWARNING: the check `{}` failed: {}", finding.check, shown(&with_options(why))));
     }
     match verified.survives() {
         Some(gain) if gain <= 0.0 => text.push_str(&format!(

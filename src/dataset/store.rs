@@ -151,16 +151,16 @@ impl Store {
             }
             statistics.write_to(&mut metadata);
             metadata.write(&self.folder)?;
+            // A merge that was killed leaves its half of a file, which may be large. Only now: others write beside what is complete.
+            for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+                let name = entry.file_name().to_string_lossy().into_owned();
+                if is_temporary(&name) {
+                    let _ = std::fs::remove_file(entry.path());
+                }
+            }
         }
         // Best effort: the data set is there; what cannot be removed is only in the way.
         let _ = std::fs::remove_dir_all(self.parts());
-        // A merge that was killed leaves its half of a file, which may be large.
-        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            if is_temporary(&name) {
-                let _ = std::fs::remove_file(entry.path());
-            }
-        }
         let _ = std::fs::remove_file(&lock_path);
         Ok(())
     }

@@ -91,16 +91,36 @@ impl Trajectory {
 pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Vec<Trajectory>, FileError> {
     let path = &split.path(folder);
     let file = open(path, "data set")?;
+    names(path, &file)?.into_iter().map(|name| read_checked(path, &file, metadata, name)).collect()
+}
+
+/// One trajectory of a split, by its number; none if there are not so many.
+///
+/// # Errors
+/// As for [`read_split`].
+pub fn read_one(
+    folder: &Path,
+    metadata: &Metadata,
+    split: Split,
+    number: usize,
+) -> Result<Option<Trajectory>, FileError> {
+    let path = &split.path(folder);
+    let file = open(path, "data set")?;
+    let name = names(path, &file)?.into_iter().nth(number);
+    name.map(|name| read_checked(path, &file, metadata, name)).transpose()
+}
+
+/// The names of a file's trajectories, in order.
+pub(super) fn names(path: &Path, file: &hdf5::File) -> Result<Vec<String>, FileError> {
     let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
     names.sort();
-    names
-        .into_iter()
-        .map(|name| {
-            let trajectory = read_trajectory(path, &file, metadata.dim, name)?;
-            check(path, metadata, &trajectory)?;
-            Ok(trajectory)
-        })
-        .collect()
+    Ok(names)
+}
+
+fn read_checked(path: &Path, file: &hdf5::File, metadata: &Metadata, name: String) -> Result<Trajectory, FileError> {
+    let trajectory = read_trajectory(path, file, metadata.dim, name)?;
+    check(path, metadata, &trajectory)?;
+    Ok(trajectory)
 }
 
 /// Places are in the box or not far from it (walls stand around it), and temperatures are there if the data have heat.
@@ -135,6 +155,26 @@ fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<()
     Ok(())
 }
 
+/// T, N and D of a trajectory's group; `dim` is D.
+pub(super) fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) -> Result<[usize; 3], FileError> {
+    let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
+    let bad = |allowed: &str| mismatch(path, &format!("{name}/position"), format!("of shape {shape:?}"), allowed);
+    match *shape.as_slice() {
+        [frames, particles, dimension] if dimension == dim => Ok([frames, particles, dimension]),
+        [_, _, _] => Err(bad(&format!("[T, N, {dim}] as metadata.json says"))),
+        _ => Err(bad("of shape [T, N, D]")),
+    }
+}
+
+/// Numbers along a wall, `[M]`; none if the group does not have them.
+pub(super) fn nodes(path: &Path, group: &hdf5::Group, present: &[String], name: &str) -> Result<Vec<f64>, FileError> {
+    if !present.iter().any(|other| other == name) {
+        return Ok(Vec::new());
+    }
+    let length = group.dataset(name).map_err(failed(path, "open")(name))?.shape();
+    Ok(read_dataset(path, group, present, name, &length)?.unwrap_or_default())
+}
+
 /// One trajectory of an open file; `dim` is D.
 pub(super) fn read_trajectory(
     path: &Path,
@@ -149,25 +189,9 @@ pub(super) fn read_trajectory(
             return Err(missing(path, "dataset", &format!("{name}/{needed}"), present));
         }
     }
-    let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
-    let &[frames, particles, dimension] = shape.as_slice() else {
-        return Err(mismatch(path, &format!("{name}/position"), format!("of shape {shape:?}"), "of shape [T, N, D]"));
-    };
-    if dimension != dim {
-        return Err(mismatch(
-            path,
-            &format!("{name}/position"),
-            format!("of shape {shape:?}"),
-            &format!("[T, N, {dim}] as metadata.json says"),
-        ));
-    }
-    let nodes = |name: &str| -> Result<Vec<f64>, FileError> {
-        if !present.iter().any(|other| other == name) {
-            return Ok(Vec::new());
-        }
-        let length = group.dataset(name).map_err(failed(path, "open")(name))?.shape();
-        Ok(read_dataset(path, &group, &present, name, &length)?.unwrap_or_default())
-    };
+    let shape = shape(path, &group, dim, &name)?;
+    let [frames, particles, _] = shape;
+    let nodes = |name: &str| nodes(path, &group, &present, name);
     let kinds: Vec<i32> = read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default();
     if let Some(odd) = kinds.iter().find(|k| !(kind::PADDING..kind::COUNT).contains(*k)) {
         return Err(mismatch(

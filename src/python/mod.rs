@@ -25,6 +25,7 @@ mod _native {
     use crate::error::BadInput;
     use crate::numerics::{memory, threads};
     use pyo3::prelude::*;
+    use std::ffi::OsString;
 
     #[pymodule_export]
     use super::errors::Diverged;
@@ -64,11 +65,12 @@ mod _native {
         Ok(())
     }
 
-    /// Runs the command line and returns its exit code.
+    /// Runs the command line and returns its exit code; `program` is what starts Python with it again.
     #[pyfunction]
-    fn command_line(py: Python<'_>, arguments: Vec<String>) -> u8 {
+    fn command_line(py: Python<'_>, program: Vec<OsString>, arguments: Vec<String>) -> u8 {
         use crate::cli;
         use clap::Parser;
+        cli::program::is_started_by(program);
         cli::install_panic_hook();
         let all = std::iter::once("hydrograd".to_string()).chain(arguments);
         py.detach(|| match cli::Cli::try_parse_from(all) {

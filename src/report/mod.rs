@@ -5,3 +5,4 @@ pub mod page;
 pub mod plots;
 pub mod progress;
 pub mod table;
+pub mod text;

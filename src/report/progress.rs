@@ -1,5 +1,6 @@
 //! A progress bar on stderr; where stderr is not a terminal it prints nothing at all.
 
+use super::text::shown;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
@@ -63,16 +64,17 @@ impl Progress {
 
     /// Text behind the bar, such as `Q = 0.1234`.
     pub fn message(&self, text: impl Into<String>) {
-        self.bar.set_message(text.into());
+        self.bar.set_message(shown(&text.into()));
     }
 
     /// Prints a line above the bar; nothing if hidden.
     pub fn line(&self, text: &str) {
-        self.bar.println(text);
+        self.bar.println(shown(text));
     }
 
     /// Prints a line above the bar; without a terminal, on stdout: what a log of hours should hold.
     pub fn log(&self, text: &str) {
+        let text = shown(text);
         if self.bar.is_hidden() {
             println!("{text}");
         } else {

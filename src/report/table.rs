@@ -1,5 +1,7 @@
 //! Small tables as text: aligned for the terminal, or as markdown.
 
+use super::text::shown;
+
 /// A table of text cells; columns that hold only numbers are aligned to the right.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
@@ -23,12 +25,14 @@ impl Table {
 
     /// For the terminal: headers, a rule, rows; two spaces between columns, no spaces at line ends.
     pub fn to_text(&self) -> String {
-        let widths = self.widths(1, |cell| cell.to_owned());
+        let safe = |cells: &Vec<String>| cells.iter().map(|cell| shown(cell)).collect::<Vec<_>>();
+        let safe = Self { headers: safe(&self.headers), rows: self.rows.iter().map(safe).collect() };
+        let widths = safe.widths(1, |cell| cell.to_owned());
         let rule = widths.iter().map(|&width| "-".repeat(width)).collect();
-        let lines = [self.headers.clone(), rule].into_iter().chain(self.rows.iter().cloned());
+        let lines = [safe.headers.clone(), rule].into_iter().chain(safe.rows.iter().cloned());
         lines
             .map(|cells| {
-                let padded = self.padded(&cells, &widths);
+                let padded = safe.padded(&cells, &widths);
                 format!("{}\n", padded.join("  ").trim_end())
             })
             .collect()

@@ -1,5 +1,6 @@
 """Data sets and rollouts."""
 
+import json
 import subprocess
 import sys
 
@@ -16,6 +17,24 @@ def data(tmp_path_factory):
     command = [sys.executable, "-m", "hydrograd", "generate", "heated-channel", *sizes, "--out", str(folder)]
     subprocess.run(command, check=True, capture_output=True)
     return folder
+
+
+def test_commands_that_start_themselves_again(data, tmp_path):
+    def run(*arguments):
+        command = [sys.executable, "-m", "hydrograd", *arguments, "--json"]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)["result"]
+
+    sizes = ["--set", "model.latent=8", "--set", "model.rounds=1", "--set", "validation_steps=4"]
+    studied = run("study", "--data", str(data), "--grid", "seed=1,2", "--steps", "2", "--threads", "1", *sizes)
+    assert studied["trained"] == 2 and [point["error"] for point in studied["points"]] == [None, None]
+    measured = run("bench", "step", "--quick", "--filter", "950/f32/1/forward", "--threads", "1")
+    assert measured["rows"] and all(row["ms_per_step"] > 0 for row in measured["rows"])
+    # A job file starts it as it was started.
+    printed = [sys.executable, "-m", "hydrograd", "slurm", "--print", "validate", "--quick"]
+    text = subprocess.run(printed, capture_output=True, text=True, check=True, cwd=tmp_path).stdout
+    assert f"set -- {sys.executable} -m hydrograd validate --quick" in text
 
 
 def test_a_trajectory_is_arrays(data):

@@ -28,11 +28,14 @@ use cases::Cases;
 use compare::Earlier;
 use rows::Row;
 
+use super::machine;
 use super::page;
 use super::run_folder::{self, RunFolder};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::report::progress::Progress;
+use serde_json::json;
+use std::path::PathBuf;
 
 /// Largest difference that the plan of a scene may make: what it computes must agree to rounding.
 fn tolerance(precision: Precision) -> f64 {
@@ -74,10 +77,13 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     let _own = RunFolder::take(&arguments.out, "bench", run_folder::Earlier::Replaced)?;
     let file = arguments.out.join("bench.json");
     let mut all: Vec<Row> = vec![];
+    let (mut all_left_out, mut measured, mut pictures) = (vec![], None, vec![]);
     let bar = Progress::new((runs * arguments.repeats()) as u64, "bench");
     for (group, families) in &work {
         if *group == Group::Accuracy {
-            run_accuracy(&arguments, &peers)?;
+            let (points, drawn) = run_accuracy(&arguments, &peers)?;
+            measured = Some(points);
+            pictures.extend(drawn);
             continue;
         }
         let (mut found, mut left_out) = (vec![], vec![]);
@@ -96,10 +102,12 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         for (label, reason) in &left_out {
             println!("left out: {label}: {reason}");
         }
+        all_left_out.append(&mut left_out);
         // Each as PNG and SVG.
         for picture in plots.iter().step_by(2) {
             println!("picture: {}", picture.display());
         }
+        pictures.extend(plots);
         check_plans(&found)?;
     }
     bar.finish();
@@ -107,27 +115,37 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         println!("{}", earlier.summary(&all));
     }
     page::write(&arguments.out)?;
+    let of_case = |(label, reason): &(String, String)| json!({ "case": label, "reason": reason });
+    machine::answer(&json!({
+        "folder": machine::path(&arguments.out),
+        "rows": all,
+        "accuracy": measured,
+        "left_out": all_left_out.iter().map(of_case).collect::<Vec<_>>(),
+        "pictures": pictures.iter().map(|picture| machine::path(picture)).collect::<Vec<_>>(),
+    }));
     if runs > 0 {
         println!("rows: {}", file.display());
     }
     Ok(())
 }
 
-/// Measures run time against error, with as many threads as the last of `--threads`.
-fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Result<()> {
+/// Measures run time against error, with as many threads as the last of `--threads`; the points, and pictures of them.
+fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Result<(Vec<ComparedRun>, Vec<PathBuf>)> {
     let threads = arguments.threads().last().copied().unwrap_or(1);
     let mut points = runner::accuracy(arguments.quick, threads)?;
     points.retain(|point| point.label().contains(&arguments.filter));
     points.retain(|point| arguments.precisions().contains(&point.precision));
     let file = arguments.out.join("accuracy.json");
     accuracy::write(&file, &points)?;
+    let own = points.clone();
     points.extend(peers.iter().cloned());
     println!("{}", accuracy::text(&points));
-    for picture in accuracy::draw(&arguments.out, &points)?.iter().step_by(2) {
+    let pictures = accuracy::draw(&arguments.out, &points)?;
+    for picture in pictures.iter().step_by(2) {
         println!("picture: {}", picture.display());
     }
     println!("points: {}", file.display());
-    Ok(())
+    Ok((own, pictures))
 }
 
 /// A plan that changes what is computed is wrong, however fast.

@@ -1,12 +1,13 @@
 //! Runs the cases of a family in turns, each repeat in a process of its own.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use serde::de::DeserializeOwned;
 
 use super::accuracy::ComparedRun;
 use super::case::{Case, Measured, Outcome, Request};
 use super::rows::Row;
+use crate::cli::program;
 use crate::error::{Error, EXIT_DIVERGED};
 use crate::report::progress::Progress;
 
@@ -62,8 +63,8 @@ const ADVICE: &str = "leave it out with --filter, or change the scene with --set
 /// Starts this program again with a number of threads and a request, and reads the answer.
 fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> anyhow::Result<T> {
     let failed = |problem: String| Error::run(format!("{name}: {problem}"), ADVICE);
-    let program = std::env::current_exe().map_err(|error| failed(format!("can not find the program: {error}")))?;
-    let output = Command::new(program)
+    let words = program::words().map_err(|error| failed(format!("can not find the program: {error}")))?;
+    let output = program::command(&words)
         .args(["bench", "--case", &serde_json::to_string(request)?])
         .env("CANDLE_NUM_THREADS", threads.to_string())
         .env("RAYON_NUM_THREADS", threads.to_string())

@@ -4,12 +4,15 @@ use super::designs::{is_steady, loaded, verification, Search, FIGURES};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
+use crate::cli::guard::warn;
+use crate::cli::machine;
 use crate::cli::run_folder::{is_finished, kind_of};
 use crate::design::objectives::Figure;
 use crate::error::BadInput;
 use crate::report::page::{link, Body, Cell, Chart, Page, Series, Table, GENERATOR, PAGE};
+use crate::report::text::shown;
 use clap::Args;
-use serde_json::{Map, Value};
+use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
 
 /// Put several runs of a command side by side in one page.
@@ -43,9 +46,18 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     let mut page = beside(&runs, base, None)?;
     page.title = format!("{} runs of {}", runs.len(), runs[0].folder.kind);
     page.subtitle = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", ");
+    page.warnings = runs.iter().flat_map(|run| run.folder.damage()).collect();
+    page.warnings.iter().for_each(|note| warn(&note.problem, &note.advice));
     page.write(out)?;
     println!("{}", page.lead);
     println!("page: {}", out.display());
+    let of_run = |run: &Compared| json!({ "name": run.name, "folder": machine::path(&run.folder.path), "figures": run.folder.json("summary.json") });
+    machine::answer(&json!({
+        "page": machine::path(out),
+        "command": runs[0].folder.kind,
+        "lead": page.lead,
+        "runs": runs.iter().map(of_run).collect::<Vec<_>>(),
+    }));
     Ok(())
 }
 
@@ -89,7 +101,7 @@ impl CompareArguments {
                 return Err(bad(&format!("{state}: none of {}", MAIN.join(", ")))
                     .advice(format!("hydrograd {kind} --resume {}", path.display())));
             }
-            runs.push(Compared { name: folder.name(), folder });
+            runs.push(Compared { name: shown(&folder.name()), folder });
         }
         let first = &runs[0].folder.kind;
         if let Some(other) = runs.iter().find(|run| run.folder.kind != *first) {
@@ -162,7 +174,7 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     let runs: Vec<Compared> =
         folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
-    let summary = folder.json("summary.json")?.unwrap_or_default();
+    let summary = folder.json("summary.json").unwrap_or_default();
     let mut page = beside(&runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
         let loaded = loaded(&run.folder)?;
@@ -225,10 +237,8 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Map<String, Value>>)
     let unlike = unlike(runs);
     let mut page = Page { body: Body::Compare, ..Page::default() };
     let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
-    let summaries: Vec<Map<String, Value>> = runs
-        .iter()
-        .map(|run| Ok(run.folder.json("summary.json")?.unwrap_or_default()))
-        .collect::<anyhow::Result<_>>()?;
+    let summaries: Vec<Map<String, Value>> =
+        runs.iter().map(|run| run.folder.json("summary.json").unwrap_or_default()).collect();
     let mut searches: Vec<Option<Search>> = Vec::new();
     for (run, summary) in runs.iter().zip(&summaries) {
         searches.push(match run.folder.kind.as_str() {
@@ -260,12 +270,12 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Map<String, Value>>)
         let searches: Vec<&Search> = searches.iter().flatten().collect();
         add_searches(&mut table, &searches, unlike.is_empty(), flat);
         page.charts.push(over_epochs(runs, &searches));
-        page.charts.extend(best_walls(runs)?);
+        page.charts.extend(best_walls(runs));
     } else {
-        page.charts.extend(histories(runs)?);
+        page.charts.extend(histories(runs));
     }
     let mut rest = Table::new("All other figures", header());
-    add_figures([&mut table, &mut rest], runs, &summaries)?;
+    add_figures([&mut table, &mut rest], runs, &summaries);
     page.tables.push(table);
     page.tables.extend(differences(runs, header().collect()));
     page.more.extend((!rest.rows.is_empty()).then_some(rest));
@@ -363,7 +373,7 @@ fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: 
     }
     let count = |value: usize| (Cell::number(value as f64), None);
     row("epochs".into(), searches.iter().map(|search| count(search.values.len())).collect(), false);
-    row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch + 1)).collect(), false);
+    row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch.saturating_add(1))).collect(), false);
 }
 
 /// Figures that stand first, behind [`FIGURES`].
@@ -382,17 +392,13 @@ const FIRST: [&str; 9] = [
 const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
 
 /// Rows of the figures that the runs' files have: those that say most, and the rest.
-fn add_figures(
-    [table, rest]: [&mut Table; 2],
-    runs: &[Compared],
-    summaries: &[Map<String, Value>],
-) -> anyhow::Result<()> {
+fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[Map<String, Value>]) {
     let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
     for (run, summary) in runs.iter().zip(summaries) {
         let mut found = tables::scalars(summary);
         if summary.is_empty() {
             for file in MAIN.iter().filter(|file| file.ends_with(".json")) {
-                if let Some(map) = run.folder.json(file)? {
+                if let Some(map) = run.folder.json(file) {
                     found.extend(tables::scalars(&map));
                     let models = map.get("scores").and_then(Value::as_array).into_iter().flatten();
                     for (k, model) in models.filter_map(Value::as_object).enumerate() {
@@ -405,7 +411,7 @@ fn add_figures(
                 }
             }
             // The last row of what a training says of itself.
-            for (column, values) in run.folder.columns("validation.csv")? {
+            for (column, values) in run.folder.columns("validation.csv") {
                 let last = values.iter().rev().copied().find(|value| value.is_finite());
                 found.extend(last.map(|last| (column, Cell::number(last))));
             }
@@ -437,7 +443,6 @@ fn add_figures(
             false => rest.rows.push(row),
         }
     }
-    Ok(())
 }
 
 /// Keys of `config.toml` whose values are not the same in all runs; none of commands that have no such file.
@@ -506,12 +511,12 @@ fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
 }
 
 /// The best walls over each other; those over x and z have a page of their own.
-fn best_walls(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
+fn best_walls(runs: &[Compared]) -> Vec<Chart> {
     let mut charts = Vec::new();
     for (column, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
         let mut series = Vec::new();
         for run in runs {
-            let columns = run.folder.columns("shape.csv")?;
+            let columns = run.folder.columns("shape.csv");
             let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
             // Without points where there is no such wall: each run's lines look the same in every chart.
             series.push(match (of("x"), of(column), of("z")) {
@@ -524,15 +529,15 @@ fn best_walls(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
             charts.push(Chart { title: title.into(), x, y, series, ..Chart::default() });
         }
     }
-    Ok(charts)
+    charts
 }
 
 /// Each column of the runs' histories, with a line of each run.
-fn histories(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
+fn histories(runs: &[Compared]) -> Vec<Chart> {
     let mut charts: Vec<Chart> = Vec::new();
     for file in ["history.csv", "validation.csv"] {
         for run in runs {
-            let columns = run.folder.columns(file)?;
+            let columns = run.folder.columns(file);
             let falls = |name: &str| name.contains("mse") || name == "loss";
             for chart in tables::charts(&columns, falls) {
                 let line = chart.series.into_iter().next().map(|line| Series { name: run.name.clone(), ..line });
@@ -544,5 +549,5 @@ fn histories(runs: &[Compared]) -> anyhow::Result<Vec<Chart>> {
             }
         }
     }
-    Ok(charts)
+    charts
 }

@@ -87,12 +87,15 @@ pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;
-    let summary = folder.json("summary.json")?.unwrap_or_default();
+    let summary = folder.json("summary.json").unwrap_or_default();
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
     let searched = loaded.for_search()?.config;
     page.texts.push(plan(&searched, true)?);
     let Some(search) = Search::of(Figure::of_config(config), &summary) else {
-        page.lead = "This search has no result yet.".into();
+        page.lead = match folder.damage().is_empty() {
+            true => "This search has no result yet.".into(),
+            false => "What this search found cannot be read; the warnings say why.".into(),
+        };
         return Ok(page);
     };
     let Figure { symbol, quantity, unit, .. } = search.figure;
@@ -108,7 +111,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
             figure(first),
             figure(best),
             100.0 * gain,
-            epoch + 1
+            epoch.saturating_add(1)
         ),
     };
     page.remark = remark(&search, &summary);
@@ -123,7 +126,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     if let Some(seconds) = summary.get("wall_seconds").and_then(Value::as_f64) {
         fact("seconds of search", Cell::shown(format!("{seconds:.1}"), seconds));
     }
-    let shapes = shapes(&searched, &variables(folder)?)?;
+    let shapes = shapes(&searched, &folder.unless_damaged(CHECKPOINT, variables(folder)).unwrap_or_default())?;
     if config.scene == Family::Custom {
         page.tables.extend(of_shapes(&summary));
         page.charts.extend(course_of_shapes(&summary, &shapes));
@@ -138,14 +141,15 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     }
     let of = |name: &str| folder.path.join(name).join("particles.pvd");
     let panels = [("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])];
-    page.fields = series::fields(&panels, config.resolution.dx)?;
+    let fields = series::fields(&panels, config.resolution.dx);
+    page.fields = folder.unless_damaged("the particles", fields).flatten();
     if page.fields.is_none() {
         page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
     }
     page.tables.insert(0, before_and_after(&search, &summary));
     let is_steady = is_steady(&loaded)?;
     page.tables.extend(verification("Does the gain hold?", symbol, &summary, is_steady));
-    if let Some(later) = folder.json("verification.json")? {
+    if let Some(later) = folder.json("verification.json") {
         page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
     }
     page.more.push(tables::of_scalars("All figures (summary.json)", &summary));
@@ -222,6 +226,7 @@ fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
         nodes: first.nodes.clone(),
         across: first.across.clone(),
         sides,
+        names: vec![],
         best: search.best_epoch.min(shapes.len() - 1),
         values: search.values.clone(),
         symbol: search.figure.symbol.into(),
@@ -336,7 +341,7 @@ fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
 pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;
-    let summary = folder.json("summary.json")?.unwrap_or_default();
+    let summary = folder.json("summary.json").unwrap_or_default();
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
     (page.lead, page.remark) = said(config, &folder.scene(), &summary);
     for (key, name) in [
@@ -355,9 +360,10 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
             page.facts.push(Fact { name: name.into(), cell });
         }
     }
-    page.charts = tables::charts(&folder.columns("history.csv")?, |_| false);
-    page.charts.extend(wall(folder)?);
-    page.fields = series::fields(&[("over time", series::lists(&folder.path))], config.resolution.dx)?;
+    page.charts = tables::charts(&folder.columns("history.csv"), |_| false);
+    page.charts.extend(wall(folder));
+    let fields = series::fields(&[("over time", series::lists(&folder.path))], config.resolution.dx);
+    page.fields = folder.unless_damaged("the particles", fields).flatten();
     let has_fields = page.fields.is_some();
     page.pictures = folder.pictures(|stem| match stem {
         "profile" | "wall" => true,
@@ -373,16 +379,16 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
 }
 
 /// A wall that stays as it is, as a chart.
-fn wall(folder: &Folder) -> anyhow::Result<Option<Chart>> {
-    let columns = folder.columns("shape.csv")?;
+fn wall(folder: &Folder) -> Option<Chart> {
+    let columns = folder.columns("shape.csv");
     let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
-    let (Some(x), Some(offset), None) = (of("x"), of("offset"), of("z")) else { return Ok(None) };
+    let (Some(x), Some(offset), None) = (of("x"), of("offset"), of("z")) else { return None };
     let line = |name: &str, y: Vec<f64>| Series::new(name, x.iter().copied().zip(y));
     let top = of("top");
     let mut series = vec![line(if top.is_some() { "bottom" } else { "" }, offset)];
     series.extend(top.map(|top| line("top", top)));
     let (title, y) = ("Wall".into(), "offset (positive narrows)".into());
-    Ok(Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() }))
+    Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() })
 }
 
 /// The result of a run in one sentence, and what it means.

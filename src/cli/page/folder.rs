@@ -1,10 +1,14 @@
 //! The files of a run, as a page needs them.
 
-use crate::io::csv::read_table;
+use crate::io::csv::{read_table, TextTable};
 use crate::io::FileError;
 use crate::report::page::{link, short, Cell, File, Note, Picture, Text, PAGE};
+use crate::report::text::shown;
 use serde_json::{Map, Value};
+use std::cell::RefCell;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 /// A picture that is larger stays a file beside the page.
 const LARGEST_PICTURE: usize = 1 << 20;
@@ -19,11 +23,37 @@ pub struct Folder {
     pub path: PathBuf,
     /// The command.
     pub kind: String,
+    /// What of it could not be read; its parts add theirs.
+    damage: Rc<RefCell<Vec<Note>>>,
 }
 
 impl Folder {
     pub fn new(path: &Path, kind: &str) -> Self {
-        Self { path: path.to_path_buf(), kind: kind.to_string() }
+        Self { path: path.to_path_buf(), kind: kind.to_string(), damage: Rc::default() }
+    }
+
+    /// What was read; a page does without what could not be, and says so.
+    pub fn unless_damaged<T>(&self, what: &str, found: Result<T, impl Display>) -> Option<T> {
+        let error = match found {
+            Ok(found) => return Some(found),
+            Err(error) => error,
+        };
+        let problem = shown(&format!("the page is without {what}: {error}"));
+        let advice = match what {
+            "verification.json" => format!("hydrograd verify {}, which writes it anew", self.path.display()),
+            _ => "the run again, or a copy of the file that is whole".to_string(),
+        };
+        let mut damage = self.damage.borrow_mut();
+        // A file may be asked for twice.
+        if !damage.iter().any(|note| note.problem == problem) {
+            damage.push(Note { problem, advice });
+        }
+        None
+    }
+
+    /// What could not be read so far.
+    pub fn damage(&self) -> Vec<Note> {
+        self.damage.borrow().clone()
     }
 
     pub fn has(&self, file: &str) -> bool {
@@ -56,47 +86,40 @@ impl Folder {
     }
 
     /// An object of JSON; none if there is no such file.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
-    pub fn json(&self, file: &str) -> anyhow::Result<Option<Map<String, Value>>> {
-        Ok(match self.value(file)? {
+    pub fn json(&self, file: &str) -> Option<Map<String, Value>> {
+        match self.value(file) {
             Some(Value::Object(map)) => Some(map),
             _ => None,
-        })
+        }
     }
 
-    /// JSON of any kind.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
-    pub fn value(&self, file: &str) -> anyhow::Result<Option<Value>> {
+    /// JSON of any kind; none if there is no such file.
+    pub fn value(&self, file: &str) -> Option<Value> {
         let path = self.path.join(file);
-        if !path.is_file() {
-            return Ok(None);
-        }
-        let text = std::fs::read_to_string(&path).map_err(|source| FileError::read(&path, source))?;
-        let value = serde_json::from_str(&text).map_err(|error| FileError::Damaged {
-            path,
-            format: "JSON file",
-            what: error.to_string(),
-            hint: "run the command again",
-        })?;
-        Ok(Some(value))
+        let read = || -> Result<Value, FileError> {
+            let text = std::fs::read_to_string(&path).map_err(|source| FileError::read(&path, source))?;
+            serde_json::from_str(&text).map_err(|error| FileError::Damaged {
+                path: path.clone(),
+                format: "JSON file",
+                what: error.to_string(),
+                hint: "run the command again",
+            })
+        };
+        self.unless_damaged(file, path.is_file().then(read).transpose()).flatten()
     }
 
     /// Columns of a CSV file; what is no number is none. Nothing if there is no such file.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
-    pub fn columns(&self, file: &str) -> anyhow::Result<Columns> {
-        if !self.has(file) {
-            return Ok(vec![]);
-        }
-        let (header, rows) = read_table(&self.path.join(file))?;
+    pub fn columns(&self, file: &str) -> Columns {
+        let Some((header, rows)) = self.table(file) else { return vec![] };
         let number = |text: &String| text.parse().unwrap_or(f64::NAN);
         let column = |k: usize| rows.iter().map(|row| number(&row[k])).collect();
-        Ok(header.iter().enumerate().map(|(k, name)| (name.clone(), column(k))).collect())
+        header.iter().enumerate().map(|(k, name)| (shown(name), column(k))).collect()
+    }
+
+    /// A CSV file as it stands; none if there is no such file.
+    pub fn table(&self, file: &str) -> Option<TextTable> {
+        let path = self.path.join(file);
+        self.unless_damaged(file, path.is_file().then(|| read_table(&path)).transpose()).flatten()
     }
 
     /// `config.toml`, to be read.
@@ -135,7 +158,10 @@ impl Folder {
     pub fn parts(&self, kind: &str) -> Vec<Folder> {
         let folders = self.names().into_iter().map(|name| self.path.join(name)).filter(|path| path.is_dir());
         let is_part = |path: &PathBuf| super::kind_of(path).as_deref() == Some(kind);
-        folders.filter(is_part).map(|path| Folder::new(&path, kind)).collect()
+        folders
+            .filter(is_part)
+            .map(|path| Folder { path, kind: kind.to_string(), damage: self.damage.clone() })
+            .collect()
     }
 
     /// What is in the folder, and what each is.
@@ -226,6 +252,11 @@ fn what(name: &str) -> &'static str {
         "validation.csv" => "errors, row by row",
         "best.safetensors" => "the parameters that did best on the validation split",
         "last.safetensors" => "the last parameters, from which --resume goes on",
+        "train.h5" => "trajectories to train with, for h5py",
+        "valid.h5" => "trajectories to validate with",
+        "test.h5" => "trajectories to test with",
+        "metadata.json" => "what the numbers mean, and their statistics",
+        "generate.json" => "what the data set was begun with",
         "wall.vtp" => "the wall's surface, for ParaView",
         _ if name.starts_with("events.out.tfevents") => "curves for TensorBoard",
         _ if name.ends_with(".png") || name.ends_with(".svg") => "picture",

@@ -3,6 +3,7 @@
 //! So a run that was ended and goes on, `verify`, and `compare` make the same of the same files.
 
 pub mod compare;
+mod data_set;
 mod designs;
 mod folder;
 mod leads;
@@ -13,18 +14,22 @@ mod tables;
 
 pub use compare::CompareArguments;
 
+use super::guard::warn;
 use super::run_folder::kind_of;
 use crate::report::page::{Page, PAGE};
 use folder::Folder;
 use std::path::Path;
 
-/// Writes the page of a folder, which its run has otherwise finished.
+/// Writes the page of a folder, which its run has otherwise finished. It does without files that are damaged, with a warning.
 ///
 /// # Errors
-/// Files of the run that cannot be read, and system errors.
+/// A configuration that cannot be read, and system errors.
 pub fn write(folder: &Path) -> anyhow::Result<()> {
     let Some(kind) = kind_of(folder) else { return Ok(()) };
-    page_of(&Folder::new(folder, &kind))?.write(&folder.join(PAGE))
+    let folder = Folder::new(folder, &kind);
+    let page = page_of(&folder)?;
+    folder.damage().iter().for_each(|note| warn(&note.problem, &note.advice));
+    page.write(&folder.path.join(PAGE))
 }
 
 /// Writes the page of a folder anew, if it has one: a file was added.
@@ -43,11 +48,13 @@ fn page_of(folder: &Folder) -> anyhow::Result<Page> {
         "optimize" => designs::optimize(folder)?,
         "simulate" => designs::simulate(folder)?,
         "optimize --start all" | "optimize --compare" => compare::parts(folder)?,
-        _ => others::page(folder)?,
+        "generate" => data_set::page(folder)?,
+        _ => others::page(folder),
     };
     page.title = folder.name();
     page.subtitle = folder.subtitle();
     page.texts.extend(folder.configuration());
     page.files = folder.files();
+    page.warnings.extend(folder.damage());
     Ok(page)
 }

@@ -66,13 +66,10 @@ const COLUMNS: [(&str, tables::Choice); 3] = [
 ];
 
 /// Of any run.
-///
-/// # Errors
-/// Files that cannot be read.
-pub fn page(folder: &Folder) -> anyhow::Result<Page> {
+pub fn page(folder: &Folder) -> Page {
     let mut page = Page::default();
     for (file, title) in FIGURES {
-        match folder.value(file)? {
+        match folder.value(file) {
             Some(Value::Object(map)) if file == "verification.json" => page.tables.extend(of_checks(title, &map)),
             Some(Value::Object(map)) => {
                 if file == "summary.json" {
@@ -84,16 +81,15 @@ pub fn page(folder: &Folder) -> anyhow::Result<Page> {
             _ => {}
         }
     }
-    let mut history = folder.columns("history.csv")?;
+    let mut history = folder.columns("history.csv");
     history.retain(|(name, _)| !["seconds", "learning_rate"].contains(&name.as_str()));
     // Losses and errors fall by powers of ten.
     page.charts = tables::charts(&history, |name| is_positive(&history, name));
-    let validation = folder.columns("validation.csv")?;
+    let validation = folder.columns("validation.csv");
     if validation.first().is_some_and(|(name, _)| name == "step") {
         page.charts.extend(of_training(&validation));
     }
-    if folder.has("study.csv") {
-        let (header, rows) = crate::io::csv::read_table(&folder.path.join("study.csv"))?;
+    if let Some((header, rows)) = folder.table("study.csv") {
         let settings = leads::settings(&header).iter().map(String::as_str);
         let best = header.iter().map(String::as_str).filter(|name| name.starts_with("best_"));
         let first: Vec<&str> = settings.chain(best).collect();
@@ -101,15 +97,17 @@ pub fn page(folder: &Folder) -> anyhow::Result<Page> {
         page.tables.push(tables::of_text("Points of the grid", &header, &rows, choice));
     }
     let of = |name: &str| vec![folder.path.join(name).join(format!("{name}.pvd"))];
-    page.fields = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder))?;
+    let both = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
+    page.fields = folder.unless_damaged("the particles", both).flatten();
     let drawn = !page.charts.is_empty();
     page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
-    (page.lead, page.remark) = said(folder, &page)?;
+    (page.lead, page.remark) = said(folder, &page);
     if folder.kind == "rollout" {
-        (page.lead, page.charts) = leads::rollout(folder)?;
+        // Frames that are damaged are named among the warnings.
+        (page.lead, page.charts) = leads::rollout(folder).unwrap_or((page.lead, page.charts));
     }
-    page.facts = facts(folder)?;
-    Ok(page)
+    page.facts = facts(folder);
+    page
 }
 
 fn columns_of(file: &str) -> tables::Choice<'static> {
@@ -188,18 +186,18 @@ fn spacing(folder: &Folder) -> f64 {
 }
 
 /// The result in one sentence, and what it means.
-fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
+fn said(folder: &Folder, page: &Page) -> (String, String) {
     let none = String::new();
-    let rows = |file: &str, key: &str| -> anyhow::Result<Vec<Value>> {
-        Ok(match folder.value(file)? {
+    let rows = |file: &str, key: &str| -> Vec<Value> {
+        match folder.value(file) {
             Some(Value::Array(all)) => all,
             Some(Value::Object(map)) => map.get(key).and_then(Value::as_array).cloned().unwrap_or_default(),
             _ => vec![],
-        })
+        }
     };
-    Ok(match folder.kind.as_str() {
+    match folder.kind.as_str() {
         "validate" => {
-            let rows = rows("validation.json", "rows")?;
+            let rows = rows("validation.json", "rows");
             let passed = rows.iter().filter(|row| row.get("passed") == Some(&Value::Bool(true))).count();
             let lead = match passed == rows.len() {
                 true => format!("All {passed} rows pass, in double and in single precision."),
@@ -208,7 +206,7 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             (lead, "Scenes with a known answer, run and compared with it.".into())
         }
         "evaluate" => {
-            let scores = rows("evaluation.json", "scores")?;
+            let scores = rows("evaluation.json", "scores");
             let mse = |k: usize| scores.get(k).and_then(|of| of.get("mse")).and_then(Value::as_f64);
             let name = |k: usize| match k {
                 0 => "the model",
@@ -233,7 +231,7 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             (lead, none)
         }
         "stress" => {
-            let maps = rows("stress.json", "maps")?;
+            let maps = rows("stress.json", "maps");
             let runs: usize = maps.iter().filter_map(|map| Some(map.get("runs")?.as_array()?.len())).sum();
             let verdict = |name: &str| {
                 let all = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten();
@@ -249,12 +247,12 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             )
         }
         "train" => {
-            let validation = folder.columns("validation.csv")?;
+            let validation = folder.columns("validation.csv");
             let position = validation.iter().rev().find(|(name, _)| name.starts_with("mse_") && name != "mse_");
             let best = position.and_then(|(name, values)| {
                 Some((name, values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?))
             });
-            let steps = folder.columns("history.csv")?.first().and_then(|(_, steps)| steps.last().copied());
+            let steps = folder.columns("history.csv").first().and_then(|(_, steps)| steps.last().copied());
             let steps = steps.map_or(none.clone(), |steps| format!(" {steps} steps"));
             match best {
                 Some((name, best)) => {
@@ -264,11 +262,11 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             }
         }
         "bench" => (
-            leads::bench(&rows("bench.json", "")?),
+            leads::bench(&rows("bench.json", "")),
             "Times are of the best repeat; a gradient's include its forward run.".into(),
         ),
         "check-gradient" => {
-            let found = folder.json("gradient_check.json")?.unwrap_or_default();
+            let found = folder.json("gradient_check.json").unwrap_or_default();
             let number = |key: &str| found.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
             let how =
                 if found.get("passed") == Some(&Value::Bool(true)) { "agrees with" } else { "does NOT agree with" };
@@ -279,16 +277,16 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             );
             (lead, none)
         }
-        "study" if folder.has("study.csv") => {
-            let (header, rows) = crate::io::csv::read_table(&folder.path.join("study.csv"))?;
-            (leads::study(&header, &rows), none)
-        }
-        "recover" => leads::recover(&folder.json("summary.json")?.unwrap_or_default()),
+        "study" => match folder.table("study.csv") {
+            Some((header, rows)) => (leads::study(&header, &rows), none),
+            None => ("Trainings over a grid of settings, side by side.".into(), none),
+        },
+        "rollout" => ("A learned model's rollout beside the truth.".into(), none),
+        "recover" => leads::recover(&folder.json("summary.json").unwrap_or_default()),
         "calibrate" => {
-            leads::calibrate(&folder.json("summary.json")?.unwrap_or_default(), &folder.columns("history.csv")?)
+            leads::calibrate(&folder.json("summary.json").unwrap_or_default(), &folder.columns("history.csv"))
         }
-        "generate" => ("A data set of trajectories.".into(), none),
-        "verify" => leads::verify(&folder.json("verification.json")?.unwrap_or_default()),
+        "verify" => leads::verify(&folder.json("verification.json").unwrap_or_default()),
         kind => (
             format!(
                 "What `hydrograd {kind}` left: {}, {}.",
@@ -297,16 +295,16 @@ fn said(folder: &Folder, page: &Page) -> anyhow::Result<(String, String)> {
             ),
             none,
         ),
-    })
+    }
 }
 
 /// A few numbers in large letters.
-fn facts(folder: &Folder) -> anyhow::Result<Vec<Fact>> {
+fn facts(folder: &Folder) -> Vec<Fact> {
     let mut facts = Vec::new();
-    if let Some(found) = folder.json("verification.json")? {
+    if let Some(found) = folder.json("verification.json") {
         if let Some(gain) = found.get("gain_survives").and_then(Value::as_f64) {
             facts.push(Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) });
         }
     }
-    Ok(facts)
+    facts
 }

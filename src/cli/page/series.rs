@@ -30,7 +30,7 @@ pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option
         return Ok(None);
     };
     let first = read_vtp(first)?;
-    let (layer, note) = layer(&first, dx);
+    let (layer, note) = layer(&first.position, dx);
     let particles = first.position.iter().filter(|place| is_in(layer, place)).count();
     let known: Vec<(&str, &str)> =
         QUANTITIES.into_iter().filter(|(name, _)| *name == "speed" || first.scalars.contains_key(*name)).collect();
@@ -93,8 +93,8 @@ pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize], per
 }
 
 /// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.
-fn layer(file: &ParticleFile, dx: f64) -> (Option<(f64, f64)>, String) {
-    let z = || file.position.iter().map(|place| place[2]);
+pub fn layer(places: &[[f64; 3]], dx: f64) -> (Option<(f64, f64)>, String) {
+    let z = || places.iter().map(|place| place[2]);
     let (low, high) = z().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
     if high <= low {
         return (None, String::new());
@@ -104,7 +104,7 @@ fn layer(file: &ParticleFile, dx: f64) -> (Option<(f64, f64)>, String) {
     (Some((middle - 0.25 * dx, middle + 0.75 * dx)), format!("The layer in the middle of z = {low:.3} ... {high:.3}."))
 }
 
-fn is_in(layer: Option<(f64, f64)>, place: &[f64; 3]) -> bool {
+pub fn is_in(layer: Option<(f64, f64)>, place: &[f64; 3]) -> bool {
     layer.is_none_or(|(low, high)| (low..high).contains(&place[2]))
 }
 

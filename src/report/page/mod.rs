@@ -10,10 +10,11 @@ pub use particles::{Fields, Quantity, RawFrame, RawPanel};
 
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
+use crate::report::text::{shown, shown_within};
 use base64::Engine;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
-use minijinja::{context, AutoEscape, Environment, Value};
+use minijinja::{context, escape_formatter, AutoEscape, Environment, HtmlEscape, Value};
 use serde::Serialize;
 use std::path::Path;
 
@@ -22,6 +23,9 @@ pub const PAGE: &str = "report.html";
 
 /// What every page of ours says of its maker, and by which a file is known to be one.
 pub const GENERATOR: &str = "<meta name=\"generator\" content=\"hydrograd ";
+
+/// Characters of a line of a text that is quoted whole, at most.
+const LONGEST_LINE: usize = 20_000;
 
 /// Which template fills the page.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -196,13 +200,15 @@ impl Series {
     }
 }
 
-/// Walls by epoch, for a slider.
+/// Walls by epoch, or one after the other, for a slider.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Walls {
     pub nodes: Vec<f64>,
     /// z of the nodes, of walls over x and z.
     pub across: Option<Vec<f64>>,
     pub sides: Vec<Side>,
+    /// What each is called, where they are not those of epochs: then none of them is the best, and there are no values.
+    pub names: Vec<String>,
     /// Counted from zero.
     pub best: usize,
     /// What was to be made large, by epoch; none where a wall was rejected.
@@ -217,7 +223,7 @@ pub struct Side {
     /// Height of the wall that is not shaped, and what an offset of 1 adds to it.
     pub base: f64,
     pub sign: f64,
-    /// By epoch, of each node.
+    /// By epoch (or one after the other), of each node.
     pub offsets: Vec<Vec<f64>>,
 }
 
@@ -297,6 +303,15 @@ impl Page {
         environment.set_auto_escape_callback(|_| AutoEscape::Html);
         let syntax = SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build().map_err(failed)?;
         environment.set_syntax(syntax);
+        // What comes from files may be anything.
+        environment.set_formatter(|out, state, value| match value.as_str().filter(|_| !value.is_safe()) {
+            Some(text) => escape_formatter(out, state, &Value::from(shown(text))),
+            None => escape_formatter(out, state, value),
+        });
+        environment.add_filter("whole", |text: &str| {
+            let text = shown_within(&text.replace('\t', "    "), LONGEST_LINE);
+            Value::from_safe_string(HtmlEscape(&text).to_string())
+        });
         for (name, text) in TEMPLATES {
             environment.add_template(name, text).map_err(failed)?;
         }
@@ -383,5 +398,25 @@ mod tests {
             assert_eq!(html.matches("<script").count(), 2);
             assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(GENERATOR));
         }
+    }
+
+    #[test]
+    fn what_a_file_says_is_shown_as_it_may_be() {
+        let nasty = format!("a\u{1b}[2J\u{202e}b{}", "x".repeat(9000));
+        let page = Page {
+            title: nasty.clone(),
+            warnings: vec![Note { problem: nasty.clone(), advice: nasty.clone() }],
+            tables: vec![Table { rows: vec![vec![Cell::text(&nasty)]], ..Table::new(&nasty, [&nasty]) }],
+            texts: vec![Text { title: "all".into(), text: format!("[a]\n\tb = 1\u{7}\n{nasty}") }],
+            ..Page::default()
+        };
+        let html = page.to_html().unwrap();
+        assert!(html.contains("a\\u{1b}[2J\\u{202e}bxxx"), "{html}");
+        assert!(html.chars().all(|c| c == '\n' || !c.is_control()) && !html.contains('\u{202e}'));
+        // A text is quoted whole, its lines up to a length that no configuration has; all else is cut.
+        let longest = html.split(|c| c != 'x').map(str::len).filter(|&length| length > 1000).collect::<Vec<_>>();
+        assert_eq!(longest.iter().filter(|&&length| length == 9000).count(), 1);
+        assert!(longest.iter().all(|&length| length == 9000 || length < 2000) && longest.len() > 5, "{longest:?}");
+        assert!(html.contains("[a]\n    b = 1\\u{7}\n"), "{html}");
     }
 }

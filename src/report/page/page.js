@@ -160,6 +160,8 @@
     const slider = document.getElementById("epoch"), now = document.getElementById("epoch-now");
     const place = document.getElementById("wall"), note = document.getElementById("wall-note");
     const epochs = w.sides[0].offsets.length, is_map = w.across !== null;
+    // Of a data set: a wall of each trajectory, none of them the best.
+    const is_named = w.names.length > 0, item = is_named ? "trajectory" : "epoch";
     const values = w.sides.map((side) => side.offsets.map((offsets) => offsets.map((o) => side.base + side.sign * o)));
     const state = { draw: is_map ? drawMap : drawLines };
     let k = w.best;
@@ -178,17 +180,19 @@
         let inside = `<path class="solid" d="${path(all[k])}L${last} ${edge}L${first} ${edge}Z" fill="var(--fluid)"/>` + f.svg;
         const every = Math.max(1, Math.ceil(epochs / 60));
         for (let e = 0; e < epochs; e += every) inside += `<path d="${path(all[e])}" fill="none" stroke="var(--wall)" stroke-width="1" opacity="0.45"/>`;
-        inside += `<path d="${path(all[0])}" fill="none" stroke-width="2" stroke="var(--s1)" stroke-dasharray="8 4"/>`;
-        inside += `<path d="${path(all[w.best])}" fill="none" stroke-width="2" stroke="var(--s2)" stroke-dasharray="2 3"/>`;
+        if (!is_named) {
+          inside += `<path d="${path(all[0])}" fill="none" stroke-width="2" stroke="var(--s1)" stroke-dasharray="8 4"/>`;
+          inside += `<path d="${path(all[w.best])}" fill="none" stroke-width="2" stroke="var(--s2)" stroke-dasharray="2 3"/>`;
+        }
         inside += `<path class="wall-now" d="${path(all[k])}" fill="none" stroke-width="3" stroke="var(--s0)"/>`;
         if (all[k].length <= 60) inside += `<g fill="var(--s0)">${all[k].map((v, i) => marks[0](f.x(w.nodes[i]), f.y(v))).join("")}</g>`;
-        html += svg(width, height, `${side.name} in epoch ${k + 1}, from ${number(Math.min(...all[k]), 3)} to ${number(Math.max(...all[k]), 3)}`, inside);
+        html += svg(width, height, `${side.name} in ${item} ${k + 1}, from ${number(Math.min(...all[k]), 3)} to ${number(Math.max(...all[k]), 3)}`, inside);
       }
       const line = (text, more) => `<li><svg viewBox="0 0 42 14" aria-hidden="true"><line x1="0" x2="42" y1="7" y2="7" ${more}/></svg>${text}</li>`;
-      html += `<ul class="legend">` + line(`epoch ${k + 1}`, `stroke="var(--s0)" stroke-width="3"`) +
-        line("first", `stroke="var(--s1)" stroke-width="2" stroke-dasharray="8 4"`) +
-        line(`best (epoch ${w.best + 1})`, `stroke="var(--s2)" stroke-width="2" stroke-dasharray="2 3"`) +
-        line("every epoch", `stroke="var(--wall)" stroke-width="1"`) + "</ul>";
+      const marked = is_named ? "" : line("first", `stroke="var(--s1)" stroke-width="2" stroke-dasharray="8 4"`) +
+        line(`best (epoch ${w.best + 1})`, `stroke="var(--s2)" stroke-width="2" stroke-dasharray="2 3"`);
+      html += `<ul class="legend">` + line(is_named ? escaped(w.names[k]) : `epoch ${k + 1}`, `stroke="var(--s0)" stroke-width="3"`) + marked +
+        line(is_named && epochs > 60 ? "some of the others" : `every ${item}`, `stroke="var(--wall)" stroke-width="1"`) + "</ul>";
       place.innerHTML = html;
       note.textContent = stretch > 1.5 ? `Heights are drawn ${number(stretch, 2)} times as tall as lengths.` : "";
     }
@@ -212,7 +216,7 @@
     function show() {
       k = Number(slider.value) - 1;
       const value = w.values[k];
-      now.textContent = `${k + 1} of ${epochs}: ` + (value === null || value === undefined ? "rejected" : `${w.symbol} ${number(value)}`) + (k === w.best ? ", the best" : "");
+      now.textContent = `${k + 1} of ${epochs}: ` + (is_named ? w.names[k] : value === null || value === undefined ? "rejected" : `${w.symbol} ${number(value)}`) + (k === w.best && !is_named ? ", the best" : "");
       slider.setAttribute("aria-valuetext", now.textContent);
       state.draw();
       for (const { spec, state: other } of charts) if (spec.by_epoch) { other.at = k + 1; other.draw(); }

@@ -80,8 +80,19 @@ pub struct Frame {
 impl Fields {
     /// Which of `count` frames of `particles` each a page shows, if it has as many panels: the first and the last among them.
     pub fn chosen(count: usize, particles: usize, panels: usize, quantities: usize) -> Vec<usize> {
+        Self::chosen_within(MOST_BYTES, count, particles, panels, quantities)
+    }
+
+    /// The same of a page that has so many bytes of them, before they are made text.
+    pub fn chosen_within(
+        most_bytes: usize,
+        count: usize,
+        particles: usize,
+        panels: usize,
+        quantities: usize,
+    ) -> Vec<usize> {
         let bytes = particles.clamp(1, MOST_PARTICLES) * (4 + quantities) * panels.max(1);
-        let most = (MOST_BYTES / bytes).clamp(2, MOST_FRAMES).min(count);
+        let most = (most_bytes / bytes).clamp(2, MOST_FRAMES).min(count);
         match most {
             0 => vec![],
             1 => vec![count - 1],
@@ -187,6 +198,7 @@ mod tests {
         let few = Fields::chosen(41, 40_000, 2, 3);
         assert!(few.len() == 4 && few[0] == 0 && few[3] == 40, "{few:?}");
         assert!(Fields::chosen(41, 10_000_000, 2, 3).len() >= 2);
+        assert_eq!(Fields::chosen_within(500_000, 41, 40_000, 1, 2), [0, 40]);
     }
 
     #[test]

@@ -13,7 +13,8 @@ def main() -> None:
     # Python's own handler would wait for the command to return.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.stdout.flush()
-    sys.exit(_native.command_line(sys.argv[1:]))
+    # `study` and `bench` start it again for each of their trainings and rows.
+    sys.exit(_native.command_line([sys.executable, "-m", "hydrograd"], sys.argv[1:]))
 
 
 if __name__ == "__main__":

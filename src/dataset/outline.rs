@@ -1,0 +1,54 @@
+//! What the files of a data set say of their trajectories, without the frames: counts and walls.
+
+use super::metadata::Metadata;
+use super::trajectory::{names, nodes, shape, Split};
+use crate::io::hdf5_file::{failed, open, read_text};
+use crate::io::FileError;
+use std::path::Path;
+
+/// A trajectory without its frames.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Outline {
+    /// The group's name.
+    pub name: String,
+    /// T.
+    pub frames: usize,
+    /// N.
+    pub particles: usize,
+    /// `[M]` each: the nodes of the wall's shape and its height there; empty where no wall is shaped.
+    pub wall_x: Vec<f64>,
+    pub wall_offset: Vec<f64>,
+    /// What the wall is called; empty where nothing says so.
+    pub wall: String,
+}
+
+impl Outline {
+    /// Of all trajectories of a split, in the order of their names.
+    ///
+    /// # Errors
+    /// As for [`super::read_split`].
+    pub fn of_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Vec<Self>, FileError> {
+        let path = &split.path(folder);
+        let file = open(path, "data set")?;
+        let of = |name: String| {
+            let group = file.group(&name).map_err(failed(path, "open")(&name))?;
+            let present = group.member_names().map_err(failed(path, "read")(&name))?;
+            let [frames, particles, _] = shape(path, &group, metadata.dim, &name)?;
+            Ok(Self {
+                frames,
+                particles,
+                wall_x: nodes(path, &group, &present, "wall_x")?,
+                wall_offset: nodes(path, &group, &present, "wall_offset")?,
+                // Only data of ours say so.
+                wall: read_text(path, &group, "wall").unwrap_or_default(),
+                name,
+            })
+        };
+        names(path, &file)?.into_iter().map(of).collect()
+    }
+
+    /// What the wall is called, without how large it is.
+    pub fn kind_of_wall(&self) -> &str {
+        self.wall.split(", amplitude").next().unwrap_or_default()
+    }
+}
