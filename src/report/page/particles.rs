@@ -52,8 +52,9 @@ pub struct Fields {
     pub x: (f64, f64),
     pub y: (f64, f64),
     pub diameter: f64,
-    /// Whether there are particles of walls, and such with a temperature of their own.
+    /// Whether there are particles of walls.
     pub has_walls: bool,
+    /// Whether the temperature of some of them is set.
     pub has_hot: bool,
     /// What the reader should know of the picture.
     pub note: String,
