@@ -119,6 +119,16 @@ fn optimize_shows_what_its_files_say() {
     assert!(!text.contains("Checked again"));
     succeeds(at, &["verify", "run", "--threads", "1"]);
     assert!(page(&at.join("run/report.html")).contains("Checked again"));
+    // Into a folder of its own: a page with the result, the wall and what it is measured against.
+    succeeds(at, &["verify", "run", "--threads", "1", "--out", "checks"]);
+    let (text, found) = (page(&at.join("checks/report.html")), json(&at.join("checks/verification.json")));
+    has_number(&text, &found["gain_survives"]);
+    let survives = format!("{:+.2}\u{a0}%", 100.0 * found["gain_survives"].as_f64().unwrap());
+    let (_, lead) = text.split_once("<h1>").unwrap();
+    let lead = lead.split("</h1>").next().unwrap();
+    assert!(lead.contains("gain of run over the first design") && lead.contains("surviv"), "{lead}");
+    assert!(lead.contains(&survives), "{lead}");
+    assert!(text.contains(">Q reference<") && !text.contains(">error<"), "{text}");
 }
 
 /// A small data set of the heated channel.
@@ -357,6 +367,51 @@ fn runs_are_compared() {
 }
 
 #[test]
+fn runs_of_different_problems_are_not_ranked() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    succeeds(at, &with(&["simulate", "--out", "heated"], &["--set", "output.frames=0"]));
+    let other =
+        ["simulate", "isothermal-channel", "--out", "other", "--set", "time.end=0.02", "--set", "output.frames=0"];
+    succeeds(at, &other);
+    let text = succeeds(at, &["compare", "heated", "other", "--out", "page.html"]);
+    assert!(text.contains("not to be ranked"), "{text}");
+    let text = page(&at.join("page.html"));
+    assert!(text.contains("Not the same in all of them: scene.") && !text.contains(" marked\""), "{text}");
+}
+
+/// A folder as `evaluate` leaves it.
+fn evaluated(at: &Path, name: &str, model: &str, data: &str, mse: f64) {
+    std::fs::create_dir(at.join(name)).unwrap();
+    std::fs::write(at.join(name).join(".hydrograd"), "evaluate\nfinished\n").unwrap();
+    let score =
+        |model: &str, mse: f64| serde_json::json!({ "model": model, "windows": 2, "mse_1": mse / 9.0, "mse": mse });
+    let scores = serde_json::json!({
+        "model": format!("{model}.safetensors"), "data": data, "split": "valid",
+        "scores": [score(model, mse), score("linear", 0.5)],
+    });
+    std::fs::write(at.join(name).join("evaluation.json"), scores.to_string()).unwrap();
+}
+
+#[test]
+fn models_are_compared_whatever_their_files_are_called() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    evaluated(at, "a", "best", "d/one", 2e-4);
+    evaluated(at, "b", "model", "d/one", 1e-4);
+    evaluated(at, "c", "model", "d/two", 1e-5);
+    let text = succeeds(at, &["compare", "a", "b", "--out", "same.html"]);
+    assert!(text.contains("that of b has the least position error: MSE 1.00e-4"), "{text}");
+    let text = page(&at.join("same.html"));
+    let (_, row) = text.split_once("model: position MSE over all steps").unwrap();
+    let row = row.split("</tr>").next().unwrap();
+    assert!(row.contains("value=\"0.0002\"") && row.contains("value=\"0.0001\""), "{row}");
+    assert!(text.contains("linear: position MSE over 1 step") && !text.contains("config.toml"));
+    let text = succeeds(at, &["compare", "a", "c", "--out", "other.html"]);
+    assert!(text.contains("not to be ranked"), "{text}");
+}
+
+#[test]
 fn starts_have_a_page_together_and_each() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
@@ -364,6 +419,15 @@ fn starts_have_a_page_together_and_each() {
     let text = page(&at.join("all/report.html"));
     let data = drawn(&text);
     assert_eq!(data["charts"][0]["series"].as_array().unwrap().len(), 4);
+    // All are measured against the flat wall; only the largest Q is marked.
+    let summary = json(&at.join("all/summary.json"));
+    let starts = ["flat", "linear", "random", "sine"].map(|name| summary[name]["q"].as_f64().unwrap());
+    let best = starts.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let gain = best / summary["flat"]["q_first"].as_f64().unwrap() - 1.0;
+    assert!(text.contains(&format!("{:+.2}\u{a0}% over the flat wall", 100.0 * gain)), "{gain}");
+    has_number(&text, &gain.into());
+    assert_eq!(text.matches(" marked\"").count(), 1);
+    assert!(!text.contains("not checked"));
     for name in ["flat", "linear", "random", "sine"] {
         assert!(text.contains(&format!("href=\"{name}/report.html\"")));
         page(&at.join("all").join(name).join("report.html"));

@@ -1,7 +1,7 @@
 //! The files of a run.
 
 use super::machine;
-use crate::config::scene::Config;
+use crate::config::scene::{Config, Family};
 use crate::design::diagnostics::Diagnostics;
 use crate::design::shape::Shape;
 use crate::design::Parametrisation;
@@ -77,10 +77,17 @@ pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds:
     }) else {
         unreachable!("a JSON object")
     };
+    map.extend(scene_file(loaded));
     if loaded.config.dimension() == 2 {
         map.insert("q_sum".into(), json!(found.q / loaded.config.resolution.dx));
     }
     map
+}
+
+/// The file of a scene of one's own, for `summary.json`; none of a run that goes on, which has its own.
+pub fn scene_file(loaded: &Loaded) -> Option<(String, Value)> {
+    let name = Some(loaded.source.name()).filter(|name| loaded.config.scene == Family::Custom && name != "config");
+    Some(("scene_file".into(), json!(name?)))
 }
 
 /// `summary.json`.

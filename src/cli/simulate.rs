@@ -230,8 +230,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let divided = solver.divided;
     if let Some(last) = recovered.last() {
         println!(
-            "recovered {} times; from step {} on every step was made in {} parts",
-            recovered.len(),
+            "recovered {}; from step {} on every step was made in {} parts",
+            if recovered.len() == 1 { "once".into() } else { format!("{} times", recovered.len()) },
             last.from_step,
             last.parts
         );

@@ -241,7 +241,7 @@ fn plot_profile<R: Sweeps>(
 
 fn summary<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> Map<String, Value> {
     let Finished { loaded, scene, .. } = finished;
-    let Value::Object(map) = json!({
+    let Value::Object(mut map) = json!({
         "scene": loaded.config.scene,
         "particles": scene.model.particles(),
         "steps": scene.steps,
@@ -266,5 +266,6 @@ fn summary<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> Map<String
     }) else {
         unreachable!("a JSON object")
     };
+    map.extend(files::scene_file(loaded));
     map
 }

@@ -142,6 +142,7 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let verified = verify(&verification, "verify")?;
     let mut map = data(&verified);
     map.insert("version".into(), json!(VERSION));
+    map.insert("wall".into(), json!(arguments.path.display().to_string()));
     let file = folder.join("verification.json");
     write_json(&file, &Value::Object(map))?;
     match earlier {

@@ -1,7 +1,8 @@
 //! `hydrograd compare`: several runs of a kind in one page; and the page of a folder whose run has several parts.
 
-use super::designs::{loaded, verification, Search, FIGURES};
-use super::folder::{figure, percent, size, Folder};
+use super::designs::{is_steady, loaded, verification, Search, FIGURES};
+use super::folder::{figure, percent, Folder};
+use super::names::{label, sized};
 use super::tables;
 use crate::cli::guard::warn;
 use crate::cli::machine;
@@ -42,7 +43,7 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     check_out(out)?;
     let base = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(base).map_err(|source| crate::io::FileError::write(base, source))?;
-    let mut page = beside(&runs, base)?;
+    let mut page = beside(&runs, base, None)?;
     page.title = format!("{} runs of {}", runs.len(), runs[0].folder.kind);
     page.subtitle = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", ");
     page.warnings = runs.iter().flat_map(|run| run.folder.damage()).collect();
@@ -173,11 +174,13 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     let runs: Vec<Compared> =
         folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
-    let mut page = beside(&runs, &folder.path)?;
     let summary = folder.json("summary.json").unwrap_or_default();
+    let mut page = beside(&runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
-        let symbol = Figure::of_config(&loaded(&run.folder)?.config).symbol;
-        page.tables.extend(verification("Does the gain of the best hold?", symbol, &summary));
+        let loaded = loaded(&run.folder)?;
+        let symbol = Figure::of_config(&loaded.config).symbol;
+        let title = "Does the gain of the best hold?";
+        page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded)?));
     }
     let rows: Vec<Value> = summary
         .iter()
@@ -193,8 +196,45 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     Ok(page)
 }
 
-/// Runs of one kind beside each other. Links lead from the folder `base`.
-fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
+/// What a run was about: figures of runs of different problems are not to be ranked.
+fn problem(folder: &Folder) -> Vec<(String, String)> {
+    let read = |file: &str| std::fs::read_to_string(folder.path.join(file)).unwrap_or_default();
+    let mut found = Vec::new();
+    flatten("", &read("config.toml").parse::<toml::Table>().unwrap_or_default(), &mut found);
+    let keys = ["scene", "objective.kind", "region.size", "region.periodic"];
+    found.retain(|(key, _)| keys.contains(&key.as_str()));
+    if let Ok(scores) = serde_json::from_str::<Value>(&read("evaluation.json")) {
+        found.extend(["data", "split"].map(|key| (key.to_string(), scores[key].to_string())));
+        found.push(("steps of a rollout".into(), scores["scores"][0]["steps"].to_string()));
+    }
+    found
+}
+
+/// The keys of [`problem`] that are not the same in all runs, without what is in them.
+fn unlike(runs: &[Compared]) -> Vec<String> {
+    let problems: Vec<_> = runs.iter().map(|run| problem(&run.folder)).collect();
+    let Some((first, others)) = problems.split_first() else { return vec![] };
+    let differs = |(key, value): &(String, String)| {
+        let same = |other: &Vec<(String, String)>| other.iter().any(|(k, v)| k == key && v == value);
+        (!others.iter().all(same)).then(|| key.clone())
+    };
+    let mut found: Vec<String> = first.iter().filter_map(differs).collect();
+    // What only the others have.
+    let more = others.iter().flatten().filter(|(key, _)| !first.iter().any(|(k, _)| k == key));
+    found.extend(more.map(|(key, _)| key.clone()));
+    found.sort();
+    found.dedup();
+    // Different scenes differ in whatever else.
+    match found.iter().any(|key| key == "scene") {
+        true => vec!["scene".into()],
+        false => found,
+    }
+}
+
+/// Runs of one kind beside each other; `together` are the figures that they have together, if they are parts of one run.
+/// Links lead from the folder `base`.
+fn beside(runs: &[Compared], base: &Path, together: Option<&Map<String, Value>>) -> anyhow::Result<Page> {
+    let unlike = unlike(runs);
     let mut page = Page { body: Body::Compare, ..Page::default() };
     let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
     let summaries: Vec<Map<String, Value>> =
@@ -206,7 +246,19 @@ fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
             _ => None,
         });
     }
-    page.lead = lead(runs, &searches, &summaries);
+    // Of parts one alone was checked, and against the flat wall.
+    let verified = together.and_then(|all| Some((all.get("verified_start")?.as_str()?, all.get("gain_survives")?)));
+    if let Some((name, gain)) = verified {
+        for (_, search) in runs.iter().zip(&mut searches).filter(|(run, _)| run.name == name) {
+            search.iter_mut().for_each(|search| search.survives = gain.as_f64());
+        }
+    }
+    let flat = together.and_then(|_| runs.iter().position(|run| run.name == "flat"));
+    let flat = flat.and_then(|k| searches[k].as_ref().map(|search| search.first));
+    page.lead = lead(runs, &searches, &summaries, &unlike, flat);
+    if !unlike.is_empty() {
+        page.remark = format!("Not the same in all of them: {}. So none is the best.", unlike.join(", "));
+    }
     let mut table = Table::new("Figures side by side", header());
     let page_of = |run: &Compared| page_link(&run.folder, base);
     let pages = runs.iter().map(|run| match page_of(run) {
@@ -216,7 +268,7 @@ fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
     table.rows.push(std::iter::once(Cell::text("the run's own page")).chain(pages).collect());
     if searches.iter().all(Option::is_some) {
         let searches: Vec<&Search> = searches.iter().flatten().collect();
-        add_searches(&mut table, &searches);
+        add_searches(&mut table, &searches, unlike.is_empty(), flat);
         page.charts.push(over_epochs(runs, &searches));
         page.charts.extend(best_walls(runs));
     } else {
@@ -225,7 +277,7 @@ fn beside(runs: &[Compared], base: &Path) -> anyhow::Result<Page> {
     let mut rest = Table::new("All other figures", header());
     add_figures([&mut table, &mut rest], runs, &summaries);
     page.tables.push(table);
-    page.tables.push(differences(runs, header().collect()));
+    page.tables.extend(differences(runs, header().collect()));
     page.more.extend((!rest.rows.is_empty()).then_some(rest));
     Ok(page)
 }
@@ -242,7 +294,18 @@ fn page_link(folder: &Folder, base: &Path) -> Option<String> {
     Some(link(&up.chain(down).collect::<Vec<_>>().join("/")))
 }
 
-fn lead(runs: &[Compared], searches: &[Option<Search>], summaries: &[Map<String, Value>]) -> String {
+fn lead(
+    runs: &[Compared],
+    searches: &[Option<Search>],
+    summaries: &[Map<String, Value>],
+    unlike: &[String],
+    flat: Option<f64>,
+) -> String {
+    let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
+    let plain = format!("{} runs of hydrograd {kind} side by side", runs.len());
+    if !unlike.is_empty() {
+        return format!("{plain}: of different problems, not to be ranked.");
+    }
     let best_of = |values: Vec<Option<f64>>| {
         let found = values.into_iter().enumerate().filter_map(|(k, value)| Some((k, value?)));
         found.max_by(|a, b| a.1.total_cmp(&b.1))
@@ -250,12 +313,17 @@ fn lead(runs: &[Compared], searches: &[Option<Search>], summaries: &[Map<String,
     if let Some((k, _)) = best_of(searches.iter().map(|search| search.as_ref().map(|search| search.best)).collect()) {
         if let Some(search) = &searches[k] {
             let symbol = search.figure.symbol;
-            let gain = 100.0 * search.gain();
+            // Each began with another wall: what all are measured against is the flat one, where it is among them.
+            let (gain, over) = match flat {
+                Some(flat) => (search.best / flat - 1.0, "the flat wall"),
+                None => (search.gain(), "its own start"),
+            };
             return format!(
-                "Best of {} searches: {}, with {symbol} = {} ({gain:+.2}\u{a0}%).",
+                "Best of {} searches: {}, with {symbol} = {} ({:+.2}\u{a0}% over {over}).",
                 runs.len(),
                 runs[k].name,
-                figure(search.best)
+                figure(search.best),
+                100.0 * gain
             );
         }
     }
@@ -263,15 +331,28 @@ fn lead(runs: &[Compared], searches: &[Option<Search>], summaries: &[Map<String,
     if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
         return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
     }
-    let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
-    format!("{} runs of hydrograd {kind} side by side.", runs.len())
+    let errors: Option<Vec<f64>> = runs.iter().map(|run| position_error(&run.folder)).collect();
+    if let Some((k, mse)) = errors.and_then(|all| all.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))) {
+        return format!(
+            "Of {} models that of {} has the least position error: MSE {mse:.2e}.",
+            runs.len(),
+            runs[k].name
+        );
+    }
+    format!("{plain}.")
 }
 
-/// Rows of what searches found, the best of each marked.
-fn add_searches(table: &mut Table, searches: &[&Search]) {
+/// That of the model that was evaluated, which is the first of those with a score.
+fn position_error(folder: &Folder) -> Option<f64> {
+    let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
+    serde_json::from_str::<Value>(&text).ok()?.get("scores")?.get(0)?.get("mse")?.as_f64()
+}
+
+/// Rows of what searches found, the best marked where they are searches of one thing.
+fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: Option<f64>) {
     let Some(symbol) = searches.first().map(|search| search.figure.symbol) else { return };
     let mut row = |name: String, cells: Vec<(Cell, Option<f64>)>, has_best: bool| {
-        let best = cells.iter().filter_map(|(_, value)| *value).reduce(f64::max).filter(|_| has_best);
+        let best = cells.iter().filter_map(|(_, value)| *value).reduce(f64::max).filter(|_| has_best && is_ranked);
         let marked = cells.into_iter().map(|(cell, value)| cell.marked(value.is_some() && value == best));
         table.rows.push(std::iter::once(Cell::text(name)).chain(marked).collect());
     };
@@ -280,9 +361,16 @@ fn add_searches(table: &mut Table, searches: &[&Search]) {
     };
     row(format!("{symbol} of the first design"), numbers(|search| search.first), false);
     row(format!("{symbol} of the best"), numbers(|search| search.best), true);
-    row("gain".into(), searches.iter().map(|search| (percent(search.gain()), Some(search.gain()))).collect(), true);
-    let survives = |search: &&Search| (search.survives.map_or(Cell::text("not checked"), percent), search.survives);
-    row("gain that survives the checks".into(), searches.iter().map(survives).collect(), true);
+    let gains = |of: &dyn Fn(&Search) -> f64| searches.iter().map(|search| (percent(of(search)), None)).collect();
+    if let Some(flat) = flat {
+        row("gain over the flat wall".into(), gains(&|search| search.best / flat - 1.0), false);
+    }
+    // Who began badly gained most: no reason to be marked.
+    row("gain over its own first design".into(), gains(&Search::gain), false);
+    if searches.iter().any(|search| search.survives.is_some()) {
+        let survives = |search: &&Search| (search.survives.map_or(Cell::text("not checked"), percent), None);
+        row("gain that survives the checks".into(), searches.iter().map(survives).collect(), false);
+    }
     let count = |value: usize| (Cell::number(value as f64), None);
     row("epochs".into(), searches.iter().map(|search| count(search.values.len())).collect(), false);
     row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch.saturating_add(1))).collect(), false);
@@ -313,10 +401,12 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
                 if let Some(map) = run.folder.json(file) {
                     found.extend(tables::scalars(&map));
                     let models = map.get("scores").and_then(Value::as_array).into_iter().flatten();
-                    for model in models.filter_map(Value::as_object) {
-                        let name = model.get("model").and_then(Value::as_str).unwrap_or("model");
-                        let of = |(key, cell)| (format!("{name}: {key}"), cell);
-                        found.extend(tables::scalars(model).into_iter().map(of));
+                    for (k, model) in models.filter_map(Value::as_object).enumerate() {
+                        // The first is the one that was evaluated, whatever its file is called; the others are its baselines.
+                        let own = model.get("model").and_then(Value::as_str).filter(|_| k > 0);
+                        let name = own.unwrap_or("model");
+                        let scores = tables::scalars(model).into_iter().filter(|(key, _)| key != "model");
+                        found.extend(scores.map(|(key, cell)| (format!("{name}: {key}"), cell)));
                     }
                 }
             }
@@ -333,7 +423,9 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
     let others = all.iter().flatten().map(|(name, _)| name.clone());
     // The figures before are in the files; of all runs the first design's are rarely asked for.
     for name in known.chain(others).filter(|name| !name.starts_with("before.")) {
-        if !names.contains(&name) && all.iter().any(|found| found.iter().any(|(other, _)| *other == name)) {
+        // What no run knows is no figure.
+        let is_known = |(other, cell): &(String, Cell)| *other == name && cell.text != "-";
+        if !names.contains(&name) && all.iter().flatten().any(is_known) {
             names.push(name);
         }
     }
@@ -341,17 +433,9 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
     for name in names.into_iter().filter(|name| !(is_search && SAID.contains(&name.as_str()))) {
         let of = |found: &Vec<(String, Cell)>| {
             let cell = found.iter().find(|(other, _)| *other == name).map(|(_, cell)| cell.clone());
-            match (cell, name.as_str()) {
-                (Some(Cell { value: Some(value), .. }), "peak_memory_bytes") => {
-                    Cell { text: size(value.parse().unwrap_or(0)), value: Some(value), ..Cell::default() }
-                }
-                (cell, _) => cell.unwrap_or_else(|| Cell::text("-")),
-            }
+            cell.map_or_else(|| Cell::text("-"), |cell| sized(&name, cell))
         };
-        let label = FIGURES
-            .iter()
-            .find(|(key, _)| *key == name)
-            .map_or_else(|| name.replace('_', " "), |(_, label)| label.to_string());
+        let label = label(&name);
         let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
         let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
         match is_first || summaries.iter().all(Map::is_empty) {
@@ -361,8 +445,11 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
     }
 }
 
-/// Keys of `config.toml` whose values are not the same in all runs.
-fn differences(runs: &[Compared], header: Vec<String>) -> Table {
+/// Keys of `config.toml` whose values are not the same in all runs; none of commands that have no such file.
+fn differences(runs: &[Compared], header: Vec<String>) -> Option<Table> {
+    if !runs.iter().any(|run| run.folder.has("config.toml")) {
+        return None;
+    }
     let mut table = Table::new("What differs in their configurations", header);
     let flat = |run: &Compared| {
         let text = std::fs::read_to_string(run.folder.path.join("config.toml")).unwrap_or_default();
@@ -386,7 +473,7 @@ fn differences(runs: &[Compared], header: Vec<String>) -> Table {
         table.header.clear();
         table.note = "Nothing: their files config.toml say the same.".into();
     }
-    table
+    Some(table)
 }
 
 /// Long lists are in the files.

@@ -1,11 +1,12 @@
 //! Pages of `optimize` and `simulate`.
 
 use super::folder::{figure, percent, warnings, Folder};
+use super::names::{counted, rounded};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::cli::files::read_config;
 use crate::cli::optimize::{AFTER, BEFORE, CHECKPOINT};
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, Family, GradientMode};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
@@ -146,9 +147,10 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
     }
     page.tables.insert(0, before_and_after(&search, &summary));
-    page.tables.extend(verification("Does the gain hold?", symbol, &summary));
+    let is_steady = is_steady(&loaded)?;
+    page.tables.extend(verification("Does the gain hold?", symbol, &summary, is_steady));
     if let Some(later) = folder.json("verification.json") {
-        page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later));
+        page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
     }
     page.more.push(tables::of_scalars("All figures (summary.json)", &summary));
     Ok(page)
@@ -160,9 +162,10 @@ fn remark(search: &Search, summary: &Map<String, Value>) -> String {
     match search.survives {
         Some(gain) if gain > 0.0 => {
             format!(
-                "{:+.2}\u{a0}% survives, the least of {checks} checks at another spacing, with other particles and \
+                "{:+.2}\u{a0}% survives, the least of {} at another spacing, with other particles and \
                  over a longer time.",
-                100.0 * gain
+                100.0 * gain,
+                counted(checks, "check")
             )
         }
         Some(_) => "But no gain survives the checks: the wall is not better, whatever the optimiser found.".into(),
@@ -255,7 +258,9 @@ fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
     let mut table = Table::new("Before and after", ["", "before", "after", "change"]);
     let mut row = |name: String, b: f64, a: f64, has_change: bool| {
         let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
-        table.rows.push(vec![Cell::text(name), Cell::number(b), Cell::number(a), change]);
+        // Small residuals are no figures to be read to the sixth digit.
+        let cell = |x: f64| if x.abs() < 1e-3 { rounded(Cell::number(x), 4) } else { Cell::number(x) };
+        table.rows.push(vec![Cell::text(name), cell(b), cell(a), change]);
     };
     let Figure { symbol, quantity, .. } = search.figure;
     row(format!("{symbol}, {quantity}"), search.first, search.best, true);
@@ -276,8 +281,16 @@ fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
     table
 }
 
+/// Whether the search judged walls by the steady state of their flow, see [`Loaded::for_search`].
+///
+/// # Errors
+/// A configuration that does not fit.
+pub fn is_steady(loaded: &Loaded) -> anyhow::Result<bool> {
+    Ok(loaded.for_search()?.config.optimise.gradient == GradientMode::Steady)
+}
+
 /// The checks of a gain; none if there were none.
-pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>) -> Option<Table> {
+pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>, is_steady: bool) -> Option<Table> {
     let checks = summary.get("verification")?.as_array()?;
     let header = ["check".into(), format!("{symbol} reference"), format!("{symbol} best"), "gain".into()];
     let mut table = Table::new(title, header);
@@ -302,6 +315,12 @@ pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>) -> 
     table.note = format!(
         "Both walls again, each time with one thing changed. Gain that survives: {least}. Reference: {reference}."
     );
+    if is_steady {
+        table.note.push_str(&format!(
+            " The search judged walls by {symbol} of their steady flow; a check takes the mean of {symbol} over the end of a run, \
+             which is not yet quite steady: so \u{201c}as optimised\u{201d} may differ a little from the headline."
+        ));
+    }
     Some(table)
 }
 
@@ -324,7 +343,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     let config = &loaded.config;
     let summary = folder.json("summary.json").unwrap_or_default();
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
-    (page.lead, page.remark) = said(config, &summary);
+    (page.lead, page.remark) = said(config, &folder.scene(), &summary);
     for (key, name) in [
         ("q", "outflowing heat Q"),
         ("flow_rate", "flow rate"),
@@ -373,7 +392,7 @@ fn wall(folder: &Folder) -> Option<Chart> {
 }
 
 /// The result of a run in one sentence, and what it means.
-fn said(config: &Config, summary: &Map<String, Value>) -> (String, String) {
+fn said(config: &Config, scene: &str, summary: &Map<String, Value>) -> (String, String) {
     let number = |key: &str| summary.get(key).and_then(Value::as_f64);
     if let Some(q) = number("q") {
         let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
@@ -391,7 +410,7 @@ fn said(config: &Config, summary: &Map<String, Value>) -> (String, String) {
         return (lead, remark);
     }
     let time = number("time").unwrap_or_default();
-    let name = config.scene.name();
+    let name = if scene.is_empty() { config.scene.name() } else { scene };
     let lead = match (number("velocity_error"), number("temperature_error"), number("kinetic_energy")) {
         (Some(error), _, _) => format!(
             "{name}: the velocity is {} off the exact answer at t = {}, in root mean square.",

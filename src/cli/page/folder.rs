@@ -68,13 +68,21 @@ impl Folder {
 
     /// The command, and what it was about.
     pub fn subtitle(&self) -> String {
-        let summary = self.json("summary.json").unwrap_or_default();
-        let scene = summary.get("scene").and_then(Value::as_str).map(str::to_string);
-        let scene = scene.or_else(|| {
-            let text = std::fs::read_to_string(self.path.join("config.toml")).ok()?;
-            text.parse::<toml::Table>().ok()?.get("scene")?.as_str().map(str::to_string)
-        });
-        format!("hydrograd {}{}", self.kind, scene.map_or(String::new(), |scene| format!(", {scene}")))
+        let scene = self.scene();
+        format!("hydrograd {}{}{scene}", self.kind, if scene.is_empty() { "" } else { ", " })
+    }
+
+    /// The scene of the run; one of one's own is called as the file that it came from, as far as that is known. Nothing if a
+    /// run has none.
+    pub fn scene(&self) -> String {
+        let read = |file: &str| std::fs::read_to_string(self.path.join(file)).ok();
+        let text = || {
+            let summary = read("summary.json")?.parse::<Value>().ok()?;
+            let name = summary.get("scene_file").or_else(|| summary.get("scene"))?;
+            name.as_str().map(str::to_string)
+        };
+        let config = || read("config.toml")?.parse::<toml::Table>().ok()?.get("scene")?.as_str().map(str::to_string);
+        text().or_else(config).unwrap_or_default()
     }
 
     /// An object of JSON; none if there is no such file.
@@ -175,7 +183,7 @@ impl Folder {
             let name = format!("{name}/{}", inside.unwrap_or_default());
             let what = match inside {
                 Some(PAGE) => "a run of its own",
-                Some(_) => "frames for ParaView: position, velocity, temperature, density, pressure, tag",
+                Some(_) => "frames for ParaView",
                 None => "",
             };
             File { link: link(&name), name, size: String::new(), what: what.into() }
@@ -232,7 +240,7 @@ pub fn percent(share: f64) -> Cell {
 fn what(name: &str) -> &'static str {
     match name {
         "config.toml" => "the resolved configuration",
-        "best.toml" => "the same with the best design, for simulate",
+        "best.toml" => "the configuration with the best design, for simulate",
         "summary.json" => "every figure of the run",
         "history.csv" => "figures by epoch, over time, or by step",
         "shape.csv" => "the walls: can be given back as design.file",
@@ -250,6 +258,7 @@ fn what(name: &str) -> &'static str {
         "metadata.json" => "what the numbers mean, and their statistics",
         "generate.json" => "what the data set was begun with",
         "wall.vtp" => "the wall's surface, for ParaView",
+        _ if name.starts_with("events.out.tfevents") => "curves for TensorBoard",
         _ if name.ends_with(".png") || name.ends_with(".svg") => "picture",
         _ if name.ends_with(".json") => "figures",
         _ if name.ends_with(".csv") => "table",

@@ -6,6 +6,8 @@ pub mod compare;
 mod data_set;
 mod designs;
 mod folder;
+mod leads;
+mod names;
 mod others;
 mod series;
 mod tables;

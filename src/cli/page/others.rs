@@ -1,7 +1,9 @@
 //! Pages of all other commands: their tables, curves and pictures.
 
+use super::designs::verification;
 use super::folder::{warnings, Columns, Folder};
-use super::{series, tables};
+use super::names::{counted, label};
+use super::{leads, series, tables};
 use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
 use serde_json::{Map, Value};
 
@@ -17,18 +19,65 @@ const FIGURES: [(&str, &str); 8] = [
     ("accuracy.json", "Run time against error"),
 ];
 
+/// The columns that say most of the files with many, and those that stay in the file.
+const COLUMNS: [(&str, tables::Choice); 3] = [
+    (
+        "bench.json",
+        tables::Choice {
+            first: &[
+                "scene",
+                "mode",
+                "kind",
+                "ms_per_step",
+                "peak_memory_bytes",
+                "particles",
+                "threads",
+                "precision",
+                "steps",
+                "ns_per_pair",
+            ],
+            dropped: &[
+                "version",
+                "instruction_set",
+                "time_step",
+                "dimension",
+                "group",
+                "pairs",
+                "repeats",
+                "ms_per_step_median",
+                "ns_per_particle_step",
+                "predicted_memory_bytes",
+                "gflop_per_step",
+                "sgemm_gflops",
+            ],
+        },
+    ),
+    (
+        "validation.json",
+        tables::Choice {
+            first: &["case", "passed", "quantity", "error", "tolerance", "error_f32", "order", "dx"],
+            dropped: &["steps"],
+        },
+    ),
+    (
+        "accuracy.json",
+        tables::Choice { first: &["code", "scene", "dx", "precision", "seconds", "error"], dropped: &[] },
+    ),
+];
+
 /// Of any run.
 pub fn page(folder: &Folder) -> Page {
     let mut page = Page::default();
     for (file, title) in FIGURES {
         match folder.value(file) {
+            Some(Value::Object(map)) if file == "verification.json" => page.tables.extend(of_checks(title, &map)),
             Some(Value::Object(map)) => {
                 if file == "summary.json" {
                     page.warnings = warnings(&map);
                 }
-                add_tables(&mut page, title, &map);
+                add_tables(&mut page, title, file, &map);
             }
-            Some(Value::Array(rows)) => page.tables.extend(tables::of_objects(title, &rows)),
+            Some(Value::Array(rows)) => page.tables.extend(tables::of_chosen(title, file, &rows, columns_of(file))),
             _ => {}
         }
     }
@@ -41,7 +90,11 @@ pub fn page(folder: &Folder) -> Page {
         page.charts.extend(of_training(&validation));
     }
     if let Some((header, rows)) = folder.table("study.csv") {
-        page.tables.push(tables::of_text("Points of the grid", &header, &rows));
+        let settings = leads::settings(&header).iter().map(String::as_str);
+        let best = header.iter().map(String::as_str).filter(|name| name.starts_with("best_"));
+        let first: Vec<&str> = settings.chain(best).collect();
+        let choice = tables::Choice { first: &first, dropped: &[] };
+        page.tables.push(tables::of_text("Points of the grid", &header, &rows, choice));
     }
     let of = |name: &str| vec![folder.path.join(name).join(format!("{name}.pvd"))];
     let both = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
@@ -49,19 +102,35 @@ pub fn page(folder: &Folder) -> Page {
     let drawn = !page.charts.is_empty();
     page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
     (page.lead, page.remark) = said(folder, &page);
+    if folder.kind == "rollout" {
+        // Frames that are damaged are named among the warnings.
+        (page.lead, page.charts) = leads::rollout(folder).unwrap_or((page.lead, page.charts));
+    }
     page.facts = facts(folder);
     page
 }
 
+fn columns_of(file: &str) -> tables::Choice<'static> {
+    COLUMNS.iter().find(|(name, _)| *name == file).map_or_else(Default::default, |(_, choice)| *choice)
+}
+
+/// The checks of a wall, as on the page of its search.
+fn of_checks(title: &str, map: &Map<String, Value>) -> Option<Table> {
+    let first = map.get("verification")?.as_array()?.first()?.as_object()?;
+    let symbol = first.keys().find_map(|key| key.strip_suffix("_reference")).unwrap_or("q").to_uppercase();
+    verification(title, &symbol, map, false)
+}
+
 /// The single figures of an object, and each list of objects in it.
-fn add_tables(page: &mut Page, title: &str, map: &Map<String, Value>) {
+fn add_tables(page: &mut Page, title: &str, file: &str, map: &Map<String, Value>) {
     let single = tables::of_scalars(title, map);
     let mut lists = Vec::new();
     for (key, value) in map {
         let Some(all) = value.as_array().filter(|all| all.first().is_some_and(Value::is_object)) else { continue };
         let is_main = ["rows", "scores", "verification", "maps"].contains(&key.as_str());
         let name = if is_main { title.to_string() } else { super::folder::words(key) };
-        lists.extend(tables::of_objects(&name, all).map(|table| if key == "scores" { turned(table) } else { table }));
+        let rows = tables::of_chosen(&name, file, all, columns_of(file));
+        lists.extend(rows.map(|table| if key == "scores" { turned(table) } else { table }));
     }
     match lists.is_empty() {
         true => page.tables.push(single),
@@ -95,7 +164,7 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
     let Some((_, step)) = columns.first() else { return vec![] };
     let is_position = |name: &str| name.strip_prefix("mse_").is_some_and(|n| n.parse::<usize>().is_ok());
     let series = |(name, values): &(String, Vec<f64>)| {
-        Series::new(name.replace('_', " "), step.iter().copied().zip(values.iter().copied()))
+        Series::new(label(name), step.iter().copied().zip(values.iter().copied()))
     };
     let mut charts = Vec::new();
     let positions: Vec<Series> = columns.iter().filter(|(name, _)| is_position(name)).map(series).collect();
@@ -139,8 +208,10 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
         "evaluate" => {
             let scores = rows("evaluation.json", "scores");
             let mse = |k: usize| scores.get(k).and_then(|of| of.get("mse")).and_then(Value::as_f64);
-            let name =
-                |k: usize| scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("model");
+            let name = |k: usize| match k {
+                0 => "the model",
+                k => scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("the other"),
+            };
             let lead = match (mse(0), mse(1)) {
                 (Some(own), Some(other)) if own > 0.0 && own < other => format!(
                     "The position error of {} is {own:.2e} (MSE over all steps); that of {}, {other:.2e}, is {:.1} \
@@ -185,13 +256,13 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             let steps = steps.map_or(none.clone(), |steps| format!(" {steps} steps"));
             match best {
                 Some((name, best)) => {
-                    (format!("Trained{steps}; the least {name} on the validation split is {best:.2e}."), none)
+                    (format!("Trained{steps}; the least {} on the validation split is {best:.2e}.", label(name)), none)
                 }
                 None => (format!("Trained{steps}."), none),
             }
         }
         "bench" => (
-            format!("{} rows measured.", rows("bench.json", "").len()),
+            leads::bench(&rows("bench.json", "")),
             "Times are of the best repeat; a gradient's include its forward run.".into(),
         ),
         "check-gradient" => {
@@ -206,13 +277,22 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             );
             (lead, none)
         }
-        "study" => ("Trainings over a grid of settings, side by side.".into(), none),
+        "study" => match folder.table("study.csv") {
+            Some((header, rows)) => (leads::study(&header, &rows), none),
+            None => ("Trainings over a grid of settings, side by side.".into(), none),
+        },
         "rollout" => ("A learned model's rollout beside the truth.".into(), none),
-        "recover" => ("What a flow began with, found from where its particles are later.".into(), none),
-        "calibrate" => ("Viscosity and conductivity, found from a trajectory.".into(), none),
-        "verify" => ("A wall again, each time with one thing changed.".into(), none),
+        "recover" => leads::recover(&folder.json("summary.json").unwrap_or_default()),
+        "calibrate" => {
+            leads::calibrate(&folder.json("summary.json").unwrap_or_default(), &folder.columns("history.csv"))
+        }
+        "verify" => leads::verify(&folder.json("verification.json").unwrap_or_default()),
         kind => (
-            format!("What `hydrograd {kind}` left: {} tables, {} pictures.", page.tables.len(), page.pictures.len()),
+            format!(
+                "What `hydrograd {kind}` left: {}, {}.",
+                counted(page.tables.len(), "table"),
+                counted(page.pictures.len(), "picture")
+            ),
             none,
         ),
     }

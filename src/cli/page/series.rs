@@ -1,6 +1,6 @@
 //! Particles before and after, from the frames that a run wrote.
 
-use crate::io::vtk::{read_list, read_vtp};
+use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{Fields, RawFrame, RawPanel};
 use std::path::{Path, PathBuf};
@@ -51,6 +51,45 @@ pub fn lists(folder: &Path) -> Vec<PathBuf> {
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     let own = names.filter(|name| name == "particles" || name.starts_with("particles-from-"));
     own.map(|name| folder.join(name).join("particles.pvd")).collect()
+}
+
+/// How wide the places of particles are, by component.
+fn widths(frame: &ParticleFile) -> [f64; 3] {
+    std::array::from_fn(|d| {
+        let places = || frame.position.iter().map(|place| place[d]);
+        places().fold(f64::NEG_INFINITY, f64::max) - places().fold(f64::INFINITY, f64::min)
+    })
+}
+
+/// How long a periodic box is, which no file says: a particle that leaves it is elsewhere than its velocity has brought it. None
+/// where none left.
+pub fn period(frames: &[(f64, ParticleFile)]) -> [Option<f64>; 3] {
+    let mut found = [None; 3];
+    for pair in frames.windows(2) {
+        let [(before, old), (now, new)] = pair else { continue };
+        let (widths, time) = (widths(new), now - before);
+        for (i, (from, to)) in old.position.iter().zip(&new.position).enumerate() {
+            let Some(velocity) = new.velocity.get(i) else { continue };
+            for d in 0..3 {
+                let jump = (to[d] - from[d] - velocity[d] * time).abs();
+                if found[d].is_none() && jump > 0.5 * widths[d] && jump > 0.0 {
+                    found[d] = Some(jump);
+                }
+            }
+        }
+    }
+    found
+}
+
+/// The mean square of the difference between the places of some particles, by component as `hydrograd rollout` prints it.
+pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize], period: [Option<f64>; 3]) -> f64 {
+    let apart = |i: usize, d: usize| {
+        let apart = one.position[i][d] - other.position[i][d];
+        period[d].map_or(apart, |length| apart - length * (apart / length).round())
+    };
+    let components: Vec<usize> = (0..3).filter(|&d| widths(other)[d] > 0.0).collect();
+    let squares = kept.iter().flat_map(|&i| components.iter().map(move |&d| apart(i, d).powi(2)));
+    squares.sum::<f64>() / (kept.len() * components.len()).max(1) as f64
 }
 
 /// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.

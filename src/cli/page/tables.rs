@@ -1,6 +1,7 @@
 //! Tables of a page from JSON and from columns.
 
 use super::folder::{words, Columns};
+use super::names::{label, rounded, sized};
 use crate::report::page::{short, Cell, Chart, Series, Table};
 use serde_json::{Map, Value};
 
@@ -44,44 +45,92 @@ pub fn of_scalars(title: &str, map: &Map<String, Value>) -> Table {
     let mut table = Table::new(title, ["", ""]);
     // What is unknown is no figure.
     let known = scalars(map).into_iter().filter(|(_, cell)| cell.text != "-");
-    table.rows = known.map(|(name, cell)| vec![Cell::text(name), cell]).collect();
+    table.rows = known.map(|(name, cell)| vec![Cell::text(label(&name)), sized(&name, cell)]).collect();
     table
+}
+
+/// Which columns of a table come first, in this order, and which stay in the file.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Choice<'a> {
+    pub first: &'a [&'a str],
+    pub dropped: &'a [&'a str],
+}
+
+impl Choice<'_> {
+    fn of(&self, names: Vec<String>) -> Vec<String> {
+        let first = self.first.iter().map(|name| name.to_string()).filter(|name| names.contains(name));
+        let rest = names.iter().filter(|name| !self.first.contains(&name.as_str())).cloned();
+        first.chain(rest.filter(|name| !self.dropped.contains(&name.as_str()))).collect()
+    }
+
+    /// With fewer digits where there is something to choose: those are wide tables.
+    fn shown(&self, name: &str, cell: Cell) -> Cell {
+        match self.first.is_empty() {
+            true => sized(name, cell),
+            false => sized(name, rounded(cell, 4)),
+        }
+    }
+
+    fn note(&self, rows: usize, file: &str) -> String {
+        let mut notes = Vec::new();
+        if rows > MOST_ROWS {
+            notes.push(format!("The first {MOST_ROWS} of {rows} rows."));
+        }
+        if !self.dropped.is_empty() {
+            notes.push(format!("{file} has more of each row, and every digit."));
+        }
+        notes.join(" ")
+    }
 }
 
 /// Objects as rows, their single figures as columns; none if nothing of them is one.
 pub fn of_objects(title: &str, objects: &[Value]) -> Option<Table> {
+    of_chosen(title, "", objects, Choice::default())
+}
+
+/// The same, of some of the figures.
+pub fn of_chosen(title: &str, file: &str, objects: &[Value], choice: Choice) -> Option<Table> {
     let rows: Vec<Vec<(String, Cell)>> = objects.iter().filter_map(Value::as_object).map(scalars).collect();
-    let mut header: Vec<String> = Vec::new();
+    let mut names: Vec<String> = Vec::new();
     for (name, _) in rows.iter().flatten() {
-        if !header.contains(name) {
-            header.push(name.clone());
+        if !names.contains(name) {
+            names.push(name.clone());
         }
     }
-    if header.is_empty() {
+    // A column of nothing says nothing.
+    let is_known = |name: &String| rows.iter().flatten().any(|(other, cell)| other == name && cell.text != "-");
+    names.retain(is_known);
+    let names = choice.of(names);
+    if names.is_empty() {
         return None;
     }
-    let mut table = Table::new(title, header.iter().map(|name| name.replace('_', " ")));
+    let mut table = Table::new(title, names.iter().map(|name| label(name)));
     let of = |row: &Vec<(String, Cell)>, name: &String| {
-        row.iter().find(|(other, _)| other == name).map_or_else(|| Cell::text(""), |(_, cell)| cell.clone())
+        let found = row.iter().find(|(other, _)| other == name);
+        found.map_or_else(|| Cell::text(""), |(_, cell)| choice.shown(name, cell.clone()))
     };
-    table.rows = rows.iter().take(MOST_ROWS).map(|row| header.iter().map(|name| of(row, name)).collect()).collect();
-    if rows.len() > MOST_ROWS {
-        table.note = format!("The first {MOST_ROWS} of {} rows.", rows.len());
-    }
+    table.rows = rows.iter().take(MOST_ROWS).map(|row| names.iter().map(|name| of(row, name)).collect()).collect();
+    table.note = choice.note(rows.len(), file);
     Some(table)
 }
 
-/// A CSV file as it is.
-pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>]) -> Table {
-    let mut table = Table::new(title, header.iter().map(|name| name.replace('_', " ")));
-    let cell = |text: &String| match text.parse::<f64>() {
-        Ok(number) => Cell { text: short(number), value: Some(text.clone()), ..Cell::default() },
+/// A CSV file, its columns in the order of a choice.
+pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>], choice: Choice) -> Table {
+    let names = choice.of(header.to_vec());
+    let mut table = Table::new(title, names.iter().map(|name| label(name)));
+    let places: Vec<(&String, usize)> =
+        names.iter().filter_map(|name| Some((name, header.iter().position(|other| other == name)?))).collect();
+    let cell = |name: &str, text: &String| match text.parse::<f64>() {
+        // As it was written, where that is short: settings are given as 3e-5.
+        Ok(_) if text.len() <= 6 => {
+            Cell { value: Some(text.clone()), ..Cell::text(text.strip_suffix(".0").unwrap_or(text)) }
+        }
+        Ok(number) => choice.shown(name, Cell { text: short(number), value: Some(text.clone()), ..Cell::default() }),
         Err(_) => Cell::text(text),
     };
-    table.rows = rows.iter().take(MOST_ROWS).map(|row| row.iter().map(cell).collect()).collect();
-    if rows.len() > MOST_ROWS {
-        table.note = format!("The first {MOST_ROWS} of {} rows.", rows.len());
-    }
+    let of = |row: &Vec<String>| places.iter().filter_map(|(name, k)| Some(cell(name, row.get(*k)?))).collect();
+    table.rows = rows.iter().take(MOST_ROWS).map(of).collect();
+    table.note = choice.note(rows.len(), "");
     table
 }
 
@@ -98,7 +147,7 @@ pub fn charts(columns: &Columns, log: impl Fn(&str) -> bool) -> Vec<Chart> {
         let own = if exact.is_some() { "simulated" } else { "" };
         let mut series = vec![Series::new(own, points(values))];
         series.extend(exact.map(|(_, values)| Series::new("exact", points(values))));
-        let y = if name.len() == 1 { name.to_uppercase() } else { name.replace('_', " ") };
+        let y = if name.len() == 1 { name.to_uppercase() } else { label(name) };
         Chart { title: format!("{} by {x}", words(&y)), x: x.clone(), y, log: log(name), series, ..Chart::default() }
     };
     shown.map(chart).collect()

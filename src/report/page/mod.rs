@@ -133,9 +133,40 @@ pub struct Table {
     pub note: String,
     pub header: Vec<String>,
     pub rows: Vec<Vec<Cell>>,
+    /// What each column holds, found when the page is made.
+    pub columns: Vec<Column>,
+}
+
+/// What a column of a table holds, by which it is aligned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Column {
+    /// Numbers, to the right.
+    Numbers,
+    /// Words, to the left.
+    Text,
+    /// Words with lines to be broken.
+    Words,
 }
 
 impl Table {
+    /// What its columns hold: most of a column's cells say it, so that all of them are aligned alike.
+    fn found_columns(&self) -> Vec<Column> {
+        const LONG: usize = 28;
+        let of = |k: usize| {
+            let cells = || {
+                self.rows.iter().filter_map(|row| row.get(k)).filter(|cell| !["", "-"].contains(&cell.text.as_str()))
+            };
+            let texts = || cells().filter(|cell| cell.value.is_none());
+            match 2 * texts().count() > cells().count() {
+                true if texts().any(|cell| cell.text.chars().count() > LONG) => Column::Words,
+                true => Column::Text,
+                false => Column::Numbers,
+            }
+        };
+        (0..self.header.len()).map(of).collect()
+    }
+
     pub fn new<T: Into<String>>(title: &str, header: impl IntoIterator<Item = T>) -> Self {
         let header = header.into_iter().map(Into::into).collect();
         Self { title: title.into(), header, ..Self::default() }
@@ -202,6 +233,8 @@ pub struct Picture {
     pub title: String,
     /// Of the file beside the page.
     pub file: String,
+    /// Where it is, as an address relative to the page.
+    pub link: String,
     /// `data:` and the picture.
     pub source: String,
 }
@@ -210,7 +243,9 @@ impl Picture {
     /// From the text of an SVG file.
     pub fn svg(title: impl Into<String>, file: impl Into<String>, svg: &[u8]) -> Self {
         let encoded = base64::engine::general_purpose::STANDARD.encode(svg);
-        Self { title: title.into(), file: file.into(), source: format!("data:image/svg+xml;base64,{encoded}") }
+        let file = file.into();
+        let link = link(&file);
+        Self { title: title.into(), file, link, source: format!("data:image/svg+xml;base64,{encoded}") }
     }
 }
 
@@ -285,9 +320,16 @@ impl Page {
             Body::Compare => "compare.html",
         };
         let data = Data { walls: self.walls.as_ref(), charts: &self.charts, fields: self.fields.as_ref() };
+        let mut tables = [self.tables.clone(), self.more.clone()];
+        for table in tables.iter_mut().flatten() {
+            table.columns = table.found_columns();
+        }
+        let [tables, more] = tables;
         let (all, data) = (Value::from(Serde(self)), Value::from(Serde(data)));
+        let (tables, more) = (Value::from(Serde(tables)), Value::from(Serde(more)));
         let page = environment.get_template(body).map_err(failed)?;
-        page.render(context! { page => all, data => data, version => env!("CARGO_PKG_VERSION") }).map_err(failed)
+        page.render(context! { page => all, tables, more, data => data, version => env!("CARGO_PKG_VERSION") })
+            .map_err(failed)
     }
 
     /// Writes the page, atomically.
@@ -318,6 +360,17 @@ mod tests {
         ] {
             assert_eq!(short(value), expected);
         }
+    }
+
+    #[test]
+    fn columns_are_aligned_alike() {
+        let mut table = Table::new("", ["name", "figure", "kind", "what", "nothing"]);
+        for (figure, kind) in [(Cell::number(1.0), "a"), (Cell::number(2.0), "b"), (Cell::text("failed"), "")] {
+            let long = Cell::text("a text of more than one line, if it has to be");
+            table.rows.push(vec![Cell::text("row"), figure, Cell::text(kind), long, Cell::text("-")]);
+        }
+        let expected = [Column::Text, Column::Numbers, Column::Text, Column::Words, Column::Numbers];
+        assert_eq!(table.found_columns(), expected);
     }
 
     #[test]

@@ -22,13 +22,13 @@
 
   // ---- axes
 
-  function axis(values, log, count = 5) {
+  function axis(values, log, count = 5, least = 0) {
     let low = Infinity, high = -Infinity;
     for (const v of values) if (v !== null && Number.isFinite(v) && (!log || v > 0)) { low = Math.min(low, v); high = Math.max(high, v); }
     if (low > high) { low = log ? 0.1 : 0; high = 1; }
     if (log) {
       let a = Math.log10(low), b = Math.log10(high);
-      if (b - a < 0.1) { a -= 0.5; b += 0.5; }
+      if (b - a < 1e-9) { a -= 0.5; b += 0.5; }
       const margin = 0.04 * (b - a);
       a -= margin; b += margin;
       const every = Math.max(1, Math.ceil((b - a) / 6)), ticks = [];
@@ -41,9 +41,14 @@
           if (Math.log10(v) >= a && Math.log10(v) <= b) ticks.push([v, m + "e" + k]);
         }
       }
-      if (ticks.length < 2) { ticks.length = 0; for (const v of [low, Math.sqrt(low * high), high]) ticks.push([v, number(v, 2)]); }
+      if (ticks.length < 2) {
+        // Not even these: round numbers, as on a linear axis.
+        const other = linear(Math.pow(10, a), Math.pow(10, b), 0);
+        ticks.splice(0, ticks.length, ...other.ticks.filter((t) => t[0] > 0));
+      }
       return { low: a, high: b, ticks, part: (v) => (Math.log10(v) - a) / (b - a) };
     }
+    if (high - low < least) { const d = 0.5 * (least - (high - low)); low -= d; high += d; }
     if (high === low) { const d = Math.abs(low) * 0.05 || 0.5; low -= d; high += d; }
     return linear(low, high, 0.06, count);
   }
@@ -167,7 +172,8 @@
       // The top wall is above.
       for (let s = w.sides.length - 1; s >= 0; s--) {
         const side = w.sides[s], all = values[s], height = Math.round(Math.min(300, Math.max(200, 0.34 * width)));
-        const ys = axis(all.flat().concat([side.base]), false), f = frame(width, height, xs, ys, "x (scene units)", `${side.name}: y (scene units)`);
+        // A flat wall is not the whole picture: a twentieth of its length is shown of heights.
+        const ys = axis(all.flat().concat([side.base]), false, 5, 0.05 * (w.nodes[w.nodes.length - 1] - w.nodes[0])), f = frame(width, height, xs, ys, "x (scene units)", `${side.name}: y (scene units)`);
         stretch = ((f.bottom - f.top) / (ys.high - ys.low)) / ((f.right - f.left) / (xs.high - xs.low));
         const path = (offsets) => offsets.map((v, i) => `${i ? "L" : "M"}${f.x(w.nodes[i]).toFixed(1)} ${f.y(v).toFixed(1)}`).join("");
         const edge = side.sign > 0 ? f.bottom : f.top, first = f.x(w.nodes[0]), last = f.x(w.nodes[w.nodes.length - 1]);

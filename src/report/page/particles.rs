@@ -13,6 +13,9 @@ const MOST_FRAMES: usize = 21;
 /// Particles of a frame, at most: beyond these some are left out.
 const MOST_PARTICLES: usize = 40_000;
 
+/// Tags of walls whose temperature is set, as the page's script knows them.
+const HOT: [u8; 2] = [3, 5];
+
 /// Particles at one time, as they are in files.
 #[derive(Debug, Clone, Default)]
 pub struct RawFrame {
@@ -49,6 +52,10 @@ pub struct Fields {
     pub x: (f64, f64),
     pub y: (f64, f64),
     pub diameter: f64,
+    /// Whether there are particles of walls.
+    pub has_walls: bool,
+    /// Whether the temperature of some of them is set.
+    pub has_hot: bool,
     /// What the reader should know of the picture.
     pub note: String,
 }
@@ -102,7 +109,7 @@ impl Fields {
             Some((low - 0.5 * diameter, high + 0.5 * diameter))
         };
         let (x, y) = (along(0)?, along(1)?);
-        let quantities: Vec<Quantity> = quantities
+        let mut quantities: Vec<(usize, Quantity)> = quantities
             .iter()
             .enumerate()
             .map(|(k, (name, unit))| {
@@ -111,9 +118,18 @@ impl Fields {
                     of_fluid.map(|(_, value)| *value)
                 });
                 let (low, high) = range(fluid).unwrap_or((0.0, 1.0));
-                Quantity { name: name.to_string(), unit: unit.to_string(), low, high }
+                (k, Quantity { name: name.to_string(), unit: unit.to_string(), low, high })
             })
             .collect();
+        // What is the same everywhere has no colours; something has to be shown.
+        let is_same = |of: &Quantity| of.high - of.low <= 1e-9 * of.high.abs().max(of.low.abs());
+        if quantities.iter().any(|(_, of)| !is_same(of)) {
+            quantities.retain(|(_, of)| !is_same(of));
+        } else {
+            quantities.truncate(1);
+        }
+        let has = |tags: &[u8]| frames().any(|frame| frame.tag.iter().any(|tag| tags.contains(tag)));
+        let (has_walls, has_hot) = (frames().any(|frame| frame.tag.iter().any(|tag| *tag != 0)), has(&HOT));
         let most = frames().map(|frame| frame.tag.len()).max().unwrap_or(0);
         let every = most.div_ceil(MOST_PARTICLES).max(1);
         if every > 1 {
@@ -133,21 +149,22 @@ impl Fields {
                     let [at_x, at_y] = frame.position[i];
                     [share(at_x, x, 65535.0) as u16, share(at_y, y, 65535.0) as u16]
                 });
-                let value = |(k, quantity): (usize, &Quantity)| {
+                let value = |(k, quantity): &(usize, Quantity)| {
                     let ends = (quantity.low, quantity.high);
-                    text(kept().map(|i| share(frame.values[k][i], ends, 255.0) as u8).collect())
+                    text(kept().map(|i| share(frame.values[*k][i], ends, 255.0) as u8).collect())
                 };
                 frames.push(Frame {
                     time: frame.time,
                     position: text(places.flat_map(u16::to_le_bytes).collect()),
                     tag,
-                    values: quantities.iter().enumerate().map(value).collect(),
+                    values: quantities.iter().map(value).collect(),
                 });
             }
             Panel { title: panel.title.clone(), frames }
         };
         let panels = panels.iter().map(encoded).collect();
-        Some(Self { quantities, panels, x, y, diameter, note })
+        let quantities = quantities.into_iter().map(|(_, of)| of).collect();
+        Some(Self { quantities, panels, x, y, diameter, has_walls, has_hot, note })
     }
 }
 

@@ -1,0 +1,191 @@
+//! The result of a run in one sentence, of those commands whose figures take some looking for.
+
+use super::folder::{Columns, Folder};
+use super::names::{counted, label};
+use super::series;
+use crate::io::vtk::{read_list, read_vtp, ParticleFile};
+use crate::particles::tag::FLUID;
+use crate::report::page::{short, Chart, Series};
+use serde_json::{Map, Value};
+
+fn number(row: &Value, key: &str) -> Option<f64> {
+    row.get(key).and_then(Value::as_f64)
+}
+
+fn text<'a>(row: &'a Value, key: &str) -> &'a str {
+    row.get(key).and_then(Value::as_str).unwrap_or_default()
+}
+
+/// A number with as many digits as a sentence needs.
+fn about(value: f64) -> String {
+    short(format!("{value:.2e}").parse().unwrap_or(value))
+}
+
+/// Milliseconds of a step, and of one with its gradient.
+pub fn bench(rows: &[Value]) -> String {
+    let plain = format!("{} measured.", counted(rows.len(), "row"));
+    let is = |row: &&Value, kind: &str| text(row, "kind") == kind;
+    let Some(first) = rows.iter().find(|row| is(row, "forward")) else { return plain };
+    let Some(ms) = number(first, "ms_per_step") else { return plain };
+    let same = |row: &&Value| {
+        ["scene", "particles", "threads", "precision"].iter().all(|key| row.get(*key) == first.get(*key))
+    };
+    let others =
+        rows.iter().filter(same).filter(|row| is(row, "gradient") && !text(row, "mode").starts_with("truncated"));
+    let gradient = others.filter_map(|row| number(row, "ms_per_step")).reduce(f64::min);
+    let count = |key: &str| number(first, key).unwrap_or(0.0) as usize;
+    format!(
+        "A step of {} with {} on {} takes {}\u{a0}ms{}.",
+        text(first, "scene"),
+        counted(count("particles"), "particle"),
+        counted(count("threads"), "thread"),
+        about(ms),
+        gradient.map_or(String::new(), |ms| format!(", one with its exact gradient {}\u{a0}ms", about(ms)))
+    )
+}
+
+/// The point of a grid that did best.
+pub fn study(header: &[String], rows: &[Vec<String>]) -> String {
+    let plain = format!("{} of a grid of settings, side by side.", counted(rows.len(), "training"));
+    let Some(best) = header.iter().position(|name| name.starts_with("best_mse")) else { return plain };
+    let value = |row: &Vec<String>| row.get(best).and_then(|text| text.parse::<f64>().ok()).filter(|x| x.is_finite());
+    let found = rows.iter().filter_map(|row| Some((row, value(row)?))).min_by(|a, b| a.1.total_cmp(&b.1));
+    let Some((row, least)) = found else { return plain };
+    let settings = settings(header).iter().zip(row).map(|(name, value)| format!("{name} = {value}"));
+    format!(
+        "Of {} that with {} does best: {least:.2e} on the validation split ({}).",
+        counted(rows.len(), "training"),
+        settings.collect::<Vec<_>>().join(", "),
+        label(&header[best])
+    )
+}
+
+/// The columns of a study before those of its results.
+pub fn settings(header: &[String]) -> &[String] {
+    let count = header.iter().position(|name| name.starts_with("mse")).unwrap_or(0);
+    &header[..count]
+}
+
+/// What was found of a flow's beginning.
+pub fn recover(found: &Map<String, Value>) -> (String, String) {
+    let number = |key: &str| found.get(key).and_then(Value::as_f64);
+    let what = found.get("unknown").and_then(Value::as_str).unwrap_or("start");
+    let errors = [("velocity_error", "velocity_error_before"), ("temperature_error", "temperature_error_before")];
+    let error = errors.into_iter().find_map(|(now, before)| Some((number(now)?, number(before)?)));
+    let lead = match error {
+        Some((now, before)) => format!(
+            "The {what} at the start were found with a relative error of {} ({} before) in {}.",
+            about(now),
+            about(before),
+            counted(number("epochs").unwrap_or(0.0) as usize, "epoch")
+        ),
+        None => format!("What a flow began with, its {what}, found from where its particles are later."),
+    };
+    let remark = match (number("distance_before"), number("distance")) {
+        (Some(before), Some(now)) => {
+            format!(
+                "Its particles end {} from where they were seen, {} before: in units of the scene.",
+                about(now),
+                about(before)
+            )
+        }
+        _ => String::new(),
+    };
+    (lead, remark)
+}
+
+/// The error of each parameter, and whether the search had come to an end.
+pub fn calibrate(found: &Map<String, Value>, history: &Columns) -> (String, String) {
+    let parameters: Vec<String> = found
+        .iter()
+        .filter_map(|(key, of)| {
+            let (name, value) = (key.rsplit('.').next()?, number(of, "found")?);
+            let error =
+                number(of, "error").map_or(String::new(), |error| format!(" ({:+.2}\u{a0}% off)", 100.0 * error));
+            Some(format!("{name} {}{error}", about(value)))
+        })
+        .collect();
+    let lead = match parameters.is_empty() {
+        true => "Viscosity and conductivity, found from a trajectory.".into(),
+        false => format!("Found: {}.", parameters.join(", ")),
+    };
+    let losses = history.iter().find(|(name, _)| name == "loss").map_or(&[][..], |(_, values)| values);
+    let remark = match losses {
+        [.., before, last] if *before > 0.0 => {
+            let fell = 1.0 - last / before;
+            let epochs = counted(losses.len(), "epoch");
+            match fell > 1e-3 {
+                true => format!(
+                    "Not converged: in the last of {epochs} the loss still fell, by {}\u{a0}%; more epochs may come nearer.",
+                    about(100.0 * fell)
+                ),
+                false => format!("Converged: the last of {epochs} changed the loss by less than 0.1\u{a0}%."),
+            }
+        }
+        _ => "One epoch alone does not say whether it converged.".into(),
+    };
+    (lead, remark)
+}
+
+/// What the checks of a wall say.
+pub fn verify(found: &Map<String, Value>) -> (String, String) {
+    let checks = found.get("verification").and_then(Value::as_array).map_or(0, Vec::len);
+    let wall = found.get("wall").and_then(Value::as_str).unwrap_or("the wall");
+    let reference = found.get("verification_reference").and_then(Value::as_str).unwrap_or("its reference");
+    let lead = match found.get("gain_survives").and_then(Value::as_f64) {
+        Some(gain) if gain > 0.0 => {
+            format!("The gain of {wall} over {reference} holds: {:+.2}\u{a0}% survives.", 100.0 * gain)
+        }
+        Some(gain) => format!("No gain of {wall} over {reference} survives: {:+.2}\u{a0}% at the least.", 100.0 * gain),
+        None => format!("No check of {wall} could be run."),
+    };
+    (lead, format!("The least of {}, each with one thing changed.", counted(checks, "check")))
+}
+
+/// The errors of a rollout by step, from the frames that it wrote: of positions and of temperatures.
+///
+/// # Errors
+/// Frames that cannot be read.
+pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
+    let none = "A learned model's rollout beside the truth.".to_string();
+    let list = |name: &str| folder.path.join(name).join(format!("{name}.pvd"));
+    if !(list("predicted").is_file() && list("true").is_file()) {
+        return Ok((none, vec![]));
+    }
+    let read = |name: &str| -> anyhow::Result<Vec<(f64, ParticleFile)>> {
+        read_list(&list(name))?.into_iter().map(|(time, path)| Ok((time, read_vtp(&path)?))).collect()
+    };
+    let (predicted, truth) = (read("predicted")?, read("true")?);
+    let period = [&predicted, &truth].map(|frames| series::period(frames));
+    let period = std::array::from_fn(|d| period[0][d].or(period[1][d]));
+    let (mut positions, mut temperatures) = (Vec::new(), Vec::new());
+    for (k, ((_, p), (_, t))) in predicted.iter().zip(&truth).enumerate() {
+        let step = (k + 1) as f64;
+        let fluid: Vec<usize> = (0..p.position.len().min(t.position.len()))
+            .filter(|&i| t.tag.get(i).is_none_or(|tag| *tag == FLUID))
+            .collect();
+        positions.push((step, series::mean_square(p, t, &fluid, period)));
+        if let (Some(p), Some(t)) = (p.scalars.get("temperature"), t.scalars.get("temperature")) {
+            let sum: f64 = fluid.iter().map(|&i| (p[i] - t[i]).powi(2)).sum();
+            temperatures.push((step, sum / fluid.len().max(1) as f64));
+        }
+    }
+    let Some((step, mse)) = positions.last().copied() else { return Ok((none, vec![])) };
+    let lead = format!(
+        "At step {step} the MSE of the predicted positions is {mse:.2e}{}.",
+        temperatures.last().map_or(String::new(), |(_, mse)| format!(", that of the temperatures {mse:.2e}"))
+    );
+    let chart = |title: &str, y: &str, points: Vec<(f64, f64)>| Chart {
+        title: title.into(),
+        x: "step".into(),
+        y: y.into(),
+        log: true,
+        series: vec![Series::new("", points)],
+        ..Chart::default()
+    };
+    let mut charts = vec![chart("Position error by step", "MSE", positions)];
+    if !temperatures.is_empty() {
+        charts.push(chart("Temperature error by step", "MSE", temperatures));
+    }
+    Ok((lead, charts))
+}

@@ -1,0 +1,126 @@
+//! What keys of files are called on a page, and the units of their numbers.
+
+use super::designs::FIGURES;
+use super::folder::size;
+use crate::report::page::{short, Cell};
+
+/// Keys, and what they are called.
+const NAMES: [(&str, &str); 36] = [
+    ("kinetic_energy", "kinetic energy"),
+    ("exact_kinetic_energy", "kinetic energy, exact"),
+    ("e_kin", "kinetic energy, squared error"),
+    ("velocity_error", "velocity error, relative"),
+    ("temperature_error", "temperature error, relative"),
+    ("nusselt", "Nusselt number"),
+    ("wall_seconds", "seconds"),
+    ("seconds_f32", "seconds in f32"),
+    ("peak_memory_bytes", "peak memory"),
+    ("predicted_memory_bytes", "predicted memory"),
+    ("time_step", "time step"),
+    ("q_first", "Q of the first design"),
+    ("q_sum", "Q, sum over the targets"),
+    ("error_f32", "error in f32"),
+    ("mse", "position MSE over all steps"),
+    ("mae", "position error, mean absolute"),
+    ("sinkhorn", "Sinkhorn divergence"),
+    ("sinkhorn_failures", "Sinkhorn failures"),
+    ("temperature_mse", "temperature MSE"),
+    ("outflow_error", "outflow, relative error"),
+    ("seconds_per_step", "seconds per step"),
+    ("ms_per_step", "ms per step"),
+    ("ms_per_step_median", "ms per step, median"),
+    ("ns_per_pair", "ns per pair"),
+    ("ns_per_particle_step", "ns per particle and step"),
+    ("adjoint_over_forward", "adjoint / forward"),
+    ("best_step", "best step"),
+    ("dx", "spacing"),
+    ("cfl", "CFL number"),
+    ("resumed_from", "went on from step"),
+    ("reynolds", "Reynolds number"),
+    ("loss_before", "loss before"),
+    ("energy_drift", "energy drift"),
+    ("model", "model"),
+    ("data", "data set"),
+    ("mean_density", "mean density"),
+];
+
+/// What a key is called: a figure by its name, one of an object behind the object's.
+pub fn label(key: &str) -> String {
+    let known = FIGURES.iter().chain(&NAMES).find(|(name, _)| *name == key);
+    if let Some((_, label)) = known {
+        return label.to_string();
+    }
+    if let Some((of, steps)) = key.rsplit_once("mse_") {
+        if let ("" | "best_", Ok(steps)) = (of, steps.parse::<usize>()) {
+            let least = if of.is_empty() { "" } else { "least " };
+            let unit = if steps == 1 { "step" } else { "steps" };
+            return format!("{least}position MSE over {steps} {unit}");
+        }
+    }
+    for mark in [": ", "."] {
+        if let Some((of, rest)) = key.split_once(mark) {
+            return format!("{}: {}", of.replace('_', " "), label(rest));
+        }
+    }
+    key.replace('_', " ")
+}
+
+/// A cell of a key, bytes in the unit that suits them.
+pub fn sized(key: &str, cell: Cell) -> Cell {
+    let number = || cell.value.as_ref()?.parse::<f64>().ok();
+    match number() {
+        Some(bytes) if key.ends_with("_bytes") => Cell { text: size(bytes as u64), ..cell },
+        _ => cell,
+    }
+}
+
+/// A cell with at most so many digits that count, of numbers that are no whole ones.
+pub fn rounded(cell: Cell, digits: usize) -> Cell {
+    let number = || cell.value.as_ref()?.parse::<f64>().ok();
+    match number() {
+        Some(value) if value.fract() != 0.0 && value.is_finite() => {
+            let text = match value.abs() {
+                size if size >= 10f64.powi(digits as i32) => format!("{value:.0}"),
+                size if size < 1e-4 => format!("{value:.0$e}", digits.saturating_sub(1)),
+                _ => short(format!("{value:.0$e}", digits.saturating_sub(1)).parse().unwrap_or(value)),
+            };
+            Cell { text, ..cell }
+        }
+        _ => cell,
+    }
+}
+
+/// A number of things.
+pub fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_have_names() {
+        for (key, expected) in [
+            ("q", "outflowing heat Q"),
+            ("mse_20", "position MSE over 20 steps"),
+            ("best_mse_1", "least position MSE over 1 step"),
+            ("no change: e_kin", "no change: kinetic energy, squared error"),
+            ("before.flow_rate", "before: flow rate"),
+            ("some_key", "some key"),
+        ] {
+            assert_eq!(label(key), expected);
+        }
+    }
+
+    #[test]
+    fn numbers_have_few_digits() {
+        for (value, expected) in
+            [(0.2595789, "0.2596"), (77.014123, "77.01"), (12.0, "12"), (3.2e-7, "3.200e-7"), (12345.6, "12346")]
+        {
+            assert_eq!(rounded(Cell::number(value), 4).text, expected);
+        }
+        assert_eq!(sized("peak_memory_bytes", Cell::number(164904960.0)).text, "164.9 MB");
+        assert_eq!((counted(1, "epoch"), counted(2, "epoch")), ("1 epoch".into(), "2 epochs".into()));
+    }
+}
