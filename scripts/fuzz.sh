@@ -15,12 +15,12 @@ seeds=$(mktemp -d)
 trap 'rm -rf "$seeds" /dev/shm/hydrograd-fuzz-*' EXIT
 mkdir -p "$seeds"/{scene,columns,tensors,model,metadata,state}
 cp data/scenes/*.toml data/scenes/presets/*.toml data/scenes/examples/*.toml "$seeds/scene"
-"$program" optimize --no-verify --epochs 1 --set time.end=0.1 --set objective.window=0.05 --set resolution.dx=0.04 \
+"$program" optimize --no-verify --epochs 1 --set time.end=0.1 --set objective.window=0.05 --set resolution.dx=0.025 \
     --set output.frames=0 --out "$seeds/run" >/dev/null
 cp "$seeds/run/shape.csv" "$seeds/columns"
 cp "$seeds/run/checkpoint.safetensors" "$seeds/tensors"
 cp "$seeds/run/state.h5" "$seeds/state"
-"$program" generate heated-channel --set resolution.dx=0.04 --trajectories 1/1/1 --frames 12 --skip 20 --out "$seeds/data" >/dev/null
+"$program" generate heated-channel --set resolution.dx=0.025 --trajectories 1/1/1 --frames 12 --skip 20 --out "$seeds/data" >/dev/null
 cp data/reference/gns/tgv_small/metadata.json "$seeds/metadata/lagrangebench.json"
 cp "$seeds/data/metadata.json" "$seeds/metadata/own.json"
 "$program" train --data "$seeds/data" --steps 2 --set model.latent=8 --set model.rounds=1 --set validation_windows=1 \
