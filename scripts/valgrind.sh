@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Tests of the unsafe code (SIMD lanes, sweeps that write from several threads, the neighbour search) under valgrind: no
 # access out of bounds, no use of memory that was never written. Valgrind knows no AVX-512, so the AVX2 and the portable
-# kernels run. About ten minutes. Debian: apt-get install valgrind
+# kernels run. About half an hour, and twice that on a busy machine. Debian: apt-get install valgrind
 set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "valgrind.sh: valgrind is not installed; apt-get install valgrind" >&2; exit 2; }
