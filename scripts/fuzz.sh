@@ -30,7 +30,9 @@ for target in $targets; do
     echo "== $target, $seconds s"
     mkdir -p "$corpus/$target"
     # Its warnings on bad input are not news.
-    cargo +nightly fuzz run --fuzz-dir tests/fuzz "$target" "$corpus/$target" "$seeds/$target" -- \
+    # HDF5 loses some bytes of memory where it gives up on a file.
+    leaks=$([ "$target" = state ] && echo 0 || echo 1)
+    cargo +nightly fuzz run --fuzz-dir tests/fuzz "$target" "$corpus/$target" "$seeds/$target" -- -detect_leaks="$leaks" \
         -max_total_time="$seconds" -timeout=20 -rss_limit_mb=4096 -print_final_stats=1 2>&1 |
         grep -E "^(stat::|thread|SUMMARY|error|==|Done)|panicked|cov:" | tail -12
 done
