@@ -320,7 +320,7 @@ fn memory_is_as_predicted(formulation: &str) {
         }
     }
     // The consistent formulation's cost model counts the lists and tables of steps that share them, and the working memory
-    // of the standard one: predictions are up to 31 % high, never lower than a tenth. They choose a schedule all the same.
+    // of the standard one: predictions are up to 31 % high, and a sixth low at most. They choose a schedule all the same.
     let allowed = if formulation.contains("consistent") { 0.35 } else { 0.1 };
     assert!(worst < allowed, "{formulation}: the worst prediction is {:.1} % off", 100.0 * worst);
 }

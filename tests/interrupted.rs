@@ -412,6 +412,15 @@ fn signals_keep_what_there_is_and_say_how_to_go_on() {
     let (code, error) = signalled(at, &grid, "grid/noise=1e-3/history.csv", libc::SIGTERM);
     assert_eq!(code, Some(143), "{error}");
     assert!(step("grid/noise=1e-3/last.safetensors") >= 5);
+    // Finished runs are kept, and the one that was on its way is none of them.
+    let map = ["stress", "heated-channel", "--filter", "step", "--out", "map", "--threads", "1"];
+    let (code, error) = signalled(at, &map, "map/runs", libc::SIGINT);
+    assert_eq!(code, Some(130), "{error}");
+    assert!(error.contains("the same command with --resume"), "{error}");
+    let cases = ["validate", "--filter", "taylor-green", "--out", "cases", "--threads", "1"];
+    let (code, error) = signalled(at, &cases, "cases/cases", libc::SIGTERM);
+    assert_eq!(code, Some(143), "{error}");
+    assert!(error.contains("the same command with --resume") && !at.join("cases/validation.json").exists(), "{error}");
 }
 
 /// A log shows every epoch, not only what came of them.

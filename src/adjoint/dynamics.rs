@@ -5,7 +5,7 @@
 
 use crate::error::Error;
 use crate::particles::neighbour_list::NeighbourError;
-use candle_core::Tensor;
+use candle_core::{Tensor, Var};
 use std::sync::Arc;
 
 /// A run that could not go on.
@@ -130,6 +130,17 @@ pub trait Dynamics: Sync {
     fn tensor(&self, from: &Self::Start) -> Result<Tensor, RunError>;
     /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.
     fn advance_taped(&self, tape: &mut Self::Tape, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError>;
+    /// The cotangent of a state from that of the one that a step from it leads to, without a graph; `after` as for
+    /// [`Self::advance_taped`]. None, and nothing done: only a graph knows.
+    fn pull_back(
+        &self,
+        _tape: &mut Self::Tape,
+        _state: &Tensor,
+        _after: Option<&Tensor>,
+        _cotangent: &Tensor,
+    ) -> Result<Option<Tensor>, RunError> {
+        Ok(None)
+    }
     /// A state of the tape as fields, on the graph.
     fn fields(&self, tape: &mut Self::Tape, state: &Tensor) -> Result<Fields, RunError>;
 
@@ -139,14 +150,10 @@ pub trait Dynamics: Sync {
     fn settle(&self, kept: &mut Self::Kept, run: &Self::Run);
     /// Takes `run` back to a kept state.
     fn resume(&self, run: &mut Self::Run, kept: &Self::Kept) -> Result<(), RunError>;
-    /// Starts on the graph at a kept state: the tape, and the state as a tensor of its own. `last` is the tape before
+    /// Starts on the graph at a kept state: the tape, and the state as a variable. `last` is the tape before
     /// this one and `run` the run without a graph, to take over what they share with the new one.
-    fn tape(
-        &self,
-        kept: &Self::Kept,
-        last: Option<Self::Tape>,
-        run: &Self::Run,
-    ) -> Result<(Self::Tape, Tensor), RunError>;
+    fn tape(&self, kept: &Self::Kept, last: Option<Self::Tape>, run: &Self::Run)
+        -> Result<(Self::Tape, Var), RunError>;
 
     /// Bytes of a kept state.
     fn kept_bytes(&self, kept: &Self::Kept) -> Bytes;

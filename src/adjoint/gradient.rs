@@ -2,7 +2,8 @@
 //!
 //! Forward without a graph, keeping states. Then, last step to first: make a kept state a variable, run a segment (one
 //! step or more) on the graph, multiply its end with the cotangent that the segment behind it left, call candle's
-//! `backward`, and read the cotangent of the segment's start. Everything that a segment adds to the derivative by a
+//! `backward`, and read the cotangent of the segment's start. (A segment of one step that the objective does not see may be pulled
+//! back without a graph, see [`Dynamics::pull_back`]: there is nothing to chain.) Everything that a segment adds to the derivative by a
 //! design travels in that cotangent: positions and masses of wall particles are rows of the state, and each step adds
 //! its share to their cotangent. So the sums are the same, in the same order, whatever the schedule: bit for bit equal
 //! to one tape.
@@ -11,7 +12,7 @@ use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
 use super::run::CHECK_EVERY;
 use super::schedule::{Action, Schedule};
 use crate::numerics::interrupt::{is_asked_here, Stop};
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor, Var};
+use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor};
 use std::collections::{BTreeMap, HashMap};
 
 /// What a gradient run found.
@@ -357,11 +358,21 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
             Some(kept) => kept,
             None => self.kept(from)?,
         };
-        let (mut tape, tensor) = self.dynamics.tape(begin, last, &self.plain)?;
-        let variable = Var::from_tensor(&tensor).map_err(failed)?;
+        let (mut tape, variable) = self.dynamics.tape(begin, last, &self.plain)?;
         drop(transient);
-        let end = self.began.replace((from, tensor)).filter(|(step, _)| *step == to && self.exact);
+        let end =
+            self.began.replace((from, variable.as_detached_tensor())).filter(|(step, _)| *step == to && self.exact);
         let end = end.map(|(_, state)| state);
+        // One step to whose end the objective does not look: there is nothing to chain.
+        if let Some(cotangent) = cotangent.as_ref().filter(|_| to == from + 1 && self.objective.weight(to).is_none()) {
+            if let Some(found) = self.dynamics.pull_back(&mut tape, &variable, end.as_ref(), cotangent)? {
+                let bytes = self.dynamics.taped_bytes(&tape);
+                self.held.add(bytes);
+                self.held.remove(bytes);
+                self.tape = Some(tape);
+                return Ok(found);
+            }
+        }
         let mut state = variable.as_tensor().clone();
         let mut terms: Vec<Tensor> = Vec::new();
         let mut taped = Vec::with_capacity(to - from);

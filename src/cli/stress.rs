@@ -10,6 +10,7 @@ use super::shard::{Shard, ShardArgument};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
+use crate::numerics::interrupt;
 use crate::report::plots::{stability, StabilityAxes, StabilityPanel};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -132,6 +133,10 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         true => RunFolder::share(out, KIND)?,
         false => RunFolder::take(out, KIND, Earlier::Resumed)?,
     };
+    interrupt::listen(match is_shared {
+        true => "the same command again: finished runs are kept",
+        false => "the same command with --resume: finished runs are kept",
+    })?;
     prepare_output_folder(&runs)?;
     let known: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
     let todo: Vec<usize> = (0..jobs.len()).filter(|&k| shard.has(k) && known[k].is_none()).collect();

@@ -10,6 +10,7 @@ use super::shard::{Shard, ShardArgument};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
 use crate::io::csv::{write_table, Cell};
+use crate::numerics::interrupt;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -139,6 +140,10 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         Some(_) => RunFolder::share(out, KIND)?,
         None => RunFolder::take(out, KIND, if arguments.resume { Earlier::Resumed } else { Earlier::Replaced })?,
     };
+    interrupt::listen(match share {
+        Some(_) => "the same command again: finished cases are kept",
+        None => "the same command with --resume: finished cases are kept",
+    })?;
     let folder = out.join("cases");
     prepare_output_folder(&folder)?;
     let keeps = share.is_some() || arguments.resume;

@@ -29,7 +29,7 @@ use crate::sph::dynamics::{KeptState, Sph};
 use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver, TensorSolver};
 use crate::sph::Sweeps;
-use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor};
+use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor, Var};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
@@ -344,7 +344,7 @@ impl<R: Sweeps> Dynamics for WithParameters<R> {
         kept: &KeptState<R>,
         last: Option<TensorSolver<R>>,
         run: &Solver<R>,
-    ) -> Result<(TensorSolver<R>, Tensor), RunError> {
+    ) -> Result<(TensorSolver<R>, Var), RunError> {
         self.base.tape(kept, last, run)
     }
     fn kept_bytes(&self, kept: &KeptState<R>) -> Bytes {

@@ -94,6 +94,12 @@ impl Block {
         self.bytes
     }
 
+    /// Writes the numbers, of the type that they were kept in.
+    pub fn write<T: bytemuck::Pod>(&mut self, fill: impl FnOnce(&mut [T])) {
+        let mut maps = self.blocks.lock();
+        fill(bytemuck::cast_slice_mut(&mut maps.maps[self.map][self.offset..self.offset + self.bytes]));
+    }
+
     /// Reads the numbers, of the type that they were kept in.
     pub fn read<T: bytemuck::Pod, U>(&self, f: impl FnOnce(&[T]) -> U) -> U {
         let maps = self.blocks.lock();

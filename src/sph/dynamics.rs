@@ -19,7 +19,7 @@ use crate::numerics::sweep::{copied, copy};
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::particles::NeighbourList;
-use candle_core::{Device, Tensor};
+use candle_core::{Device, Tensor, Var};
 use std::sync::Arc;
 
 /// The SPH solver as dynamics.
@@ -43,9 +43,11 @@ pub struct KeptState<R> {
     step: usize,
     /// Of the step before, see [`super::division`].
     parts: usize,
-    /// In R, or in f32.
+    /// In R, or in f32. Behind those of the state, where densities are summed, that of the step behind it.
     numbers: Block,
     rounded: bool,
+    /// Whether the density has been found.
+    has_density: bool,
     /// Positions that the neighbour list of the step behind this state is built from; shared between states of the
     /// same list. Never rounded: the list must be the same one.
     reference: Arc<Vec<R>>,
@@ -104,7 +106,7 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         go().map_err(RunError::tensor(run.step))
     }
     fn tensor(&self, snapshot: &Snapshot<R>) -> Result<Tensor, RunError> {
-        self.state_tensor(snapshot.step, &snapshot.state)
+        Ok(self.variable(snapshot.step, copied(&snapshot.state))?.as_detached_tensor())
     }
     fn advance_taped(
         &self,
@@ -113,6 +115,15 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         after: Option<&Tensor>,
     ) -> Result<Tensor, RunError> {
         tape.advance_to(state, after)
+    }
+    fn pull_back(
+        &self,
+        tape: &mut TensorSolver<R>,
+        state: &Tensor,
+        after: Option<&Tensor>,
+        cotangent: &Tensor,
+    ) -> Result<Option<Tensor>, RunError> {
+        tape.pull_back(state, after, cotangent)
     }
 
     fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
@@ -132,7 +143,8 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             let round = |(to, from): (&mut f32, &R)| *to = from.f64() as f32;
             scratch.rounded_states.keep(state.len(), |kept: &mut [f32]| kept.iter_mut().zip(state).for_each(round))
         } else {
-            scratch.states.keep(state.len(), |kept: &mut [R]| copy(state, kept))
+            let density = if self.keeps_density() { self.model.particles() } else { 0 };
+            scratch.states.keep(state.len() + density, |kept: &mut [R]| copy(state, &mut kept[..state.len()]))
         };
         let numbers = numbers.map_err(|e| RunError::Tensor { step: run.step, source: candle_core::Error::Io(e) })?;
         Ok(KeptState {
@@ -140,19 +152,25 @@ impl<R: Sweeps> Dynamics for Sph<R> {
             parts: run.pace.parts,
             numbers,
             rounded,
+            has_density: false,
             reference: run.neighbourhood.reference.clone(),
         })
     }
     fn settle(&self, kept: &mut KeptState<R>, run: &Solver<R>) {
         // If the step built a new list, a replay would build the old one first and then find that it is outdated.
         kept.reference = run.began_with().clone();
+        kept.has_density = self.keeps_density() && !kept.rounded && run.pace.parts == 1;
+        if kept.has_density {
+            kept.numbers.write(|kept: &mut [R]| copy(run.density(), &mut kept[run.state.len()..]));
+        }
     }
     fn resume(&self, run: &mut Solver<R>, kept: &KeptState<R>) -> Result<(), RunError> {
         if kept.rounded {
             let widen = |(to, from): (&mut R, &f32)| *to = R::of(*from as f64);
             kept.numbers.read(|state: &[f32]| run.state.iter_mut().zip(state).for_each(widen));
         } else {
-            kept.numbers.read(|state: &[R]| copy(state, &mut run.state));
+            let count = run.state.len();
+            kept.numbers.read(|state: &[R]| copy(&state[..count], &mut run.state));
         }
         run.step = kept.step;
         run.pace = Pace::after(kept.parts);
@@ -168,16 +186,23 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         kept: &KeptState<R>,
         last: Option<TensorSolver<R>>,
         run: &Solver<R>,
-    ) -> Result<(TensorSolver<R>, Tensor), RunError> {
+    ) -> Result<(TensorSolver<R>, Var), RunError> {
         let neighbourhood = self.neighbourhood(kept, last, run)?;
-        let tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, kept.parts, self.kernels);
-        let tensor = if kept.rounded {
+        let mut tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, kept.parts, self.kernels);
+        let (count, n) = (run.state.len(), self.model.particles());
+        tape.density = kept.has_density.then(|| {
+            let mut density = self.model.scratch.buffers.buffer(n);
+            kept.numbers.read(|kept: &[R]| copy(&kept[count..], &mut density));
+            density
+        });
+        let variable = if kept.rounded {
             let state: Vec<R> = kept.numbers.read(|state: &[f32]| state.iter().map(|&x| R::of(x as f64)).collect());
-            self.state_tensor(kept.step, &state)?
+            self.variable(kept.step, state)?
         } else {
-            kept.numbers.read(|state: &[R]| self.state_tensor(kept.step, state))?
+            let state = kept.numbers.read(|kept: &[R]| copied(&kept[..count]));
+            self.variable(kept.step, state)?
         };
-        Ok((tape, tensor))
+        Ok((tape, variable))
     }
 
     fn kept_bytes(&self, kept: &KeptState<R>) -> Bytes {
@@ -285,10 +310,9 @@ impl<R: Sweeps> Sph<R> {
         })
     }
 
-    fn state_tensor(&self, step: usize, state: &[R]) -> Result<Tensor, RunError> {
-        let rows = self.model.layout.state_rows();
-        Tensor::from_vec(copied(state), (rows, self.model.particles()), &Device::Cpu)
-            .map_err(|source| RunError::Tensor { step, source })
+    fn variable(&self, step: usize, state: Vec<R>) -> Result<Var, RunError> {
+        let shape = (self.model.layout.state_rows(), self.model.particles());
+        Var::from_vec(state, shape, &Device::Cpu).map_err(RunError::tensor(step))
     }
 
     /// The list of a kept state: one of the known ones if it is theirs, else built anew, in the last run's memory.
@@ -311,17 +335,23 @@ impl<R: Sweeps> Sph<R> {
         Ok(last)
     }
 
+    /// Whether a kept state is followed by the density that the step behind it finds: its adjoint then need not find it again.
+    fn keeps_density(&self) -> bool {
+        let sums = self.model.consistent.is_none() && self.model.fixed.is_none() && !self.model.layout.density;
+        sums && self.kernels == Kernels::Fused && self.model.is_fused()
+    }
+
     /// Bytes of a number in every row of a field with `rows` rows.
     fn field(&self, rows: usize) -> usize {
         rows * self.model.particles() * std::mem::size_of::<R>()
     }
 
     /// What the operators of a step keep for each other, see [`super::operators::pairs::Kept`]: positions and records, and a
-    /// number or two (to differentiate) for each place of the neighbour list.
-    fn operators_bytes(&self, places: usize, differentiate: bool) -> usize {
+    /// number for each place of the neighbour list.
+    fn operators_bytes(&self, places: usize) -> usize {
         let l = self.model.layout;
         let records = stride(record_fields(l.dimension, l.transport, l.heat));
-        self.field(4 + records) + places * (1 + differentiate as usize) * std::mem::size_of::<R>()
+        self.field(4 + records) + places * std::mem::size_of::<R>()
     }
 
     /// Neighbours, fluid ones or walls', that the consistent formulation's tables have room for at each fluid particle.
@@ -364,7 +394,7 @@ impl<R: Sweeps> Sph<R> {
         }
         let places = list.index.len();
         let rows = l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows() + l.state_rows();
-        self.field(rows) + self.operators_bytes(places, true)
+        self.field(rows) + self.operators_bytes(places)
     }
 
     /// What a kept state and a taped step take, in bytes, in a run that begins with `state`: its list, and its speed
@@ -386,16 +416,17 @@ impl<R: Sweeps> Sph<R> {
         let reference = self.field(l.dimension);
         // The plain run's fields and list, and a list in the making.
         let fields = l.state_rows() + l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
-        let run = self.field(fields) + self.operators_bytes(places, false) + reference + 2 * list.bytes();
+        let run = self.field(fields) + self.operators_bytes(places) + reference + 2 * list.bytes();
         // The variable, the cotangents of a state and of its parts, and the records of those of rates and primitives that
         // pair passes read.
         let records = stride(l.rate_rows()) + stride(l.primitive_rows() + 1);
         let parts = 2 * l.moved_rows() + 1 + l.primitive_rows() + l.rate_rows();
         let cotangents = self.field(3 * l.state_rows() + parts + records);
         // What the objective tapes of a step: the operators behind its fields, and fields of its own.
-        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows() + 8) + self.operators_bytes(places, true);
+        let looked = if self.model.consistent.is_some() { self.tape_bytes(list) } else { 0 };
+        let objective = self.field(l.moved_rows() + 1 + l.primitive_rows() + 8) + self.operators_bytes(places) + looked;
         Costs {
-            state: self.field(l.state_rows()),
+            state: self.field(l.state_rows() + usize::from(self.keeps_density())),
             rounded_state: l.state_rows() * n * std::mem::size_of::<f32>(),
             shared: reference,
             shared_steps: steps_per_list,

@@ -16,6 +16,7 @@ use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply1, apply2, apply3, read};
 use crate::numerics::lanes::Real;
+use crate::numerics::pool::Buffer;
 use crate::particles::Neighbourhood;
 use candle_core::{DType, Device, Tensor};
 use std::sync::Arc;
@@ -230,6 +231,11 @@ impl<R: Sweeps> Solver<R> {
             self.began_with = (self.pace.parts > 1).then(|| self.neighbourhood.reference.clone());
             self.divided.count(self.pace.parts);
         }
+    }
+
+    /// Densities of the fluid after the drift of the last step's last part, `[N]`, where they are summed.
+    pub fn density(&self) -> &[R] {
+        &self.density
     }
 
     /// Positions that the list of the last step's first part was built from.
@@ -518,8 +524,8 @@ impl<R: Sweeps> Execution for Solver<R> {
     fn density(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
         let step = self.step_now();
         match self.model.layout.density {
-            true => R::evolution(&step, dt, &self.moved, &mut self.kept, false, &mut self.density),
-            false => R::density(&step, &self.moved, &mut self.kept, false, &mut self.density),
+            true => R::evolution(&step, dt, &self.moved, &mut self.kept, &mut self.density),
+            false => R::density(&step, &self.moved, &mut self.kept, &mut self.density),
         }
         Ok(())
     }
@@ -541,13 +547,15 @@ impl<R: Sweeps> Execution for Solver<R> {
 }
 
 /// Advances a state as candle tensors.
-pub struct TensorSolver<R> {
+pub struct TensorSolver<R: Real> {
     pub model: Arc<Model<R>>,
     pub neighbourhood: Neighbourhood<R>,
     pub step: usize,
     /// As [`Solver::pace`].
     pub pace: Pace,
     pub kernels: Kernels,
+    /// [`Solver::density`] of the next step, if somebody knows it.
+    pub density: Option<Buffer<R>>,
     tables: Tables,
 }
 
@@ -561,7 +569,7 @@ impl<R: Sweeps> TensorSolver<R> {
         kernels: Kernels,
     ) -> Self {
         let kernels = if model.is_fused() { kernels } else { Kernels::Composed };
-        Self { model, neighbourhood, step, pace: Pace::after(parts), kernels, tables: Tables::default() }
+        Self { model, neighbourhood, step, pace: Pace::after(parts), kernels, density: None, tables: Tables::default() }
     }
 
     /// Starts at a snapshot's step and neighbour list.
@@ -598,6 +606,33 @@ impl<R: Sweeps> TensorSolver<R> {
         Ok(next)
     }
 
+    /// The cotangent of a state from that of the one that the next step leads to, see [`Dynamics::pull_back`]: of fused steps of the
+    /// standard formulation that are made at once.
+    ///
+    /// [`Dynamics::pull_back`]: crate::adjoint::Dynamics::pull_back
+    ///
+    /// # Errors
+    /// As for [`Self::advance`].
+    pub fn pull_back(
+        &mut self,
+        state: &Tensor,
+        after: Option<&Tensor>,
+        cotangent: &Tensor,
+    ) -> Result<Option<Tensor>, RunError> {
+        if !self.is_whole() || self.parts_from(state)? > 1 {
+            return Ok(None);
+        }
+        self.pace = self.pace.next(0, 1);
+        let found = whole_step::pull_back(self, self.times().now, state, after, cotangent)?;
+        self.step += 1;
+        Ok(Some(found))
+    }
+
+    /// Whether a step is one operator, [`whole_step`].
+    fn is_whole(&self) -> bool {
+        self.model.fixed.is_none() && self.model.consistent.is_none() && self.kernels == Kernels::Fused
+    }
+
     /// In how many parts the step from a state is made.
     fn parts_from(&self, state: &Tensor) -> Result<usize, RunError> {
         if self.model.division.is_none() {
@@ -615,6 +650,9 @@ impl<R: Sweeps> TensorSolver<R> {
     }
 
     fn advance_part(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
+        if self.is_whole() {
+            return whole_step::advance(self, self.times().now, state, after);
+        }
         if let Some(fixed) = &self.model.fixed {
             let next = match self.kernels {
                 Kernels::Fused => apply1(FixedStep(fixed.clone()), state),
@@ -632,10 +670,7 @@ impl<R: Sweeps> TensorSolver<R> {
             return next.map_err(RunError::tensor(self.step));
         }
         let dt = self.times().now;
-        match self.kernels {
-            Kernels::Fused => whole_step::advance(self, dt, state, after),
-            Kernels::Composed => step::advance(&mut Composed { run: self, pairs: None }, dt, state),
-        }
+        step::advance(&mut Composed { run: self, pairs: None }, dt, state)
     }
 
     fn chain(&self) -> Arc<operators::Chain<R>> {
@@ -674,6 +709,7 @@ impl<R: Sweeps> TensorSolver<R> {
             step: self.step,
             pace: self.pace,
             kernels: self.kernels,
+            density: None,
             tables: Tables::default(),
         };
         match self.kernels {

@@ -40,11 +40,10 @@ sweeps! {
         moved_bar: &mut [Self],
         rates_bar: &mut [Self],
     ) = assemble::backward;
-    fn density(step: &Step<Self>, moved: &[Self], kept: &mut PairCache<Self>, differentiate: bool, density: &mut [Self]) = density::forward;
+    fn density(step: &Step<Self>, moved: &[Self], kept: &mut PairCache<Self>, density: &mut [Self]) = density::forward;
     fn density_bar(
         step: &Step<Self>,
         moved: &[Self],
-        kept: &PairCache<Self>,
         density: &[Self],
         density_bar: &[Self],
         moved_bar: &mut [Self],
@@ -54,14 +53,12 @@ sweeps! {
         dt: f64,
         moved: &[Self],
         kept: &mut PairCache<Self>,
-        differentiate: bool,
         density: &mut [Self],
     ) = evolution::forward;
     fn evolution_bar(
         step: &Step<Self>,
         dt: f64,
         moved: &[Self],
-        kept: &PairCache<Self>,
         density: &[Self],
         density_bar: &[Self],
         moved_bar: &mut [Self],

@@ -24,7 +24,7 @@ use crate::surrogate::differentiable_rollout::DifferentiableRollout;
 use crate::surrogate::features::{displacement, Window};
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
-use candle_core::{DType, Device, Result, Tensor};
+use candle_core::{DType, Device, Result, Tensor, Var};
 
 /// A learned model among the particles of a scene.
 pub struct LearnedFlow<R> {
@@ -319,8 +319,9 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         *run = At { step: kept.step, state: kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))? };
         Ok(())
     }
-    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> std::result::Result<(usize, Tensor), RunError> {
-        Ok((kept.step, kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))?))
+    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> std::result::Result<(usize, Var), RunError> {
+        let state = kept.state.to_dtype(DType::F64).and_then(|state| Var::from_tensor(&state));
+        Ok((kept.step, state.map_err(RunError::tensor(kept.step))?))
     }
 
     fn kept_bytes(&self, kept: &At) -> Bytes {

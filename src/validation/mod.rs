@@ -13,6 +13,7 @@ pub use cases::Case;
 pub use measure::{Curve, Found, Measure};
 
 use crate::config::scene::Config;
+use crate::numerics::interrupt;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::Sweeps;
@@ -132,6 +133,8 @@ fn attempt<R: Sweeps>(loaded: &Loaded, measure: Measure, progress: &mut dyn FnMu
     let scene = Scene::<R>::from_config(&loaded.config)?;
     let clock = Instant::now();
     let found = measure.take(loaded, &scene, progress);
+    // Not a failure of the case.
+    interrupt::check()?;
     let seconds = clock.elapsed().as_secs_f64();
     let found = found.map_err(|error| error.to_string()).and_then(|found| match found.error.is_finite() {
         true => Ok(found),

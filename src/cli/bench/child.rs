@@ -276,7 +276,9 @@ fn backward<R: Sweeps>(
         Length::Steps(steps) => steps,
         Length::Seconds { seconds, least } => {
             let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
-            let mut steps = least.max((seconds * least as f64 / first) as usize);
+            // A gradient's start (its first list, memory that is new to the process) takes as long as some steps: several times as many
+            // as are needed, where there is memory for them.
+            let mut steps = (6 * least).max((seconds * least as f64 / first) as usize);
             let fits = |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
             while steps > least && !fits(steps) {
                 steps = (steps / 2).max(least);
@@ -289,7 +291,7 @@ fn backward<R: Sweeps>(
     measured.steps = steps;
     measured.predicted_bytes = Some(schedule.memory(costs));
     // Pages, caches and threads warm up.
-    let few = steps.min(20);
+    let few = steps.min(24);
     timed(few, &Schedule::every_state(few, 0, false))?;
     for _ in 0..case.blocks {
         let (seconds, forward) = timed(steps, &schedule)?;

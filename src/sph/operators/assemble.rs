@@ -84,6 +84,9 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
         for k in 0..2 * l.dimension {
             moved_bar(k).copy_from_slice(from(k));
         }
+        for k in 2 * l.dimension..l.moved_rows() {
+            moved_bar(k).fill(R::default());
+        }
         for k in 0..l.rate_temperature() {
             rates_bar(k).copy_from_slice(from(l.acceleration() + k));
         }
@@ -102,7 +105,7 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
     }
 }
 
-/// The adjoint, on plain numbers; `moved_bar` must be zero.
+/// The adjoint, on plain numbers.
 pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
     let (model, moved_bar, rates_bar) = (&*step.model, Shared::new(moved_bar), Shared::new(rates_bar));
     run_rows(&Backward { model, moved, state_bar, moved_bar, rates_bar }, model.particles());

@@ -23,19 +23,18 @@ use std::sync::Arc;
 /// moved `[M, N]` -> density `[1, N]`, 0 for walls.
 pub struct Density<R: Sweeps>(pub Arc<Chain<R>>);
 
-struct Forward<'a, R, const D: usize, const CURVATURE: bool> {
+struct Forward<'a, R, const D: usize> {
     step: &'a Step<R>,
     position: &'a [R],
     mass: Masses<'a, R>,
     density: Shared<'a, R>,
     slope: Shared<'a, R>,
-    curvature: Shared<'a, R>,
     moved: &'a [R],
     records: Shared<'a, R>,
 }
 
-impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE> {
-    /// Sum of W over a row, whose F [and G] are kept on the way.
+impl<R: Real, const D: usize> Forward<'_, R, D> {
+    /// Sum of W over a row, whose F are kept on the way.
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
@@ -51,21 +50,16 @@ impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE
             // SAFETY: `row` gives COUNT valid particle numbers; positions are records of 4.
             let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
             let (_, r2) = geometry.difference::<EDGE>(&here[0], &there);
-            let (w, f, g) = kernel.all(r2);
+            let (w, f, _) = kernel.all(r2);
             sum += mask.apply(w);
             // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe {
-                self.slope.store(from + k * L::COUNT, mask.apply(f));
-                if CURVATURE {
-                    self.curvature.store(from + k * L::COUNT, mask.apply(g));
-                }
-            }
+            unsafe { self.slope.store(from + k * L::COUNT, mask.apply(f)) };
         }
         sum
     }
 }
 
-impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_, R, D, CURVATURE> {
+impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     const SHORT: bool = D == 2;
 
     #[inline(always)]
@@ -76,61 +70,50 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
         let own = R::of(model.kernel.at_zero());
         let width = stride(record_fields(D, model.layout.transport, model.layout.heat));
         for row in rows {
-            let i = pairs::particle_of_row(list, row);
+            let i = list.fluid_rows[row] as usize;
             let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
                 self.row::<L, true>(&kernel, &geometry, i)
             } else {
                 self.row::<L, false>(&kernel, &geometry, i)
             };
-            if !CURVATURE || row < list.fluid_rows.len() {
-                let (mass, sum) = (self.mass.of(i), own + sum.sum());
-                // SAFETY: each fluid row writes its own particle and record.
-                unsafe {
-                    self.density.set(i, mass * sum);
-                    pack_fluid(
-                        self.step,
-                        self.moved,
-                        mass,
-                        mass * sum,
-                        i,
-                        self.records.slice(i * width..(i + 1) * width),
-                    );
-                }
+            let (mass, sum) = (self.mass.of(i), own + sum.sum());
+            // SAFETY: each row writes its own particle and record.
+            unsafe {
+                self.density.set(i, mass * sum);
+                let record = self.records.slice(i * width..(i + 1) * width);
+                pack_fluid(self.step, self.moved, mass, mass * sum, i, record);
             }
         }
     }
 }
 
-/// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated, and the fluid's records while
-/// they are at hand. `density` must be zero for walls.
-pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, differentiate: bool, density: &mut [R]) {
+/// The forward pass, on plain numbers; keeps F, and the fluid's records while they are at hand. `density` must be zero for walls.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, density: &mut [R]) {
     let (model, list) = (&*step.model, &*step.list);
-    kept.make_room(model, list, moved, differentiate);
+    kept.make_room(model, list, moved);
     let (mass, l) = (Masses::new(model, moved), model.layout);
     kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * model.particles(), R::default());
     kept.has_fluid_records = true;
     macro_rules! go {
-        ($d:literal, $curvature:literal) => {
+        ($d:literal) => {
             run_rows(
-                &Forward::<R, $d, $curvature> {
+                &Forward::<R, $d> {
                     step,
                     position: &kept.position,
                     mass,
                     density: Shared::new(density),
                     slope: Shared::new(&mut kept.slope),
-                    curvature: Shared::new(&mut kept.curvature),
                     moved,
                     records: Shared::new(&mut kept.records),
                 },
-                if $curvature { pairs::all_rows(list) } else { list.fluid_rows.len() },
+                list.fluid_rows.len(),
             )
         };
     }
-    match (model.layout.dimension, differentiate) {
-        (2, false) => go!(2, false),
-        (2, true) => go!(2, true),
-        (_, false) => go!(3, false),
-        (_, true) => go!(3, true),
+    if l.dimension == 2 {
+        go!(2)
+    } else {
+        go!(3)
     }
 }
 
@@ -140,7 +123,7 @@ pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R
         let mut density = step.model.scratch.buffers.buffer(step.model.particles());
         // Records that are there may be of another density.
         let (records, has_fluid_records) = (std::mem::take(&mut kept.records), kept.has_fluid_records);
-        R::density(step, moved, kept, true, &mut density);
+        R::density(step, moved, kept, &mut density);
         (kept.records, kept.has_fluid_records) = (records, has_fluid_records);
     }
 }
@@ -149,25 +132,24 @@ struct Backward<'a, R, const D: usize> {
     step: &'a Step<R>,
     /// Positions and b, `[N, 4]`: x y [z] b.
     position: &'a [R],
-    slope: &'a [R],
     moved_bar: Shared<'a, R>,
 }
 
 impl<R: Real, const D: usize> Backward<'_, R, D> {
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> [L; D] {
-        let list = &*self.step.list;
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        kernel: &KernelLanes<L>,
+        geometry: &RowGeometry<L, D>,
+        i: usize,
+    ) -> [L; D] {
         let here = pairs::splat_fields::<L>(&self.position[4 * i..4 * i + 4], 4);
-        let from = i * list.capacity;
         let mut sum = [L::zero(); D];
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
-            // SAFETY: as in the forward pass; F is kept for every row.
-            let (there, slope) = unsafe {
-                let slope = L::load(self.slope.as_ptr().add(from + k * L::COUNT));
-                (L::gather4(self.position.as_ptr(), 4, index), slope)
-            };
-            let (dr, _) = geometry.difference::<EDGE>(&here[0], &there);
-            let factor = (here[0][3] + there[3]) * slope;
+        for (index, mask) in pairs::row::<L>(&self.step.list, i) {
+            // SAFETY: as in the forward pass.
+            let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
+            let (dr, r2) = geometry.difference::<EDGE>(&here[0], &there);
+            let factor = (here[0][3] + there[3]) * mask.apply(kernel.slope(r2));
             for d in 0..D {
                 sum[d] = factor.mul_add(dr[d], sum[d]);
             }
@@ -183,13 +165,14 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let n = model.particles();
+        let kernel = model.kernel.lanes::<L>();
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         for row in rows {
             let i = pairs::particle_of_row(list, row);
             let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
-                self.row::<L, true>(&geometry, i)
+                self.row::<L, true>(&kernel, &geometry, i)
             } else {
-                self.row::<L, false>(&geometry, i)
+                self.row::<L, false>(&kernel, &geometry, i)
             };
             for d in 0..D {
                 // SAFETY: each row writes its own particle.
@@ -200,14 +183,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
 }
 
 /// The adjoint, on plain numbers: adds to `moved_bar`.
-pub fn backward<R: Real>(
-    step: &Step<R>,
-    moved: &[R],
-    kept: &PairCache<R>,
-    density: &[R],
-    density_bar: &[R],
-    moved_bar: &mut [R],
-) {
+pub fn backward<R: Real>(step: &Step<R>, moved: &[R], density: &[R], density_bar: &[R], moved_bar: &mut [R]) {
     let model = &*step.model;
     let (n, l) = (model.particles(), model.layout);
     let mut position = model.scratch.buffers.buffer(4 * n);
@@ -217,7 +193,7 @@ pub fn backward<R: Real>(
     macro_rules! go {
         ($d:literal) => {
             run_rows(
-                &Backward::<R, $d> { step, position: &position, slope: &kept.slope, moved_bar: Shared::new(moved_bar) },
+                &Backward::<R, $d> { step, position: &position, moved_bar: Shared::new(moved_bar) },
                 pairs::all_rows(&step.list),
             )
         };
@@ -244,13 +220,13 @@ impl<R: Sweeps> Operator<1> for Density<R> {
         let step = &self.0.step;
         let n = step.model.particles();
         let mut density = vec![R::default(); n];
-        R::density(step, moved, &mut self.0.kept(), true, &mut density);
+        R::density(step, moved, &mut self.0.kept(), &mut density);
         Ok((density, (1, n).into()))
     }
 
     fn adjoint(&self, [moved]: [&[R]; 1], density: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let mut moved_bar = self.0.moved_bar();
-        R::density_bar(&self.0.step, moved, &self.0.kept(), density, bar, &mut moved_bar);
+        R::density_bar(&self.0.step, moved, density, bar, &mut moved_bar);
         Ok([Some(moved_bar)])
     }
 }

@@ -88,18 +88,17 @@ fn apart<L: Lanes, const D: usize, const EDGE: bool>(
     Apart { difference, square, velocity, parting }
 }
 
-struct Forward<'a, R, const D: usize, const CURVATURE: bool> {
+struct Forward<'a, R, const D: usize> {
     step: &'a Step<R>,
     dt: f64,
     records: &'a [R],
     before: &'a [R],
     density: Shared<'a, R>,
     slope: Shared<'a, R>,
-    curvature: Shared<'a, R>,
 }
 
-impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE> {
-    /// sum of V_j F q over a row, whose F [and G] are kept on the way.
+impl<R: Real, const D: usize> Forward<'_, R, D> {
+    /// sum of V_j F q over a row, whose F are kept on the way.
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
@@ -115,22 +114,16 @@ impl<R: Real, const D: usize, const CURVATURE: bool> Forward<'_, R, D, CURVATURE
             // SAFETY: `row` gives COUNT valid particle numbers, each of which has a record.
             let there = unsafe { gather_fields::<L>(self.records.as_ptr(), WIDTH, index) };
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
-            let (_, f, g) = kernel.all(apart.square);
-            let f = mask.apply(f);
+            let f = mask.apply(kernel.slope(apart.square));
             sum = (there[2 * D / 4][2 * D % 4] * f).mul_add(apart.parting, sum);
             // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe {
-                self.slope.store(from + k * L::COUNT, f);
-                if CURVATURE {
-                    self.curvature.store(from + k * L::COUNT, mask.apply(g));
-                }
-            }
+            unsafe { self.slope.store(from + k * L::COUNT, f) };
         }
         sum
     }
 }
 
-impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_, R, D, CURVATURE> {
+impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     const SHORT: bool = D == 2;
 
     #[inline(always)]
@@ -140,64 +133,52 @@ impl<R: Real, const D: usize, const CURVATURE: bool> RowKernel<R> for Forward<'_
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         let dt = R::of(self.dt);
         for row in rows {
-            let i = pairs::particle_of_row(list, row);
+            let i = list.fluid_rows[row] as usize;
             let sum = if geometry.at_edge(&self.records[WIDTH * i..WIDTH * (i + 1)]) {
                 self.row::<L, true>(&kernel, &geometry, i)
             } else {
                 self.row::<L, false>(&kernel, &geometry, i)
             };
-            if !CURVATURE || row < list.fluid_rows.len() {
-                let before = self.before[i];
-                // SAFETY: each fluid row writes its own particle.
-                unsafe { self.density.set(i, before + dt * (before * sum.sum())) };
-            }
+            let before = self.before[i];
+            // SAFETY: each row writes its own particle.
+            unsafe { self.density.set(i, before + dt * (before * sum.sum())) };
         }
     }
 }
 
-/// The forward pass, on plain numbers; keeps F, and G too for a step that will be differentiated.
-pub fn forward<R: Real>(
-    step: &Step<R>,
-    dt: f64,
-    moved: &[R],
-    kept: &mut PairCache<R>,
-    differentiate: bool,
-    density: &mut [R],
-) {
+/// The forward pass, on plain numbers; keeps F.
+pub fn forward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], kept: &mut PairCache<R>, density: &mut [R]) {
     let (model, list, n) = (&*step.model, &*step.list, step.model.particles());
-    kept.make_room(model, list, moved, differentiate);
+    kept.make_room(model, list, moved);
     let mut records = model.scratch.buffers.buffer(WIDTH * n);
     let mass = Masses::new(model, moved);
     run_rows(&Packing { step, moved, mass, bar: None, records: Shared::new(&mut records) }, n);
     let before = &moved[model.layout.moved_density() * n..][..n];
     density[..n].copy_from_slice(before);
     macro_rules! go {
-        ($d:literal, $curvature:literal) => {
+        ($d:literal) => {
             run_rows(
-                &Forward::<R, $d, $curvature> {
+                &Forward::<R, $d> {
                     step,
                     dt,
                     records: &records,
                     before,
                     density: Shared::new(density),
                     slope: Shared::new(&mut kept.slope),
-                    curvature: Shared::new(&mut kept.curvature),
                 },
-                if $curvature { pairs::all_rows(list) } else { list.fluid_rows.len() },
+                list.fluid_rows.len(),
             )
         };
     }
-    match (model.layout.dimension, differentiate) {
-        (2, false) => go!(2, false),
-        (2, true) => go!(2, true),
-        (_, false) => go!(3, false),
-        (_, true) => go!(3, true),
+    if model.layout.dimension == 2 {
+        go!(2)
+    } else {
+        go!(3)
     }
 }
 
 struct Backward<'a, R, const D: usize> {
     step: &'a Step<R>,
-    kept: &'a PairCache<R>,
     records: &'a [R],
     mass: Masses<'a, R>,
     before: &'a [R],
@@ -215,22 +196,21 @@ struct RowBar<L, const D: usize> {
 
 impl<R: Real, const D: usize> Backward<'_, R, D> {
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> RowBar<L, D> {
-        let list = &*self.step.list;
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        kernel: &KernelLanes<L>,
+        geometry: &RowGeometry<L, D>,
+        i: usize,
+    ) -> RowBar<L, D> {
         let here = splat_fields::<L>(&self.records[WIDTH * i..WIDTH * (i + 1)], WIDTH);
         let get = |f: &Fields<L>, q: usize| f[q / 4][q % 4];
-        let from = i * list.capacity;
         let mut sums = RowBar { position: [L::zero(); D], velocity: [L::zero(); D], volume: L::zero() };
-        for (k, (index, _)) in pairs::row::<L>(list, i).enumerate() {
-            // SAFETY: as in the forward pass; F and G are kept for every row, 0 in the padding.
-            let (there, slope, curvature) = unsafe {
-                (
-                    gather_fields::<L>(self.records.as_ptr(), WIDTH, index),
-                    L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT)),
-                    L::load(self.kept.curvature.as_ptr().add(from + k * L::COUNT)),
-                )
-            };
+        for (index, mask) in pairs::row::<L>(&self.step.list, i) {
+            // SAFETY: as in the forward pass.
+            let there = unsafe { gather_fields::<L>(self.records.as_ptr(), WIDTH, index) };
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
+            let (_, slope, curvature) = kernel.all(apart.square);
+            let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
             let (volume, c) = (2 * D, 2 * D + 1);
             let e = get(&here, c).mul_add(get(&there, volume), get(&there, c) * get(&here, volume));
             let (along, radial) = (e * slope, e * apart.parting * curvature);
@@ -251,14 +231,15 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let (n, l) = (model.particles(), model.layout);
+        let kernel = model.kernel.lanes::<L>();
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         for row in rows {
             let i = pairs::particle_of_row(list, row);
             let record = &self.records[WIDTH * i..WIDTH * (i + 1)];
             let sums = if geometry.at_edge(record) {
-                self.row::<L, true>(&geometry, i)
+                self.row::<L, true>(&kernel, &geometry, i)
             } else {
-                self.row::<L, false>(&geometry, i)
+                self.row::<L, false>(&kernel, &geometry, i)
             };
             let (before, volume_bar) = (self.before[i], sums.volume.sum());
             let own = match model.is_fluid(i) {
@@ -283,15 +264,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
 }
 
 /// The adjoint, on plain numbers: adds to `moved_bar`.
-pub fn backward<R: Real>(
-    step: &Step<R>,
-    dt: f64,
-    moved: &[R],
-    kept: &PairCache<R>,
-    density: &[R],
-    density_bar: &[R],
-    moved_bar: &mut [R],
-) {
+pub fn backward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], density: &[R], density_bar: &[R], moved_bar: &mut [R]) {
     let (model, list, n) = (&*step.model, &*step.list, step.model.particles());
     let l = model.layout;
     let mut records = model.scratch.buffers.buffer(WIDTH * n);
@@ -308,7 +281,6 @@ pub fn backward<R: Real>(
             run_rows(
                 &Backward::<R, $d> {
                     step,
-                    kept,
                     records: &records,
                     mass,
                     before,
@@ -335,13 +307,13 @@ impl<R: Sweeps> Operator<1> for Evolution<R> {
         let step = &self.0.step;
         let n = step.model.particles();
         let mut density = vec![R::default(); n];
-        R::evolution(step, self.1, moved, &mut self.0.kept(), true, &mut density);
+        R::evolution(step, self.1, moved, &mut self.0.kept(), &mut density);
         Ok((density, (1, n).into()))
     }
 
     fn adjoint(&self, [moved]: [&[R]; 1], density: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let mut moved_bar = self.0.moved_bar();
-        R::evolution_bar(&self.0.step, self.1, moved, &self.0.kept(), density, bar, &mut moved_bar);
+        R::evolution_bar(&self.0.step, self.1, moved, density, bar, &mut moved_bar);
         Ok([Some(moved_bar)])
     }
 }

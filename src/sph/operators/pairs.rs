@@ -205,11 +205,9 @@ pub fn splat_fields<L: Lanes>(record: &[L::Real], fields: usize) -> Fields<L> {
 pub struct PairCache<R> {
     /// x y (z) in records of 4, `[N, 4]`.
     pub position: Vec<R>,
-    /// F = W'(d)/d of every pair, `[N, K]`, rows as the neighbour list's, 0 in the padding and beyond the cut-off. Rows of
-    /// walls only if there is a `curvature` too.
+    /// F = W'(d)/d of every pair, `[N, K]`, rows as the neighbour list's, 0 in the padding and beyond the cut-off; of the
+    /// fluid's rows. The adjoints compute it anew, and G = F'(d)/d with it: of a large scene, reading them took longer.
     pub slope: Vec<R>,
-    /// G = F'(d)/d likewise: for the adjoints.
-    pub curvature: Vec<R>,
     /// Everything that the pair pass reads of a particle, `[N, stride]`, see [`crate::sph::operators::wall_condition`].
     pub records: Vec<R>,
     /// Whether the vectors hold something.
@@ -220,12 +218,10 @@ pub struct PairCache<R> {
 }
 
 impl<R: Real> PairCache<R> {
-    /// For the sweep that comes first in a step: packs positions, and makes room for F, and for G too if the step will be
-    /// differentiated.
-    pub fn make_room(&mut self, model: &Model<R>, list: &NeighbourList, moved: &[R], differentiate: bool) {
+    /// For the sweep that comes first in a step: packs positions, and makes room for F.
+    pub fn make_room(&mut self, model: &Model<R>, list: &NeighbourList, moved: &[R]) {
         pack_positions(model, moved, None, &mut self.position);
         self.slope.resize(list.index.len(), R::default());
-        self.curvature.resize(if differentiate { list.index.len() } else { 0 }, R::default());
         self.has_pairs = true;
     }
 }

@@ -15,6 +15,7 @@ use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
+use crate::sph::kernels::KernelLanes;
 use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::{
     conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
@@ -296,6 +297,7 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(
         &self,
+        kernel: &KernelLanes<L>,
         geometry: &RowGeometry<L, D>,
         own: &Fields<L>,
         i: usize,
@@ -313,19 +315,16 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let prepared = self.laws.prepare(&a);
         let own_bar = splat_fields::<L>(&self.bars[i * width..(i + 1) * width], bar_fields);
         let volume2 = a.volume * a.volume;
-        let from = i * list.capacity;
         let (zero, none) = ([L::zero(); D], L::zero());
         let mut bar =
             SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
         let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
         for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
-            // SAFETY: `row` gives valid particle numbers; F and G are kept for every pair of the list, 0 in the padding.
-            let (other, other_bar, slope, curvature) = unsafe {
+            // SAFETY: `row` gives valid particle numbers.
+            let (other, other_bar) = unsafe {
                 (
                     gather_fields::<L>(self.kept.records.as_ptr(), fields, index),
                     gather_fields::<L>(self.bars.as_ptr(), bar_fields, index),
-                    L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT)),
-                    L::load(self.kept.curvature.as_ptr().add(from + k * L::COUNT)),
                 )
             };
             let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
@@ -334,6 +333,8 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
                 b.conductivity = unsafe { L::gather(conductivities.as_ptr(), index) };
             }
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
+            let (_, slope, curvature) = kernel.all(square);
+            let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
             let volumes2 = b.volume.mul_add(b.volume, volume2);
             let weight = volumes2 * slope;
             let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
@@ -358,6 +359,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let (n, l) = (model.particles(), model.layout);
+        let kernel = model.kernel.lanes::<L>();
         let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
         let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
         for row in rows {
@@ -365,9 +367,9 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
             let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
             let own = splat_fields::<L>(record, fields);
             let bar = if geometry.at_edge(record) {
-                self.row::<L, true>(&geometry, &own, i)
+                self.row::<L, true>(&kernel, &geometry, &own, i)
             } else {
-                self.row::<L, false>(&geometry, &own, i)
+                self.row::<L, false>(&kernel, &geometry, &own, i)
             };
             // From the record's fields back to the operator's inputs, all of them particle i's own.
             let (volume, density) = (record[D], record[D + 1]);
@@ -461,8 +463,8 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
     }
 }
 
-/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero. `rates` are read where particles have
-/// masses of their own.
+/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero for particles without a row. `rates` are read where
+/// particles have masses of their own.
 pub fn backward<R: Real>(
     step: &Step<R>,
     moved: &[R],

@@ -8,8 +8,9 @@
 use crate::adjoint::RunError;
 use crate::numerics::candle::{apply1, read, Operator};
 use crate::numerics::pool::Buffer;
-use crate::numerics::sweep::{clear, copied, zeros};
+use crate::numerics::sweep::{clear, copied, copy, zeros};
 use crate::sph::chain::{Chain, Step};
+use crate::sph::operators::pairs;
 use crate::sph::operators::rates::known;
 use crate::sph::solver::TensorSolver;
 use crate::sph::step::{self, Execution};
@@ -41,19 +42,39 @@ pub fn advance<R: Sweeps>(
 ) -> std::result::Result<Tensor, RunError> {
     let failed = RunError::tensor(run.step);
     let state = state.contiguous().map_err(&failed)?;
-    let mut step = Err(RunError::Tensor { step: run.step, source: candle_core::Error::Msg("no state".into()) });
-    read(&state, |from: &[R]| match after {
-        Some(after) => read(after, |after: &[R]| {
-            step = Recording::of_step(run, dt, from, Some(after));
-            Ok(())
-        }),
-        None => {
-            step = Recording::of_step(run, dt, from, None);
-            Ok(())
-        }
+    let step = with_numbers(&state, after, |from, after| Recording::of_step(run, dt, from, after, true));
+    apply1(step.map_err(&failed)??, &state).map_err(&failed)
+}
+
+/// The cotangent of a state from that of the one that a step from it leads to. The same numbers as by way of candle's graph, which for
+/// a step alone would clear, copy and add up some tensors more, on one thread.
+///
+/// # Errors
+/// As for [`advance`].
+pub fn pull_back<R: Sweeps>(
+    run: &mut TensorSolver<R>,
+    dt: f64,
+    state: &Tensor,
+    after: Option<&Tensor>,
+    cotangent: &Tensor,
+) -> std::result::Result<Tensor, RunError> {
+    let failed = RunError::tensor(run.step);
+    let step = with_numbers(state, after, |from, after| Recording::of_step(run, dt, from, after, false));
+    let step = step.map_err(&failed)??;
+    let found = cotangent.contiguous().and_then(|bar| read(&bar, |bar| Ok(step.pull_back(state.elem_count(), bar))));
+    found.and_then(|found| Tensor::from_vec(found, state.shape(), state.device())).map_err(&failed)
+}
+
+/// What becomes of the numbers of a state and of the one behind it.
+fn with_numbers<R: Sweeps, T>(
+    state: &Tensor,
+    after: Option<&Tensor>,
+    make: impl FnOnce(&[R], Option<&[R]>) -> T,
+) -> Result<T> {
+    read(state, |state| match after {
+        Some(after) => read(after, |after| Ok(make(state, Some(after)))),
+        None => Ok(make(state, None)),
     })
-    .map_err(&failed)?;
-    apply1(step?, &state).map_err(&failed)
 }
 
 /// Makes a step and keeps what its adjoint reads.
@@ -64,9 +85,13 @@ struct Recording<'a, R: Sweeps> {
     chain: Option<Arc<Chain<R>>>,
     moved: Buffer<R>,
     density: Buffer<R>,
+    /// Whether the density is known from the run without a graph.
+    has_density: bool,
     primitives: Buffer<R>,
     rates: Option<Buffer<R>>,
     state: Vec<R>,
+    /// Whether somebody asks for the state that the step leads to.
+    wants_state: bool,
 }
 
 impl<'a, R: Sweeps> Recording<'a, R> {
@@ -75,18 +100,24 @@ impl<'a, R: Sweeps> Recording<'a, R> {
         dt: f64,
         from: &'a [R],
         after: Option<&'a [R]>,
+        wants_state: bool,
     ) -> std::result::Result<WholeStep<R>, RunError> {
         let (n, l) = (run.model.particles(), run.model.layout);
         let buffers = run.model.scratch.buffers.clone();
-        // Of rates that are known only those by the mass are asked for.
-        let reads_rates = after.is_none() || l.mass;
+        // Rates lead to the next state, and the derivative by masses reads them.
+        let reads_rates = l.mass || (after.is_none() && wants_state);
+        // They read what the density pass keeps of pairs.
+        let finds_rates = reads_rates && after.is_none();
+        let known = run.density.take().filter(|_| !finds_rates && run.pace.parts == 1);
         let mut recording = Self {
             moved: buffers.buffer(l.moved_rows() * n),
-            density: buffers.buffer(n),
+            has_density: known.is_some(),
+            density: known.unwrap_or_else(|| buffers.buffer(n)),
             // Only an evolved density is read behind the walls' values.
             primitives: buffers.buffer(if l.density { l.primitive_rows() * n } else { 0 }),
             rates: reads_rates.then(|| buffers.buffer(l.rate_rows() * n)),
             state: Vec::new(),
+            wants_state,
             chain: None,
             run,
             from,
@@ -131,10 +162,18 @@ impl<R: Sweeps> Execution for Recording<'_, R> {
     }
     fn density(&mut self, dt: f64, _: &()) -> std::result::Result<(), RunError> {
         let (chain, step) = self.step_now();
-        clear_walls(&step, &mut self.density);
-        match step.model.layout.density {
-            true => R::evolution(&step, dt, &self.moved, &mut chain.kept(), true, &mut self.density),
-            false => R::density(&step, &self.moved, &mut chain.kept(), true, &mut self.density),
+        let (l, n) = (step.model.layout, step.model.particles());
+        match self.after {
+            // (Of walls it is the next state's, which nobody reads.)
+            Some(after) if l.density => copy(&after[l.state_density() * n..][..n], &mut self.density),
+            _ if self.has_density => {}
+            _ => {
+                clear_walls(&step, &mut self.density);
+                match l.density {
+                    true => R::evolution(&step, dt, &self.moved, &mut chain.kept(), &mut self.density),
+                    false => R::density(&step, &self.moved, &mut chain.kept(), &mut self.density),
+                }
+            }
         }
         Ok(())
     }
@@ -159,6 +198,7 @@ impl<R: Sweeps> Execution for Recording<'_, R> {
     fn assemble(&mut self, _: &(), _: &(), _: &()) -> std::result::Result<(), RunError> {
         let (_, step) = self.step_now();
         match (self.after, &self.rates) {
+            _ if !self.wants_state => {}
             (Some(after), _) => self.state = copied(after),
             (None, Some(rates)) => {
                 self.state = zeros(step.model.layout.state_rows() * step.model.particles());
@@ -180,13 +220,21 @@ impl<R: Sweeps> Operator<1> for WholeStep<R> {
     }
 
     fn adjoint(&self, [state]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+        Ok([Some(self.pull_back(state.len(), bar))])
+    }
+}
+
+impl<R: Sweeps> WholeStep<R> {
+    /// The cotangent of the state, of so many numbers, from that of the state that the step leads to.
+    fn pull_back(&self, count: usize, bar: &[R]) -> Vec<R> {
         let step = &*self.chain.step;
         let (model, l, n) = (&*step.model, step.model.layout, step.model.particles());
         let buffers = &model.scratch.buffers;
         let (mut moved_bar, mut rates_bar) = (buffers.buffer(l.moved_rows() * n), buffers.buffer(l.rate_rows() * n));
         let (mut primitives_bar, mut density_bar) = (buffers.buffer(l.primitive_rows() * n), buffers.buffer(n));
-        for bar in [&mut moved_bar, &mut primitives_bar, &mut density_bar] {
-            clear(bar);
+        clear(&mut density_bar);
+        if pairs::all_rows(&step.list) < n {
+            clear(&mut primitives_bar);
         }
         let (moved, kept) = (&self.moved[..], self.chain.kept());
         R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
@@ -198,11 +246,11 @@ impl<R: Sweeps> Operator<1> for WholeStep<R> {
         }
         R::primitives_bar(step, &kept, &primitives_bar, &mut moved_bar, &mut density_bar);
         match l.density {
-            true => R::evolution_bar(step, self.dt, moved, &kept, &self.density, &density_bar, &mut moved_bar),
-            false => R::density_bar(step, moved, &kept, &self.density, &density_bar, &mut moved_bar),
+            true => R::evolution_bar(step, self.dt, moved, &self.density, &density_bar, &mut moved_bar),
+            false => R::density_bar(step, moved, &self.density, &density_bar, &mut moved_bar),
         }
-        let mut state_bar = zeros(state.len());
+        let mut state_bar = zeros(count);
         R::drift_bar(model, self.dt, &moved_bar, &mut state_bar);
-        Ok([Some(state_bar)])
+        state_bar
     }
 }
