@@ -661,7 +661,11 @@ fn tiny_steps_are_not_blamed_on_the_time() {
 #[test]
 fn devices_that_are_not_there() {
     let case = Case::new(&[("mine.toml", "[run]\ndevice = \"cuda:77\"\n")]);
-    let why = if cfg!(feature = "cuda") { "no device cuda:77: " } else { "no device cuda:77: this hydrograd was built without CUDA" };
+    let why = if cfg!(feature = "cuda") {
+        "no device cuda:77: "
+    } else {
+        "no device cuda:77: this hydrograd was built without CUDA"
+    };
     for command in [
         &["simulate"][..],
         &["simulate", "taylor-green", "--kernels", "fused"],

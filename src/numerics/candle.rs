@@ -3,8 +3,8 @@
 use super::lanes::Real;
 use candle_core::backend::BackendStorage;
 use candle_core::{
-    CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, DType, Device, InplaceOp3, Layout, Result, Shape, Storage,
-    Tensor, WithDType,
+    CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, DType, Device, InplaceOp3, Layout, Result, Shape,
+    Storage, Tensor, WithDType,
 };
 use std::sync::{Mutex, PoisonError};
 

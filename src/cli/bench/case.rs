@@ -6,9 +6,9 @@ use clap::ValueEnum;
 
 use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
+use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::memory_size::MemorySize;
-use crate::config::device::DeviceName;
 use crate::config::scene::{Config, Kernels, Precision};
 use crate::error::Error;
 use crate::scene::load::Loaded;

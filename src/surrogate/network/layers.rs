@@ -43,8 +43,12 @@ pub fn on_device(
         return network(inputs, parameters);
     }
     let there = |tensor: &Tensor| tensor.to_device(device);
-    let inputs =
-        Inputs { nodes: there(&inputs.nodes)?, edges: there(&inputs.edges)?, velocity: there(&inputs.velocity)?, ..inputs.clone() };
+    let inputs = Inputs {
+        nodes: there(&inputs.nodes)?,
+        edges: there(&inputs.edges)?,
+        velocity: there(&inputs.velocity)?,
+        ..inputs.clone()
+    };
     let parameters = parameters.iter().map(there).collect::<Result<Vec<_>>>()?;
     network(&inputs, &parameters)?.to_device(here)
 }
