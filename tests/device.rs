@@ -13,6 +13,8 @@ use hydrograd::config::device::{Compute, DeviceName};
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::numerics::gather::{sum_by_place_everywhere, Gather};
 use hydrograd::numerics::random::{stream, uniform, Normal};
+use hydrograd::particles::neighbour_list::Workspace;
+use hydrograd::particles::{tag, Domain, NeighbourList};
 use hydrograd::scene::Scene;
 use hydrograd::sph::consistent::Shift;
 use hydrograd::sph::dynamics::Sph;
@@ -333,6 +335,35 @@ fn gathers_are_candles_own() {
     let beyond = Gather::new(&[0, 4], 4, &Device::Cpu);
     sum_by_place_everywhere(false);
     assert!(beyond.unwrap_err().to_string().contains("row 4 of 4"));
+}
+
+/// What is made of a list is kept, until the list is another one.
+#[test]
+fn tensors_of_a_list_are_of_that_list() {
+    let _turn = turn();
+    let domain = Domain { dimension: 2, size: [1.0; 3], periodic: [true; 3] };
+    let mut rng = stream(13, "list");
+    let mut position = || (0..200).map(|_| uniform(&mut rng)).collect::<Vec<f64>>();
+    let (first, second, tags) = (position(), position(), vec![tag::FLUID; 100]);
+    let new = |position: &[f64]| NeighbourList::build(position, &tags, &domain, 0.2, 16).unwrap();
+    let neighbours = |list: &NeighbourList| {
+        let (index, mask) = list.tensors(&Device::Cpu, DType::F64).unwrap();
+        let numbers = Tensor::arange(0.0, 100.0, &Device::Cpu).unwrap().unsqueeze(0).unwrap();
+        let found = index.rows(&numbers, 1).unwrap().flatten_all().unwrap().to_vec1::<f64>().unwrap();
+        (found, mask.flatten_all().unwrap().to_vec1::<f64>().unwrap(), mask.id())
+    };
+    let plain = [&first, &second].map(|position| neighbours(&new(position)));
+    sum_by_place_everywhere(true);
+    let mut list = new(&first);
+    let (found, again) = (neighbours(&list), neighbours(&list));
+    let elsewhere = std::thread::scope(|scope| scope.spawn(|| neighbours(&list).2).join().unwrap());
+    list.rebuild(&second, &tags, &domain, 0.2, &mut Workspace::default()).unwrap();
+    let later = neighbours(&list);
+    sum_by_place_everywhere(false);
+    assert!(found.2 == again.2 && found.2 != elsewhere && found.2 != later.2);
+    assert!((found.0, found.1) == (plain[0].0.clone(), plain[0].1.clone()));
+    assert!((later.0, later.1) == (plain[1].0.clone(), plain[1].1.clone()));
+    assert!(plain[0].0 != plain[1].0 && plain[0].2 != neighbours(&new(&first)).2);
 }
 
 /// A device that is not there is one clear error, whatever the build.

@@ -41,14 +41,18 @@ pub fn sum_by_place_everywhere(yes: bool) {
     EVERYWHERE.store(yes, Ordering::Relaxed);
 }
 
+/// Whether sums are taken by place on a device.
+pub fn sums_by_place(device: &Device) -> bool {
+    !device.is_cpu() || EVERYWHERE.load(Ordering::Relaxed)
+}
+
 impl Gather {
     /// Of `rows` rows, by numbers `[M]`, on a device.
     ///
     /// # Errors
     /// A number of no row; tensor errors.
     pub fn new(numbers: &[u32], rows: usize, device: &Device) -> Result<Self> {
-        let by_place = !device.is_cpu() || EVERYWHERE.load(Ordering::Relaxed);
-        let places = by_place.then(|| Places::new(numbers, rows, device)).transpose()?.map(Arc::new);
+        let places = sums_by_place(device).then(|| Places::new(numbers, rows, device)).transpose()?.map(Arc::new);
         Ok(Self { numbers: Tensor::from_slice(numbers, numbers.len(), device)?, rows, places })
     }
 

@@ -30,10 +30,7 @@ impl Pairs {
     pub fn new<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Self> {
         let (model, list) = (&*step.model, &*step.list);
         let (n, k, d) = (list.particles, list.capacity, model.layout.dimension);
-        let device = moved.device();
-        let index = Gather::new(&list.index, n, device)?;
-        let mask: Vec<R> = (0..n * k).map(|e| R::of(((e % k) < list.count[e / k] as usize) as u8 as f64)).collect();
-        let mask = Tensor::from_vec(mask, (1, n, k), device)?.to_dtype(moved.dtype())?;
+        let (index, mask) = list.tensors(moved.device(), moved.dtype())?;
         let mut pairs = Self {
             particles: n,
             capacity: k,
