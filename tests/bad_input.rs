@@ -656,3 +656,36 @@ fn tiny_steps_are_not_blamed_on_the_time() {
     run("time.step=1", &["--set time.step=1: time.step = 1 is too large", "steps of at most"]);
     run("time.step=0", &["time.step = 0"]);
 }
+
+/// Said before anything is read or written, by every command that has the option.
+#[test]
+fn devices_that_are_not_there() {
+    let case = Case::new(&[("mine.toml", "[run]\ndevice = \"cuda:77\"\n")]);
+    let why = if cfg!(feature = "cuda") {
+        "no device cuda:77: "
+    } else {
+        "no device cuda:77: this hydrograd was built without CUDA"
+    };
+    for command in [
+        &["simulate"][..],
+        &["simulate", "taylor-green", "--kernels", "fused"],
+        &["optimize"],
+        &["check-gradient"],
+        &["generate", "--trajectories", "1/1/1"],
+        &["scenes", "check"],
+        &["train", "--data", "x"],
+        &["evaluate", "--data", "x", "--model", "linear"],
+        &["rollout", "--data", "x", "--model", "linear"],
+        &["bench", "step"],
+    ] {
+        let arguments = [command, &["--device", "cuda:77", "--out", "out"]].concat();
+        case.refuses(&arguments, &["error: --device cuda:77: ", why, "allowed: ", "try: --device cpu"]);
+        let arguments = [command, &["--device", "gpu"]].concat();
+        case.refuses(&arguments, &["`gpu` is not a device", "--device", "cuda:N"]);
+    }
+    case.refuses(&["simulate", "mine.toml", "--out", "out"], &["mine.toml, line 2: ", why, "try: --device cpu"]);
+    refuses_sets(&["run.device=cuda:77"], &["--set run.device=cuda:77: ", why, "try: --device cpu"]);
+    refuses_sets(&["run.device=cuda:"], &["--set run.device=cuda:: ", "`cuda:` is not a device", "cuda:N"]);
+    refuses_file("[run]\ndevice = 0\n", &["mine.toml", "line 2", "cuda:N"]);
+    case.refuses(&["bench", "accuracy", "--device", "cuda:77"], &["the group accuracy runs on the CPU"]);
+}

@@ -6,17 +6,19 @@ use clap::{Args, ValueEnum};
 
 use super::prepare::require_design;
 use crate::config::builtin;
+use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Kernels, Precision};
 use crate::error::{BadInput, Error};
 use crate::scene::load::Loaded;
 
 /// Options that stand for a key of the scene.
-const OPTIONS: [(&str, &str); 13] = [
+const OPTIONS: [(&str, &str); 14] = [
     ("--precision", "run.precision"),
     ("--threads", "run.threads"),
     ("--seed", "run.seed"),
     ("--kernels", "run.kernels"),
+    ("--device", "run.device"),
     ("--gradient", "optimise.gradient"),
     ("--memory", "optimise.memory"),
     ("--store", "optimise.store"),
@@ -60,6 +62,9 @@ pub struct CommonArguments {
     /// Implementation of the operators (run.kernels) [default: the scene's].
     #[arg(long, value_enum)]
     pub kernels: Option<Kernels>,
+    /// Where the operators run: cpu, cuda or cuda:N; a GPU takes composed ones (run.device) [default: the scene's].
+    #[arg(long, value_name = "DEVICE")]
+    pub device: Option<DeviceName>,
 }
 
 /// Going on with an earlier run.
@@ -140,6 +145,7 @@ impl CommonArguments {
             self.threads.map(|value| option("run.threads", value)),
             self.seed.map(|value| option("run.seed", value)),
             self.kernels.map(|value| option("run.kernels", name_of(value))),
+            self.device.map(|value| option("run.device", value)),
         ];
         settings.extend(own.into_iter().flatten());
         settings.extend(options);

@@ -3,7 +3,7 @@
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files::{self, write_json};
 use super::page;
-use super::prepare::{build, use_threads};
+use super::prepare::{build, open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine};
 use crate::config::layers::Setting;
@@ -80,6 +80,7 @@ const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11]
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     use_threads(loaded.config.run.threads);
+    open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     // What is checked is the adjoint, whatever an optimiser takes.
     let mut config = loaded.config.clone();

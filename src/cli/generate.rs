@@ -4,7 +4,7 @@ use super::arguments::CommonArguments;
 use super::files::VERSION;
 use super::machine;
 use super::page;
-use super::prepare::{difference, share_out, workers};
+use super::prepare::{difference, open_device, share_out, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
@@ -182,6 +182,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         machine::answer(&summary(&store, &recipe, &Made { kept: jobs.len(), ..Made::default() })?);
         return Ok(());
     }
+    open_device(&loaded)?;
     // Shards write there together; nothing of an earlier run of the same set is discarded.
     let own = RunFolder::share(&folder, KIND)?;
     if store.begun()?.is_none() {

@@ -2,7 +2,8 @@
 
 use super::arguments::threads;
 use super::guard;
-use super::prepare::use_threads;
+use super::prepare::{compute, use_threads};
+use crate::config::device::DeviceName;
 use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
@@ -26,6 +27,9 @@ pub struct ModelDataArguments {
     /// Implementation of the network.
     #[arg(long, value_enum, default_value_t)]
     pub kernels: Kernels,
+    /// Where the network runs: cpu, cuda or cuda:N; a GPU takes the composed one.
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    pub device: DeviceName,
     /// Worker threads, 0 for every core; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
@@ -42,8 +46,9 @@ impl ModelDataArguments {
     /// Reads all of it; bad input is found here, before anything is written.
     pub fn read(&self) -> anyhow::Result<ModelData> {
         use_threads(self.threads);
+        let compute = compute(self.kernels, self.device)?;
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
-        let model = load_predictor(&self.model, &metadata, self.kernels)?;
+        let model = load_predictor(&self.model, &metadata, compute)?;
         if let Some(unlike) = model.unlike(&metadata) {
             guard::warn(
                 &format!("{unlike}: its predictions mean little there"),

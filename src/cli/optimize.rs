@@ -4,7 +4,7 @@ use super::arguments::{
     name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
 };
 use super::explain::explain;
-use super::prepare::{build, change, difference, diverged, share_out, use_threads, workers};
+use super::prepare::{build, change, difference, diverged, open_device, share_out, use_threads, workers};
 use super::run_folder::{earlier, is_finished, is_unfinished, Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use super::simulate_report::warn;
@@ -226,6 +226,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         None => arguments.free(arguments.folder(&loaded)?),
     };
     use_threads(loaded.config.run.threads);
+    open_device(&loaded)?;
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
     }
@@ -808,7 +809,7 @@ pub fn simulate_with_frames<R: Sweeps>(
     let mut frames = Frames::new(folder, problem.steps, config.output.frames)?;
     let mut observers: Vec<&mut dyn Observer<Sph<R>>> = Vec::new();
     observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-    simulate(problem, config.run.kernels, &problem.start(variables), &mut observers)
+    simulate(problem, config.run.compute()?, &problem.start(variables), &mut observers)
 }
 
 /// `shape.csv` with the best, the first and the last wall, and the plot of all of them.
@@ -1055,10 +1056,11 @@ fn write_history(folder: &Path, figure: Figure, predicts: bool, optimisation: &O
 }
 
 /// Keys that may change when a run is resumed: how far and how it is computed, not what.
-const FREE: [&str; 9] = [
+const FREE: [&str; 10] = [
     "output",
     "run.threads",
     "run.kernels",
+    "run.device",
     "optimise.epochs",
     "optimise.gradient",
     "optimise.segment",

@@ -1,9 +1,13 @@
 //! What every run does first.
 
 use crate::adjoint::RunError;
+use crate::config::device::{Compute, DeviceName};
 pub use crate::config::difference::difference;
+use crate::config::scene::Kernels;
+use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 pub use crate::numerics::threads::use_threads;
+use crate::scene::load::Loaded;
 pub use crate::scene::{build_design as build, require_design};
 use crate::sph::divergence;
 use crate::sph::model::Model;
@@ -12,6 +16,24 @@ use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::Mutex;
 use std::thread::ScopedJoinHandle;
+
+/// Opens the device that a configuration names, before anything is written.
+///
+/// # Errors
+/// A build or a machine without it.
+pub fn open_device(loaded: &Loaded) -> Result<(), BadInput> {
+    let opened = loaded.config.run.compute().map(drop);
+    opened.map_err(|bad| bad.located(|key| loaded.place(key).map(str::to_owned)))
+}
+
+/// What `--kernels` and `--device` ask for, where they stand for no key.
+///
+/// # Errors
+/// As for [`open_device`].
+pub fn compute(kernels: Kernels, device: DeviceName) -> Result<Compute, BadInput> {
+    let opened = device.open().map_err(|bad| bad.located(|_| Some(format!("--device {device}"))))?;
+    Ok(Compute::new(kernels, opened))
+}
 
 /// Workers that share out some jobs: as many as `threads` (0: as there are cores), and no more than there are jobs.
 pub fn workers(threads: usize, jobs: usize) -> usize {

@@ -4,7 +4,7 @@ use super::arguments::check_preset;
 use super::arguments::CommonArguments;
 use super::files;
 use super::machine;
-use super::prepare::use_threads;
+use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
 use crate::config::builtin;
@@ -99,6 +99,7 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     let folder = common.folder(None, "check", &loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
+    open_device(&loaded)?;
     match loaded.config.run.precision {
         Precision::F32 => report::<f32>(&loaded, &folder),
         Precision::F64 => report::<f64>(&loaded, &folder),
@@ -140,7 +141,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         table.row([criterion.name.to_string(), format!("{:.4e}", criterion.dt), criterion.formula.to_string()]);
     }
     print!("{table}");
-    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let mut run = dynamics.start(&scene.start)?;
     let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     let start = ParticleFields::of(&mut run);

@@ -5,7 +5,7 @@ use super::explain::explain;
 use super::files;
 use super::guard;
 use super::page;
-use super::prepare::use_threads;
+use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
@@ -98,6 +98,7 @@ const HALVINGS: usize = 4;
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let folder = arguments.folder(&loaded)?;
     use_threads(loaded.config.run.threads);
+    open_device(&loaded)?;
     if arguments.explain.explain {
         return explain(&loaded, false);
     }
@@ -138,7 +139,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
         None => scene.start.clone(),
     };
-    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let began = first.step;
     check_unfinished(began, &scene)?;
     let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;

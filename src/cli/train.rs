@@ -5,8 +5,9 @@ use super::guard::{stopped_by, tell_error};
 use super::machine;
 use super::model_data::unreadable;
 use super::page;
-use super::prepare::use_threads;
+use super::prepare::{compute, use_threads};
 use super::run_folder::{is_unfinished, Earlier, RunFolder};
+use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
@@ -79,6 +80,9 @@ pub struct TrainArguments {
     /// Implementation of the network; a training can go on with the other one.
     #[arg(long, value_enum, default_value_t)]
     pub kernels: Kernels,
+    /// Where the network runs: cpu, cuda or cuda:N; a GPU takes the composed one.
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    pub device: DeviceName,
     /// Seed of every random number (seed).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
     pub seed: Option<u64>,
@@ -133,9 +137,10 @@ struct Begun {
 /// What trains, prints and writes.
 fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let (folder, earlier) = (&arguments.out, arguments.earlier());
+    let compute = compute(arguments.kernels, arguments.device)?;
     let begun = arguments.begin(ranks)?;
     let Begun { settings, setup, data, origin } = &begun;
-    let mut training = Training::new(settings, setup, data, origin, arguments.kernels, arguments.team(ranks), folder)?;
+    let mut training = Training::new(settings, setup, data, origin, compute, arguments.team(ranks), folder)?;
     let bar = Progress::new(settings.steps, "train");
     let (trajectories, frames) = (data.train.len(), data.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
@@ -163,10 +168,11 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
 /// What all ranks but the first do: their share of every batch.
 fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     machine::be_silent();
+    let compute = compute(arguments.kernels, arguments.device)?;
     let begun = arguments.begin(ranks)?;
     let Begun { settings, setup, data, origin } = &begun;
     let team = arguments.team(ranks);
-    let mut training = Training::new(settings, setup, data, origin, arguments.kernels, team, &arguments.out)?;
+    let mut training = Training::new(settings, setup, data, origin, compute, team, &arguments.out)?;
     interrupt::listen_quietly()?;
     all_are_ready(ranks);
     training.follow()

@@ -3,7 +3,7 @@
 use super::arguments::{name_of, option, set_option, threads, with_options};
 use super::files::{write_json, VERSION};
 use super::page;
-use super::prepare::{require_design, use_threads};
+use super::prepare::{open_device, require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
 use crate::design::shape::{self, read_column, read_columns, read_surface, Columns, Shape};
@@ -137,6 +137,7 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
         None => (best.flat(), FLAT),
     };
     use_threads(loaded.config.run.threads);
+    open_device(&loaded)?;
     let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name };
     let _own = RunFolder::take(&folder, KIND, earlier)?;
     let verified = verify(&verification, "verify")?;

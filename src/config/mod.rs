@@ -2,6 +2,7 @@
 pub mod builtin;
 pub mod custom;
 pub mod derived;
+pub mod device;
 pub mod difference;
 pub mod formula;
 pub mod layers;

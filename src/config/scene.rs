@@ -5,6 +5,7 @@
 //! errors. `data/scenes/*.toml` holds the built-in scenes with a comment on every key.
 
 use crate::config::custom::{Initial, Region, ShapeEntry, VariableEntry};
+use crate::config::device::DeviceName;
 use crate::config::memory_size::MemorySize;
 use serde::{Deserialize, Serialize};
 
@@ -739,6 +740,8 @@ pub struct Run {
     pub threads: usize,
     pub seed: u64,
     pub kernels: Kernels,
+    /// Where the operators run.
+    pub device: DeviceName,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
@@ -959,7 +962,7 @@ impl Default for Surrogate {
 
 impl Default for Run {
     fn default() -> Self {
-        Self { precision: Precision::F64, threads: 0, seed: 0, kernels: Kernels::Fused }
+        Self { precision: Precision::F64, threads: 0, seed: 0, kernels: Kernels::Fused, device: DeviceName::Cpu }
     }
 }
 

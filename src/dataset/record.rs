@@ -94,7 +94,7 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
         let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, &stage.scene, error))?;
         restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
-    let dynamics = Sph::new(stage.scene.model.clone(), config.run.kernels);
+    let dynamics = Sph::new(stage.scene.model.clone(), config.run.compute()?);
     let mut recorder = Recorder::new(ready, &stage, progress);
     run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder])
         .map_err(|error| failed(ready, &stage.scene, error))?;
@@ -222,7 +222,7 @@ fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last
 /// Positions `[D, N]` after a run from rest without forces: disordered and evenly spread.
 fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
     let scene = Scene::<R>::at_rest(config)?;
-    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let solver = run(&dynamics, &scene.start, steps, &mut [])?;
     Ok(solver.state[..scene.model.layout.dimension * scene.model.particles()].to_vec())
 }

@@ -3,7 +3,7 @@
 use super::problem::Problem;
 use crate::adjoint::run::{run, Observer};
 use crate::adjoint::Dynamics;
-use crate::config::scene::Kernels;
+use crate::config::device::Compute;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
@@ -50,12 +50,12 @@ pub struct Finished<R> {
 /// As for [`run`].
 pub fn simulate<R: Sweeps>(
     design: &Problem<R>,
-    kernels: Kernels,
+    compute: impl Into<Compute>,
     start: &Snapshot<R>,
     observers: &mut [&mut dyn Observer<Sph<R>>],
 ) -> anyhow::Result<Finished<R>> {
     let clock = std::time::Instant::now();
-    let dynamics = Sph::new(design.model.clone(), kernels);
+    let dynamics = Sph::new(design.model.clone(), compute);
     let mut measurement = Measurement::of(design);
     let mut all: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut measurement];
     for observer in observers {

@@ -7,6 +7,7 @@ use super::shape::Shape;
 use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
 use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
 use crate::adjoint::{run, Dynamics, Objective, RunError};
+use crate::config::device::Compute;
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
@@ -25,7 +26,8 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct Problem<R> {
     pub model: Arc<Model<R>>,
-    pub kernels: Kernels,
+    /// What its steps are made with.
+    pub compute: Compute,
     pub deformation: Arc<Deformation>,
     pub parametrisation: Arc<dyn Parametrisation>,
     pub objective: Arc<dyn Objective + Send>,
@@ -144,7 +146,7 @@ impl<R: Real> Problem<R> {
 impl<R: Sweeps> Problem<R> {
     /// What runs a design.
     pub fn dynamics(&self) -> Sph<R> {
-        Sph::new(self.model.clone(), self.kernels)
+        Sph::new(self.model.clone(), self.compute.clone())
     }
 
     /// The objective of a design, without a gradient. By the fused step, which is the composed one to rounding.

@@ -1,10 +1,12 @@
 //! The bridge to candle: what is computed on plain slices becomes a node of candle's graph.
 
 use super::lanes::Real;
+use candle_core::backend::BackendStorage;
 use candle_core::{
-    CpuStorage, CustomOp1, CustomOp2, CustomOp3, DType, Device, InplaceOp3, Layout, Result, Shape, Storage, Tensor,
-    WithDType,
+    CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, DType, Device, InplaceOp3, Layout, Result, Shape,
+    Storage, Tensor, WithDType,
 };
+use std::sync::{Mutex, PoisonError};
 
 /// An operator with N tensor inputs and one output, on plain numbers, and its adjoint. Everything else that it knows (a
 /// list, constants) is a constant as far as derivatives go.
@@ -142,6 +144,65 @@ impl<O: Operator<3>> CustomOp3 for Node<O> {
         y_bar: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         self.back([a, b, c], y, y_bar).map(|[a, b, c]| (a, b, c))
+    }
+}
+
+/// A value on candle's graph, on any device, that was found from `x` in another way than its derivative is: `adjoint` takes
+/// the value's cotangent to that of `x`.
+///
+/// # Errors
+/// Tensor errors.
+pub fn with_adjoint(
+    x: &Tensor,
+    value: Tensor,
+    adjoint: impl Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static,
+) -> Result<Tensor> {
+    if !x.track_op() {
+        return Ok(value);
+    }
+    // The whole of a storage is what the node takes over.
+    let value = match value.is_contiguous() && value.layout().start_offset() == 0 {
+        true => value,
+        false => value.force_contiguous()?,
+    };
+    x.apply_op1(Found { value: Mutex::new(Some(value)), adjoint })
+}
+
+/// A node whose value is there before it runs. It gives it away: the graph keeps one copy.
+struct Found<F> {
+    value: Mutex<Option<Tensor>>,
+    adjoint: F,
+}
+
+impl<F> Found<F> {
+    fn take(&self) -> Result<Tensor> {
+        let value = self.value.lock().unwrap_or_else(PoisonError::into_inner).take();
+        value.ok_or_else(|| candle_core::Error::Msg("a node of the graph that ran twice".into()))
+    }
+}
+
+impl<F: Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static> CustomOp1 for Found<F> {
+    fn name(&self) -> &'static str {
+        "found"
+    }
+    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
+        let value = self.take()?;
+        let (storage, _) = value.storage_and_layout();
+        match &*storage {
+            Storage::Cpu(storage) => Ok((storage.clone(), value.shape().clone())),
+            _ => candle_core::bail!("a value on another device than what it is a value of"),
+        }
+    }
+    fn cuda_fwd(&self, _: &CudaStorage, _: &Layout) -> Result<(CudaStorage, Shape)> {
+        let value = self.take()?;
+        let (storage, layout) = value.storage_and_layout();
+        match &*storage {
+            Storage::Cuda(storage) => Ok((storage.try_clone(layout)?, value.shape().clone())),
+            _ => candle_core::bail!("a value on another device than what it is a value of"),
+        }
+    }
+    fn bwd(&self, _: &Tensor, _: &Tensor, bar: &Tensor) -> Result<Option<Tensor>> {
+        (self.adjoint)(bar).map(Some)
     }
 }
 

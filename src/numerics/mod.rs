@@ -2,6 +2,7 @@
 pub mod blocks;
 pub mod candle;
 pub mod exponential;
+pub mod gather;
 pub mod interrupt;
 pub mod lanes;
 pub mod memory;

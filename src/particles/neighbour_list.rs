@@ -9,11 +9,15 @@
 //! The list is a pure function of the positions it was built from, so replaying a segment from stored
 //! positions gives the same list, the same order of every sum and the same bits.
 
+use crate::numerics::gather::{sums_by_place, Gather};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs};
 use crate::particles::{tag, Domain};
+use candle_core::{DType, Device, Tensor};
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+use std::thread::ThreadId;
 
 /// Rows are padded to a multiple of the widest lane count.
 pub const ROW_MULTIPLE: usize = 16;
@@ -36,6 +40,32 @@ pub struct NeighbourList {
     pub fluid_rows: Vec<u32>,
     /// Wall particles with a fluid particle in reach: the rows of the wall extrapolation.
     pub wall_rows: Vec<u32>,
+    /// What [`Self::tensors`] has made.
+    pub made: Made,
+}
+
+/// The last tensors that were made of a list, where they are worth keeping. Each list has its own.
+#[derive(Debug, Default)]
+pub struct Made(Mutex<Option<OnDevice>>);
+
+/// Candle's CUDA backend has a stream for each thread, and nothing waits from one to another: tensors stay with theirs.
+#[derive(Debug)]
+struct OnDevice {
+    index: Gather,
+    mask: Tensor,
+    thread: ThreadId,
+}
+
+impl Clone for Made {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+impl PartialEq for Made {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 /// The list could not be built.
@@ -86,6 +116,7 @@ impl NeighbourList {
         reach: f64,
         workspace: &mut Workspace<R>,
     ) -> Result<(), NeighbourError> {
+        self.made = Made::default();
         let n = tags.len();
         let walls = |&i: &u32| tags[i as usize] != tag::FLUID;
         if self.particles != n || self.count.len() != n {
@@ -139,6 +170,34 @@ impl NeighbourList {
             2 => run_rows(&SearchIn::<R, 2>(search), rows),
             _ => run_rows(&SearchIn::<R, 3>(search), rows),
         }
+    }
+
+    /// For composed operators on a device: who stands where in the list, and 1 where an entry is a pair, 0 in the padding,
+    /// `[1, N, K]`.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn tensors(&self, device: &Device, dtype: DType) -> candle_core::Result<(Gather, Tensor)> {
+        if !sums_by_place(device) {
+            return self.new_tensors(device, dtype);
+        }
+        let mut made = self.made.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let thread = std::thread::current().id();
+        if let Some(OnDevice { index, mask, thread: own }) = &*made {
+            if *own == thread && mask.device().same_device(device) && mask.dtype() == dtype {
+                return Ok((index.clone(), mask.clone()));
+            }
+        }
+        let (index, mask) = self.new_tensors(device, dtype)?;
+        *made = Some(OnDevice { index: index.clone(), mask: mask.clone(), thread });
+        Ok((index, mask))
+    }
+
+    fn new_tensors(&self, device: &Device, dtype: DType) -> candle_core::Result<(Gather, Tensor)> {
+        let (n, k) = (self.particles, self.capacity);
+        let mask: Vec<u8> = (0..n * k).map(|e| u8::from((e % k) < self.count[e / k] as usize)).collect();
+        let mask = Tensor::from_vec(mask, (1, n, k), device)?.to_dtype(dtype)?;
+        Ok((Gather::new(&self.index, n, device)?, mask))
     }
 
     /// The padded row of particle i.

@@ -78,7 +78,7 @@ pub fn simulate<R: Sweeps>(
     let mut observers: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut good];
     observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
     observers.push(&mut keep);
-    let dynamics = Sph::new(model.clone(), config.run.kernels);
+    let dynamics = Sph::new(model.clone(), config.run.compute()?);
     let found = run(&dynamics, &start, steps, &mut observers);
     let mut solver = found.map_err(|error| match error.downcast::<RunError>() {
         Ok(error) => divergence::told(&error, model, good.state()).into(),

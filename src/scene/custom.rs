@@ -233,7 +233,7 @@ pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> 
     let samples = Samples::window(steps, window, config.objective.samples);
     Ok(Problem {
         model: Arc::new(model),
-        kernels: config.run.kernels,
+        compute: config.run.compute()?,
         deformation: Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) }),
         first: parametrisation.start(),
         parametrisation: Arc::new(parametrisation),

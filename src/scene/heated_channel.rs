@@ -86,7 +86,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
     let samples = Samples::window(steps, window, config.objective.samples);
     let design = Problem {
         model: Arc::new(model),
-        kernels: config.run.kernels,
+        compute: config.run.compute()?,
         deformation,
         parametrisation,
         objective: objectives::of_config(config, outlet.clone(), samples),

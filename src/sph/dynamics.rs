@@ -13,6 +13,7 @@ use super::solver::{Pace, Snapshot, Solver, TensorSolver};
 use super::sweeps::Sweeps;
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
+use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::numerics::blocks::Block;
 use crate::numerics::sweep::{copied, copy};
@@ -26,14 +27,15 @@ use std::sync::Arc;
 #[derive(Clone)]
 pub struct Sph<R> {
     pub model: Arc<Model<R>>,
-    pub kernels: Kernels,
+    /// What steps are made with. States, and all that is made of them, stay on the CPU.
+    pub compute: Compute,
     tags: Arc<Vec<u8>>,
 }
 
 impl<R> Sph<R> {
-    pub fn new(model: Arc<Model<R>>, kernels: Kernels) -> Self {
+    pub fn new(model: Arc<Model<R>>, compute: impl Into<Compute>) -> Self {
         let tags = Arc::new(model.tags.clone());
-        Self { model, kernels, tags }
+        Self { model, compute: compute.into(), tags }
     }
 }
 
@@ -60,10 +62,10 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     type Tape = TensorSolver<R>;
 
     fn start(&self, snapshot: &Snapshot<R>) -> Result<Solver<R>, RunError> {
-        Solver::restore(self.model.clone(), snapshot)
+        Ok(Solver::restore(self.model.clone(), snapshot)?.on(self.compute.device()))
     }
     fn advance(&self, run: &mut Solver<R>) -> Result<(), RunError> {
-        if self.kernels == Kernels::Fused {
+        if self.compute.kernels() == Kernels::Fused {
             return run.advance();
         }
         run.advance_composed()
@@ -188,7 +190,8 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         run: &Solver<R>,
     ) -> Result<(TensorSolver<R>, Var), RunError> {
         let neighbourhood = self.neighbourhood(kept, last, run)?;
-        let mut tape = TensorSolver::new(self.model.clone(), neighbourhood, kept.step, kept.parts, self.kernels);
+        let mut tape =
+            TensorSolver::new(self.model.clone(), neighbourhood, kept.step, kept.parts, self.compute.clone());
         let (count, n) = (run.state.len(), self.model.particles());
         tape.density = kept.has_density.then(|| {
             let mut density = self.model.scratch.buffers.buffer(n);
@@ -338,7 +341,7 @@ impl<R: Sweeps> Sph<R> {
     /// Whether a kept state is followed by the density that the step behind it finds: its adjoint then need not find it again.
     fn keeps_density(&self) -> bool {
         let sums = self.model.consistent.is_none() && self.model.fixed.is_none() && !self.model.layout.density;
-        sums && self.kernels == Kernels::Fused && self.model.is_fused()
+        sums && self.compute.kernels() == Kernels::Fused && self.model.is_fused()
     }
 
     /// Bytes of a number in every row of a field with `rows` rows.

@@ -13,6 +13,7 @@ use super::operators::{assemble, density, drift, evolution, rates, wall_conditio
 use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use crate::adjoint::RunError;
+use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::{apply1, apply2, apply3, read};
 use crate::numerics::lanes::Real;
@@ -103,6 +104,8 @@ pub struct Solver<R> {
     lattice: Option<Lattice<R>>,
     /// The acceleration of the last step by what holds the flow rate or the power; none where that is given.
     drive: Option<f64>,
+    /// Where composed steps are made.
+    device: Device,
 }
 
 /// Fixed particles' run.
@@ -188,12 +191,18 @@ impl<R: Sweeps> Solver<R> {
             shows_primitives: false,
             lattice,
             drive: None,
+            device: Device::Cpu,
             consistent: consistent.then(|| Consistent {
                 tables: Tables::default(),
                 buffers: Buffers::default(),
                 masses: vec![R::default(); n],
             }),
         })
+    }
+
+    /// The same, with its composed steps made on a device.
+    pub fn on(self, device: &Device) -> Self {
+        Self { device: device.clone(), ..self }
     }
 
     pub fn snapshot(&self) -> Snapshot<R> {
@@ -275,7 +284,7 @@ impl<R: Sweeps> Solver<R> {
         let failed = RunError::tensor(self.step);
         let (mut tape, state) = self.composed()?;
         tape.pace = self.pace;
-        let state = tape.advance_part(&state, None)?;
+        let state = tape.advance_part_there(&state)?;
         read(&state.contiguous().map_err(&failed)?, |s: &[R]| {
             self.state.copy_from_slice(s);
             Ok(())
@@ -290,7 +299,8 @@ impl<R: Sweeps> Solver<R> {
         let shape = (self.model.layout.state_rows(), self.model.particles());
         let state = Tensor::from_slice(&self.state, shape, &Device::Cpu).map_err(RunError::tensor(self.step))?;
         let neighbourhood = self.neighbourhood.clone();
-        Ok((TensorSolver::new(self.model.clone(), neighbourhood, self.step, self.pace.parts, Kernels::Composed), state))
+        let compute = Compute::new(Kernels::Composed, self.device.clone());
+        Ok((TensorSolver::new(self.model.clone(), neighbourhood, self.step, self.pace.parts, compute), state))
     }
 
     /// [`Self::look`] by candle's operators.
@@ -556,6 +566,8 @@ pub struct TensorSolver<R: Real> {
     pub kernels: Kernels,
     /// [`Solver::density`] of the next step, if somebody knows it.
     pub density: Option<Buffer<R>>,
+    /// Where steps are made. States come from the CPU and go back there: the neighbour list and who reads a state are on it.
+    device: Device,
     tables: Tables,
 }
 
@@ -566,20 +578,26 @@ impl<R: Sweeps> TensorSolver<R> {
         neighbourhood: Neighbourhood<R>,
         step: usize,
         parts: usize,
-        kernels: Kernels,
+        compute: impl Into<Compute>,
     ) -> Self {
-        let kernels = if model.is_fused() { kernels } else { Kernels::Composed };
-        Self { model, neighbourhood, step, pace: Pace::after(parts), kernels, density: None, tables: Tables::default() }
+        let compute = compute.into();
+        let kernels = if model.is_fused() { compute.kernels() } else { Kernels::Composed };
+        let (device, tables) = (compute.device().clone(), Tables::default());
+        Self { model, neighbourhood, step, pace: Pace::after(parts), kernels, density: None, device, tables }
     }
 
     /// Starts at a snapshot's step and neighbour list.
     ///
     /// # Errors
     /// A state for which there is no neighbour list.
-    pub fn restore(model: Arc<Model<R>>, snapshot: &Snapshot<R>, kernels: Kernels) -> Result<Self, RunError> {
+    pub fn restore(
+        model: Arc<Model<R>>,
+        snapshot: &Snapshot<R>,
+        compute: impl Into<Compute>,
+    ) -> Result<Self, RunError> {
         let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
             .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
-        Ok(Self::new(model, neighbourhood, snapshot.step, snapshot.parts, kernels))
+        Ok(Self::new(model, neighbourhood, snapshot.step, snapshot.parts, compute))
     }
 
     /// One time step: state `[F, N]` -> state `[F, N]`, on the graph.
@@ -597,11 +615,12 @@ impl<R: Sweeps> TensorSolver<R> {
     /// As for [`Self::advance`].
     pub fn advance_to(&mut self, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError> {
         let parts = self.parts_from(state)?;
-        let mut next = state.clone();
+        let mut next = self.there(state)?;
         for part in 0..parts {
             self.pace = self.pace.next(part, parts);
             next = self.advance_part(&next, after.filter(|_| part + 1 == parts))?;
         }
+        let next = self.back(&next, state)?;
         self.step += 1;
         Ok(next)
     }
@@ -631,6 +650,22 @@ impl<R: Sweeps> TensorSolver<R> {
     /// Whether a step is one operator, [`whole_step`].
     fn is_whole(&self) -> bool {
         self.model.fixed.is_none() && self.model.consistent.is_none() && self.kernels == Kernels::Fused
+    }
+
+    /// A tensor where steps are made.
+    fn there(&self, tensor: &Tensor) -> Result<Tensor, RunError> {
+        tensor.to_device(&self.device).map_err(RunError::tensor(self.step))
+    }
+
+    /// A tensor where another one is.
+    fn back(&self, tensor: &Tensor, like: &Tensor) -> Result<Tensor, RunError> {
+        tensor.to_device(like.device()).map_err(RunError::tensor(self.step))
+    }
+
+    /// A part of a step, there and back.
+    fn advance_part_there(&mut self, state: &Tensor) -> Result<Tensor, RunError> {
+        let next = self.advance_part(&self.there(state)?, None)?;
+        self.back(&next, state)
     }
 
     /// In how many parts the step from a state is made.
@@ -686,15 +721,20 @@ impl<R: Sweeps> TensorSolver<R> {
     /// # Errors
     /// Tensor errors.
     pub fn look_consistent(&mut self, state: &Tensor) -> Result<Shown, RunError> {
-        if let Some(fixed) = &self.model.fixed {
-            return fixed.shown(&self.model, state).map_err(RunError::tensor(self.step));
-        }
-        self.tables.update(&self.model, &self.neighbourhood);
-        let found = match self.kernels {
-            Kernels::Fused => operators::look(&self.chain(), state),
-            Kernels::Composed => composed::look(&self.model, &self.neighbourhood.list, state),
+        let there = self.there(state)?;
+        let found = match &self.model.fixed {
+            Some(fixed) => fixed.shown(&self.model, &there),
+            None => {
+                self.tables.update(&self.model, &self.neighbourhood);
+                match self.kernels {
+                    Kernels::Fused => operators::look(&self.chain(), &there),
+                    Kernels::Composed => composed::look(&self.model, &self.neighbourhood.list, &there),
+                }
+            }
         };
-        found.map_err(RunError::tensor(self.step))
+        let Shown { known, masses, wall_heat } = found.map_err(RunError::tensor(self.step))?;
+        let wall_heat = wall_heat.map(|heat| self.back(&heat, state)).transpose()?;
+        Ok(Shown { known: self.back(&known, state)?, masses: self.back(&masses, state)?, wall_heat })
     }
 
     /// Moved state `[M, N]` and primitives `[C, N]` of a state as it is, on the graph.
@@ -710,12 +750,15 @@ impl<R: Sweeps> TensorSolver<R> {
             pace: self.pace,
             kernels: self.kernels,
             density: None,
+            device: self.device.clone(),
             tables: Tables::default(),
         };
-        match self.kernels {
-            Kernels::Fused => step::look(&mut Fused { run: &mut run, chain: None }, state),
-            Kernels::Composed => step::look(&mut Composed { run: &mut run, pairs: None }, state),
-        }
+        let there = self.there(state)?;
+        let (moved, primitives) = match self.kernels {
+            Kernels::Fused => step::look(&mut Fused { run: &mut run, chain: None }, &there),
+            Kernels::Composed => step::look(&mut Composed { run: &mut run, pairs: None }, &there),
+        }?;
+        Ok((self.back(&moved, state)?, self.back(&primitives, state)?))
     }
 
     /// The operators' context at the present list.

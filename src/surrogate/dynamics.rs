@@ -205,7 +205,7 @@ impl<R: Sweeps> LearnedFlow<R> {
             Some(source) => RunError::Neighbours { step, source },
             None => RunError::Tensor { step, source: candle_core::Error::Msg("a state that can not be read".into()) },
         })?;
-        let mut tape = TensorSolver::new(self.sph.model.clone(), list, step, 1, self.sph.kernels);
+        let mut tape = TensorSolver::new(self.sph.model.clone(), list, step, 1, self.sph.compute.clone());
         let fields = self.sph.fields(&mut tape, &shown)?;
         Ok(Fields { step, time: self.begin + step as f64 * self.frame_time(), ..fields })
     }

@@ -1,7 +1,8 @@
 //! Disordered states of the consistent formulation for which every term of every operator counts.
 
 use candle_core::{Device, Tensor, Var};
-use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::config::device::Compute;
+use hydrograd::config::scene::Config;
 use hydrograd::design::Problem;
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::{tag, Domain};
@@ -44,10 +45,10 @@ impl<R: Sweeps> Case<R> {
     }
 
     /// The state so many taped steps behind the case's, and the derivative of its product with `bar`.
-    pub fn taped(&self, kernels: Kernels, steps: usize, bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    pub fn taped(&self, compute: impl Into<Compute>, steps: usize, bar: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let snapshot = self.snapshot(&self.state);
         let shape = (self.model.layout.state_rows(), self.model.particles());
-        let mut tape = TensorSolver::restore(self.model.clone(), &snapshot, kernels).unwrap();
+        let mut tape = TensorSolver::restore(self.model.clone(), &snapshot, compute).unwrap();
         let first = Var::from_tensor(&Tensor::from_slice(&snapshot.state, shape, &Device::Cpu).unwrap()).unwrap();
         let mut state = first.as_tensor().clone();
         for _ in 0..steps {

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use super::case::{Group, Size};
 use crate::cli::arguments::{at_least_one, check_writable, threads};
 use crate::config::builtin;
+use crate::config::device::DeviceName;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::BadInput;
@@ -57,6 +58,9 @@ pub struct BenchArguments {
     /// Implementation of the operators (`kernels` measures both).
     #[arg(long, value_enum, default_value = "fused")]
     pub kernels: Kernels,
+    /// Where the operators run: cpu, cuda or cuda:N; a GPU takes composed ones (`kernels`: those, with fused ones on the CPU).
+    #[arg(long, value_name = "DEVICE", default_value_t)]
+    pub device: DeviceName,
     /// Repeats of each row, each in a new process [default: 3; with --quick 1].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub repeats: Option<usize>,

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 
 use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
+use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Config, Kernels, Precision};
@@ -282,6 +283,7 @@ pub struct Case {
     pub mode: Option<String>,
     pub source: Source,
     pub kernels: Kernels,
+    pub device: DeviceName,
     pub keeping: Keeping,
     /// Steps that are run first and not timed; what is timed begins at the state behind them.
     pub warm_up: usize,

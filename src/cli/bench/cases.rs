@@ -5,6 +5,7 @@ use super::case::{
     particles, Case, Group, Keeping, Kind, Lacking, Length, Network, Scene, Size, Source, COMPOSED, EVERYTHING_ON,
     FUSED, PLAN,
 };
+use crate::config::device::DeviceName;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::Error;
 
@@ -86,6 +87,7 @@ impl<'a> Cases<'a> {
             mode: None,
             source,
             kernels: self.arguments.kernels,
+            device: self.arguments.device,
             keeping: Keeping::EveryState,
             warm_up: 0,
             length: Length::Steps(1),
@@ -262,6 +264,8 @@ impl<'a> Cases<'a> {
             let with = |kernels: Kernels, mode: &str, blocks: usize| Case {
                 kind,
                 kernels,
+                // Fused ones run on the CPU only.
+                device: if kernels == Kernels::Fused { DeviceName::Cpu } else { base.device },
                 mode: Some(mode.into()),
                 blocks: if quick { 1 } else { blocks },
                 precision,

@@ -9,7 +9,7 @@ use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::{Dynamics, Objective, RunError};
-use crate::cli::prepare::build;
+use crate::cli::prepare::{build, compute};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
@@ -89,7 +89,7 @@ impl<R: Sweeps> Ready<R> {
         };
         let rows = model.layout.dimension * model.particles();
         let start = Snapshot { reference: Arc::new(start.state[..rows].to_vec()), ..start };
-        Ok(Self { dynamics: Sph::new(model, case.kernels), start, outflow })
+        Ok(Self { dynamics: Sph::new(model, compute(case.kernels, case.device)?), start, outflow })
     }
 
     /// The state after some steps, as a start.

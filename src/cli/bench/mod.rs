@@ -30,7 +30,9 @@ use rows::Row;
 
 use super::machine;
 use super::page;
+use super::prepare::compute;
 use super::run_folder::{self, RunFolder};
+use crate::config::device::DeviceName;
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::report::progress::Progress;
@@ -52,6 +54,13 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     let (groups, scene) = arguments.groups_and_scene()?;
     arguments.check_out()?;
     let earlier = arguments.compare.as_deref().map(Earlier::read).transpose()?;
+    if arguments.device != DeviceName::Cpu && groups.contains(&Group::Accuracy) {
+        return Err(BadInput::new("the group accuracy runs on the CPU")
+            .place(format!("--device {}", arguments.device))
+            .advice("the other groups, or --device cpu")
+            .into());
+    }
+    compute(arguments.kernels, arguments.device)?;
     let cases = Cases::new(&arguments, scene);
     let mut work = vec![];
     for &group in &groups {

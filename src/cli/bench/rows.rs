@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::case::{precision_name, Case, Group, Kind, Measured, Source};
 use crate::cli::files::write_json;
+use crate::config::device::DeviceName;
 use crate::error::BadInput;
 
 /// A measured case. Times are of the best repeat unless they say otherwise; a gradient's include its forward run.
@@ -27,6 +28,9 @@ pub struct Row {
     pub ns_per_pair: f64,
     /// Of the process that measured it, the program itself included; the largest of the repeats.
     pub peak_memory_bytes: u64,
+    /// Where it ran, if that is not the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
     /// How states are kept, plan or everything on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mode: Option<String>,
@@ -93,6 +97,7 @@ impl Row {
             ns_per_particle_step: 1e6 * ms / case.particles as f64,
             ns_per_pair: 1e6 * ms / first.pairs as f64,
             peak_memory_bytes: all.iter().map(|m| m.peak_memory_bytes).max().unwrap_or(0),
+            device: (case.device != DeviceName::Cpu).then(|| case.device.to_string()),
             mode: case.mode.clone(),
             ms_per_step_median: Some(median(&per_step)),
             repeats: Some(per_step.len()),

@@ -19,6 +19,7 @@ use std::time::Instant;
 use candle_core::{DType, Var};
 
 use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
+use crate::cli::prepare::compute;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::sweep::InstructionSet;
@@ -86,7 +87,8 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let seen = settings.features.frames;
     let (metadata, trajectory) = flow(seen + 1 + settings.pushforward.most());
     let setup = Setup::new(&settings, &metadata)?;
-    let model: Arc<dyn parameters::Network> = Arc::from(setup.network(case.kernels, settings.seed, DType::F32)?);
+    let compute = compute(case.kernels, case.device)?;
+    let model: Arc<dyn parameters::Network> = Arc::from(setup.network(compute, settings.seed, DType::F32)?);
     let sizes = setup.sizes;
     let scenery = Scenery::of(&metadata, &trajectory);
     let frames: Vec<Frame> = (0..seen).map(|frame| Frame::of(&trajectory, frame)).collect();

@@ -42,6 +42,7 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
     for (name, cell) in varying {
         column(name, &|row| Some(cell(row)));
     }
+    column("on", &|row| row.device.clone());
     column("ms/step", &|row| Some(milliseconds(row.ms_per_step)));
     column("median", &|row| row.ms_per_step_median.map(milliseconds));
     column("ns/part.", &|row| Some(format!("{:.0}", row.ns_per_particle_step)));

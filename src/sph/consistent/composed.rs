@@ -5,6 +5,7 @@ use super::operators::Shown;
 use super::shift::{Chain, Isotropic};
 use super::stencil::{at, monomials as monomials_of, packed, quadratic};
 use super::{Consistent, Shift, TimeSteps};
+use crate::numerics::gather::Gather;
 use crate::numerics::lanes::Real;
 use crate::particles::NeighbourList;
 use crate::sph::chain::Step;
@@ -193,10 +194,8 @@ impl<'a, R: Real> Around<'a, R> {
             }
         }
         let device = position.device();
-        let of = |row: usize, which: usize| -> Result<Tensor> {
-            let index = Tensor::from_vec(index[which].clone(), n, device)?;
-            position.narrow(0, row, 1)?.contiguous()?.index_select(&index, 1)
-        };
+        let index = index.iter().map(|index| Gather::new(index, n, device)).collect::<Result<Vec<_>>>()?;
+        let of = |row: usize, which: usize| index[which].rows(&position.narrow(0, row, 1)?, 1);
         let (x, y) = (position.narrow(0, 0, 1)?, position.narrow(0, 1, 1)?);
         let toward = |which: usize| model.domain.nearest_of(0, &(of(0, which)? - &x)?);
         let along = (toward(0)? + toward(1)?)?;
@@ -265,10 +264,10 @@ impl<'a, R: Real> Around<'a, R> {
             point_of[dummy as usize] = consistent.surface[place as usize];
             is_dummy[dummy as usize] = R::of(1.0);
         }
-        let point_of = Tensor::from_vec(point_of, n, device)?;
+        let point_of = Gather::new(&point_of, n, device)?;
         let is_dummy = per_particle(is_dummy, known)?;
         let mirror = known.narrow(0, l.velocity(), d)?;
-        let foot = known.narrow(0, 0, d)?.contiguous()?.index_select(&point_of, 1)?;
+        let foot = point_of.rows(&known.narrow(0, 0, d)?, 1)?;
         let raw = (mirror - foot)?;
         let offset =
             (0..d).map(|k| self.model.domain.nearest_of(k, &raw.narrow(0, k, 1)?)).collect::<Result<Vec<_>>>()?;
@@ -278,7 +277,7 @@ impl<'a, R: Real> Around<'a, R> {
             let right = q.broadcast_mul(&w.mul(&self.pairs.other(&field)?)?)?.sum(2)?;
             let right = (0..=d).map(|a| right.narrow(0, a, 1)).collect::<Result<Vec<_>>>()?;
             let fit = solved(&factor, right)?;
-            let fit = fit.iter().map(|c| c.contiguous()?.index_select(&point_of, 1)).collect::<Result<Vec<_>>>()?;
+            let fit = fit.iter().map(|c| point_of.rows(c, 1)).collect::<Result<Vec<_>>>()?;
             let mut value = fit[0].clone();
             for k in 0..d {
                 value = (value + fit[1 + k].mul(&offset[k])?.affine(1.0 / consistent.spacing, 0.0)?)?;

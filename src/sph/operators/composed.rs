@@ -4,6 +4,7 @@
 //! is in. It is what the fused kernels are tested against, values and gradients, and the path for
 //! devices without them.
 
+use crate::numerics::gather::Gather;
 use crate::numerics::lanes::Real;
 use crate::sph::chain::Step;
 use crate::sph::model::Model;
@@ -13,8 +14,8 @@ use candle_core::{Result, Tensor};
 pub struct Pairs {
     particles: usize,
     capacity: usize,
-    /// `[N K]`, u32.
-    index: Tensor,
+    /// Who stands where in the list, `[N K]`.
+    index: Gather,
     /// 1 where an entry is a pair, 0 in the padding, `[1, N, K]`.
     pub mask: Tensor,
     /// r_i - r_j, `[D, N, K]`.
@@ -29,10 +30,7 @@ impl Pairs {
     pub fn new<R: Real>(step: &Step<R>, moved: &Tensor) -> Result<Self> {
         let (model, list) = (&*step.model, &*step.list);
         let (n, k, d) = (list.particles, list.capacity, model.layout.dimension);
-        let device = moved.device();
-        let index = Tensor::from_vec(list.index.clone(), n * k, device)?;
-        let mask: Vec<R> = (0..n * k).map(|e| R::of(((e % k) < list.count[e / k] as usize) as u8 as f64)).collect();
-        let mask = Tensor::from_vec(mask, (1, n, k), device)?.to_dtype(moved.dtype())?;
+        let (index, mask) = list.tensors(moved.device(), moved.dtype())?;
         let mut pairs = Self {
             particles: n,
             capacity: k,
@@ -61,7 +59,7 @@ impl Pairs {
     /// A field `[C, N]` of the neighbours, `[C, N, K]`.
     pub fn other(&self, field: &Tensor) -> Result<Tensor> {
         let c = field.dim(0)?;
-        field.contiguous()?.index_select(&self.index, 1)?.reshape((c, self.particles, self.capacity))
+        self.index.rows(field, 1)?.reshape((c, self.particles, self.capacity))
     }
 }
 

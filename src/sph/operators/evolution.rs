@@ -11,6 +11,7 @@
 use super::composed::{mass, Pairs};
 use super::renormalisation;
 use crate::numerics::candle::Operator;
+use crate::numerics::gather::Gather;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::chain::{Chain, Step};
@@ -377,12 +378,11 @@ fn pairs_of_walls<R: Real>(step: &Step<R>, moved: &Tensor, volume: &Tensor) -> R
     let (n, d) = (model.particles(), model.layout.dimension);
     let walls: Vec<u32> = (0..n as u32).filter(|&i| !model.is_fluid(i as usize)).collect();
     let count = walls.len();
-    let nothing = Tensor::zeros((d * d, n), moved.dtype(), device)?;
     if count == 0 {
-        return Ok(nothing);
+        return Tensor::zeros((d * d, n), moved.dtype(), device);
     }
-    let chosen = Tensor::from_vec(walls, count, device)?;
-    let of_walls = |x: &Tensor| x.contiguous()?.index_select(&chosen, 1);
+    let chosen = Gather::new(&walls, n, device)?;
+    let of_walls = |x: &Tensor| chosen.rows(x, 1);
     let position = of_walls(&moved.narrow(0, 0, d)?)?;
     let raw = position.unsqueeze(2)?.broadcast_sub(&position.unsqueeze(1)?)?;
     let images = (0..d).map(|c| model.domain.nearest_of(c, &raw.narrow(0, c, 1)?)).collect::<Result<Vec<_>>>()?;
@@ -397,5 +397,5 @@ fn pairs_of_walls<R: Real>(step: &Step<R>, moved: &Tensor, volume: &Tensor) -> R
     for a in 0..d {
         rows.push(difference.broadcast_mul(&difference.narrow(0, a, 1)?.mul(&weight)?)?.sum(2)?);
     }
-    nothing.index_add(&chosen, &Tensor::cat(&rows, 0)?, 1)
+    chosen.sums(&Tensor::cat(&rows, 0)?, 1)
 }

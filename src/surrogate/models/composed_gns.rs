@@ -3,7 +3,7 @@
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::network::graph::Ends;
-use crate::surrogate::network::layers::{Perceptron, Round};
+use crate::surrogate::network::layers::{embedded, Perceptron, Round};
 use candle_core::{Result, Tensor};
 use candle_nn::{embedding, Embedding, Module, VarBuilder};
 
@@ -43,7 +43,7 @@ impl ComposedGns {
     /// Tensor errors.
     pub fn forward(&self, inputs: &Inputs) -> Result<Tensor> {
         let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
-        let embedded = self.embedding.forward(&inputs.kinds)?;
+        let embedded = embedded(&self.embedding, &inputs.kinds)?;
         let mut nodes = self.nodes.forward(&Tensor::cat(&[&inputs.nodes, &embedded], 1)?)?;
         let mut edges = self.edges.forward(&inputs.edges)?;
         for round in &self.rounds {

@@ -11,28 +11,29 @@ use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::network::graph::Ends;
-use crate::surrogate::network::layers::{builder, Perceptron};
+use crate::surrogate::network::layers::{builder, embedded, on_device, Perceptron};
 use crate::surrogate::network::mlp::MlpShape;
 use crate::surrogate::network::parameters::{Network, Parameter};
-use candle_core::{DType, Result, Tensor};
+use candle_core::{DType, Device, Result, Tensor};
 use candle_nn::{embedding, Embedding, Module, VarBuilder};
 
 pub struct Egnn {
     sizes: Sizes,
     /// W - 1.
     velocities: usize,
+    device: Device,
     /// Embedding, encoder, (messages, nodes, edge vectors, velocities) of each round, decoder of the scalars if any.
     parameters: Vec<Parameter>,
 }
 
 impl Egnn {
-    /// A new network from a seed.
+    /// A new network from a seed; its parameters stay on the CPU.
     ///
     /// # Errors
     /// Tensor errors.
     pub fn new(sizes: Sizes, frames: usize, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
-        let network = Self { sizes, velocities: frames - 1, parameters: Vec::new() };
+        let network = Self { sizes, velocities: frames - 1, device: Device::Cpu, parameters: Vec::new() };
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
         let mut add = |name: String, shape: MlpShape| -> Result<()> {
             parameters.push(Parameter::perceptron(&name, &shape, &mut rng, dtype)?);
@@ -49,6 +50,11 @@ impl Egnn {
             add("dec".into(), network.head(network.scalars()))?;
         }
         Ok(Self { parameters, ..network })
+    }
+
+    /// The same, computed on a device.
+    pub fn on(self, device: &Device) -> Self {
+        Self { device: device.clone(), ..self }
     }
 
     /// D.
@@ -142,6 +148,12 @@ impl Network for Egnn {
     }
 
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
+        on_device(&self.device, inputs, parameters, |inputs, parameters| self.apply_there(inputs, parameters))
+    }
+}
+
+impl Egnn {
+    fn apply_there(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
         let layers = self.layers(builder(&self.parameters, parameters)?)?;
         let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
         let d = self.dimension();
@@ -150,7 +162,7 @@ impl Network for Egnn {
         let (relative, length) = (inputs.edges.narrow(1, 0, d)?, inputs.edges.narrow(1, d, 1)?);
 
         let mut scalars = self.invariants(inputs, &velocities)?;
-        scalars.push(layers.embedding.forward(&inputs.kinds)?);
+        scalars.push(embedded(&layers.embedding, &inputs.kinds)?);
         let mut h = layers.encoder.forward(&Tensor::cat(&scalars, 1)?)?;
         let mut x = velocities[0].zeros_like()?;
         for round in &layers.rounds {

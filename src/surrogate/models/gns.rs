@@ -1,5 +1,6 @@
 //! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
 
+use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::io::tensor_file::TensorFile;
 use crate::numerics::candle::{apply2, apply3};
@@ -9,7 +10,7 @@ use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::composed_gns::ComposedGns;
 use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
-use crate::surrogate::network::layers::builder;
+use crate::surrogate::network::layers::{builder, on_device};
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
@@ -54,7 +55,7 @@ impl Sizes {
 pub struct Gns {
     pub sizes: Sizes,
     dtype: DType,
-    kernels: Kernels,
+    compute: Compute,
     /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
     single: Buffers<f32>,
@@ -89,11 +90,11 @@ impl Sizes {
 }
 
 impl Gns {
-    /// A new network from a seed. What it computes with (`kernels`) is no matter of its parameters.
+    /// A new network from a seed. What it computes with is no matter of its parameters, which stay on the CPU.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn new(sizes: Sizes, kernels: Kernels, seed: u64, dtype: DType) -> Result<Self> {
+    pub fn new(sizes: Sizes, compute: impl Into<Compute>, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
         let mut add = |shapes: Vec<(String, MlpShape)>| -> Result<()> {
@@ -108,7 +109,8 @@ impl Gns {
         add(vec![("enc.edge".into(), sizes.edge_encoder())])?;
         add((0..sizes.rounds).flat_map(round).collect())?;
         add(vec![("dec".into(), sizes.decoder())])?;
-        Ok(Self { sizes, dtype, kernels, parameters, single: Buffers::default(), double: Buffers::default() })
+        let (compute, single, double) = (compute.into(), Buffers::default(), Buffers::default());
+        Ok(Self { sizes, dtype, compute, parameters, single, double })
     }
 
     fn run<R: Real>(&self, inputs: &Inputs, p: &[Tensor], memory: &Buffers<R>, trace: Option<Trace>) -> Result<Tensor> {
@@ -151,9 +153,11 @@ impl Network for Gns {
     }
 
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
-        match self.kernels {
+        match self.compute.kernels() {
             Kernels::Fused => self.apply_with(inputs, parameters, None),
-            Kernels::Composed => ComposedGns::new(&self.sizes, builder(&self.parameters, parameters)?)?.forward(inputs),
+            Kernels::Composed => on_device(self.compute.device(), inputs, parameters, |inputs, parameters| {
+                ComposedGns::new(&self.sizes, builder(&self.parameters, parameters)?)?.forward(inputs)
+            }),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Models by name or file.
 
-use crate::config::scene::Kernels;
+use crate::config::device::Compute;
 use crate::config::training::{HeatModel, Kind};
 use crate::dataset::Metadata;
 use crate::error::BadInput;
@@ -23,11 +23,15 @@ const ALLOWED: &str =
 /// The model in a file, or the baseline `linear` or `still`.
 ///
 /// Files of ours know their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
-/// normalised by the data set's metadata. `kernels`: what a network computes with.
+/// normalised by the data set's metadata. `compute`: what a network computes with.
 ///
 /// # Errors
 /// [`BadInput`] if the file can not be read, is damaged, holds no model, or the model does not fit the data.
-pub fn load_predictor(path: &Path, metadata: &Metadata, kernels: Kernels) -> anyhow::Result<Box<dyn Predictor>> {
+pub fn load_predictor(
+    path: &Path,
+    metadata: &Metadata,
+    compute: impl Into<Compute>,
+) -> anyhow::Result<Box<dyn Predictor>> {
     match path.to_str() {
         Some("linear") => return Ok(Box::new(ConstantVelocity)),
         Some("still") => return Ok(Box::new(Still)),
@@ -39,13 +43,13 @@ pub fn load_predictor(path: &Path, metadata: &Metadata, kernels: Kernels) -> any
     if file.metadata.contains_key("format") {
         let header = checkpoint::read(path)?;
         header.setup.fits(metadata).map_err(|bad| bad.place(path.display().to_string()))?;
-        let network = header.setup.network(kernels, 0, DType::F32)?;
+        let network = header.setup.network(compute, 0, DType::F32)?;
         header.load_into(&*network, true)?;
         return Ok(Box::new(Learned::new(name, header.setup, Arc::from(network))));
     }
     let setup = foreign(&file, metadata)
         .map_err(|problem| bad(format!("not a model of hydrograd, nor LagrangeBench's weights: {problem}")))?;
-    let network = setup.network(kernels, 0, DType::F32)?;
+    let network = setup.network(compute, 0, DType::F32)?;
     for parameter in network.parameters() {
         parameter.load(&file, "param.").map_err(|error| bad(error.to_string()))?;
     }
@@ -80,9 +84,9 @@ impl BuiltIn {
     ///
     /// # Errors
     /// Of a file that is no model: a bug.
-    pub fn load(&self, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
+    pub fn load(&self, compute: impl Into<Compute>, dtype: DType) -> anyhow::Result<Learned> {
         let header = checkpoint::of_file(TensorFile::parse(Path::new(self.file), self.bytes)?)?;
-        learned(header, self.name.into(), kernels, dtype)
+        learned(header, self.name.into(), compute, dtype)
     }
 }
 
@@ -105,13 +109,18 @@ pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
 ///
 /// # Errors
 /// [`BadInput`] if the file can not be read, is damaged, or holds no model of ours.
-pub fn load_learned(path: &Path, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
+pub fn load_learned(path: &Path, compute: impl Into<Compute>, dtype: DType) -> anyhow::Result<Learned> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    learned(checkpoint::read(path)?, name, kernels, dtype)
+    learned(checkpoint::read(path)?, name, compute, dtype)
 }
 
-fn learned(header: checkpoint::Header, name: String, kernels: Kernels, dtype: DType) -> anyhow::Result<Learned> {
-    let network = header.setup.network(kernels, 0, dtype)?;
+fn learned(
+    header: checkpoint::Header,
+    name: String,
+    compute: impl Into<Compute>,
+    dtype: DType,
+) -> anyhow::Result<Learned> {
+    let network = header.setup.network(compute, 0, dtype)?;
     header.load_into(&*network, true)?;
     Ok(Learned::new(name, header.setup, Arc::from(network)))
 }

@@ -1,6 +1,6 @@
 //! What a trained model needs besides its parameters: sizes, features, normalisation. Stored in its checkpoint.
 
-use crate::config::scene::Kernels;
+use crate::config::device::Compute;
 use crate::config::training::{HeatModel, Kind, Settings};
 use crate::dataset::{Heat, Metadata};
 use crate::error::BadInput;
@@ -73,14 +73,20 @@ impl Setup {
         })
     }
 
-    /// A network of these sizes. The equivariant one is made of candle-nn's layers whatever the `kernels`.
+    /// A network of these sizes. The equivariant one is made of candle-nn's layers whatever the kernels.
     ///
     /// # Errors
     /// Tensor errors.
-    pub fn network(&self, kernels: Kernels, seed: u64, dtype: DType) -> candle_core::Result<Box<dyn Network>> {
+    pub fn network(
+        &self,
+        compute: impl Into<Compute>,
+        seed: u64,
+        dtype: DType,
+    ) -> candle_core::Result<Box<dyn Network>> {
+        let (sizes, compute) = (self.sizes, compute.into());
         Ok(match self.kind {
-            Kind::Gns => Box::new(Gns::new(self.sizes, kernels, seed, dtype)?),
-            Kind::Egnn => Box::new(Egnn::new(self.sizes, self.features.frames, seed, dtype)?),
+            Kind::Gns => Box::new(Gns::new(sizes, compute, seed, dtype)?),
+            Kind::Egnn => Box::new(Egnn::new(sizes, self.features.frames, seed, dtype)?.on(compute.device())),
         })
     }
 

@@ -1,5 +1,6 @@
 //! The graph that messages pass along: who is connected to whom, sorted by receiver and by sender.
 
+use crate::numerics::gather::Gather;
 use crate::particles::neighbour_list::{NeighbourError, NeighbourList};
 use crate::particles::{tag, Domain};
 use candle_core::{Device, Tensor};
@@ -125,10 +126,8 @@ impl Graph {
 /// The ends of a graph's edges as tensors: rows of a tensor by them, and sums of rows, each the other's adjoint.
 #[derive(Debug, Clone)]
 pub struct Ends {
-    /// `[E]` u32.
-    senders: Tensor,
-    receivers: Tensor,
-    nodes: usize,
+    senders: Gather,
+    receivers: Gather,
 }
 
 impl Ends {
@@ -137,8 +136,8 @@ impl Ends {
     /// # Errors
     /// Tensor errors.
     pub fn new(graph: &Graph, device: &Device) -> candle_core::Result<Self> {
-        let tensor = |ends: &[u32]| Tensor::from_slice(ends, ends.len(), device);
-        Ok(Self { senders: tensor(&graph.senders)?, receivers: tensor(&graph.receivers)?, nodes: graph.nodes() })
+        let gather = |ends: &[u32]| Gather::new(ends, graph.nodes(), device);
+        Ok(Self { senders: gather(&graph.senders)?, receivers: gather(&graph.receivers)? })
     }
 
     /// Rows of the senders: `[N, C]` -> `[E, C]`.
@@ -146,7 +145,7 @@ impl Ends {
     /// # Errors
     /// Tensor errors.
     pub fn of_senders(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        x.index_select(&self.senders, 0)
+        self.senders.rows(x, 0)
     }
 
     /// Rows of the receivers: `[N, C]` -> `[E, C]`.
@@ -154,7 +153,7 @@ impl Ends {
     /// # Errors
     /// Tensor errors.
     pub fn of_receivers(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        x.index_select(&self.receivers, 0)
+        self.receivers.rows(x, 0)
     }
 
     /// Sums over the edges into each node: `[E, C]` -> `[N, C]`.
@@ -162,6 +161,6 @@ impl Ends {
     /// # Errors
     /// Tensor errors.
     pub fn sums(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        Tensor::zeros((self.nodes, x.dim(1)?), x.dtype(), x.device())?.index_add(&self.receivers, x, 0)
+        self.receivers.sums(x, 0)
     }
 }

@@ -1,11 +1,13 @@
 //! What networks are built from with candle-nn: pure candle, so that they run on every device that candle knows. Slow and
 //! readable, the oracle of the fused operators.
 
+use crate::numerics::gather::Gather;
+use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::network::graph::Ends;
 use crate::surrogate::network::mlp::{MlpShape, EPSILON};
 use crate::surrogate::network::parameters::Parameter;
-use candle_core::{Result, Tensor};
-use candle_nn::{LayerNorm, Linear, Module, VarBuilder};
+use candle_core::{Device, Result, Tensor};
+use candle_nn::{Embedding, LayerNorm, Linear, Module, VarBuilder};
 use std::collections::HashMap;
 
 /// The parts of `parameters` under their names in a checkpoint, with the numbers of `values`, as candle-nn's layers are
@@ -23,6 +25,44 @@ pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder
     }
     let Some(first) = values.first() else { candle_core::bail!("a network without parameters") };
     Ok(VarBuilder::from_tensors(tensors, first.dtype(), first.device()))
+}
+
+/// What a network makes of inputs and parameters on a device, back where the inputs are; a gradient goes the same way. The
+/// graph, and the types of the particles, stay where they are.
+///
+/// # Errors
+/// Tensor errors.
+pub fn on_device(
+    device: &Device,
+    inputs: &Inputs,
+    parameters: &[Tensor],
+    network: impl FnOnce(&Inputs, &[Tensor]) -> Result<Tensor>,
+) -> Result<Tensor> {
+    let here = inputs.nodes.device();
+    if device.same_device(here) {
+        return network(inputs, parameters);
+    }
+    let there = |tensor: &Tensor| tensor.to_device(device);
+    let inputs = Inputs {
+        nodes: there(&inputs.nodes)?,
+        edges: there(&inputs.edges)?,
+        velocity: there(&inputs.velocity)?,
+        ..inputs.clone()
+    };
+    let parameters = parameters.iter().map(there).collect::<Result<Vec<_>>>()?;
+    network(&inputs, &parameters)?.to_device(here)
+}
+
+/// Rows of an embedding by the types of the particles, which may be on another device, `[N, columns]`.
+///
+/// # Errors
+/// Tensor errors.
+pub fn embedded(embedding: &Embedding, kinds: &Tensor) -> Result<Tensor> {
+    let table = embedding.embeddings();
+    match table.device().is_cpu() {
+        true => embedding.forward(kinds),
+        false => Gather::new(&kinds.to_vec1::<u32>()?, KINDS, table.device())?.rows(table, 0),
+    }
 }
 
 /// A multilayer perceptron, see [`crate::surrogate::network::mlp`]: `[rows, inputs]` -> `[rows, outputs]`.

@@ -1,8 +1,8 @@
 //! What stands before the first step: data and settings that belong together, where the parameters come from, and a folder
 //! that nobody else writes to.
 
+use crate::config::device::Compute;
 use crate::config::difference::differences;
-use crate::config::scene::Kernels;
 use crate::config::training::{Settings, FREE};
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
@@ -119,9 +119,9 @@ impl Origin {
         &self,
         settings: &Settings,
         setup: &Setup,
-        kernels: Kernels,
+        compute: impl Into<Compute>,
     ) -> anyhow::Result<(Arc<dyn Network>, TrainingState)> {
-        let network: Arc<dyn Network> = Arc::from(setup.network(kernels, settings.seed, DType::F32)?);
+        let network: Arc<dyn Network> = Arc::from(setup.network(compute, settings.seed, DType::F32)?);
         let state = match self {
             Self::Resumed(header) => {
                 header.load_into(&*network, false)?;

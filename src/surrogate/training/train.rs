@@ -3,7 +3,7 @@
 //! A step draws windows, adds noise, asks the model, and moves the parameters against the averaged gradient. What is random
 //! follows from seed and step, and a checkpoint holds the rest, so a training that was killed goes on bit for bit.
 
-use crate::config::scene::Kernels;
+use crate::config::device::Compute;
 use crate::config::training::Settings;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::Error;
@@ -62,11 +62,11 @@ impl<'a> Training<'a> {
         setup: &'a Setup,
         data: &'a TrainingData,
         origin: &Origin,
-        kernels: Kernels,
+        compute: impl Into<Compute>,
         team: Team<'a>,
         folder: &Path,
     ) -> anyhow::Result<Self> {
-        let (network, state) = origin.network(settings, setup, kernels)?;
+        let (network, state) = origin.network(settings, setup, compute)?;
         let rows = |name: &str| match origin.resumes() {
             true => read_rows(&folder.join(name), state.step),
             false => Ok(Vec::new()),

@@ -1,0 +1,173 @@
+//! Where operators run: on the CPU, or on a GPU by candle's CUDA backend.
+
+use crate::config::scene::{Kernels, Run};
+use crate::error::BadInput;
+use candle_core::Device;
+use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Mutex, PoisonError};
+
+/// A device by its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DeviceName {
+    #[default]
+    Cpu,
+    /// By its number.
+    Cuda(usize),
+}
+
+/// What can be written.
+const FORM: &str = "cpu, cuda (the first GPU) or cuda:N (GPU number N, from 0)";
+
+impl std::str::FromStr for DeviceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |digits: &str| match digits.bytes().all(|byte| byte.is_ascii_digit()) {
+            true => digits.parse::<u16>().ok(),
+            false => None,
+        };
+        let found = match text {
+            "cpu" => Some(Self::Cpu),
+            "cuda" => Some(Self::Cuda(0)),
+            _ => text.strip_prefix("cuda:").and_then(number).map(|number| Self::Cuda(number.into())),
+        };
+        found.ok_or_else(|| format!("`{text}` is not a device; expected {FORM}"))
+    }
+}
+
+impl fmt::Display for DeviceName {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cpu => out.write_str("cpu"),
+            Self::Cuda(number) => write!(out, "cuda:{number}"),
+        }
+    }
+}
+
+impl Serialize for DeviceName {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for DeviceName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl de::Visitor<'_> for Visitor {
+            type Value = DeviceName;
+            fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
+                out.write_str(FORM)
+            }
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<DeviceName, E> {
+                text.parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_any(Visitor)
+    }
+}
+
+/// The GPUs that were opened, by number: candle takes two openings of one GPU for two devices.
+static OPENED: Mutex<BTreeMap<usize, Device>> = Mutex::new(BTreeMap::new());
+
+impl DeviceName {
+    /// The device itself, the same one whenever it is asked for.
+    ///
+    /// # Errors
+    /// [`BadInput`] (its key is `run.device`): a build without CUDA, a machine without such a GPU.
+    pub fn open(self) -> Result<Device, BadInput> {
+        let Self::Cuda(number) = self else { return Ok(Device::Cpu) };
+        let bad = |why: &str| BadInput::new(format!("there is no device {self}: {why}")).key("run.device");
+        if !cfg!(feature = "cuda") {
+            return Err(bad("this hydrograd was built without CUDA")
+                .allowed("cpu; GPUs in a program that was built with the feature `cuda`")
+                .advice("run.device=cpu, or `scripts/cuda.sh cargo build -r -F cuda`, which gets the compiler"));
+        }
+        let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(device) = opened.get(&number) {
+            return Ok(device.clone());
+        }
+        let device = Device::new_cuda(number).map_err(|error| {
+            // Behind the first line there may be a trace.
+            let cause = error.to_string();
+            bad(cause.lines().next().unwrap_or_default())
+                .allowed("a GPU of this machine, as `nvidia-smi` numbers them from 0; cpu")
+                .advice("run.device=cpu")
+        })?;
+        opened.insert(number, device.clone());
+        Ok(device)
+    }
+}
+
+/// What operators and networks run with: their implementation, and the device.
+#[derive(Debug, Clone)]
+pub struct Compute {
+    kernels: Kernels,
+    device: Device,
+}
+
+impl Compute {
+    /// Off the CPU the operators are the composed ones, whatever is asked for: fused ones run on the CPU only.
+    pub fn new(kernels: Kernels, device: Device) -> Self {
+        let kernels = if device.is_cpu() { kernels } else { Kernels::Composed };
+        Self { kernels, device }
+    }
+
+    pub fn kernels(&self) -> Kernels {
+        self.kernels
+    }
+
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+}
+
+impl From<Kernels> for Compute {
+    /// On the CPU.
+    fn from(kernels: Kernels) -> Self {
+        Self::new(kernels, Device::Cpu)
+    }
+}
+
+impl Run {
+    /// What a run's operators run with.
+    ///
+    /// # Errors
+    /// As for [`DeviceName::open`].
+    pub fn compute(&self) -> Result<Compute, BadInput> {
+        Ok(Compute::new(self.kernels, self.device.open()?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_read_back() {
+        for (text, device) in
+            [("cpu", DeviceName::Cpu), ("cuda:0", DeviceName::Cuda(0)), ("cuda:13", DeviceName::Cuda(13))]
+        {
+            assert_eq!(text.parse(), Ok(device));
+            assert_eq!(device.to_string(), text);
+        }
+        assert_eq!("cuda".parse(), Ok(DeviceName::Cuda(0)));
+    }
+
+    #[test]
+    fn what_is_no_device_is_refused() {
+        for text in ["", "gpu", "CPU", "cuda:", "cuda:-1", "cuda:+1", "cuda:x", "cuda:99999", "cuda 0", "cpu:0"] {
+            let error = text.parse::<DeviceName>().unwrap_err();
+            assert!(error.contains(&format!("`{text}`")) && error.contains("cuda:N"), "{error}");
+        }
+    }
+
+    #[test]
+    fn on_the_cpu_kernels_are_those_that_were_asked_for() {
+        for kernels in [Kernels::Fused, Kernels::Composed] {
+            let compute = Run { kernels, ..Run::default() }.compute().unwrap();
+            assert!(compute.kernels() == kernels && compute.device().is_cpu());
+        }
+    }
+}
