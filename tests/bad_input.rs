@@ -688,4 +688,5 @@ fn devices_that_are_not_there() {
     refuses_sets(&["run.device=cuda:"], &["--set run.device=cuda:: ", "`cuda:` is not a device", "cuda:N"]);
     refuses_file("[run]\ndevice = 0\n", &["mine.toml", "line 2", "cuda:N"]);
     case.refuses(&["bench", "accuracy", "--device", "cuda:77"], &["the group accuracy runs on the CPU"]);
+    case.refuses(&["recover", "--device", "cuda:0", "--out", "out"], &["--device cuda:0: recover runs on the CPU"]);
 }

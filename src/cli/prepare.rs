@@ -26,6 +26,20 @@ pub fn open_device(loaded: &Loaded) -> Result<(), BadInput> {
     opened.map_err(|bad| bad.located(|key| loaded.place(key).map(str::to_owned)))
 }
 
+/// For a command that runs on the CPU alone.
+///
+/// # Errors
+/// A configuration that names another device.
+pub fn require_cpu(loaded: &Loaded, command: &str) -> Result<(), BadInput> {
+    match loaded.config.run.device {
+        DeviceName::Cpu => Ok(()),
+        device => Err(BadInput::new(format!("{command} runs on the CPU, not on {device}"))
+            .key("run.device")
+            .allowed("cpu")
+            .located(|key| loaded.place(key).map(str::to_owned))),
+    }
+}
+
 /// What `--kernels` and `--device` ask for, where they stand for no key.
 ///
 /// # Errors

@@ -3,7 +3,7 @@
 use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
 use super::page;
-use super::prepare::use_threads;
+use super::prepare::{require_cpu, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Family, Kernels, Precision};
@@ -179,6 +179,7 @@ impl RecoverArguments {
 const KIND: &str = "recover";
 
 pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
+    require_cpu(&loaded, "recover")?;
     let folder = arguments.common.folder(None, KIND, &loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
