@@ -284,7 +284,7 @@ fn explain_shows_the_plan_and_runs_nothing() {
     assert!(succeeds(at, &moving[..2]).contains("flux again"), "fixed particles");
     assert!(of(&[]).contains("every state kept"));
     assert!(of(&["--memory", "20MB"]).contains("on the tape at once"));
-    assert!(of(&["--memory", "7MB"]).contains("restored in turn"));
+    assert!(of(&["--memory", "8MB"]).contains("restored in turn"));
     assert!(of(&["--memory", "4MB"]).contains("binomial"));
     assert!(of(&["--store", "f32"]).contains("rounded to f32"));
     assert!(of(&["--segment", "7"]).contains("a state every 7 steps"));

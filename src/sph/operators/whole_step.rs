@@ -3,7 +3,8 @@
 //! The sweeps of the step's operators ([`crate::sph::step`]) one after the other, and in the backward pass their adjoints in
 //! the opposite order, on buffers that come back. Were each operator a node of its own, as they are in
 //! [`TensorSolver::look`], candle would allocate, clear and add up a cotangent of full size for each of their inputs, on one
-//! thread: more than a third of the gradient of 10^6 particles. Steps and objectives are chained by candle.
+//! thread: more than a third of the gradient of 10^6 particles. Steps and objectives are chained by candle; where there is but one step,
+//! [`pull_back`] does without.
 
 use crate::adjoint::RunError;
 use crate::numerics::candle::{apply1, read, Operator};
