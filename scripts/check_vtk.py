@@ -2,7 +2,7 @@
 
 Not part of the tests. Needs: pip install pyvista h5py safetensors numpy
 
-    HYDROGRAD_SAMPLES=/tmp/samples cargo test --release --test io samples_for_python
+    HYDROGRAD_SAMPLES=/tmp/samples cargo test --release io::samples_for_python
     python3 scripts/check_vtk.py /tmp/samples            # the samples above: every value is compared
     python3 scripts/check_vtk.py --series runs/x/particles.pvd   # any series: opened and listed
 """

@@ -75,12 +75,12 @@ def accuracy():
             rows.append([height, dx, f"{s['q']:.5f}", percent(s['q'], q), f"{s['u_max']:.4f}", percent(s['u_max'], u),
                          f"{s['flow_rate']:.4f}", percent(s['flow_rate'], flow), f"{s['mean_outlet_temperature']:.4f}",
                          f"{s['wall_heat_flux']:.5f}", f"{100 * s['energy_imbalance']:+.2f} %"])
-    standard = {"fluid__formulation": "standard"}
-    for label, values in [("fixed particles", {"fluid__motion": "fixed"}),
+    standard = {"method__name": "standard"}
+    for label, values in [("fixed particles", {"method__name": "fixed"}),
                           ("standard formulation", standard),
                           ("standard formulation, hot isotherm in the dummy particles", {**standard, "wall__hot_isotherm": "dummy"}),
                           ("standard formulation, interpolation fluid-and-walls", {**standard, "objective__interpolation": "fluid-and-walls"}),
-                          ("standard formulation, transport velocity 1", {**standard, "fluid__transport_velocity": 1})]:
+                          ("standard formulation, transport velocity 1", {**standard, "method__transport_velocity": 1})]:
         s = simulate("accuracy-other", time__end=2.5, **values)
         others.append(f"* {label}: Q {s['q']:.5f} ({percent(s['q'], FEM[0.2][0])}), u_max {percent(s['u_max'], 1.15)}, "
                       f"imbalance {100 * s['energy_imbalance']:+.2f} %")
@@ -102,23 +102,23 @@ def validation():
 
 def switches():
     """Taylor-Green, 50 x 50, to t = 1: what each choice costs and what it is worth."""
-    standard = dict(fluid__formulation="standard")
+    standard = dict(method__name="standard")
     variants = [
         ("default", {}),
-        ("time.integrator symplectic-euler", dict(time__integrator="symplectic-euler")),
+        ("method.integrator symplectic-euler", dict(method__integrator="symplectic-euler")),
         ("resolution.smoothing_length 1", dict(resolution__smoothing_length=1)),
         ("resolution.kernel wendland-c2, smoothing_length 1.3", dict(resolution__kernel="wendland-c2", resolution__smoothing_length=1.3)),
-        ("fluid.pressure_diffusion 0.05", dict(fluid__pressure_diffusion=0.05)),
-        ("fluid.pressure_diffusion 0.2", dict(fluid__pressure_diffusion=0.2)),
-        ("fluid.shift_strength 0.5", dict(fluid__shift_strength=0.5)),
-        ("fluid.shift none", dict(fluid__shift="none")),
+        ("method.pressure_diffusion 0.05", dict(method__pressure_diffusion=0.05)),
+        ("method.pressure_diffusion 0.2", dict(method__pressure_diffusion=0.2)),
+        ("method.shift_strength 0.5", dict(method__shift_strength=0.5)),
+        ("method.shift none", dict(method__shift="none")),
         ("fluid.sound_speed_factor 20", dict(fluid__sound_speed_factor=20)),
         ("time.cfl 0.5", dict(time__cfl=0.5)),
         ("time.jitter 0 (an exact lattice)", dict(time__jitter=0)),
         ("run.precision f32", dict(run__precision="f32")),
         ("standard", standard),
-        ("standard, fluid.transport_velocity 0", {**standard, "fluid__transport_velocity": 0}),
-        ("standard, fluid.artificial_viscosity 0.1", {**standard, "fluid__artificial_viscosity": 0.1}),
+        ("standard, method.transport_velocity 0", {**standard, "method__transport_velocity": 0}),
+        ("standard, method.artificial_viscosity 0.1", {**standard, "method__artificial_viscosity": 0.1}),
     ]
     rows = []
     for label, values in variants:
@@ -154,9 +154,9 @@ def cosine(a, b):
 def gradient():
     lines = ["finite elements".ljust(32) + " ".join(f"{g:.1f}" for g in FEM_GRADIENT)]
     for motion, dx in (("moving", 0.02), ("moving", 0.01), ("fixed", 0.02), ("fixed", 0.01)):
-        how = ["--gradient", "steady"] if motion == "fixed" else []
+        method, how = ("fixed", ["--gradient", "steady"]) if motion == "fixed" else ("consistent", [])
         steps = math.ceil(2.5 / min(1.5 * dx / 11, 0.25 * dx * dx / 0.0239558))
-        values = sets(fluid__motion=motion, resolution__dx=dx, design__nodes=NODES, objective__window=0.5, objective__samples=40, optimise__memory="2GB")
+        values = sets(method__name=method, resolution__dx=dx, design__nodes=NODES, objective__window=0.5, objective__samples=40, optimise__memory="2GB")
         g = gradient_of("gradient", "--steps", str(steps), *how, *values)
         ours = [1e3 * x for x in g["gradient"]]
         found = f"cosine {cosine(ours, FEM_GRADIENT):.3f}, with the end nodes summed in pairs {cosine(pairs(ours), pairs(FEM_GRADIENT)):.3f}"
@@ -251,12 +251,12 @@ def shapes():
     with open(SHAPES) as file:
         reference = list(csv.DictReader(file))
     rows = []
-    rough = {"fluid__formulation": "standard", "fluid__transport_velocity": 1, "fluid__background_pressure_factor": 0, "time__cfl": 1, "time__end": 2}
+    rough = {"method__name": "standard", "method__transport_velocity": 1, "method__background_pressure_factor": 0, "time__cfl": 1, "time__end": 2}
     for label, extra, some in (("moving particles (default), dx 0.02", {}, 1), ("moving particles, dx 0.01", {"resolution__dx": 0.01}, 1),
-                               ("moving particles, fluid.shift rows, dx 0.02", {"fluid__shift": "rows"}, 1),
-                               ("fixed particles, dx 0.02", {"fluid__motion": "fixed"}, 1),
-                               ("fixed particles, dx 0.01", {"fluid__motion": "fixed", "resolution__dx": 0.01}, 1),
-                               ("standard formulation, dx 0.02", {"fluid__formulation": "standard", "time__end": 2}, 1),
+                               ("moving particles, method.shift rows, dx 0.02", {"method__shift": "rows"}, 1),
+                               ("fixed particles, dx 0.02", {"method__name": "fixed"}, 1),
+                               ("fixed particles, dx 0.01", {"method__name": "fixed", "resolution__dx": 0.01}, 1),
+                               ("standard formulation, dx 0.02", {"method__name": "standard", "time__end": 2}, 1),
                                ("standard, transport velocity 1, no background pressure, CFL 1", rough, 1)):
         errors, flows, diverged = [], [], 0
         for row in reference[::some]:
@@ -289,9 +289,9 @@ def rough():
         while len(wall) < 25:
             wall.append(max(wall[-1] - 0.0399, min(wall[-1] + 0.0399, 0.04 * (2 * source.random() - 1))))
         random_walls.append(gentle(wall))
-    fixed = {"fluid__motion": "fixed"}
+    fixed = {"method__name": "fixed"}
     kinds = [("moving particles (default)", {}), ("moving, resolution.smoothing_length 1.1", {"resolution__smoothing_length": 1.1}),
-             ("moving, time.cfl 0.5", {"time__cfl": 0.5}), ("moving, fluid.shift isotropic", {"fluid__shift": "isotropic"}), ("fixed particles", fixed)]
+             ("moving, time.cfl 0.5", {"time__cfl": 0.5}), ("moving, method.shift isotropic", {"method__shift": "isotropic"}), ("fixed particles", fixed)]
     rows = [[label] for label, _ in kinds]
     for walls in (named, random_walls):
         keys = [dict(design__offsets="[" + ",".join(f"{o:.6f}" for o in wall) + "]", design__nodes=NODES, design__bound=0.04, time__end=3) for wall in walls]
@@ -306,7 +306,7 @@ def rough():
 def f32():
     rows = []
     for steps in (100, 500, 2000):
-        exact, single = (gradient_of(f"f32-{precision}-{steps}", "--steps", str(steps), "--precision", precision, *sets(fluid__shift_strength=2))["gradient"]
+        exact, single = (gradient_of(f"f32-{precision}-{steps}", "--steps", str(steps), "--precision", precision, *sets(method__shift_strength=2))["gradient"]
                          for precision in ("f64", "f32"))
         gap = norm([a - b for a, b in zip(exact, single)]) / norm(exact)
         rows.append([steps, f"{norm(exact):.2e}", f"{gap:.1e}"])
@@ -401,7 +401,7 @@ def inverse():
     """Initial velocities of the vortices, and viscosity and conductivity of a channel."""
     rows = []
     for steps in (50, 100, 200):
-        s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps, fluid__formulation="standard")))
+        s = load(run(f"recover-{steps}", "recover", "taylor-green", *sets(time__steps=steps, method__name="standard")))
         rows.append([f"velocities, {s['unknowns']} unknowns, {steps} steps", f"{s['distance_before']:.4f} -> {s['distance']:.6f}",
                      f"{100 * s['velocity_error']:.1f} %", s["epochs"], f"{s['seconds']:.1f}"])
     # JAX-SPH's notebook: its viscosity, disorder and time step.

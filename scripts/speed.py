@@ -80,9 +80,9 @@ def bench_gradient():
 
 def bench_formulations():
     lines, standard = [], None
-    for label, sets in [("standard", ["fluid.formulation=standard", "resolution.smoothing_length=1.0", "time.cfl=2"]), ("moving particles (default)", []),
-                        ("moving, a flow rate held", ["fluid.drive=flow-rate"]), ("fixed particles", ["fluid.motion=fixed"]),
-                        ("fixed, a flow rate held", ["fluid.motion=fixed", "fluid.drive=flow-rate"])]:
+    for label, sets in [("standard", ["method.name=standard", "resolution.smoothing_length=1.0", "time.cfl=2"]), ("moving particles (default)", []),
+                        ("moving, a flow rate held", ["fluid.drive=flow-rate"]), ("fixed particles", ["method.name=fixed"]),
+                        ("fixed, a flow rate held", ["method.name=fixed", "fluid.drive=flow-rate"])]:
         sets = [word for key in (*sets, "time.steps=500", "objective.window=0") for word in ("--set", key)]
         rows = bench("bench-formulations", "step", "gradient", "heated-channel", "--precision", "f64", "--threads", "2", "--repeats", "3", *sets)
         forward, gradient = find(rows, kind="forward"), find(rows, kind="gradient", mode="every state")

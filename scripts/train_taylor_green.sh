@@ -22,7 +22,7 @@ mkdir -p "$OUT" "$MODEL"
 # 400 particles in a fresh disorder each, from the start on: frames of 0.025, a quarter of the time of LagrangeBench's recipe at this spacing, to t = 2.5.
 test -f "$OUT/data/metadata.json" ||
     "$HYDROGRAD" generate taylor-green --trajectories 100/10/10 --frames 101 --every 25 --relax 0 --set resolution.dx=0.05 \
-        --set fluid.formulation=standard --threads "$THREADS" --out "$OUT/data"
+        --set method.name=standard --threads "$THREADS" --out "$OUT/data"
 
 RESUME=()
 if test -f "$OUT/train/last.safetensors"; then RESUME=(--resume); fi

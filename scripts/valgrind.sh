@@ -5,15 +5,11 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "valgrind.sh: valgrind is not installed; apt-get install valgrind" >&2; exit 2; }
-binaries=$(cargo test --release --no-run --test kernels --test neighbours --test operators 2>&1 |
-    sed -n 's/^ *Executable .*(\(.*\))$/\1/p')
-test -n "$binaries" || { echo "valgrind.sh: cargo built no tests" >&2; exit 1; }
+program=$(cargo test --release --no-run --test all 2>&1 | sed -n 's/^ *Executable .*(\(.*\))$/\1/p')
+test -n "$program" || { echo "valgrind.sh: cargo built no tests" >&2; exit 1; }
 for set in avx2 portable; do
-    for binary in $binaries; do
-        # Of the operators' tests those that run every kernel once: central differences take hours here.
-        case $binary in *operators*) only="fused_is_composed" ;; *) only="" ;; esac
-        echo "== $set, $(basename "$binary") $only"
-        HYDROGRAD_SIMD=$set CANDLE_NUM_THREADS=2 RAYON_NUM_THREADS=2 \
-            valgrind -q --error-exitcode=1 "$binary" $only --test-threads 1
-    done
+    # Of the operators' tests those that run every kernel once: central differences take hours here.
+    echo "== $set"
+    HYDROGRAD_SIMD=$set CANDLE_NUM_THREADS=2 RAYON_NUM_THREADS=2 \
+        valgrind -q --error-exitcode=1 "$program" kernels:: neighbours:: operators::fused_is_composed --test-threads 1
 done

@@ -67,59 +67,33 @@
 //!
 //! # A scene of one's own
 //!
-//! A [`sph::model::Model`] is all that does not change while a scene runs; a state is `[F, N]` in the order of its
-//! [`sph::model::Layout`].
+//! A [`sph::flow::Flow`] is all that does not change while a scene runs, whatever solves it; a method, here
+//! [`sph::standard::Standard`], makes a [`sph::Model`] of it. A state is `[F, N]`: `model.rows` says what stands where.
 //!
 //! ```
 //! use hydrograd::adjoint::{run, Dynamics};
-//! use hydrograd::config::scene::{KernelName, Kernels};
+//! use hydrograd::config::scene::Kernels;
 //! use hydrograd::particles::{tag, Domain};
 //! use hydrograd::sph::dynamics::Sph;
-//! use hydrograd::sph::kernels::Kernel;
-//! use hydrograd::sph::laws::{body_force::BodyForce, equation_of_state::EquationOfState};
-//! use hydrograd::sph::model::{Layout, Model, Scratch, Standard};
+//! use hydrograd::sph::flow::Flow;
+//! use hydrograd::sph::laws::equation_of_state::EquationOfState;
 //! use hydrograd::sph::solver::{Snapshot, Solver};
-//! use std::sync::Arc;
+//! use hydrograd::sph::standard::Standard;
+//! use hydrograd::sph::Model;
 //!
 //! # fn main() -> anyhow::Result<()> {
-//! // A periodic box of water with a shear wave, by Wendland's kernel.
+//! // A periodic box of water with a shear wave.
 //! let (side, dx) = (16, 1.0 / 16.0);
-//! let layout =
-//!     Layout { dimension: 2, transport: false, heat: false, mass: false, density: false, consistent: false, rates: false };
-//! let model = Arc::new(Model {
-//!     domain: Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] },
-//!     layout,
-//!     kernel: Kernel::new(KernelName::WendlandC2, 2, 1.4 * dx),
-//!     tags: vec![tag::FLUID; side * side],
-//!     skin: 0.2 * dx,
-//!     dt: 1e-3,
-//!     division: None,
-//!     mass: dx * dx,
-//!     equation_of_state: EquationOfState {
-//!         reference_density: 1.0,
-//!         reference_pressure: 100.0,
-//!         background_pressure: 0.0,
-//!         gamma: 1,
-//!     },
-//!     viscosity: 0.05,
-//!     artificial_viscosity: None,
-//!     consistent: None,
-//!     fixed: None,
-//!     transport: 0.0,
-//!     body_force: BodyForce::None,
-//!     walls_slide: false,
-//!     drive: None,
-//!     heat: None,
-//!     wall_heat_until: None,
-//!     standard: Standard::default(),
-//!     scratch: Scratch::default(),
-//! });
+//! let domain = Domain { dimension: 2, size: [1.0; 3], periodic: [true, true, false] };
+//! let water = EquationOfState { reference_density: 1.0, reference_pressure: 100.0, background_pressure: 0.0, gamma: 1 };
+//! let flow = Flow { viscosity: 0.05, ..Flow::new(domain, vec![tag::FLUID; side * side], dx, water, 1e-3) };
+//! let model = Model::new(Standard::plain(flow));
 //! let n = model.particles();
-//! let mut state = vec![0.0; layout.state_rows() * n];
+//! let mut state = vec![0.0; model.rows.count() * n];
 //! for i in 0..n {
 //!     let (x, y) = ((i % side) as f64 * dx, (i / side) as f64 * dx);
 //!     (state[i], state[n + i]) = (x, y);
-//!     state[layout.velocity() * n + i] = (std::f64::consts::TAU * y).sin();
+//!     state[model.rows.velocity() * n + i] = (std::f64::consts::TAU * y).sin();
 //! }
 //! let start = Snapshot::first(&model, state);
 //! // The wave decays as exp(-nu k^2 t); an observer sees every step.
@@ -130,7 +104,7 @@
 //!     Ok(())
 //! };
 //! let end = run(&dynamics, &start, 200, &mut [&mut count])?;
-//! let amplitude = end.row(layout.velocity()).iter().fold(0.0, |most: f64, u| most.max(u.abs()));
+//! let amplitude = end.row(end.model.rows.velocity()).iter().fold(0.0, |most: f64, u| most.max(u.abs()));
 //! let exact = (-0.05 * std::f64::consts::TAU.powi(2) * 0.2).exp();
 //! assert!((amplitude / exact - 1.0).abs() < 0.05, "{amplitude} is not {exact}");
 //! assert_eq!((seen, dynamics.step(&end)), (201, 200));
@@ -171,7 +145,7 @@
 //! let found = gradient(&dynamics, &scene.start, &Schedule::segments(20, 5), &KineticEnergy(20), &mut |_| ())?;
 //! // The vortices begin with 1/4 and decay; the derivative is by the whole first state, `[F, N]`.
 //! assert!(found.value > 0.2 && found.value < 0.25);
-//! assert_eq!(found.state.dims(), [scene.model.layout.state_rows(), scene.model.particles()]);
+//! assert_eq!(found.state.dims(), [scene.model.rows.count(), scene.model.particles()]);
 //! # Ok(())
 //! # }
 //! ```
@@ -186,7 +160,7 @@
 //! * **fields**: the same in physical units, for objectives and observers: [`adjoint::Fields`].
 //! * **`x_bar`**: the cotangent of x, the derivative of the objective by it.
 //! * **kept**: what was put aside to be used again: a state by a schedule, slopes and records of pairs by the operators of
-//!   one step ([`sph::operators::pairs::PairCache`]).
+//!   one step ([`sph::standard::pair_cache::PairCache`]).
 //! * **record**: all that the pair pass reads of one particle, side by side in memory.
 //! * **F, G**: W'(d)/d and F'(d)/d of the smoothing kernel W.
 //! * **sweep**: a loop over rows on all threads, compiled for several instruction sets; **row**: the pairs of one particle.

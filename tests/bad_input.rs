@@ -1,14 +1,12 @@
 //! Bad input: one clear message, exit code 2, nothing written.
 
-mod support;
-
 use std::path::Path;
 
+use crate::support::program::refused;
 use assert_cmd::Command;
-use support::program::refused;
 use tempfile::TempDir;
 
-const STANDARD: &str = "fluid.formulation=standard";
+const STANDARD: &str = "method.name=standard";
 
 /// A folder with files, and the command line run in it.
 struct Case {
@@ -168,7 +166,7 @@ fn out_of_range() {
         ("design.bound=-0.01", "design.bound >= 0"),
         ("run.threads=5000", "0 <= run.threads <= 1024"),
         ("resolution.smoothing_length=0.4", "0.5 <= resolution.smoothing_length <= 3"),
-        ("fluid.artificial_viscosity=-1", "0 <= fluid.artificial_viscosity <= 10"),
+        ("method.shift_strength=-1", "0 <= method.shift_strength <= 10"),
         ("design.control_points=3", "4 <= design.control_points <= 1000"),
     ];
     for (set, allowed) in cases {
@@ -368,10 +366,13 @@ fn malformed_set() {
 
 #[test]
 fn what_is_held_and_which_walls_need_the_consistent_formulation() {
-    let standard = "fluid.formulation=standard";
-    refuses_sets(&["fluid.drive=flow-rate", standard], &["fluid.drive", "body-force; flow-rate and pumping-power"]);
-    refuses_sets(&["design.walls=both", standard], &["design.walls", "fluid.formulation = consistent"]);
-    refuses_sets(&["objective.kind=wall-heat", standard], &["objective.kind", "fluid.formulation = consistent"]);
+    let standard = "method.name=standard";
+    refuses_sets(
+        &["fluid.drive=flow-rate", standard],
+        &["fluid.drive", "body-force; flow-rate with method.name = consistent"],
+    );
+    refuses_sets(&["design.walls=both", standard], &["design.walls", "method.name = consistent"]);
+    refuses_sets(&["objective.kind=wall-heat", standard], &["objective.kind", "method.name = consistent"]);
     refuses_sets(&["fluid.flow_rate=0.1"], &["fluid.flow_rate", "try: --set fluid.drive=flow-rate"]);
     refuses_sets(&["fluid.drive=flow-rate", "fluid.pumping_power=1"], &["fluid.pumping_power", "pumping-power"]);
     refuses_sets(&["fluid.drive=flow-rate", "fluid.flow_rate=-1"], &["fluid.flow_rate = -1", "> 0"]);
@@ -523,7 +524,7 @@ fn keys_that_a_scene_does_not_have() {
     let refuses = |set: &str, parts: &[&str]| case.refuses(&[&run[..], &[set]].concat(), parts);
     refuses(
         "fluid.viscosity=0.1",
-        &["--set fluid.viscosity=0.1", "not a key of scene taylor-green", "fluid.transport_velocity"],
+        &["--set fluid.viscosity=0.1", "not a key of scene taylor-green", "fluid.sound_speed_factor"],
     );
     refuses(
         "wall.hot_temperature=2",
@@ -571,8 +572,8 @@ fn numbers_of_the_flows() {
     refuses("isothermal-channel", "channel.hot_from=0.2", &["channel.hot_from = 0.2", "channel.inlet_length"]);
     refuses("reverse-poiseuille-3d", "resolution.dx=0.04", &["does not divide 0.5, the depth"]);
     case.refuses(
-        &["simulate", "slab", "--set", "heat.conductivity_ratio=10", "--set", "fluid.formulation=consistent"],
-        &["heat.conductivity_ratio = 10", "try: --set fluid.formulation=standard"],
+        &["simulate", "slab", "--set", "heat.conductivity_ratio=10", "--set", "method.name=consistent"],
+        &["heat.conductivity_ratio = 10", "try: --set method.name=standard"],
     );
     case.refuses(&["generate", "slab", "--out", "data"], &["no data sets of scene slab", "generate heated-channel"]);
     refuses("poiseuille", "time.end=1e9", &["time.end = 1000000000", "steps"]);
@@ -596,6 +597,50 @@ fn scenes_without_a_design() {
     case.refuses(&["optimize", "taylor-green", "--epochs", "3", "--start", "sine"], &["taylor-green has no design"]);
 }
 
+/// A key of another method names the methods that have it, wherever it was given; today's and those of before.
+#[test]
+fn keys_of_another_method() {
+    let case = Case::new(&[
+        ("mine.toml", "[method]\nname = \"fixed\"\nshift = \"rows\"\n"),
+        ("unknown.toml", "[time]\nend = 1\n[method]\nname = \"standard\"\nfluxx = \"delta\"\n"),
+        ("wrong.toml", "[method]\nshift_strength = \"much\"\n"),
+        ("before.toml", "scene = \"poiseuille\"\n[fluid]\nflux = \"delta\"\n"),
+    ]);
+    let refuses =
+        |arguments: &[&str], parts: &[&str]| case.refuses(&[&["simulate", "--out", "out"], arguments].concat(), parts);
+    refuses(
+        &["mine.toml"],
+        &[
+            "mine.toml, line 3: method.shift is a key of the method consistent",
+            "is fixed",
+            "pressure_diffusion",
+            "leave",
+        ],
+    );
+    refuses(&["unknown.toml"], &["unknown.toml, line 5", "`fluxx`", "try: `flux`"]);
+    refuses(&["wrong.toml"], &["wrong.toml, line 2", "method.shift_strength: Strength of the shift"]);
+    refuses(&["--set", "method.flux=delta"], &["--set method.flux=delta: `method.flux` is not a key of scene"]);
+    refuses(
+        &["--set", "method.transport_velocity=1"],
+        &["--set method.transport_velocity=1", "of the method standard", "shift_strength", "method.name=standard"],
+    );
+    refuses(
+        &["--set", "method.name=wcsph"],
+        &["--set method.name=wcsph", "wcsph", "allowed: consistent, standard, fixed"],
+    );
+    refuses(&["taylor-green", "--set", "method.name=fixed"], &["can not solve this scene", "consistent, standard"]);
+    refuses(&["before.toml"], &["before.toml, line 3: fluid.flux is a key of the method standard"]);
+    refuses(
+        &["--set", "fluid.motion=fixed", "--set", "fluid.formulation=standard"],
+        &["--set fluid.formulation=standard", "the method is fixed"],
+    );
+    refuses(&["--set", "fluid.formulation=wcsph"], &["fluid.formulation = wcsph", "consistent or standard"]);
+    refuses(
+        &["--set", "method.name=standard", "--set", "time.integrator=verlet"],
+        &["--set time.integrator=verlet", "time.integrator is a key of the method consistent"],
+    );
+}
+
 #[test]
 fn methods_and_tanks_that_do_not_fit() {
     let case = Case::new(&[]);
@@ -604,16 +649,23 @@ fn methods_and_tanks_that_do_not_fit() {
         sets.iter().for_each(|set| arguments.extend(["--set", set]));
         case.refuses(&arguments, parts)
     };
-    let evolves = "fluid.density_equation=evolution";
-    refuses("poiseuille", &["fluid.formulation=consistent", evolves], &["density_equation", "standard formulation"]);
-    refuses("poiseuille", &["fluid.density_renormalisation=true"], &["summed", &format!("try: --set {evolves}")]);
-    refuses("poiseuille", &["fluid.density_gradient=jax-sph"], &["without diffusion of density", "fluid.flux=delta"]);
-    let riemann = [STANDARD, "fluid.flux=riemann", "fluid.transport_velocity=1"];
-    refuses("taylor-green", &riemann, &["fluid.transport_velocity", "Riemann", "transport_velocity=0"]);
-    refuses("poiseuille", &["fluid.equation_of_state_exponent=1.5"], &["= 1.5 is no whole number", "1 ... 20"]);
-    refuses("poiseuille", &["fluid.artificial_viscosity_pairs=all"], &["without an artificial viscosity"]);
-    refuses("poiseuille", &["fluid.flux=delat"], &["delat", "delta"]);
-    refuses("dam-break", &["fluid.formulation=consistent"], &["free surface", "formulation=standard"]);
+    let evolves = "method.density_equation=evolution";
+    refuses(
+        "poiseuille",
+        &[evolves],
+        &["density_equation is a key of the method standard", "the method is consistent"],
+    );
+    let renormalised = [STANDARD, "method.density_renormalisation=true"];
+    refuses("poiseuille", &renormalised, &["summed", &format!("try: --set {evolves}")]);
+    let gradient = [STANDARD, "method.density_gradient=jax-sph"];
+    refuses("poiseuille", &gradient, &["without diffusion of density", "method.flux=delta"]);
+    let riemann = [STANDARD, "method.flux=riemann", "method.transport_velocity=1"];
+    refuses("taylor-green", &riemann, &["method.transport_velocity", "Riemann", "transport_velocity=0"]);
+    let exponent = [STANDARD, "method.equation_of_state_exponent=1.5"];
+    refuses("poiseuille", &exponent, &["= 1.5 is no whole number", "1 ... 20"]);
+    refuses("poiseuille", &[STANDARD, "method.artificial_viscosity_pairs=all"], &["without an artificial viscosity"]);
+    refuses("poiseuille", &["method.flux=delat"], &["delat", "delta"]);
+    refuses("dam-break", &["method.name=consistent"], &["consistent can not solve this scene", "allowed: standard"]);
     refuses(
         "dam-break",
         &["resolution.dx=0.03"],

@@ -1,13 +1,11 @@
 //! `hydrograd bench` through the program: rows, filter, comparison, pictures, bad input. Nothing is timed here.
 
-mod support;
-
 use std::path::Path;
 use std::process::Output;
 
+use crate::support::program::{printed, refused};
 use assert_cmd::Command;
 use serde_json::{json, Value};
-use support::program::{printed, refused};
 use tempfile::TempDir;
 
 /// One short variant of everything.
@@ -59,7 +57,7 @@ fn check_row(row: &Value) {
 #[test]
 fn every_group_gives_rows_of_the_schema() {
     let folder = TempDir::new().unwrap();
-    let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=200", "--set", "objective.window=0"]);
+    let (text, rows) = rows(folder.path(), "all", &["--set", "time.steps=130", "--set", "objective.window=0"]);
     rows.iter().for_each(check_row);
     let of = |group: &str| rows.iter().filter(|row| row["group"] == group).collect::<Vec<_>>();
     assert_eq!((of("step").len(), of("gradient").len(), of("scaling").len(), of("plan").len()), (2, 6, 4, 20));
@@ -71,7 +69,7 @@ fn every_group_gives_rows_of_the_schema() {
     assert_eq!(of("step").iter().map(|row| row["particles"].as_u64().unwrap()).collect::<Vec<_>>(), [950, 700]);
     let sizes: Vec<_> = of("scaling").iter().map(|row| row["particles"].as_u64().unwrap()).collect();
     assert_eq!(sizes, [144, 144, 512, 512]);
-    let steps = |row: &&Value| row["steps"] == 200;
+    let steps = |row: &&Value| row["steps"] == 130;
     assert!(of("step").iter().all(steps) && of("gradient").iter().all(steps));
     // A plan leaves out what has no effect, so everything on gives the same result.
     for row in of("plan") {

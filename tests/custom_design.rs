@@ -177,7 +177,7 @@ fn wrong_variables_are_one_clear_error() {
         ),
         (good.replace("target_x = 0.5", "target_x = 5.0"), &["objective.target_x = 5 is outside", "0 ... 0.6"]),
         (good.replace("\"segments\"", "\"steady\""), &["optimise.gradient = steady", "differences"]),
-        (good.replace("[fluid]", "[fluid]\nformulation = \"standard\""), &["variables in the standard formulation"]),
+        (good.replace("[fluid]", "[method]\nname = \"standard\"\n[fluid]"), &["variables in the standard method"]),
         (format!("variables = 3\n{disc}"), &["variables", "mine.toml"]),
     ];
     for (text, parts) in cases {

@@ -1,5 +1,6 @@
 //! Scenes of one's own: against built-in ones, exact solutions, areas of shapes, and what their files may get wrong.
 
+use crate::support;
 use assert_cmd::Command;
 use hydrograd::adjoint::run::run;
 use hydrograd::config::scene::{Config, Kernels};
@@ -35,7 +36,7 @@ fn loaded_with(text: &str, sets: &[&str]) -> Result<Config, String> {
 
 /// In the standard formulation.
 fn scene(text: &str) -> Scene<f64> {
-    let config = loaded_with(text, &["fluid.formulation=standard"]).unwrap_or_else(|error| panic!("{error}"));
+    let config = loaded_with(text, &["method.name=standard"]).unwrap_or_else(|error| panic!("{error}"));
     Scene::from_config(&config).unwrap()
 }
 
@@ -60,10 +61,10 @@ fn built_in(name: &str, sets: &[&str]) -> Scene<f64> {
 fn a_plane_channel_is_the_built_in_one() {
     let theirs = built_in(
         "poiseuille",
-        &["fluid.formulation=standard", "resolution.dx=0.0625", "flow.reynolds=0.0125", "time.steps=40"],
+        &["method.name=standard", "resolution.dx=0.0625", "flow.reynolds=0.0125", "time.steps=40"],
     );
     let text = "[region]\nsize = [0.75, 1.0]\nacceleration = [640.0, 0.0]\n[resolution]\ndx = 0.0625\n\
-                [fluid]\nviscosity = 80.0\ntransport_velocity = 1.0\nbackground_pressure_factor = 0.0\n[time]\nsteps = 40\n";
+                [fluid]\nviscosity = 80.0\n[method]\ntransport_velocity = 1.0\nbackground_pressure_factor = 0.0\n[time]\nsteps = 40\n";
     let ours = scene(text);
     assert_eq!((&ours.model.tags, ours.model.dt), (&theirs.model.tags, theirs.model.dt));
     assert_eq!(ours.start.state, theirs.start.state);
@@ -77,13 +78,11 @@ fn a_plane_channel_is_the_built_in_one() {
 /// A lid that slides where it is, and one whose particles move and come in again.
 #[test]
 fn a_lid_is_the_built_in_one() {
-    let theirs = built_in(
-        "lid-driven-cavity",
-        &["fluid.formulation=standard", "resolution.dx=0.05", "time.end=1", "time.jitter=0"],
-    );
+    let theirs =
+        built_in("lid-driven-cavity", &["method.name=standard", "resolution.dx=0.05", "time.end=1", "time.jitter=0"]);
     let ours = scene(
         "[region]\nsize = [1.0, 1.0]\nperiodic = [false, false]\nacceleration = [0.0, 0.0]\n[resolution]\ndx = 0.05\n\
-         [fluid]\nviscosity = 0.01\nbackground_pressure_factor = 0.01\n[time]\nend = 1.0\n\
+         [fluid]\nviscosity = 0.01\n[method]\nbackground_pressure_factor = 0.01\n[time]\nend = 1.0\n\
          [[shapes]]\nkind = \"box\"\nlower = [-1.0, 1.0]\nupper = [2.0, 2.0]\nvelocity = [1.0, 0.0]\n",
     );
     assert_eq!(ours.model.tags, theirs.model.tags);
@@ -107,10 +106,10 @@ fn heat_between_two_walls_is_linear() {
     let hot = scene.model.tags.iter().filter(|&&tag| tag == tag::HOT_WALL).count();
     assert_eq!(hot, 2 * 3 * 16);
     let solver = end(&scene, scene.steps);
-    let (l, n) = (scene.model.layout, scene.model.particles());
+    let (l, n) = (scene.model.rows, scene.model.particles());
     let mut worst: f64 = 0.0;
     for i in (0..n).filter(|&i| scene.model.is_fluid(i)) {
-        let (y, t) = (solver.row(1)[i], solver.row(l.temperature())[i] + 1.0);
+        let (y, t) = (solver.row(1)[i], solver.row(l.temperature().unwrap())[i] + 1.0);
         worst = worst.max((t - (1.0 + y / 0.5)).abs());
     }
     assert!(worst < 0.01, "{worst}");
@@ -173,7 +172,7 @@ fn fluid_between_rolls_is_exact() {
          [fluid]\nviscosity = 0.05\nconductivity = 0.05\n[time]\nend = 1.5\n",
     );
     let solver = end(&scene, scene.steps);
-    let (n, l) = (scene.model.particles(), scene.model.layout);
+    let (n, l) = (scene.model.particles(), scene.model.rows);
     let (inner, outer) = (0.15f64, 0.4f64);
     let b = 1.0 / (1.0 / inner - inner / (outer * outer));
     let flow = |r: f64| b * (1.0 / r - r / (outer * outer));
@@ -186,7 +185,7 @@ fn fluid_between_rolls_is_exact() {
         let r = x.hypot(y);
         let exact = flow(r);
         velocity += (u + exact * y / r).powi(2) + (v - exact * x / r).powi(2);
-        temperature += (solver.row(l.temperature())[i] + 1.0 - warmth(r)).powi(2);
+        temperature += (solver.row(l.temperature().unwrap())[i] + 1.0 - warmth(r)).powi(2);
         count += 1.0;
     }
     let (velocity, temperature) = ((velocity / count).sqrt(), (temperature / count).sqrt());
@@ -204,7 +203,7 @@ fn drag_of_cylinders_is_known() {
          [resolution]\ndx = 0.03125\n[fluid]\nviscosity = 1.0\nreference_velocity = 2.2\n[time]\nend = 0.4\n",
     );
     let solver = end(&scene, scene.steps);
-    let (n, l) = (scene.model.particles(), scene.model.layout);
+    let (n, l) = (scene.model.particles(), scene.model.rows);
     let fluid: Vec<usize> = (0..n).filter(|&i| scene.model.is_fluid(i)).collect();
     let mean = fluid.iter().map(|&i| solver.row(l.velocity())[i]).sum::<f64>() / fluid.len() as f64;
     let drag = 5.153 / (0.8 * mean);
@@ -222,8 +221,8 @@ fn drag_of_spheres_is_known() {
          [resolution]\ndx = 0.1\n[fluid]\nviscosity = 1.0\nreference_velocity = 1.5\n[time]\nend = 0.3\n",
     );
     let mut solver = end(&scene, scene.steps);
-    solver.look();
-    let (n, l) = (scene.model.particles(), scene.model.layout);
+    solver.look().unwrap();
+    let (n, l) = (scene.model.particles(), scene.model.rows);
     let fluid = (0..n).filter(|&i| scene.model.is_fluid(i));
     let flow: f64 = fluid.map(|i| solver.mass(i) * solver.row(l.velocity())[i]).sum();
     let drag = 2.0 / (6.0 * std::f64::consts::PI * 0.310175 * flow);
@@ -350,7 +349,7 @@ fn wrong_files_are_one_clear_error() {
             "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\ntemperature = 2",
             &["without heat", "initial.temperature"],
         ),
-        ("[fluid]\nshift = \"chain\"", &["fluid.shift = chain", "isotropic"]),
+        ("[method]\nshift = \"chain\"", &["method.shift = chain", "isotropic"]),
         ("[resolution]\nkernel = \"super-gaussian\"", &["super-gaussian", "positive weights"]),
         ("[resolution]\ndx = 1e-6", &["makes 5.0e11 particles"]),
         ("[fluid]\nbody_force = 2", &["`fluid.body_force` is not a key of scene custom"]),
@@ -431,4 +430,41 @@ fn examples_can_be_checked_and_run() {
     sets.iter().for_each(|set| arguments.extend(["--set", set]));
     let text = run(&arguments);
     assert!(text.contains("512 in all: 512 fluid") && folder.path().join("cube/particles.png").exists(), "{text}");
+}
+
+/// What `[exact]` states is what the figures are compared with: files of data/scenes/exact, and one that is wrong.
+#[test]
+fn stated_solutions_are_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let exact = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/scenes/exact");
+    let errors = |file: &str, more: &[&str]| -> [Option<f64>; 2] {
+        let file = exact.join(file);
+        let mut all = vec!["simulate", file.to_str().unwrap(), "--out", "run", "--threads", "1"];
+        all.extend(["--set", "output.frames=0"]);
+        more.iter().for_each(|set| all.extend(["--set", set]));
+        let _ = std::fs::remove_dir_all(folder.path().join("run"));
+        support::program::succeeds(folder.path(), &all);
+        let text = std::fs::read_to_string(folder.path().join("run/summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+        ["velocity_error", "temperature_error"].map(|key| summary[key].as_f64())
+    };
+    // The built-in scene of the same vortices is 0.0012 off at t = 1, in terms of their amplitude then.
+    let [vortices, none] = errors("vortices.toml", &["time.end=0.2"]);
+    assert!(none.is_none() && vortices.unwrap() < 0.004, "{vortices:?}");
+    let [channel, _] = errors("couette-poiseuille.toml", &["time.end=0.2"]);
+    assert!(channel.unwrap() < 0.005, "{channel:?}");
+    let [unknown, rod] = errors("cooling-rod.toml", &["time.end=0.5"]);
+    assert!(unknown.is_none() && rod.unwrap() < 0.001, "{rod:?}");
+    // Half a second later than the formula says, the wave of amplitude 0.5 is lower by a third.
+    let [_, late] = errors("cooling-rod.toml", &["time.end=0.5", "exact.temperature=1.5 + 0.5*cos(2*PI*x)"]);
+    assert!((late.unwrap() - 0.5 * (1.0 - (-0.04 * std::f64::consts::PI.powi(2)).exp()) / 2.0_f64.sqrt()).abs() < 1e-3);
+    for (set, part) in [
+        ("exact.velocity=[1]", "2 numbers or formulas"),
+        ("exact.velocity=[0, \"q\"]", "`q` is unknown; a place in 2 dimensions and a time has x, y, t"),
+        ("initial.velocity=[0, \"t\"]", "`t` is unknown"),
+        ("exact.temperature=1", "with initial.temperature"),
+    ] {
+        let all = ["simulate", "custom", "--set", set];
+        support::program::refused(&all, &support::program::hydrograd(folder.path(), &all), &[part]);
+    }
 }

@@ -1,16 +1,14 @@
 //! Files with bytes changed, cut or blanked: what reads them ends as if nothing were wrong, or with one clear error and exit
 //! code 2; it does not crash. `HYDROGRAD_DAMAGE=200` makes so many of each file.
 
-mod support;
-
+use crate::support::data_set::{heat, heated_metadata, metadata, trajectory, without_checksum, write};
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::dataset::{Split, Trajectory};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
 use hydrograd::numerics::random::{numbered, uniform};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
 use std::path::Path;
-use support::data_set::{heat, heated_metadata, metadata, trajectory, without_checksum, write};
-use support::program::{hydrograd, refused, succeeds};
 
 fn count() -> u32 {
     std::env::var("HYDROGRAD_DAMAGE").ok().and_then(|count| count.parse().ok()).unwrap_or(8)

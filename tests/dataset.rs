@@ -1,14 +1,12 @@
 //! Data sets: layout, statistics, the same bytes whatever the shards, going on after a stop, bad input.
 
-mod support;
-
+use crate::support::program::{printed, refused};
 use assert_cmd::Command;
 use hydrograd::config::scene::Config;
 use hydrograd::dataset::store::{read_provenance, Store};
 use hydrograd::dataset::{kind, read_split, Metadata, Split, Trajectory};
 use hydrograd::design::shape::Shape;
 use std::path::Path;
-use support::program::{printed, refused};
 
 /// Small: 200 particles, 3 frames of 4 coarse steps.
 const SMALL: [&str; 12] = [
@@ -42,7 +40,7 @@ fn refuses(folder: &Path, arguments: &[&str], slurm: &[(&str, &str)], expected: 
 
 fn small<'a>(more: &[&'a str]) -> Vec<&'a str> {
     // Three rows of dummy particles and nothing on the surface: what the expectations below are of.
-    [&SMALL[..], &["--set", "fluid.formulation=standard"], more].concat()
+    [&SMALL[..], &["--set", "method.name=standard"], more].concat()
 }
 
 fn bytes(folder: &Path) -> Vec<Vec<u8>> {
@@ -256,7 +254,7 @@ fn flows_make_data_sets() {
     ];
     for (scene, dx, particles, kinds) in cases {
         // There the lid's particles move with it, as in LagrangeBench's data.
-        let standard = ["--set", "fluid.formulation=standard"];
+        let standard = ["--set", "method.name=standard"];
         let standard = if scene == "lid-driven-cavity" { &standard[..] } else { &[] };
         succeeds(folder.path(), &[&["generate", scene, "--out", scene, "--set", dx], &common[..], standard].concat());
         let data = folder.path().join(scene);

@@ -1,10 +1,12 @@
 //! `optimize` and `check-gradient` with every optimiser, parametrisation and objective, from the command line.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
+use hydrograd::config::scene::Config;
+use hydrograd::design::{Optimisation, Search};
+use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::scene::search::solver;
 use serde_json::Value;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A short, small run.
@@ -42,6 +44,38 @@ fn tensors(folder: &Path) -> Vec<(String, Vec<u8>)> {
     names.retain(|name| name != "history.seconds");
     names.sort();
     names.into_iter().map(|name| (name.clone(), file.tensor(&name).unwrap().data().to_vec())).collect()
+}
+
+/// The search as the Python package has it, without files, is the command's to the bit: of a wall (by the steady state of fixed
+/// particles, and by the scene's own) and of shapes.
+#[test]
+fn the_search_of_the_library_is_the_command_s() {
+    let cylinder = concat!(env!("CARGO_MANIFEST_DIR"), "/data/scenes/examples/cylinder.toml");
+    let wall = ["resolution.dx=0.04", "design.bound=0.006", "design.shape=sine", "design.amplitude=0.003"];
+    let own = [&wall[..], &["optimise.search=scene", "time.end=0.3", "objective.window=0.1"]].concat();
+    let shapes = ["time.steps=30", "objective.window=0.0", "objective.samples=1"];
+    for (scene, sets) in [("heated-channel", &wall[..]), ("heated-channel", &own), (cylinder, &shapes)] {
+        let folder = TempDir::new().unwrap();
+        let mut arguments = vec!["optimize", scene, "--no-verify", "--out", "run", "--epochs", "3"];
+        sets.iter().chain(&["output.frames=0"]).for_each(|set| arguments.extend(["--set", set]));
+        succeeds(folder.path(), &arguments);
+        let file = TensorFile::read(&folder.path().join("run/checkpoint.safetensors")).unwrap();
+
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let loaded = Config::load(Some(scene), None, &sets).unwrap();
+        let solver = solver::<f64>(&loaded).unwrap();
+        let search = Search { config: &loaded.config, solver: &solver, surrogate: None };
+        let mut found = Optimisation::new(search.optimiser(&solver.problem.first));
+        search.run(&mut found, 3, &mut |_: &Optimisation| Ok(())).unwrap();
+        let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        let column = |name: &str| bits(file.f64(&format!("history.{name}"), &[3]).unwrap());
+        assert_eq!(bits(&found.column(|epoch| epoch.figure)), column("q"), "{scene}");
+        assert_eq!(bits(&found.column(|epoch| epoch.loss)), column("loss"), "{scene}");
+        assert_eq!(bits(&found.column(|epoch| epoch.gradient_norm)), column("gradient_norm"), "{scene}");
+        let next = found.optimiser.ask();
+        assert_eq!(bits(next), bits(file.f64("offsets", &[next.len()]).unwrap()), "{scene}");
+        assert!(next != solver.problem.first && found.history.iter().all(|epoch| !epoch.is_rejected()), "{scene}");
+    }
 }
 
 #[test]

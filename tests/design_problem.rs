@@ -1,14 +1,17 @@
 //! Problems of every kind: the gradient by the variables through the solver, and the loop with its checkpoint.
 
+use crate::support::differences::smallest_gap;
+use hydrograd::adjoint::gradient::Progress;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::{run, Dynamics};
 use hydrograd::config::scene::Config;
 use hydrograd::design::problem::{Derivative, Evaluation};
-use hydrograd::design::{checkpoint, optimisers, Optimisation, Problem};
+use hydrograd::design::{checkpoint, optimisers, Judge, Optimisation, Parametrisation, Problem, Scheduled, Search};
 use hydrograd::error::Error;
 use hydrograd::io::tensor_file::TensorFile;
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::scene::Scene;
+use std::sync::Arc;
 use tempfile::TempDir;
 
 const PARAMETRISATIONS: [&str; 2] = ["design.parametrisation=nodes", "design.parametrisation=b-spline"];
@@ -44,7 +47,7 @@ fn the_gradient_is_the_derivative() {
             };
             // Small steps meet no particle that crosses a strip; below them rounding takes over.
             let gap = |h: f64| ((at(h) - at(-h)) / (2.0 * h) / slope - 1.0).abs();
-            let best = [1e-7, 3e-8, 1e-8].map(gap).into_iter().fold(f64::INFINITY, f64::min);
+            let best = smallest_gap(&[3e-8, 1e-7, 1e-8], 1e-5, gap);
             println!("{parametrisation}, {objective}: relative error {best:.1e} of {slope:.3e}");
             assert!(best <= 1e-5, "{parametrisation}, {objective}: {best:e}");
         }
@@ -82,18 +85,17 @@ fn a_checkpoint_goes_on_to_the_bit() {
                 false => &["channel.hot_from=0.6"],
             };
             let (config, problem) = problem(&[&sets[..], &near, nodes].concat());
-            let schedule = Schedule::segments(problem.steps, 5);
-            let limits = problem.parametrisation.limits();
-            let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
-            let evaluate = |_: usize, x: &[f64]| problem.gradient(x, &schedule, &mut |_| ());
-            let mut whole = Optimisation::new(new(&problem.first));
-            whole.run(8, limits, evaluate, |_| Ok(())).unwrap();
+            let solver = Scheduled { schedule: Schedule::segments(problem.steps, 5), problem };
+            let search = Search { config: &config, solver: &solver, surrogate: None };
+            let mut whole = Optimisation::new(search.optimiser(&solver.problem.first));
+            search.run(&mut whole, 8, &mut |_: &Optimisation| Ok(())).unwrap();
             let path = folder.path().join("checkpoint.safetensors");
-            let mut parts = Optimisation::new(new(&problem.first));
+            let mut parts = Optimisation::new(search.optimiser(&solver.problem.first));
             for epochs in 1..=8 {
-                parts.run(epochs, limits, evaluate, |now| Ok(checkpoint::write(&path, now, &[])?)).unwrap();
+                let mut keep = |now: &Optimisation| Ok(checkpoint::write(&path, now, &[])?);
+                search.run(&mut parts, epochs, &mut keep).unwrap();
                 let file = TensorFile::read(&path).unwrap();
-                parts = checkpoint::restore(&file, &*problem.parametrisation, new).unwrap();
+                parts = checkpoint::restore(&file, solver.parametrisation(), |x| search.optimiser(x)).unwrap();
             }
             let name = format!("{method}, {parametrisation}");
             assert_eq!(whole.history.len(), parts.history.len(), "{name}");
@@ -164,15 +166,47 @@ fn cliff(x: &[f64]) -> Result<Evaluation, Error> {
     })
 }
 
+/// Judges by a function of the variables.
+struct By<F> {
+    function: F,
+    parametrisation: Arc<dyn Parametrisation>,
+}
+
+impl<F: Fn(&[f64]) -> Result<Evaluation, Error>> Judge for By<F> {
+    fn gradient(&self, variables: &[f64], _: Progress<'_>) -> Result<Evaluation, Error> {
+        (self.function)(variables)
+    }
+    fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
+        (self.function)(variables)
+    }
+    fn figure(&self, _: &[f64], loss: f64) -> f64 {
+        -loss
+    }
+    fn parametrisation(&self) -> &dyn Parametrisation {
+        &*self.parametrisation
+    }
+}
+
+/// Goes on by a function until there are so many epochs.
+fn go_on(
+    config: &Config,
+    problem: &Problem<f64>,
+    function: impl Fn(&[f64]) -> Result<Evaluation, Error>,
+    now: &mut Optimisation,
+    epochs: usize,
+) -> anyhow::Result<()> {
+    let judge = By { function, parametrisation: problem.parametrisation.clone() };
+    Search { config, solver: &judge, surrogate: None }.run(now, epochs, &mut |_: &Optimisation| Ok(()))
+}
+
 #[test]
 fn a_design_that_diverges_is_a_rejected_step() {
     for method in METHODS {
         let (config, problem) =
             problem(&[method, "design.nodes=[0.4, 0.6]", "design.offsets=[0.0, 0.0]", "optimise.learning_rate=0.004"]);
         let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
-        let limits = problem.parametrisation.limits();
         let mut whole = Optimisation::new(new(&problem.first));
-        whole.run(30, limits, |_, x| cliff(x), |_| Ok(())).unwrap();
+        go_on(&config, &problem, cliff, &mut whole, 30).unwrap();
         assert!(whole.rejected() > 0, "{method}: the test does not test");
         assert!(!whole.history[whole.best].is_rejected());
         let best = &whole.history[whole.best].variables;
@@ -180,13 +214,15 @@ fn a_design_that_diverges_is_a_rejected_step() {
         assert!(best[0] > 0.006 && best[0] <= 0.01 && (best[1] - 0.015).abs() < 6e-3, "{method}: {best:?}");
         for epoch in whole.history.iter().filter(|epoch| epoch.is_rejected()) {
             assert!(epoch.figure.is_nan() && epoch.gradient_norm.is_nan() && epoch.loss == f64::INFINITY);
+            assert_eq!(epoch.failure.as_deref(), Some("step 7: the run has diverged"));
         }
         // Kept and read between any two epochs, rejected ones too.
         let folder = TempDir::new().unwrap();
         let path = folder.path().join("checkpoint.safetensors");
         let mut parts = Optimisation::new(new(&problem.first));
         while !parts.is_finished(30) {
-            parts.epoch(limits, cliff).unwrap();
+            let epochs = parts.history.len() + 1;
+            go_on(&config, &problem, cliff, &mut parts, epochs).unwrap();
             checkpoint::write(&path, &parts, &[]).unwrap();
             parts = checkpoint::restore(&TensorFile::read(&path).unwrap(), &*problem.parametrisation, new).unwrap();
         }
@@ -194,12 +230,13 @@ fn a_design_that_diverges_is_a_rejected_step() {
         assert_eq!(parts.rejected(), whole.rejected());
         // Of the first design there is nothing to step back to.
         let mut broken = Optimisation::new(new(&[0.012, 0.0]));
-        let error = broken.run(3, limits, |_, x| cliff(x), |_| Ok(())).unwrap_err().to_string();
+        let error = go_on(&config, &problem, cliff, &mut broken, 3).unwrap_err().to_string();
         assert!(error.contains("has diverged") && broken.history.is_empty(), "{error}");
         // Other errors are errors wherever they happen.
         let mut failed = Optimisation::new(new(&problem.first));
-        let full = |epoch: usize, x: &[f64]| if epoch < 2 { cliff(x) } else { Err(Error::run("full disk", "space")) };
-        assert!(failed.run(9, limits, full, |_| Ok(())).is_err() && failed.history.len() == 2);
+        go_on(&config, &problem, cliff, &mut failed, 2).unwrap();
+        let full = |_: &[f64]| Err(Error::run("full disk", "space"));
+        assert!(go_on(&config, &problem, full, &mut failed, 9).is_err() && failed.history.len() == 2);
     }
 }
 
@@ -207,7 +244,7 @@ fn a_design_that_diverges_is_a_rejected_step() {
 fn a_finished_optimiser_ends_the_run() {
     let (config, problem) = problem(&["design.nodes=[0.4, 0.6]", "design.offsets=[0.0, 0.0]", METHODS[1]]);
     let mut optimisation = Optimisation::new(optimisers::of_config(&config.optimise, &problem.first));
-    let square = |_: usize, x: &[f64]| {
+    let square = |x: &[f64]| {
         let loss: f64 = x.iter().map(|x| (x - 0.005) * (x - 0.005)).sum();
         Ok(Evaluation {
             figure: -loss,
@@ -216,7 +253,7 @@ fn a_finished_optimiser_ends_the_run() {
             ..Evaluation::default()
         })
     };
-    optimisation.run(1000, problem.parametrisation.limits(), square, |_| Ok(())).unwrap();
+    go_on(&config, &problem, square, &mut optimisation, 1000).unwrap();
     assert!(optimisation.optimiser.is_done() && optimisation.history.len() < 60, "{}", optimisation.history.len());
 }
 
@@ -226,7 +263,7 @@ fn a_finished_optimiser_ends_the_run() {
 fn the_walls_heat_is_what_flows_out() {
     let steady = |kind: &str, amplitude: f64, periods: f64| {
         let shape = [
-            "fluid.motion=fixed".to_string(),
+            "method.name=fixed".to_string(),
             "design.shape=cosine".into(),
             format!("objective.kind={kind}"),
             format!("design.amplitude={amplitude}"),

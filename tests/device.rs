@@ -1,10 +1,12 @@
 //! What runs on a GPU, against the same on the CPU: steps and gradients of every formulation, and networks.
 //!
-//! `HYDROGRAD_DEVICE=cuda:0 scripts/cuda.sh cargo test --release --features cuda --test device` compares that device. Where none is
+//! `HYDROGRAD_DEVICE=cuda:0 scripts/cuda.sh cargo test --release --features cuda device::` compares that device. Where none is
 //! named, what a GPU does differently is done on the CPU: gathers whose adjoints are sums by place.
 
-mod support;
-
+use crate::support::consistent::{isotropic, noisy_channel, numbers, verlet, vortices, Case};
+use crate::support::final_sum::{FinalSum, Summed};
+use crate::support::random_scene::{Options, RandomScene};
+use crate::turn;
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
@@ -16,26 +18,17 @@ use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::neighbour_list::Workspace;
 use hydrograd::particles::{tag, Domain, NeighbourList};
 use hydrograd::scene::Scene;
-use hydrograd::sph::consistent::Shift;
+use hydrograd::sph::consistent::arrangement::Shift;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::{Snapshot, TensorSolver};
 use hydrograd::sph::Sweeps;
 use hydrograd::surrogate::features::Inputs;
 use hydrograd::surrogate::models::egnn::Egnn;
-use hydrograd::surrogate::models::gns::{Gns, Sizes};
+use hydrograd::surrogate::models::gns::Gns;
+use hydrograd::surrogate::models::sizes::Sizes;
 use hydrograd::surrogate::network::graph::Graph;
 use hydrograd::surrogate::network::parameters::{tracked, Network};
-use std::sync::{Arc, Mutex, MutexGuard};
-use support::consistent::{isotropic, noisy_channel, numbers, verlet, vortices, Case};
-use support::final_sum::{FinalSum, Summed};
-use support::random_scene::{Options, RandomScene};
-
-/// Tests take turns: how sums are taken is a matter of the whole process.
-static TURN: Mutex<()> = Mutex::new(());
-
-fn turn() -> MutexGuard<'static, ()> {
-    TURN.lock().unwrap_or_else(|e| e.into_inner())
-}
+use std::sync::Arc;
 
 /// The device to compare, if one is named.
 fn named() -> Option<DeviceName> {
@@ -150,19 +143,19 @@ fn flows<R: Sweeps>(compute: &Compute) -> Vec<Answer> {
         vortices(2, true, Shift::None),
         vortices(3, true, isotropic()),
         verlet(2, false),
-        noisy_channel(&["time.integrator=verlet", "time.cfl=1"]),
-        noisy_channel(&["fluid.shift=isotropic"]),
-        noisy_channel(&["fluid.shift=rows", "fluid.drive=flow-rate"]),
+        noisy_channel(&["method.integrator=verlet", "time.cfl=1"]),
+        noisy_channel(&["method.shift=isotropic"]),
+        noisy_channel(&["method.shift=rows", "fluid.drive=flow-rate"]),
     ];
     let mut all: Vec<Answer> = cases.iter().flat_map(|case| of_case(case, compute)).collect();
     let rich = Options { transport: false, heat: false, density: true, seed: 3, ..Options::rich(2) };
     for options in [Options::plain(2), Options::rich(2), Options::rich(3), rich] {
         all.extend(of_random_scene::<R>(options, compute));
     }
-    let fixed = "fluid.motion=fixed";
+    let fixed = "method.name=fixed";
     for sets in [
-        &["fluid.formulation=standard"][..],
-        &["fluid.formulation=consistent"],
+        &["method.name=standard"][..],
+        &["method.name=consistent"],
         &[fixed],
         &[fixed, "fluid.drive=flow-rate", "objective.kind=wall-heat"],
     ] {

@@ -1,24 +1,24 @@
 //! The adaptive time step: steps that are made in parts.
 
-mod support;
-
+use crate::support::final_sum::{FinalSum, Summed};
 use hydrograd::adjoint::gradient::{gradient, Gradient};
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::scene::Scene;
-use hydrograd::sph::division::{parts, Division};
+use hydrograd::sph::division::Division;
 use hydrograd::sph::dynamics::Sph;
-use hydrograd::sph::model::Model;
+use hydrograd::sph::flow::Flow;
 use hydrograd::sph::solver::{Snapshot, Solver};
+use hydrograd::sph::standard::Standard;
+use hydrograd::sph::Model;
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
-use support::final_sum::{FinalSum, Summed};
 
 /// A scene with its model changed.
-fn scene<R: Sweeps>(name: &str, sets: &[&str], change: impl Fn(&mut Model<R>)) -> Scene<R> {
+fn scene<R: Sweeps>(name: &str, sets: &[&str], change: impl Fn(&mut Flow<R>)) -> Scene<R> {
     let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
     let mut scene = Scene::from_config(&Config::load(Some(name), None, &sets).unwrap().config).unwrap();
-    change(Arc::get_mut(&mut scene.model).unwrap());
+    scene.model = scene.model.with(change);
     scene
 }
 
@@ -34,7 +34,7 @@ fn after<R: Sweeps>(scene: &Scene<R>, kernels: Kernels, steps: usize) -> Solver<
 }
 
 /// So many parts for any speed that a weakly compressible flow has: 1.25 C dx / (c + u) is a little more than dt / parts.
-fn always<R>(model: &Model<R>, spacing: f64, sound_speed: f64, parts: usize) -> Division {
+fn always<R>(model: &Flow<R>, spacing: f64, sound_speed: f64, parts: usize) -> Division {
     let courant_number = model.dt / (parts as f64 - 0.4) * sound_speed / spacing / 1.25;
     Division { spacing, sound_speed, courant_number }
 }
@@ -42,19 +42,22 @@ fn always<R>(model: &Model<R>, spacing: f64, sound_speed: f64, parts: usize) -> 
 /// A step in two parts is two steps of half the length, to the bit; the one without a step before it included.
 #[test]
 fn parts_are_shorter_steps() {
-    let standard = "fluid.formulation=standard";
+    let standard = "method.name=standard";
     let cases: [(&str, &[&str]); 5] = [
         ("taylor-green", &["resolution.dx=0.05"]),
-        ("taylor-green", &["resolution.dx=0.05", "time.integrator=\"symplectic-euler\"", "time.cfl=0.5"]),
-        ("taylor-green", &["resolution.dx=0.05", standard, "fluid.transport_velocity=0.5"]),
+        ("taylor-green", &["resolution.dx=0.05", "method.integrator=\"symplectic-euler\"", "time.cfl=0.5"]),
+        ("taylor-green", &["resolution.dx=0.05", standard, "method.transport_velocity=0.5"]),
         ("lid-driven-cavity", &["resolution.dx=0.1"]),
         ("dam-break", &["resolution.dx=0.1", "tank.length=3.0", "time.adaptive=false"]),
     ];
     for (name, sets) in cases {
         for (kernels, steps) in [(Kernels::Fused, 12), (Kernels::Composed, 3)] {
-            let shorter = scene::<f64>(name, sets, |model| {
-                (model.dt, model.transport) = (0.5 * model.dt, 2.0 * model.transport);
-            });
+            let mut shorter = scene::<f64>(name, sets, |flow| flow.dt *= 0.5);
+            if let Some(standard) = shorter.model.of_type::<Standard<f64>>() {
+                let mut standard = standard.clone();
+                standard.laws.transport *= 2.0;
+                shorter.model = Model::new(standard);
+            }
             let plain = scene::<f64>(name, sets, |_| ());
             let (spacing, sound_speed) = (plain.spacing, plain.sound_speed());
             let divided = scene::<f64>(name, sets, |model| {
@@ -80,7 +83,7 @@ fn slowing<R: Sweeps>(name: &str, sets: &[&str]) -> Scene<R> {
         model.division = Some(Division { spacing: 0.05, sound_speed: 0.0, courant_number });
         model.skin *= 0.2;
     });
-    let (n, l) = (scene.model.particles(), scene.model.layout);
+    let (n, l) = (scene.model.particles(), scene.model.rows);
     let state = &mut scene.start.state;
     let fastest = (0..n).map(|i| state[l.velocity() * n + i].f64().abs()).fold(0.0, f64::max);
     for i in (0..n).filter(|&i| scene.model.is_fluid(i)) {
@@ -116,7 +119,7 @@ fn replays_exactly<R: Sweeps>() {
         let mut solver = Solver::restore(scene.model.clone(), &scene.start).unwrap();
         let (mut seen, mut within) = (std::collections::BTreeSet::new(), 0);
         for _ in 0..STEPS {
-            let asked = parts(&scene.model, &solver.state);
+            let asked = scene.model.parts(&solver.state);
             solver.advance().unwrap();
             assert_eq!(solver.pace.parts, asked);
             seen.insert(asked);
@@ -159,7 +162,7 @@ fn the_gradient_is_that_of_the_parts() {
         let scene = slowing::<f64>(name, sets);
         let (model, start) = (&scene.model, &scene.start);
         let found = numbers::<f64>(&run(&scene, start, &Schedule::segments(STEPS, 5)));
-        let (n, l) = (model.particles(), model.layout);
+        let (n, l) = (model.particles(), model.rows);
         let mut direction = vec![0.0; start.state.len()];
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
             direction[l.velocity() * n + i] = (0.3 * i as f64).sin();

@@ -1,12 +1,10 @@
 //! `hydrograd evaluate` and `rollout`: files, figures that fit together, bad input.
 
-mod support;
-
+use crate::support::data_set::{heat, heated_metadata, metadata, trajectory, write};
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::dataset::Split;
 use serde_json::Value;
 use std::path::Path;
-use support::data_set::{heat, heated_metadata, metadata, trajectory, write};
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A folder with the data sets `plain` (uniform motion) and `heated`.

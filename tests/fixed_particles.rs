@@ -317,7 +317,7 @@ fn print_bits() {
 fn a_step_has_the_same_bits_for_any_number_of_threads() {
     let run = |threads: &str| {
         let output = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--ignored", "--exact", "print_bits", "--nocapture"])
+            .args(["--ignored", "--exact", "fixed_particles::print_bits", "--nocapture"])
             .env("RAYON_NUM_THREADS", threads)
             .output()
             .unwrap();

@@ -7,6 +7,7 @@ use hydrograd::scene::poiseuille::Poiseuille;
 use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
 use hydrograd::scene::taylor_green::TaylorGreen;
 use hydrograd::scene::Scene;
+use hydrograd::sph::rows::Quantity;
 use hydrograd::sph::solver::Solver;
 use hydrograd::sph::Sweeps;
 
@@ -224,7 +225,7 @@ fn the_cavity_is_that_of_ghia() {
     let mut scene = LidDrivenCavity { per_side: 25, ..Default::default() };
     scene.numerics.cfl = 1.0;
     let flow = scene.build::<f64>();
-    let (n, l) = (flow.model.particles(), flow.model.layout);
+    let (n, l) = (flow.model.particles(), flow.model.rows);
     assert_eq!(n, 31 * 31);
     let mut solver = Solver::new(flow.model.clone(), flow.start.state.clone()).unwrap();
     while (solver.step as f64) < 10.0 / flow.model.dt {
@@ -251,7 +252,7 @@ fn the_cavity_is_that_of_ghia() {
     }
 }
 
-const STANDARD: &str = "fluid.formulation=standard";
+const STANDARD: &str = "method.name=standard";
 const THIRTY: &str = "resolution.dx=0.03333333333333333";
 
 #[test]
@@ -289,7 +290,7 @@ fn heat_goes_through_a_slab_as_it_should() {
     // Two materials. The ratios alone make it the standard formulation.
     let jump = ["heat.conductivity_ratio=1000", "heat.capacity_ratio=1000"];
     let materials = scene::<f64>("slab", &jump);
-    assert!(materials.model.consistent.is_none() && materials.model.heat.as_ref().unwrap().materials.is_some());
+    assert!(materials.model.name() == "standard" && materials.model.heat.as_ref().unwrap().materials.is_some());
     // Measured at 50 across: 5.2e-4 and 0.5 % on its way, 5.9e-4 and 0.35 % when steady.
     exact_end(end("slab", &jump), 7e-4, 7e-3);
     exact_end(end("slab", &[jump[0], jump[1], "time.end=0.8"]), 7e-4, 5e-3);
@@ -300,17 +301,17 @@ fn fluxes_of_two_materials_are_the_same_through_every_plane() {
     // When nothing changes any more, what conduction brings to the particles below a plane is what goes through it.
     let sets = ["heat.conductivity_ratio=1000", "heat.capacity_ratio=1000", "resolution.dx=0.05", "time.end=2"];
     let flow = scene::<f64>("slab", &sets);
-    let (n, l) = (flow.model.particles(), flow.model.layout);
+    let (n, l) = (flow.model.particles(), flow.model.rows);
     let mut solver = Solver::new(flow.model.clone(), flow.start.state.clone()).unwrap();
     while solver.step < flow.steps {
         solver.advance().unwrap();
     }
-    let warming = &solver.state[l.temperature_rate() * n..][..n];
+    let warming = &solver.state[l.row(Quantity::TemperatureRate).unwrap() * n..][..n];
     // Against the flux of 2, per particle of 20 rows: rates of 40 where heat came through one of its sides only.
     let largest = warming.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
     assert!(largest < 1e-2, "{largest}");
     // And the temperature falls in the lower half alone.
-    let at = |row: usize| solver.state[l.temperature() * n + 8 * (3 + row)];
+    let at = |row: usize| solver.state[l.temperature().unwrap() * n + 8 * (3 + row)];
     assert!((at(0) - 1.0 + 0.025 * 2.0).abs() < 0.02 && at(10).abs() < 0.02, "{} {}", at(0), at(10));
 }
 

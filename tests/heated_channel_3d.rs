@@ -1,6 +1,7 @@
 //! The heated channel in three dimensions: its wall, what the wall moves, against the channel in two dimensions, gradients, and the
 //! program as users run it.
 
+use crate::support::differences::smallest_gap;
 use assert_cmd::Command;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::config::scene::Config;
@@ -8,11 +9,12 @@ use hydrograd::design::deformation::Map;
 use hydrograd::design::diagnostics::Diagnostics;
 use hydrograd::design::parametrisations::SplineSurface;
 use hydrograd::design::shape::MAX_SLOPE;
-use hydrograd::design::{diagnostics, optimisers, Optimisation, Parametrisation, Problem};
+use hydrograd::design::{diagnostics, Optimisation, Parametrisation, Problem, Scheduled, Search};
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::Scene;
-use hydrograd::sph::consistent::derivatives::NO_FLUX;
+use hydrograd::sph::consistent::kinds::NO_FLUX;
+use hydrograd::sph::consistent::Consistent;
 use std::path::Path;
 use std::sync::LazyLock;
 use tempfile::TempDir;
@@ -134,7 +136,7 @@ fn curved(problem: &Problem<f64>) -> Vec<f64> {
 #[test]
 fn the_wall_moves_what_it_says() {
     let (config, problem) = problem(&[]);
-    let (model, deformation) = (&problem.model, &problem.deformation);
+    let (model, deformation) = (problem.model.of_type::<Consistent<f64>>().unwrap(), &problem.deformation);
     let (n, l, height) = (model.particles(), model.layout, config.channel.height);
     let points = curved(&problem);
     let flat = problem.start(&vec![0.0; points.len()]).state;
@@ -144,8 +146,7 @@ fn the_wall_moves_what_it_says() {
     );
     let state = problem.start(&points).state;
     let level = |x: f64, z: f64| problem.parametrisation.height(&points, x, z);
-    let consistent = model.consistent.as_ref().unwrap();
-    let mirrored: Vec<u32> = consistent.dummies.iter().map(|(dummy, _)| *dummy).collect();
+    let mirrored: Vec<u32> = model.fits.dummies.iter().map(|(dummy, _)| *dummy).collect();
     let (mut normals, mut images) = (0, 0);
     for i in 0..n {
         let [x, y, z] = [0, 1, 2].map(|d| flat[d * n + i]);
@@ -164,7 +165,7 @@ fn the_wall_moves_what_it_says() {
         let [h, g] = config.control_distances();
         let third = config.design.bound / h.min(g).powi(3);
         let slack = 8.0 * third * (0.25 * config.resolution.dx).powi(2) / 6.0;
-        if consistent.weights[4 * i + NO_FLUX] > 0.0 {
+        if model.fits.weights[4 * i + NO_FLUX] > 0.0 {
             normals += (vector[1] < 1.0 && y == 0.0) as usize;
             assert!((vector.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-14, "a normal has length 1");
             for tangent in tangents.iter().filter(|_| y == 0.0) {
@@ -242,7 +243,7 @@ fn figures(config: &Config) -> Diagnostics {
 
 /// The channel in two dimensions with what the one in three has.
 const PLANE: [&str; 5] =
-    ["resolution.dx=0.04", "design.bound=0.008", "fluid.shift=isotropic", "fluid.shift_strength=1", "time.cfl=1"];
+    ["resolution.dx=0.04", "design.bound=0.008", "method.shift=isotropic", "method.shift_strength=1", "time.cfl=1"];
 const WINDOW: [&str; 3] = ["time.end=1.2", "objective.window=0.25", "objective.samples=20"];
 
 fn plane(sets: &[&str]) -> Diagnostics {
@@ -303,7 +304,7 @@ const SHORT: [&str; 5] = [
 #[test]
 fn the_gradient_is_the_derivative() {
     let held = ["fluid.drive=flow-rate", "objective.kind=outlet-temperature"];
-    for sets in [&[][..], &held, &["objective.kind=wall-heat", "time.integrator=verlet"]] {
+    for sets in [&[][..], &held, &["objective.kind=wall-heat", "method.integrator=verlet"]] {
         let (_, problem) = problem(&[&SHORT[..], sets].concat());
         let x = curved(&problem);
         let schedule = Schedule::segments(problem.steps, 10);
@@ -318,7 +319,7 @@ fn the_gradient_is_the_derivative() {
         };
         // As in two dimensions: larger steps meet particles that cross a strip, below them rounding takes over.
         let gap = |h: f64| ((at(h) - at(-h)) / (2.0 * h) / slope - 1.0).abs();
-        let best = [1e-6, 1e-7, 3e-8].map(gap).into_iter().fold(f64::INFINITY, f64::min);
+        let best = smallest_gap(&[1e-7, 3e-8, 1e-6], 1e-5, gap);
         println!("{sets:?}: relative error {best:.1e} of {slope:.3e}");
         assert!(best <= 1e-5, "{sets:?}: {best:e}");
     }
@@ -371,17 +372,17 @@ fn an_optimisation_raises_the_outflow() {
         "design.amplitude=0.004",
     ];
     let (config, problem) = problem(&sets);
-    let mut optimisation = Optimisation::new(optimisers::of_config(&config.optimise, &problem.first));
     let schedule = problem.schedule(&config.optimise, config.run.precision).unwrap();
-    let limits = problem.parametrisation.limits();
-    let evaluate = |_: usize, x: &[f64]| problem.gradient(x, &schedule, &mut |_| ());
-    optimisation.run(3, limits, evaluate, |_| Ok(())).unwrap();
+    let solver = Scheduled { problem, schedule };
+    let (problem, search) = (&solver.problem, Search { config: &config, solver: &solver, surrogate: None });
+    let mut optimisation = Optimisation::new(search.optimiser(&problem.first));
+    search.run(&mut optimisation, 3, &mut |_: &Optimisation| Ok(())).unwrap();
     let values: Vec<f64> = optimisation.history.iter().map(|epoch| epoch.figure).collect();
     println!("{values:?}");
     let best = &optimisation.history[optimisation.best];
     assert!(optimisation.best > 0 && best.figure > 1.002 * values[0], "{values:?}");
     assert_eq!(best.figure, problem.evaluate(&best.variables).unwrap(), "the solver says so too");
-    assert!(limits.contains(&best.variables));
+    assert!(problem.parametrisation.limits().contains(&best.variables));
 }
 
 fn run(folder: &Path, arguments: &[&str]) -> std::process::Output {
@@ -469,12 +470,11 @@ fn what_there_is_not_is_refused() {
         assert!(!text.contains("no design"), "{text}");
     };
     let set = |set: &str, parts: &[&str]| refuses(&["simulate", SCENE, "--set", set], parts);
-    set(
-        "fluid.formulation=standard",
-        &["`fluid.formulation` is not a key of scene heated-channel-3d", "heated-channel"],
-    );
-    set("fluid.motion=fixed", &["`fluid.motion` is not a key of scene heated-channel-3d"]);
-    set("fluid.shift=chain", &["fluid.shift = chain", "isotropic", "try: --set fluid.shift=isotropic"]);
+    for method in ["standard", "fixed"] {
+        let name = format!("method.name={method}");
+        set(&name, &[&format!("method.name = {method} can not solve this scene"), "allowed: consistent"]);
+    }
+    set("method.shift=chain", &["method.shift = chain", "isotropic", "try: --set method.shift=isotropic"]);
     set("design.control_points=30", &["design.bound = 0.02", "control points' distance", "0 ... 0.015"]);
     set("design.offsets=[0.0, 0.01]", &["design.offsets has 2 numbers", "24", "design.control_points = 6"]);
     set("design.control_points_across=0", &["design.control_points_across = 0", "1"]);
@@ -484,7 +484,10 @@ fn what_there_is_not_is_refused() {
     set("design.file=wall.csv", &["0.05", "x = 0.5, z = 0.1", "out of bounds"]);
     set("design.file=profile.csv", &["no column `z`", "x,z,height"]);
     set("design.file=none.csv", &["no such file"]);
-    refuses(&["optimize", SCENE, "--gradient", "steady"], &["optimise.gradient = steady", "no fixed particles"]);
+    refuses(
+        &["optimize", SCENE, "--gradient", "steady"],
+        &["optimise.gradient = steady with method.name = consistent", "allowed: segments, taped, truncated"],
+    );
     refuses(&["optimize", SCENE, "--dynamics", "surrogate"], &["--dynamics surrogate", "is not a key of scene"]);
     refuses(&["optimize", SCENE, "--compare"], &["--compare", "is not a key of scene heated-channel-3d"]);
     refuses(

@@ -1,22 +1,21 @@
 //! Runs that are ended on their way, as real processes: by SIGKILL at any moment nothing is damaged, and what is resumed ends to the
 //! bit as if it had never stopped; SIGINT and SIGTERM keep what there is, and say how to go on.
 //!
-//! `HYDROGRAD_KILLS=200` kills so often per command; 20 times otherwise.
+//! `HYDROGRAD_KILLS=200` kills so often per command; 6 times otherwise, of which every third falls among pictures and summaries.
 
-mod support;
-
+use crate::support;
+use crate::support::program::succeeds;
 use hydrograd::io::{hdf5_file, tensor_file::TensorFile};
 use std::io::BufRead;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use support::program::succeeds;
 use tempfile::TempDir;
 
 /// Times that a run is killed.
 fn kills() -> usize {
-    std::env::var("HYDROGRAD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(20)
+    std::env::var("HYDROGRAD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(6)
 }
 
 /// Uniform numbers in 0 ... 1, the same in every run of the tests.

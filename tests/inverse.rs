@@ -1,14 +1,12 @@
 //! Inverse problems: gradients against differences, and what is found again.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::Config;
 use hydrograd::dataset::{read_split, Metadata, Split};
 use hydrograd::inverse::calibration::{Calibration, Parameter};
 use hydrograd::inverse::initial_state::{InitialState, Unknown};
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 
 /// A scene with some settings, a part of whose start is unknown; with a guess of it, unless it is at rest.
 fn problem(scene: &str, settings: &[&str], unknown: Unknown, guess: &[&str]) -> InitialState<f64> {
@@ -79,7 +77,7 @@ fn the_gradient_by_initial_places() {
 /// In a periodic box a place has images, and one that has left comes back.
 #[test]
 fn the_gradient_by_initial_places_in_a_periodic_box() {
-    let settings = ["resolution.dx=0.1", "time.steps=20", "fluid.formulation=standard"];
+    let settings = ["resolution.dx=0.1", "time.steps=20", "method.name=standard"];
     let problem = problem("taylor-green", &settings, Unknown::Places, &["run.seed=1"]);
     let first = problem.first();
     check_gradient(&problem, &first, 1e-7, 1e-6);
@@ -93,8 +91,7 @@ fn the_gradient_by_initial_places_in_a_periodic_box() {
 #[test]
 fn velocities_are_found_again() {
     let folder = tempfile::tempdir().unwrap();
-    let small =
-        ["resolution.dx=0.05", "time.steps=40", "fluid.formulation=standard"].map(|set| ["--set", set]).concat();
+    let small = ["resolution.dx=0.05", "time.steps=40", "method.name=standard"].map(|set| ["--set", set]).concat();
     let small = [&["recover", "taylor-green"], &small[..]].concat();
     succeeds(folder.path(), &[&small[..], &["--out", "found"]].concat());
     let text = std::fs::read_to_string(folder.path().join("found/summary.json")).unwrap();
@@ -112,8 +109,8 @@ fn velocities_are_found_again() {
     succeeds(folder.path(), &[&small[..], &["--target", "seen/state.h5", "--out", "again"]].concat());
     let other = ["recover", "taylor-green", "--set", "resolution.dx=0.1", "--target", "seen/state.h5"];
     refused(&other, &hydrograd(folder.path(), &other), &["the target has 800 coordinates", "200 coordinates"]);
-    let fixed = ["recover", "heated-channel", "--set", "fluid.motion=fixed"];
-    refused(&fixed, &hydrograd(folder.path(), &fixed), &["fluid.motion"]);
+    let fixed = ["recover", "heated-channel", "--set", "method.name=fixed"];
+    refused(&fixed, &hydrograd(folder.path(), &fixed), &["method.name"]);
 }
 
 /// JAX-SPH's notebook on a falling block: 0.300 -> 0.008 and 0.315 -> 0.023 in 15 steps, by factors of 37 and 14; with its time

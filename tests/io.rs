@@ -1,7 +1,6 @@
 //! Files: what is written comes back, and what is wrong is said clearly.
 
-mod support;
-
+use crate::support::data_set::without_checksum;
 use hydrograd::io::atomic::{prepare_output_folder, write_atomically, write_bytes_atomically, write_path_atomically};
 use hydrograd::io::csv::{read_columns, write_columns, write_table, Cell};
 use hydrograd::io::state_file::{read_state, write_state, State};
@@ -12,7 +11,6 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
-use support::data_set::without_checksum;
 
 type TestResult = Result<(), Box<dyn std::error::Error>>;
 

@@ -1,7 +1,7 @@
 //! Our gradients against those of JAX-SPH in f64: every group of the file whose configuration we support.
 
-mod support;
-
+use crate::support::final_sum::{FinalSum, Summed};
+use crate::support::jax_sph::{field, number, reference_file, Case};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Objective;
@@ -9,12 +9,10 @@ use hydrograd::config::scene::{Interpolation as Mode, Kernels};
 use hydrograd::design::objectives::{HeatOutflow, Outlet, Samples};
 use hydrograd::particles::tag;
 use hydrograd::sph::dynamics::Sph;
-use hydrograd::sph::operators::interpolation::Interpolation;
+use hydrograd::sph::interpolation::Interpolation;
 use hydrograd::sph::solver::Snapshot;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use support::final_sum::{FinalSum, Summed};
-use support::jax_sph::{field, number, reference_file, Case};
 
 /// Relative to the gradient's largest component.
 const TOLERANCE: f64 = 1e-6;

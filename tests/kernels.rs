@@ -1,12 +1,10 @@
 //! Every smoothing kernel in every kind of lanes: against JAX-SPH, against central differences, at its knots.
 
-mod support;
-
+use crate::support::jax_sph::{number, reference_file};
 use candle_core::{Device, Tensor};
 use hydrograd::numerics::exponential::exponential;
 use hydrograd::numerics::lanes::{Lanes, PortableF32, PortableF64, Real};
 use hydrograd::sph::kernels::{Kernel, KernelName};
-use support::jax_sph::{number, reference_file};
 
 /// W, F and G at distances, through one lane type.
 struct Values {

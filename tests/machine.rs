@@ -1,10 +1,8 @@
 //! What programs are told: JSON, exit codes, completions, man pages, logs; and scenes made by `hydrograd new`.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use serde_json::Value;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// The one document on stdout.

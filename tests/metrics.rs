@@ -1,7 +1,6 @@
 //! Metrics of predicted frames: LagrangeBench's figures, and cases whose result is known.
 
-mod support;
-
+use crate::support::data_set::{heated_metadata, metadata};
 use hydrograd::dataset::extent::Extent;
 use hydrograd::particles::Domain;
 use hydrograd::surrogate::evaluation::metrics::*;
@@ -9,7 +8,6 @@ use hydrograd::surrogate::evaluation::sinkhorn;
 use hydrograd::surrogate::predictor::Frame;
 use safetensors::SafeTensors;
 use std::path::PathBuf;
-use support::data_set::{heated_metadata, metadata};
 
 /// metrics_lr.safetensors: a prediction over 20 steps, the truth, and what LagrangeBench says of them.
 struct Fixture {

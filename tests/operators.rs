@@ -1,7 +1,7 @@
 //! Each operator of a step: fused against composed, adjoint against central differences, conservation, symmetry.
 
-mod support;
-
+use crate::support::final_sum::{FinalSum, Summed};
+use crate::support::random_scene::{permute, Options, RandomScene, DX};
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
@@ -11,19 +11,16 @@ use hydrograd::numerics::candle::{apply1, apply2, apply3};
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::tag;
 use hydrograd::scene::Scene;
-use hydrograd::sph::chain::{Chain, Step};
 use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::interpolation::Interpolation;
 use hydrograd::sph::kernels::KernelName;
 use hydrograd::sph::laws::body_force::BodyForce;
-use hydrograd::sph::model::Model;
-use hydrograd::sph::operators::composed::Pairs;
-use hydrograd::sph::operators::interpolation::Interpolation;
-use hydrograd::sph::operators::{assemble, density, drift, evolution, rates, wall_condition};
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
+use hydrograd::sph::standard::chain::{Chain, Step};
+use hydrograd::sph::standard::{assemble, density, drift, evolution, rates, wall_condition};
+use hydrograd::sph::Model;
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
-use support::final_sum::{FinalSum, Summed};
-use support::random_scene::{permute, Options, RandomScene, DX};
 
 /// Fused against composed, relative to the largest value of the row.
 const SAME: f64 = 1e-12;
@@ -87,10 +84,10 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
     };
     let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
     let rates = apply2(rates::Rates(Chain::new(step.clone())), &moved, &primitives).unwrap();
-    let targets = targets(&model, scene);
+    let targets = targets(&model.clone().into(), scene);
     let interpolation = Interpolation { kernel: model.kernel, domain: model.domain, targets, kernels: Kernels::Fused };
     let taken: Arc<Vec<bool>> = Arc::new((0..n).map(|i| i % 7 != 3).collect());
-    let (position, fields) = (moved.narrow(0, 0, model.layout.dimension).unwrap(), primitives.clone());
+    let (position, fields) = (moved.narrow(0, 0, model.dimension()).unwrap(), primitives.clone());
 
     let supported = supported(&step, &moved);
     let mut all = Vec::new();
@@ -115,13 +112,13 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
             "evolution",
             &[&moved],
             Box::new(move |t| apply1(evolution::Evolution(Chain::new(s.clone()), dt), &t[0])),
-            Box::new(move |t| evolution::composed(&s2, &Pairs::new(&s2, &t[0])?, dt, &t[0])),
+            Box::new(move |t| evolution::composed(&s2, &s2.pairs(&t[0])?, dt, &t[0])),
         ),
         false => add(
             "density",
             &[&moved],
             Box::new(move |t| apply1(density::Density(Chain::new(s.clone())), &t[0])),
-            Box::new(move |t| density::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0])),
+            Box::new(move |t| density::composed(&s2, &s2.pairs(&t[0])?, &t[0])),
         ),
     }
     let (s, s2) = (step.clone(), step.clone());
@@ -129,14 +126,14 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         "wall condition",
         &[&moved, &density],
         Box::new(move |t| apply2(wall_condition::WallCondition(Chain::new(s.clone())), &t[0], &t[1])),
-        Box::new(move |t| wall_condition::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
+        Box::new(move |t| wall_condition::composed(&s2, &s2.pairs(&t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     add(
         "rates",
         &[&moved, &primitives],
         Box::new(move |t| apply2(rates::Rates(Chain::new(s.clone())), &t[0], &t[1])),
-        Box::new(move |t| rates::composed(&s2, &Pairs::new(&s2, &t[0])?, &t[0], &t[1])),
+        Box::new(move |t| rates::composed(&s2, &s2.pairs(&t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
     match evolves {
@@ -182,7 +179,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
 /// quotient resolves that, and rounding shows. What such a wall adds to the fluid is as small as its weights.
 fn supported<R: Sweeps>(step: &Arc<Step<R>>, moved: &Tensor) -> Tensor {
     let (model, n) = (&*step.model, step.model.particles());
-    let pairs = Pairs::new(step, moved).unwrap();
+    let pairs = step.pairs(moved).unwrap();
     let fluid = pairs.other(&pairs.is_fluid).unwrap();
     let w = model.kernel.composed(&pairs.distance).unwrap().0.mul(&pairs.mask).unwrap().mul(&fluid).unwrap();
     let weight = numbers(&w.sum(2).unwrap());
@@ -196,7 +193,7 @@ fn targets<R: Sweeps>(model: &Model<R>, scene: &RandomScene) -> Arc<Vec<[f64; 3]
     let mut targets: Vec<[f64; 3]> =
         (0..7).map(|k| [0.05 * DX + 0.13 * k as f64 * size[0], 0.25 * size[1] + k as f64 * DX, 0.01]).collect();
     let fluid = (0..n).find(|&i| model.is_fluid(i)).unwrap();
-    targets.push(std::array::from_fn(|k| if k < model.layout.dimension { scene.state[k * n + fluid] } else { 0.0 }));
+    targets.push(std::array::from_fn(|k| if k < model.dimension() { scene.state[k * n + fluid] } else { 0.0 }));
     Arc::new(targets)
 }
 
@@ -373,7 +370,9 @@ fn composed_operators_leave_the_state_where_it_is() {
         let step = |kernels, state: &Tensor| {
             let mut run = TensorSolver::restore(model.clone(), &first, kernels).unwrap();
             let end = run.advance(state).unwrap();
-            let (_, primitives) = run.look(&end).unwrap();
+            let shown = run.look(&end).unwrap();
+            let seen = [shown.density, shown.velocity, shown.temperature.unwrap()];
+            let primitives = Tensor::cat(&seen, 0).unwrap();
             (end, primitives)
         };
         let state = tensor(&scene.state::<f64>(), n);
@@ -593,7 +592,7 @@ fn run_again(test: &str, settings: &[(&str, &str)]) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let result = folder.path().join("result");
     let mut command = std::process::Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", test, "--include-ignored", "--nocapture"]);
+    command.args(["--exact", &format!("operators::{test}"), "--include-ignored", "--nocapture"]);
     command.envs(settings.iter().copied()).env(RESULT, &result);
     let output = command.output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout);
@@ -614,7 +613,7 @@ const STRIDE: &str = "HYDROGRAD_TEST_STRIDE";
 fn state_and_gradient_of_a_run() {
     let Some(path) = std::env::var_os(RESULT) else { return };
     let formulation = std::env::var(FORMULATION).unwrap_or("standard".into());
-    let formulation = format!("fluid.formulation={formulation}");
+    let formulation = format!("method.name={formulation}");
     let sets = ["time.steps=50", "time.cfl=1.0", "design.shape=\"sine\"", "objective.window=0", &formulation];
     let sets: Vec<String> = sets.iter().map(|s| s.to_string()).collect();
     let config = Config::load(None, None, &sets).unwrap().config;

@@ -1,12 +1,10 @@
 //! The pages of runs: what they say is what the files say, and they ask for nothing outside of themselves.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::dataset::{read_split, Metadata, Split};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 const TINY: [&str; 8] =

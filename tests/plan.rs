@@ -1,16 +1,15 @@
 //! The plan that `--explain` prints: that it says what the scene is.
 
-mod support;
-
+use crate::support::random_scene::{Options, RandomScene};
 use hydrograd::adjoint::schedule::{Costs, Schedule};
 use hydrograd::particles::tag;
 use hydrograd::particles::NeighbourList;
 use hydrograd::sph::laws::body_force::BodyForce;
-use hydrograd::sph::plan::{sound_speed, Plan};
-use support::random_scene::{Options, RandomScene};
+use hydrograd::sph::plan::Plan;
+use hydrograd::sph::Model;
 
 fn plan_of(scene: &RandomScene) -> Plan {
-    Plan::of(&scene.model::<f64>(), &scene.state::<f64>(), None).unwrap()
+    Plan::of(&Model::from(scene.model::<f64>()), &scene.state::<f64>(), None).unwrap()
 }
 
 fn has(plan: &Plan, what: &str) -> bool {
@@ -115,7 +114,7 @@ fn time_step_numbers_follow_from_the_model() {
     let scene = RandomScene::new(Options::rich(3));
     let (model, plan) = (scene.model::<f64>(), plan_of(&scene));
     // The scene is made with the sound speed 5, viscosity 0.3, conductivity 7.313, capacity 30.527, density 1.2.
-    assert!((sound_speed(&model.equation_of_state) - 5.0).abs() < 1e-12);
+    assert!((model.sound_speed() - 5.0).abs() < 1e-12);
     assert!((plan.time_step.acoustic_number - 1e-3 * 5.5 / 0.05).abs() < 1e-12);
     assert!((plan.time_step.diffusion_number - 1e-3 * 0.25 / 0.05f64.powi(2)).abs() < 1e-12);
 }
@@ -133,7 +132,7 @@ fn the_part_of_the_gradient_is_that_of_its_schedule() {
     let scene = RandomScene::new(Options::rich(2));
     let costs = Costs { state: 100, tape_step: 700, working: 5000, ..Costs::default() };
     let schedule = Schedule::binomial(40, 10, 4);
-    let model = scene.model::<f64>();
+    let model = Model::from(scene.model::<f64>());
     let plan = plan_of(&scene).with_gradient(&model, &schedule, costs, Some(9999));
     let gradient = plan.gradient.as_ref().unwrap();
     assert_eq!(gradient.counts, schedule.counts());

@@ -4,7 +4,7 @@
 use hydrograd::adjoint::run::run;
 use hydrograd::config::builtin::SCENES;
 use hydrograd::config::range::Range;
-use hydrograd::config::scene::{Config, Formulation, Kernels};
+use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::config::schema::{described, Schema};
 use hydrograd::error::Error;
 use hydrograd::numerics::random::{numbered, uniform};
@@ -91,9 +91,8 @@ fn attempt(scene: &str, sets: &[String]) -> Result<bool, String> {
 fn random_numbers_run_or_are_refused() {
     let (mut ran, mut all) = (0, 0);
     for (place, scene) in SCENES.iter().enumerate() {
-        let keys: Vec<String> = described::<Config>(scene.text).into_iter().map(|(key, _)| key).collect();
-        let mut usual = scene.family().defaults();
-        usual.fluid.formulation = Formulation::Consistent;
+        let keys: Vec<String> = described::<Config>(scene.text()).into_iter().map(|(key, _)| key).collect();
+        let usual = scene.family().defaults_with("consistent");
         let numbers: Vec<_> =
             usual.numbers().into_iter().filter(|(key, ..)| keys.iter().any(|own| own == key)).collect();
         let numbers: Vec<_> =
@@ -108,11 +107,11 @@ fn random_numbers_run_or_are_refused() {
             for _ in 0..1 + below(&mut random, 3) {
                 let (key, usual, range) = numbers[below(&mut random, numbers.len())];
                 let x = value(&mut random, usual, range);
-                let whole = usual.fract() == 0.0 && toml_is_whole(scene.text, key);
+                let whole = usual.fract() == 0.0 && toml_is_whole(scene.text(), key);
                 sets.push(if whole { format!("{key}={}", x.round() as i64) } else { format!("{key}={x:e}") });
             }
-            if number % 3 == 0 && keys.iter().any(|key| key == "fluid.formulation") {
-                sets.push("fluid.formulation=standard".into());
+            if number % 3 == 0 && keys.iter().any(|key| key == "method.name") {
+                sets.push("method.name=standard".into());
             }
             let outcome = catch_unwind(AssertUnwindSafe(|| attempt(scene.name, &sets)));
             match outcome {
@@ -144,7 +143,7 @@ fn mutilated_files_are_read_or_refused() {
     let mut refused = 0;
     let mut all = 0;
     for (place, scene) in SCENES.iter().enumerate() {
-        let lines: Vec<&str> = scene.text.lines().filter(|line| !line.starts_with('#')).collect();
+        let lines: Vec<&str> = scene.text().lines().filter(|line| !line.starts_with('#')).collect();
         for number in 0..10 * count() {
             let mut random = numbered(4, "mutt", (10_000 * place) as u32 + number);
             let mut lines: Vec<String> = lines.iter().map(|line| line.to_string()).collect();

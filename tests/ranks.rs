@@ -1,13 +1,11 @@
 //! Training by several processes over MPI: the same training, whatever their number. (Feature `mpi`, and `mpirun`.)
 #![cfg(feature = "mpi")]
 
-mod support;
-
+use crate::support::program::succeeds;
 use hydrograd::io::tensor_file::TensorFile;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
-use support::program::succeeds;
 
 /// A data set of the heated channel, made once for all tests.
 fn data() -> &'static Path {

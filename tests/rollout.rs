@@ -1,7 +1,6 @@
 //! Rollouts, their ends, and the evaluation over windows, on data sets made here.
 
-mod support;
-
+use crate::support::data_set::{heat, heated_metadata, metadata, trajectory, write};
 use hydrograd::dataset::{kind, read_split, Metadata, Split};
 use hydrograd::error::BadInput;
 use hydrograd::surrogate::evaluation::metrics::Counted;
@@ -11,7 +10,6 @@ use hydrograd::surrogate::models::constant_velocity::ConstantVelocity;
 use hydrograd::surrogate::models::still::Still;
 use hydrograd::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde_json::Value;
-use support::data_set::{heat, heated_metadata, metadata, trajectory, write};
 
 /// Does to the last frame what a function says, at the n-th call.
 struct Odd<F>(F, std::cell::Cell<usize>);

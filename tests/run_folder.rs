@@ -1,10 +1,8 @@
 //! Folders of runs: each belongs to one kind of command and one process, and no run is lost unless that was asked for.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use std::collections::BTreeMap;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A design and a run as short as can be.

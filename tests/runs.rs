@@ -1,11 +1,9 @@
 //! Whole runs of the command line: files, figures that fit together, resuming, broken checkpoints.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
 use serde_json::Value;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A short, small run: 0.3 time units.
@@ -364,11 +362,11 @@ fn a_run_recovers_with_shorter_steps() {
     assert_eq!(frames.matches("<DataSet").count(), 6, "{frames}");
 
     // What does not come from the step is given up.
-    let (code, error) = run(&["--set", "fluid.shift=none", "--set", "time.end=3"]);
+    let (code, error) = run(&["--set", "method.shift=none", "--set", "time.end=3"]);
     assert_eq!(code, Some(3), "{error}");
     assert!(error.contains("given up after 4 halvings") && error.matches("warning: ").count() == 4, "{error}");
 
-    let fixed = ["simulate", "--recover", "--set", "fluid.motion=fixed", "--out", "fixed"];
+    let fixed = ["simulate", "--recover", "--set", "method.name=fixed", "--out", "fixed"];
     refuses(at, &fixed, &["--recover with fixed particles"]);
 }
 

@@ -4,13 +4,14 @@ use hydrograd::config::builtin::{PRESETS, SCENES};
 use hydrograd::config::layers::Setting;
 use hydrograd::config::memory_size::MemorySize;
 use hydrograd::config::scene::{
-    BodyForceRegion, Config, Formulation, KernelName, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName,
-    Start,
+    BodyForceRegion, Config, KernelName, Method, ObjectiveKind, OptimiserName, ParametrisationName, ShapeName,
+    Standard, Start,
 };
 use hydrograd::config::schema::{described, description, known_keys};
 use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::scene::load::Source;
 use hydrograd::scene::Scene;
+use hydrograd::sph::rows::Quantity;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -25,10 +26,10 @@ fn read(text: &str) -> Config {
 
 #[test]
 fn built_in_scene_is_the_default_configuration() {
-    assert_eq!(read(SCENES[0].text), Config::default());
+    assert_eq!(read(SCENES[0].text()), Config::default());
     let loaded = Config::load(Some("heated-channel"), None, &[]).unwrap();
     assert_eq!(loaded.config, Config::default());
-    assert_eq!(loaded.text, SCENES[0].text);
+    assert_eq!(loaded.text, SCENES[0].text());
     assert_eq!(loaded.source, Source::BuiltIn("heated-channel"));
 }
 
@@ -58,7 +59,7 @@ fn a_search_lasts_as_long_as_the_scene() {
 #[test]
 fn report_preset() {
     let consistent = Config::load(None, Some("report"), &[]).unwrap().config;
-    assert_eq!(consistent.fluid.formulation, Formulation::Consistent);
+    assert_eq!(consistent.method.name(), "consistent");
     let config = Config::load(None, Some("report-jax-sph"), &[]).unwrap().config;
     assert_eq!(config.channel.height, 0.26);
     assert_eq!(config.columns() * (config.rows() + 2 * config.channel.wall_rows), 950);
@@ -74,7 +75,7 @@ fn report_preset() {
     assert_eq!((config.optimise.learning_rate, config.optimise.smoothing), (2e-2, 5e-2));
     assert_eq!(config.optimise.epochs, 10);
     // JAX-SPH's equations, kernel and optimiser.
-    assert_eq!((config.fluid.formulation, config.optimise.method), (Formulation::Standard, OptimiserName::Adam));
+    assert_eq!((config.method.name(), config.optimise.method), ("standard", OptimiserName::Adam));
     assert_eq!((config.support(), config.channel.wall_rows), (3.0, 3));
     for preset in PRESETS {
         Config::load(None, Some(preset.name), &[]).unwrap_or_else(|error| panic!("{}: {error}", preset.name));
@@ -105,7 +106,7 @@ fn later_layers_win_and_comments_stay() {
         let lines = text.lines().filter(|line| line.starts_with('#'));
         lines.map(str::to_string).collect()
     };
-    assert_eq!(comments(&loaded.text), comments(SCENES[0].text));
+    assert_eq!(comments(&loaded.text), comments(SCENES[0].text()));
 }
 
 #[test]
@@ -376,18 +377,17 @@ fn defaults_give_way_to_what_is_given() {
 }
 
 #[test]
-fn the_standard_formulation_has_defaults_of_its_own() {
-    let standard = |sets: &[&str]| load(&[&["fluid.formulation=standard"], sets].concat());
+fn the_standard_method_has_defaults_of_its_own() {
+    let standard = |sets: &[&str]| load(&[&["method.name=standard"], sets].concat());
     let loaded = standard(&[]);
-    let mut expected = Config::default();
-    expected.fluid.formulation = Formulation::Standard;
+    let mut expected = Config { method: Method::named("standard").unwrap(), ..Config::default() };
     expected.resolution.smoothing_length = 1.0;
     expected.channel.wall_rows = 3;
     expected.time.cfl = 2.0;
     expected.optimise.smoothing = 5.0;
     assert_eq!(loaded.config, expected);
     assert_eq!(read(&loaded.text), expected);
-    assert_eq!(loaded.place("time.cfl"), Some("fluid.formulation = standard"));
+    assert_eq!(loaded.place("time.cfl"), Some("method.name = standard"));
     // What is given stays.
     let given = standard(&["time.cfl=1", "resolution.smoothing_length=1.1", "optimise.smoothing=0.1"]).config;
     assert_eq!((given.time.cfl, given.resolution.smoothing_length, given.optimise.smoothing), (1.0, 1.1, 0.1));
@@ -409,9 +409,9 @@ fn the_standard_formulation_has_defaults_of_its_own() {
 #[test]
 fn kernels_laws_and_designs_have_names() {
     let sets = [
-        "fluid.formulation=standard",
+        "method.name=standard",
         "resolution.kernel=wendland-c2",
-        "fluid.artificial_viscosity=0.1",
+        "method.artificial_viscosity=0.1",
         "optimise.method=adam",
         "objective.kind=outlet-temperature",
         "design.parametrisation=b-spline",
@@ -420,10 +420,9 @@ fn kernels_laws_and_designs_have_names() {
     let loaded = load(&sets);
     let mut expected = Config::default();
     expected.resolution.kernel = KernelName::WendlandC2;
-    expected.fluid.artificial_viscosity = 0.1;
+    expected.method = Method::Standard(Standard { artificial_viscosity: 0.1, ..Standard::default() });
     expected.optimise.method = OptimiserName::Adam;
-    // The standard formulation's own.
-    expected.fluid.formulation = Formulation::Standard;
+    // The standard method's own.
     (expected.resolution.smoothing_length, expected.time.cfl, expected.optimise.smoothing) = (1.0, 2.0, 5.0);
     expected.objective.kind = ObjectiveKind::OutletTemperature;
     expected.design.parametrisation = ParametrisationName::BSpline;
@@ -437,16 +436,96 @@ fn kernels_laws_and_designs_have_names() {
 fn every_family_has_its_built_in_scene() {
     for built_in in SCENES {
         let loaded = Config::load(Some(built_in.name), None, &[]).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(loaded.text, built_in.text);
+        assert_eq!(loaded.text, built_in.text());
         assert_eq!(loaded.config.scene.built_in().name, built_in.name);
-        let keys = described::<Config>(built_in.text);
+        let keys = described::<Config>(built_in.text());
         for (key, comment) in &keys {
             assert!(comment.ends_with(['.', ')']) && comment.len() > 20, "{}: {key}: {comment}", built_in.name);
         }
         // Every line that sets something is one of them.
-        let lines = built_in.text.lines().filter(|line| !line.starts_with('#') && line.contains('='));
+        let lines = built_in.text().lines().filter(|line| !line.starts_with('#') && line.contains('='));
         assert!(lines.count() <= keys.len() && keys.len() > 15);
     }
+}
+
+/// Keys of before there was a section `[method]`, in settings, short files and complete ones.
+#[test]
+fn keys_of_before_are_read() {
+    let sets = |sets: &[&str]| -> Vec<String> { sets.iter().map(|set| set.to_string()).collect() };
+    let load = |scene: &str, text: &[&str]| Config::load(Some(scene), None, &sets(text)).unwrap().config;
+    let same: [(&str, &[&str], &[&str]); 9] = [
+        ("heated-channel", &["fluid.formulation=consistent", "fluid.motion=moving"], &[]),
+        ("heated-channel", &["fluid.formulation=standard"], &["method.name=standard"]),
+        ("heated-channel", &["fluid.motion=fixed"], &["method.name=fixed"]),
+        ("heated-channel", &["fluid.motion=fixed", "fluid.formulation=consistent"], &["method.name=fixed"]),
+        ("heated-channel", &["method.name=fixed", "fluid.motion=moving"], &[]),
+        // They had no effect.
+        ("heated-channel", &["fluid.formulation=standard", "fluid.shift=isotropic"], &["method.name=standard"]),
+        (
+            "taylor-green",
+            &["fluid.flux=riemann", "fluid.transport_velocity=0", "fluid.formulation=standard"],
+            &["method.name=standard", "method.flux=riemann", "method.transport_velocity=0"],
+        ),
+        ("taylor-green", &["time.integrator=symplectic-euler"], &["method.integrator=symplectic-euler"]),
+        ("dam-break", &["fluid.artificial_viscosity=0.05"], &["method.artificial_viscosity=0.05"]),
+    ];
+    for (scene, before, today) in same {
+        assert_eq!(load(scene, before), load(scene, today), "{scene} {before:?}");
+    }
+
+    let fluid = |choice: &str| {
+        format!(
+            "scene = \"taylor-green\"\n[fluid]\nsound_speed_factor = 12.0\nbackground_pressure_factor = 0.02\n\
+             transport_velocity = 0.5\nartificial_viscosity = 0.0\nartificial_viscosity_pairs = \"approaching\"\n\
+             density_equation = \"summation\"\ndensity_renormalisation = false\nflux = \"pair\"\ndensity_diffusion = 0.1\n\
+             density_gradient = \"renormalised\"\nvelocity_diffusion = 0.01\nriemann_limiter = 3.0\n\
+             equation_of_state_exponent = 1.0\n{choice}\nshift = \"isotropic\"\nshift_strength = 1.5\n\
+             pressure_diffusion = 0.2\n[resolution]\nsmoothing_length = 0.9\n[time]\nintegrator = \"verlet\"\n"
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("config.toml");
+    let own = ["method.shift_strength=1.5", "method.pressure_diffusion=0.2"];
+    let standard = ["method.name=standard", "method.background_pressure_factor=0.02", "method.transport_velocity=0.5"];
+    let common = ["fluid.sound_speed_factor=12", "resolution.smoothing_length=0.9"];
+    for (choice, today) in [
+        ("formulation = \"consistent\"\nmotion = \"moving\"", &own[..]),
+        ("formulation = \"standard\"\nmotion = \"moving\"", &standard[..]),
+    ] {
+        let text = fluid(choice);
+        std::fs::write(&file, &text).unwrap();
+        let expected = load("taylor-green", &[&common[..], today].concat());
+        assert_eq!(load(file.to_str().unwrap(), &[]), expected, "{choice}");
+        // What a run, a data set and a model record has every key.
+        let recorded = Config::from_record(&text).unwrap();
+        assert_eq!(recorded.method, expected.method);
+        assert_eq!(recorded.fluid.sound_speed_factor, 12.0);
+    }
+    // The other method on top of a complete file has what the file has for it.
+    let other = load(file.to_str().unwrap(), &["method.name=consistent"]);
+    assert_eq!(other.method, load("taylor-green", &own).method);
+    // Older still: no choice of equations.
+    let oldest = Config::from_record("[fluid]\nbackground_pressure_factor = 0.02\n").unwrap();
+    let method = Method::Standard(Standard { background_pressure_factor: 0.02, ..Standard::default() });
+    assert_eq!((oldest.method, oldest.resolution.smoothing_length), (method, 1.0));
+    assert_eq!(oldest.optimise.method, OptimiserName::Adam);
+}
+
+/// The text of a scene has its method's keys, those of the others in comments, and becomes another method's when that is chosen.
+#[test]
+fn texts_have_the_keys_of_every_method() {
+    let own = Config::load(Some("taylor-green"), None, &[]).unwrap().text;
+    let sets = ["method.name=standard".to_string(), "method.flux=delta".into()];
+    let other = Config::load(Some("taylor-green"), None, &sets).unwrap().text;
+    for (text, live, commented) in [
+        (own, "\nname = \"consistent\"\n", "\n# name = \"standard\"\n"),
+        (other.clone(), "\nname = \"standard\"\n", "\n# name = \"consistent\"\n"),
+    ] {
+        assert!(text.contains(live) && text.contains(commented), "{text}");
+    }
+    assert!(other.contains("\nflux = \"delta\"\n") && other.contains("\n# shift = \"isotropic\"\n"), "{other}");
+    let (method, time) = (other.find("\n[method]\n"), other.find("\n[time]\n"));
+    assert!(method < time && method > other.find("\n[fluid]\n"), "{other}");
 }
 
 #[test]
@@ -455,11 +534,12 @@ fn flows_follow_the_configuration() {
     let file = folder.path().join("mine.toml");
     std::fs::write(&file, "scene = \"taylor-green-3d\"\n[flow]\nreynolds = 20\n[time]\nend = 0.5\n").unwrap();
     let dx = std::f64::consts::TAU / 12.0;
-    let sets = [format!("resolution.dx={dx}"), "fluid.transport_velocity=0".into(), "time.cfl=0.25".into()];
+    let sets = [format!("resolution.dx={dx}"), "time.cfl=0.25".into()];
     let loaded = Config::load(file.to_str(), None, &sets).unwrap();
     assert_eq!(read(&loaded.text), loaded.config);
     let flow = Scene::<f64>::from_config(&loaded.config).unwrap();
-    assert_eq!((flow.model.particles(), flow.model.layout.dimension, flow.model.layout.transport), (1728, 3, false));
+    assert_eq!((flow.model.particles(), flow.model.dimension()), (1728, 3));
+    assert_eq!(flow.model.rows.row(Quantity::TransportAcceleration), None);
     assert_eq!(flow.model.viscosity, 0.05);
     assert_eq!((flow.model.dt, loaded.config.steps()), (0.5 / 43.0, 43), "0.25 dx / 11 = 0.0119");
     let poiseuille = Config::load(Some("poiseuille"), None, &["time.steps=7".into()]).unwrap().config;

@@ -1,14 +1,12 @@
 //! `hydrograd slurm`: its job files, run by bash as Slurm runs them; what shares that run side by side leave, and what one process does.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::io::tensor_file::TensorFile;
 use std::collections::BTreeMap;
-use std::os::unix::fs::PermissionsExt;
+use std::io::Write;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A task of an array, or (none) a job of its own, as Slurm starts it; programs in `bin` come before others of their name.
@@ -39,8 +37,15 @@ fn stand_in(at: &Path, name: &str, says: &str) {
     let file = at.join("bin").join(name);
     std::fs::create_dir_all(at.join("bin")).unwrap();
     let text = format!("#!/bin/sh\necho {name} \"$@\" >> '{}'\n{says}\n", at.join("calls").display());
-    std::fs::write(&file, text).unwrap();
-    std::fs::set_permissions(&file, PermissionsExt::from_mode(0o755)).unwrap();
+    // By a process of its own: what another test starts while this one holds the file open would hold it, too, and it can not run.
+    let mut install = std::process::Command::new("install")
+        .args(["-m", "755", "/dev/stdin"])
+        .arg(&file)
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    install.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    assert!(install.wait().unwrap().success());
 }
 
 fn calls(at: &Path) -> String {

@@ -1,7 +1,6 @@
 //! `hydrograd stress`: what it runs, keeps and says; and why a run diverged.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::Config;
 use hydrograd::scene::Scene;
@@ -9,7 +8,6 @@ use hydrograd::sph::divergence::Cause;
 use hydrograd::validation::stress::maps;
 use serde_json::Value;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 
 fn json(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
@@ -89,10 +87,10 @@ fn the_cfl_number_can_follow_from_the_steps() {
     };
     let cases: [(&str, &[&str], f64); 7] = [
         ("heated-channel", &[], 1.4),
-        ("heated-channel", &["fluid.formulation=standard"], 1.6),
-        ("heated-channel", &["fluid.motion=fixed"], 0.9),
+        ("heated-channel", &["method.name=standard"], 1.6),
+        ("heated-channel", &["method.name=fixed"], 0.9),
         ("taylor-green", &[], 1.0),
-        ("taylor-green", &["time.integrator=symplectic-euler"], 1.4),
+        ("taylor-green", &["method.integrator=symplectic-euler"], 1.4),
         ("lid-driven-cavity", &["time.jitter=0.3"], 0.4),
         ("dam-break", &[], 0.8),
     ];
@@ -103,7 +101,7 @@ fn the_cfl_number_can_follow_from_the_steps() {
         assert_eq!(loaded.place("time.cfl"), Some("time.cfl = \"auto\""));
     }
     // It follows what is set later.
-    let other = load("heated-channel", &[]).with(&[Setting::set("fluid.formulation=standard")]).unwrap();
+    let other = load("heated-channel", &[]).with(&[Setting::set("method.name=standard")]).unwrap();
     assert_eq!(other.config.time.cfl, 1.6);
     let wrong = Config::load(None, None, &["time.cfl=fast".into()]).unwrap_err().to_string();
     assert!(wrong.contains("a number or \"auto\""), "{wrong}");
@@ -130,7 +128,7 @@ fn causes_are_told_apart() {
             "fluid.reference_velocity=",
         ),
         ("taylor-green", &["flow.reynolds=1e6"], "cell Reynolds number u dx / nu is 19979", "resolution.dx"),
-        ("heated-channel", &[], "the arrangement of the particles", "fluid.motion=fixed"),
+        ("heated-channel", &[], "the arrangement of the particles", "method.name=fixed"),
     ];
     for (scene, sets, why, advice) in cases {
         let found = cause(scene, sets);

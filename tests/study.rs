@@ -16,10 +16,8 @@ fn study(folder: &Path, script: &str) -> Study {
         "#!/bin/sh\nall=\"$*\"\nwhile [ $# -gt 0 ]; do case $1 in --out) out=$2;; esac; shift; done\n{script}\n"
     );
     std::fs::write(&program, text).unwrap();
-    #[cfg(unix)]
-    std::fs::set_permissions(&program, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
     Study {
-        program: vec![program.into()],
+        program: vec!["sh".into(), program.into()],
         data: folder.into(),
         steps: 100,
         sets: vec!["seed=3".into()],

@@ -1,15 +1,17 @@
 //! Walls judged by a surrogate: its gradient against differences, what it refuses, and the optimisation from the command line.
 
-mod support;
-
+use crate::support;
+use crate::support::program::succeeds;
 use candle_core::DType;
 use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::design::optimise::Epoch;
+use hydrograd::design::{Judge, Optimisation, Search};
 use hydrograd::scene::load::Loaded;
+use hydrograd::scene::search::solver;
 use hydrograd::surrogate::design::SurrogateProblem;
 use hydrograd::surrogate::load_learned;
 use std::path::{Path, PathBuf};
-use support::program::succeeds;
 
 /// A coarse channel that is small enough to learn nothing from in a moment.
 const SCENE: [&str; 3] = ["resolution.dx=0.025", "time.jitter=0.02", "channel.height=0.2"];
@@ -45,7 +47,7 @@ fn model(heat: &str) -> PathBuf {
 /// dummy particle, the place of its image has a kink.
 fn loaded(more: &[&str]) -> Loaded {
     let mut settings: Vec<Setting> = SCENE.iter().map(|text| Setting::set(text)).collect();
-    for text in ["surrogate.settle=30", "surrogate.steps=3", "objective.window=0.1", "design.shape=sine"] {
+    for text in ["surrogate.settle=30", "surrogate.steps=5", "objective.window=0.1", "design.shape=sine"] {
         settings.push(Setting::set(text));
     }
     settings.extend(["design.amplitude=0.008", "design.periods=1.3", "objective.target_x=0.8"].map(Setting::set));
@@ -133,13 +135,53 @@ fn the_command_line_judges_what_the_surrogate_proposes() {
     assert!(both["q_solver_per_epoch"][3].is_number());
 }
 
+/// The search as the Python package has it is the command's to the bit, whoever judges.
+#[test]
+fn the_search_of_the_library_is_the_command_s() {
+    let model = format!("surrogate.model={:?}", model("learned").display());
+    let ways = [
+        ["optimise.dynamics=surrogate", "surrogate.trust=check", "surrogate.check_every=2"],
+        ["optimise.dynamics=surrogate", "surrogate.trust=region", "surrogate.inner_epochs=3"],
+        ["optimise.dynamics=both", "surrogate.epochs=2", "surrogate.trust=none"],
+    ];
+    for (k, way) in ways.iter().enumerate() {
+        let short = ["time.end=0.3", "optimise.search=scene", "output.frames=0", &model];
+        let loaded = loaded(&[&short[..], way].concat());
+        let out = format!("command-{k}");
+        std::fs::write(folder().join("scene.toml"), &loaded.text).unwrap();
+        succeeds(folder(), &["optimize", "scene.toml", "--no-verify", "--epochs", "4", "--out", &out]);
+        let text = std::fs::read_to_string(folder().join(&out).join("summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+
+        let solver = solver::<f64>(&loaded).unwrap();
+        let surrogate = SurrogateProblem::<f64>::of_config(&loaded).unwrap().unwrap();
+        let search = Search { config: &loaded.config, solver: &solver, surrogate: Some(&surrogate) };
+        let mut found = Optimisation::new(search.optimiser(&solver.problem.first));
+        search.run(&mut found, 4, &mut |_: &Optimisation| Ok(())).unwrap();
+        let column =
+            |of: fn(&Epoch) -> Option<f64>| serde_json::json!(found.history.iter().map(of).collect::<Vec<_>>());
+        assert_eq!(summary["q_per_epoch"], column(|epoch| Some(epoch.figure)), "{way:?}");
+        assert_eq!(summary["loss_per_epoch"], column(|epoch| Some(epoch.loss)), "{way:?}");
+        assert_eq!(summary["q_predicted_per_epoch"], column(|epoch| epoch.predicted), "{way:?}");
+        assert_eq!(summary["q_solver_per_epoch"], column(|epoch| epoch.truth.map(|truth| truth.figure)), "{way:?}");
+        assert_eq!(summary["best_epoch"], found.best, "{way:?}");
+        assert_eq!(summary["solver_steps"], found.solver_steps(), "{way:?}");
+        // What the surrogate says of a design is the same with and without its gradient, up to rounding.
+        let x = &found.history[found.best].variables;
+        let (one, other) = (surrogate.value(x).unwrap(), surrogate.gradient(x, &mut |_| ()).unwrap());
+        assert!((one.loss / other.loss - 1.0).abs() < 1e-12 && one.predicted == Some(one.figure), "{one:?} {other:?}");
+        assert!((surrogate.figure(x, one.loss) / one.figure - 1.0).abs() < 1e-12);
+    }
+}
+
 #[test]
 fn every_way_to_search_is_compared() {
     let folder = folder();
     let model = model("learned");
     let mut all =
         vec!["optimize", "--compare", "--epochs", "2", "--out", "compared", "--model", model.to_str().unwrap()];
-    let sets = ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "surrogate.inner_epochs=2"];
+    let sets =
+        ["surrogate.settle=30", "surrogate.steps=5", "output.frames=0", "surrogate.inner_epochs=2", "time.end=0.5"];
     SCENE.iter().chain(&sets).for_each(|set| all.extend(["--set", set]));
     let text = succeeds(folder, &all);
     for way in ["solver", "surrogate", "surrogate, checked", "trust region", "both", "CMA-ES, B-spline"] {

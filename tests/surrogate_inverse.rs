@@ -1,12 +1,10 @@
 //! Velocities found by a surrogate: its gradient against differences, what it finds, and what it refuses.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use candle_core::DType;
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::surrogate::initial_velocity::{known_scene, LearnedVelocities};
 use hydrograd::surrogate::load_learned;
-use support::program::{hydrograd, refused, succeeds};
 
 /// Along a direction, against central differences in f64, for a model that sees two frames and for one that sees four. Hardly trained:
 /// what it says does not matter.

@@ -1,7 +1,6 @@
 //! Training from the command line: what it leaves behind, resuming, threads, bad input.
 
-mod support;
-
+use crate::support::data_set::without_checksum;
 use assert_cmd::Command;
 use candle_core::{DType, Device, Tensor};
 use hydrograd::config::scene::Kernels;
@@ -13,7 +12,6 @@ use hydrograd::surrogate::network::parameters::detached;
 use hydrograd::surrogate::training::checkpoint;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use support::data_set::without_checksum;
 
 /// A data set of the heated channel, two short trajectories a split, made once for all tests.
 fn data() -> &'static Path {

@@ -1,9 +1,7 @@
 //! `hydrograd validate`: what it runs, writes and says.
 
-mod support;
-
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::validation::cases::{self, Level};
-use support::program::{hydrograd, refused, succeeds};
 
 #[test]
 fn a_case_is_run_and_written() {

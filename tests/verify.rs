@@ -1,14 +1,12 @@
 //! What is left of a gain: what a check changes, `verify`, what `optimize` says of it, and a search with other particles than the scene's.
 
-mod support;
-
-use hydrograd::config::scene::{Config, Motion};
+use crate::support::program::{hydrograd, refused, succeeds};
+use hydrograd::config::scene::{Config, Method};
 use hydrograd::design::objectives::Figure;
 use hydrograd::design::shape::Shape;
 use hydrograd::scene::verification::{Check, Finding, Verification, Verified};
 use serde_json::Value;
 use std::path::Path;
-use support::program::{hydrograd, refused, succeeds};
 use tempfile::TempDir;
 
 /// A coarse, short run.
@@ -125,7 +123,7 @@ fn two_walls_are_kept_by_their_file() {
     // The same file as a design of its own.
     let wall = at.join("run/shape.csv");
     let file = format!("design.file={}", wall.display());
-    let sets = ["--set", &file, "--set", "fluid.motion=fixed", "--set", "design.bound=0.003", "--out", "again"];
+    let sets = ["--set", &file, "--set", "method.name=fixed", "--set", "design.bound=0.003", "--out", "again"];
     succeeds(at, &with(&["simulate"], &sets));
     let config = std::fs::read_to_string(at.join("again/config.toml")).unwrap();
     assert!(config.contains("walls = \"both\"") && config.contains("top_offsets = ["), "{config}");
@@ -187,8 +185,7 @@ fn a_wall_without_a_gain_is_a_warning() {
     assert!(text.contains("WARNING: no gain survives: this wall is not better than the flat wall"), "{text}");
     assert_eq!(number(&json(&at.join("out/verification.json"))["gain_survives"]), 0.0);
     // A check that can not be run has a row and a reason, and the others count.
-    let sets =
-        ["--set", "fluid.formulation=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
+    let sets = ["--set", "method.name=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
     let text = succeeds(at, &with(&["verify", "wall.csv"], &sets));
     assert!(text.contains("WARNING: the check `fixed particles` failed: "), "{text}");
     assert!(text.contains("moving particles only"), "{text}");
@@ -222,7 +219,7 @@ fn a_search_with_fixed_particles_is_shown_with_the_scenes_own() {
     refused(&arguments, &hydrograd(at, &arguments), &["another scene", "optimise.search"]);
     // Where there is nothing to choose from, the search takes what there is.
     let standard =
-        ["--set", "fluid.formulation=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
+        ["--set", "method.name=standard", "--set", "resolution.smoothing_length=0.801", "--set", "time.cfl=0.5"];
     let more = [&["--epochs", "1", "--no-verify", "--set", "optimise.search=fixed"], &standard[..]].concat();
     let text = succeeds(at, &with(&["optimize"], &more));
     assert!(!text.contains("particles: Q"), "{text}");
@@ -242,7 +239,6 @@ fn mistakes_are_refused() {
     file("beside.csv", "x,offset\n0.1,0.0\n0.5,0.0\n");
     file("nothing.csv", "x,y\n0.3,0.1\n");
     file("first.csv", "x,offset,first\n0.3,0.0,much\n");
-    let motion = ["fluid.motion = fixed", "fluid.formulation=standard", "fluid.motion=moving"];
     let cases: [(&[&str], &[&str]); 13] = [
         (&["verify", "nowhere"], &["no such file or folder: nowhere", "x and offset"]),
         (&["verify", "empty"], &["empty is not the folder of a run", "empty/config.toml"]),
@@ -255,7 +251,10 @@ fn mistakes_are_refused() {
         (&["verify", "wall.csv", "--scene", "heated-chanel"], &["heated-chanel", "try: `heated-channel`"]),
         (&["verify", "wall.csv", "--set", "time.ende=1"], &["--set time.ende=1", "`end`"]),
         (&["verify", "wall.csv", "--out", "wall.csv"], &["--out wall.csv", "is a file"]),
-        (&["simulate", "--set", "fluid.motion=fixed", "--set", "fluid.formulation=standard"], &motion[..1]),
+        (
+            &["simulate", "--set", "method.name=fixed", "--set", "time.adaptive=true"],
+            &["method.name = fixed", "consistent"],
+        ),
         (&["optimize", "--set", "optimise.search=both"], &["--set optimise.search=both", "fixed", "scene"]),
     ];
     for (arguments, expected) in cases {
@@ -290,7 +289,7 @@ fn a_check_changes_one_thing() {
     assert_eq!(of(Check::FinerSpacing), fine);
     assert_eq!(of(Check::FinerSpacing).duration(), before.duration());
     let mut other = expected.clone();
-    other.fluid.motion = Motion::Fixed;
+    other.method = Method::named("fixed").unwrap();
     // Its own time step.
     other.time.cfl = 1.2;
     assert_eq!(of(Check::OtherMotion), other);
@@ -304,11 +303,11 @@ fn a_check_changes_one_thing() {
 
 #[test]
 fn fixed_particles_are_checked_against_moving_ones() {
-    let verification = verification(&["fluid.motion=fixed", "time.steps=100"]);
+    let verification = verification(&["method.name=fixed", "time.steps=100"]);
     let config = |check: Check| verification.pair(check).unwrap()[0].config.clone();
-    assert_eq!(config(Check::OtherMotion).fluid.motion, Motion::Moving);
-    assert_eq!(config(Check::OtherSeed).fluid.motion, Motion::Moving);
-    assert_eq!(config(Check::FinerSpacing).fluid.motion, Motion::Fixed);
+    assert_eq!(config(Check::OtherMotion).method.name(), "consistent");
+    assert_eq!(config(Check::OtherSeed).method.name(), "consistent");
+    assert_eq!(config(Check::FinerSpacing).method.name(), "fixed");
     // A number of steps is a time: half the spacing takes more of them.
     let time = verification.loaded.config.duration();
     assert!((config(Check::FinerSpacing).duration() - time).abs() < 1e-12);
@@ -318,7 +317,7 @@ fn fixed_particles_are_checked_against_moving_ones() {
 
 #[test]
 fn deep_walls_of_the_standard_formulation_stay_covered() {
-    let verification = verification(&["fluid.formulation=standard", "design.bound=0.04", "time.end=0.3"]);
+    let verification = verification(&["method.name=standard", "design.bound=0.04", "time.end=0.3"]);
     let fine = verification.pair(Check::FinerSpacing).unwrap()[0].config.clone();
     assert_eq!((fine.resolution.dx, fine.channel.wall_rows), (0.01, 4));
     let error = verification.pair(Check::OtherMotion).unwrap_err().to_string();

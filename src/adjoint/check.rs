@@ -1,18 +1,18 @@
-//! The gradient check: an exact gradient against central differences, along random directions, over a range of steps.
+//! The gradient check: compares an exact gradient with central differences along random directions, for several steps.
 //!
 //! For a direction d and a step h, (f(x + h d) - f(x - h d)) / 2h differs from g.d by O(h^2) truncation plus rounding
 //! over h; the error has a minimum between. The Taylor remainder |f(x + h d) - f(x) - h g.d| falls as h^2 if and only if
 //! g.d is the derivative.
 
-/// One direction.
+/// The derivative along one direction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
-    /// g.d.
+    /// The exact directional derivative g.d.
     pub gradient: f64,
     pub points: Vec<DifferenceStep>,
 }
 
-/// One step of the sweep.
+/// The central difference for one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DifferenceStep {
     pub step: f64,
@@ -24,13 +24,13 @@ pub struct DifferenceStep {
 }
 
 impl Direction {
-    /// The point with the smallest error.
+    /// The step with the smallest error.
     pub fn best(&self) -> Option<&DifferenceStep> {
         self.points.iter().min_by(|a, b| a.error.total_cmp(&b.error))
     }
 
-    /// Order of the remainder: the steepest slope of log remainder over log step between neighbouring steps, where
-    /// the remainder is above rounding. 2 for a right gradient, 1 for a wrong one.
+    /// Order of the remainder: the steepest slope of log remainder over log step between adjacent steps where the
+    /// remainder is above rounding. It is 2 for a right gradient, 1 for a wrong one.
     pub fn order(&self, value: f64) -> f64 {
         let floor = 1e3 * f64::EPSILON * value.abs();
         self.points
@@ -70,7 +70,7 @@ pub fn check<E>(
     Ok(results)
 }
 
-/// Cosine between the gradient's and the differences' directional derivatives, each at its best step.
+/// Cosine between the directional derivatives by the gradient and by differences, each at its best step.
 pub fn cosine(directions: &[Direction]) -> f64 {
     let pairs: Vec<(f64, f64)> =
         directions.iter().filter_map(|d| d.best().map(|p| (d.gradient, p.difference))).collect();
@@ -99,7 +99,7 @@ mod tests {
         let wrong = [right[0] * 1.01, right[1]];
         let bad = check(value, &wrong, &x, &directions, &steps, f).unwrap();
         assert!(bad.iter().all(|d| d.best().unwrap().error > 1e-3));
-        // Small steps show a remainder of first order.
+        // Over small steps the remainder is of first order.
         let last = &bad[0].points[4..6];
         let order = (last[0].remainder / last[1].remainder).log10();
         assert!((order - 1.0).abs() < 0.1, "{order}");

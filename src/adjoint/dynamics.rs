@@ -1,14 +1,14 @@
-//! What a gradient needs to know of something that advances in steps, and of what is asked of it.
+//! The interfaces of a gradient: to a simulation that advances in steps, and to an objective.
 //!
-//! The solver and a surrogate are both [`Dynamics`]: their state is one tensor, they advance it with and without a graph,
-//! and show it as [`Fields`]. An [`Objective`] sees fields only, an [`super::run::Observer`] a run.
+//! The solver and a surrogate are both [`Dynamics`]: their state is one tensor, which they advance with or without a
+//! graph and convert to [`Fields`]. An [`Objective`] uses fields only, an [`super::run::Observer`] a run.
 
 use crate::error::Error;
 use crate::particles::neighbour_list::NeighbourError;
 use candle_core::{Tensor, Var};
 use std::sync::Arc;
 
-/// A run that could not go on.
+/// The error of a run that cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     #[error("step {step}: {source}")]
@@ -26,7 +26,7 @@ pub enum RunError {
     Stopped,
 }
 
-/// A particle whose numbers left all bounds first, as far as a check saw it.
+/// The first particle with a bad value that a check found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offender {
     pub particle: usize,
@@ -35,12 +35,12 @@ pub struct Offender {
 }
 
 impl RunError {
-    /// Whether the run's numbers are to blame: of another start, or with smaller steps, it may succeed.
+    /// Whether the run has diverged. With another initial state or smaller steps it may succeed.
     pub fn is_divergence(&self) -> bool {
         matches!(self, Self::Gradient { .. }) || self.offender().is_some()
     }
 
-    /// The step, and the particle that has gone wrong; none if the run's numbers are not to blame.
+    /// The step and the particle with a bad value; none if the run has not diverged.
     pub fn offender(&self) -> Option<(usize, Offender)> {
         let of = |particle: usize, quantity: &str, value: f64| Offender { particle, quantity: quantity.into(), value };
         Some(match self {
@@ -60,7 +60,7 @@ impl RunError {
         })
     }
 
-    /// What a user is told of it: a divergence as one, with what to try.
+    /// The error for the user; for a divergence with advice.
     pub fn advised(self, advice: &str) -> Error {
         match self.is_divergence() {
             true => Error::diverged(self.to_string(), advice),
@@ -69,42 +69,42 @@ impl RunError {
         }
     }
 
-    /// A failed tensor operation in a step.
+    /// Converts the error of a tensor operation in a step.
     pub fn tensor(step: usize) -> impl Fn(candle_core::Error) -> Self {
         move |source| Self::Tensor { step, source }
     }
 }
 
-/// The particles at one time, walls included, in physical units. On the graph, if they came from one.
+/// The particles at one time, including wall particles, in physical units. They are on the graph if the state is.
 #[derive(Debug, Clone)]
 pub struct Fields {
-    /// Steps behind the state.
+    /// Number of steps before the state.
     pub step: usize,
-    /// Its time.
     pub time: f64,
-    /// `[D, N]`.
+    /// Position, `[D, N]`.
     pub position: Tensor,
-    /// `[D, N]`.
+    /// Velocity, `[D, N]`.
     pub velocity: Tensor,
-    /// `[1, N]`.
+    /// Density, `[1, N]`.
     pub density: Tensor,
-    /// `[1, N]`.
+    /// Mass, `[1, N]`.
     pub mass: Tensor,
-    /// Above the reference (in a channel: the inlet's), `[1, N]`; none without heat.
+    /// Temperature relative to the reference (in a channel: the inlet's), `[1, N]`; none without heat.
     pub temperature: Option<Tensor>,
-    /// What the walls heat the fluid with, in units of density * temperature * volume per time, `[]`; where an objective asks.
+    /// Heat flux from the walls to the fluid, in units of density * temperature * volume / time, `[]`; for some
+    /// objectives.
     pub wall_heat: Option<Tensor>,
-    /// See [`crate::particles::tag`], `[N]`.
+    /// Kind of each particle, `[N]`, see [`crate::particles::tag`].
     pub tags: Arc<Vec<u8>>,
-    /// Whether a particle takes part in the flow: fluid, and walls with fluid in reach, `[N]`.
+    /// Whether a particle takes part in the flow, `[N]`: fluid particles, and wall particles with fluid in reach.
     pub active: Arc<Vec<bool>>,
 }
 
-/// Something that advances a state, with and without a graph: the solver, a surrogate.
+/// A simulation that advances a state with or without a graph: the solver or a surrogate.
 pub trait Dynamics: Sync {
-    /// A state to start from, or to come back to.
+    /// A state from which a run can start or continue.
     type Start: Sync;
-    /// The same as a schedule keeps it, perhaps rounded.
+    /// A state as a schedule keeps it, possibly rounded.
     type Kept;
     /// A run without a graph.
     type Run;
@@ -112,26 +112,26 @@ pub trait Dynamics: Sync {
     type Tape;
 
     fn start(&self, from: &Self::Start) -> Result<Self::Run, RunError>;
-    /// One step.
+    /// Makes one step.
     fn advance(&self, run: &mut Self::Run) -> Result<(), RunError>;
-    /// Steps that a run has made, those before its start included.
+    /// Number of steps that a run has made, including those before its start.
     fn step(&self, run: &Self::Run) -> usize;
-    /// An error if a number of the state is not finite, or larger than it can be.
+    /// Returns an error if a value of the state is not finite or impossibly large.
     fn check(&self, run: &Self::Run) -> Result<(), RunError>;
-    /// The present state as fields.
+    /// The fields of the present state.
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
 
-    /// What of a state the flow moves, 1 there and 0 elsewhere, in a shape that multiplies a state: [`super::schedule::Schedule::clip`]
-    /// leaves the rest alone, where a derivative by a design gathers. None: all of it.
+    /// A mask that broadcasts to the state, 1 where the flow moves a value and 0 elsewhere; none means all.
+    /// [`super::schedule::Schedule::clip`] applies only where it is 1; elsewhere derivatives by a design accumulate.
     fn moving(&self) -> candle_core::Result<Option<Tensor>> {
         Ok(None)
     }
-    /// A start's state as a tensor of its own.
+    /// The state of a start as a new tensor.
     fn tensor(&self, from: &Self::Start) -> Result<Tensor, RunError>;
-    /// One step on the graph; `after` is the state that it leads to, if that is known to the bit.
+    /// Makes one step on the graph; `after` is the resulting state, if it is already known to the bit.
     fn advance_taped(&self, tape: &mut Self::Tape, state: &Tensor, after: Option<&Tensor>) -> Result<Tensor, RunError>;
-    /// The cotangent of a state from that of the one that a step from it leads to, without a graph; `after` as for
-    /// [`Self::advance_taped`]. None, and nothing done: only a graph knows.
+    /// Maps the cotangent of the state after a step to that of the state before it, without a graph; `after` as for
+    /// [`Self::advance_taped`]. Returns none, and does nothing, if a graph is needed.
     fn pull_back(
         &self,
         _tape: &mut Self::Tape,
@@ -141,41 +141,41 @@ pub trait Dynamics: Sync {
     ) -> Result<Option<Tensor>, RunError> {
         Ok(None)
     }
-    /// A state of the tape as fields, on the graph.
+    /// The fields of a state of the tape, on the graph.
     fn fields(&self, tape: &mut Self::Tape, state: &Tensor) -> Result<Fields, RunError>;
 
-    /// Keeps the present state, `rounded` to single precision or exactly.
+    /// Keeps the present state, exactly or `rounded` to single precision.
     fn keep(&self, run: &Self::Run, rounded: bool) -> Result<Self::Kept, RunError>;
-    /// `run` has made the step behind the kept state: what was found in it need not be found again.
+    /// Stores results of the step after the kept state, which `run` has just made, so that they need not be recomputed.
     fn settle(&self, kept: &mut Self::Kept, run: &Self::Run);
-    /// Takes `run` back to a kept state.
+    /// Sets `run` back to a kept state.
     fn resume(&self, run: &mut Self::Run, kept: &Self::Kept) -> Result<(), RunError>;
-    /// Starts on the graph at a kept state: the tape, and the state as a variable. `last` is the tape before
-    /// this one and `run` the run without a graph, to take over what they share with the new one.
+    /// Starts on the graph at a kept state: returns the tape, and the state as a variable. The previous tape `last` and
+    /// the run `run` without a graph provide data that they share with the new tape.
     fn tape(&self, kept: &Self::Kept, last: Option<Self::Tape>, run: &Self::Run)
         -> Result<(Self::Tape, Var), RunError>;
 
-    /// Bytes of a kept state.
+    /// Memory of a kept state, in bytes.
     fn kept_bytes(&self, kept: &Self::Kept) -> Bytes;
-    /// Bytes that the last step of `tape` put on it.
+    /// Memory that the last step put on `tape`, in bytes.
     fn taped_bytes(&self, tape: &Self::Tape) -> Bytes;
 }
 
-/// Memory of something that shares a part with others.
+/// Memory in bytes, of which a part may be shared with other objects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bytes {
     pub own: usize,
     pub shared: usize,
-    /// Tells one shared part from another: its address.
+    /// Identifies the shared part by its address.
     pub identity: usize,
 }
 
 /// A scalar function of a run: a weighted sum over some of its states.
 pub trait Objective: Sync {
-    /// What it is called in tables.
+    /// The name in tables.
     fn name(&self) -> &str;
-    /// The weight of the state after `step` steps; `None` if the objective does not look at it.
+    /// The weight of the state after `step` steps; `None` if the objective does not use it.
     fn weight(&self, step: usize) -> Option<f64>;
-    /// Its value of a state: a scalar, on the graph if the fields are.
+    /// The value for a state: a scalar, on the graph if the fields are.
     fn value(&self, fields: &Fields) -> candle_core::Result<Tensor>;
 }

@@ -1,12 +1,12 @@
-//! The gradient of a run by its initial state, by the actions of a [`Schedule`].
+//! The gradient of a run with respect to its initial state, by the actions of a [`Schedule`].
 //!
-//! Forward without a graph, keeping states. Then, last step to first: make a kept state a variable, run a segment (one
-//! step or more) on the graph, multiply its end with the cotangent that the segment behind it left, call candle's
-//! `backward`, and read the cotangent of the segment's start. (A segment of one step that the objective does not see may be pulled
-//! back without a graph, see [`Dynamics::pull_back`]: there is nothing to chain.) Everything that a segment adds to the derivative by a
-//! design travels in that cotangent: positions and masses of wall particles are rows of the state, and each step adds
-//! its share to their cotangent. So the sums are the same, in the same order, whatever the schedule: bit for bit equal
-//! to one tape.
+//! The run goes forward without a graph, and states are kept. Then, from the last step to the first, a kept state
+//! becomes a variable, a segment (one step or more) is run on the graph, its end is multiplied with the cotangent from
+//! the segment after it, and candle's `backward` gives the cotangent of its start. (A segment of one step without a
+//! term of the objective may be differentiated without a graph, see [`Dynamics::pull_back`].) This cotangent also has
+//! the derivative by a design: positions and masses of wall particles are rows of the state, and each step adds its
+//! part to their cotangent. So the sums are the same, in the same order, for every schedule: bit for bit equal to one
+//! tape.
 
 use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
 use super::run::CHECK_EVERY;
@@ -15,27 +15,27 @@ use crate::numerics::interrupt::{is_asked_here, Stop};
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor};
 use std::collections::{BTreeMap, HashMap};
 
-/// What a gradient run found.
+/// The result of a gradient run.
 pub struct Gradient {
-    /// The objective.
+    /// Value of the objective.
     pub value: f64,
-    /// Its derivative by the state at the schedule's first step, `[F, N]`.
+    /// Derivative of the objective by the state at the schedule's first step, `[F, N]`.
     pub state: Tensor,
     /// Norm of the derivative by the state at some steps, from the end to the start.
     pub growth: Vec<(usize, f64)>,
-    /// At how many of these steps it was made shorter ([`Schedule::clip`]).
+    /// Number of these steps at which it was limited ([`Schedule::clip`]).
     pub clipped: usize,
-    /// Seconds of the first run through, without a graph, and of everything behind it.
+    /// Seconds of the first forward run without a graph, and of everything after it.
     pub forward_seconds: f64,
     pub backward_seconds: f64,
-    /// Most bytes that were kept and on the tape at the same time: what [`Schedule::storage`] predicts.
+    /// Largest number of bytes kept and taped at the same time, which [`Schedule::storage`] predicts.
     pub storage: usize,
-    /// Steps that were run without and with graph.
+    /// Number of steps that were run without and with a graph.
     pub plain_steps: usize,
     pub differentiated_steps: usize,
 }
 
-/// An objective's value of a state, as a number.
+/// Value of an objective for a state, as a number.
 ///
 /// # Errors
 /// Tensor errors.
@@ -43,12 +43,12 @@ pub fn value<O: Objective + ?Sized>(objective: &O, fields: &Fields) -> candle_co
     objective.value(fields)?.to_dtype(DType::F64)?.to_scalar()
 }
 
-/// The length of a tensor as a vector.
+/// The Euclidean norm of a tensor as a vector.
 fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
     Ok(tensor.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?.sqrt())
 }
 
-/// Called after each segment (or each forward step) with the share of the work that is done.
+/// Called after each segment (or each forward step) with the completed fraction of the work.
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
 /// Runs `schedule` from `start` and differentiates.
@@ -89,7 +89,7 @@ struct SendPointer<'a>(Progress<'a>);
 // SAFETY: the calling thread waits in `scope` while the worker uses the closure, so only one thread ever does.
 unsafe impl Send for SendPointer<'_> {}
 
-/// Bytes held now and at most. Shared parts count once.
+/// Bytes held now, and the largest number so far. Shared parts count once.
 #[derive(Debug, Default)]
 struct Held {
     now: usize,
@@ -117,22 +117,22 @@ impl Held {
     }
 }
 
-/// Keeps the derivative by the state from growing without end.
+/// Limits the derivative by the state, which may grow without bound.
 struct Clip {
-    /// Times the longest norm while terms of the objective were added.
+    /// Limit as a multiple of the longest norm while terms of the objective were added.
     limit: f64,
     longest: f64,
-    /// The first step behind which there is a term, and whether all terms have been seen.
+    /// The first step after which there is a term, and whether all terms have been added.
     first_term: usize,
     is_complete: bool,
-    /// See [`Dynamics::moving`].
+    /// The part that is limited, see [`Dynamics::moving`].
     moving: Option<Tensor>,
-    /// How often it was shortened.
+    /// Number of times that it was limited.
     count: usize,
 }
 
 impl Clip {
-    /// None where a schedule asks for none.
+    /// None if the schedule has no limit.
     fn new<D: Dynamics, O: Objective + ?Sized>(
         dynamics: &D,
         schedule: &Schedule,
@@ -146,7 +146,7 @@ impl Clip {
         Ok(Some(Self { limit: schedule.clip, longest: 0.0, first_term, is_complete: false, moving, count: 0 }))
     }
 
-    /// The derivative by a state, of a segment that ends at step `to`.
+    /// The limited derivative by a state, of a segment that ends at step `to`.
     fn apply(&mut self, found: Tensor, to: usize) -> candle_core::Result<Tensor> {
         let own = match &self.moving {
             Some(moving) => found.broadcast_mul(moving)?,
@@ -163,12 +163,12 @@ impl Clip {
             return Ok(found);
         }
         self.count += 1;
-        // The whole less what is too much of the part that moves.
+        // Subtracts the excess of the moving part from the whole.
         found - own.affine(1.0 - most / length, 0.0)?
     }
 }
 
-/// A schedule at work.
+/// Executes the actions of a schedule.
 struct Executor<'a, D: Dynamics, O: ?Sized> {
     dynamics: &'a D,
     objective: &'a O,
@@ -176,13 +176,13 @@ struct Executor<'a, D: Dynamics, O: ?Sized> {
     tape: Option<D::Tape>,
     kept: BTreeMap<usize, D::Kept>,
     held: Held,
-    /// Steps that the plain run has been through: the objective has their values.
+    /// Number of steps of the plain run for which the objective has its values.
     seen: usize,
     value: f64,
     plain_steps: usize,
-    /// Where the last segment began, and the state there: where the one before it ends.
+    /// The step at which the last segment began, and the state there, at which the segment before it ends.
     began: Option<(usize, Tensor)>,
-    /// Whether every kept state is a state of the run, not a rounded one.
+    /// Whether every kept state is exact, not rounded.
     exact: bool,
 }
 
@@ -196,7 +196,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
     let clock = std::time::Instant::now();
     let counts = schedule.counts();
     log::info!("gradient of {} steps: {schedule}", schedule.steps - schedule.first);
-    // A taped step costs about as much as three without a graph.
+    // A taped step costs about as much as three steps without a graph.
     let total = (counts.plain_steps + 3 * counts.differentiated_steps).max(1) as f64;
     let mut executor = Executor {
         dynamics,
@@ -216,7 +216,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
     let mut clip = Clip::new(dynamics, schedule, objective).map_err(RunError::tensor(schedule.steps))?;
     let mut forward_seconds = None;
     let mut differentiated_steps = 0;
-    // The present state is this kept one; none: that of the plain run.
+    // The kept state that is the present one; none if it is that of the plain run.
     let mut present = None;
     for action in schedule.actions() {
         match action {
@@ -242,7 +242,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
                     None => Some(dynamics.keep(&executor.plain, false)?),
                 };
                 let mut found = executor.tape(from, to, transient, cotangent)?;
-                // Not at every step, as it reads the whole state.
+                // Not at every step, because it reads the whole state.
                 if from / CHECK_EVERY != to / CHECK_EVERY || from == schedule.first {
                     let norm = norm(&found).map_err(RunError::tensor(from))?;
                     if !norm.is_finite() {
@@ -280,7 +280,7 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
 }
 
 impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
-    /// One step of the plain run.
+    /// Makes one step of the plain run.
     fn advance(&mut self, step: usize) -> Result<(), RunError> {
         if is_asked_here() {
             return Err(RunError::Stopped);
@@ -327,7 +327,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         }
     }
 
-    /// Takes the plain run back to a kept state.
+    /// Sets the plain run back to a kept state.
     fn resume(&mut self, step: usize) -> Result<(), RunError> {
         let kept = self.kept.get(&step);
         match kept {
@@ -336,8 +336,8 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         }
     }
 
-    /// The cotangent of the state before step `from` from that of the state before step `to`. Begins at `transient`,
-    /// or else at the kept state of `from`.
+    /// Maps the cotangent of the state before step `to` to that of the state before step `from`. The segment begins at
+    /// `transient`, or else at the kept state of `from`.
     fn tape(
         &mut self,
         from: usize,
@@ -349,7 +349,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         if is_asked_here() {
             return Err(RunError::Stopped);
         }
-        // Steps that are taped as soon as they are reached: the objective's values come from the plain run.
+        // For steps that are taped before the plain run reached them, the plain run now finds the objective's values.
         for step in self.seen.max(from)..to {
             self.advance(step)?;
         }
@@ -363,7 +363,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         let end =
             self.began.replace((from, variable.as_detached_tensor())).filter(|(step, _)| *step == to && self.exact);
         let end = end.map(|(_, state)| state);
-        // One step to whose end the objective does not look: there is nothing to chain.
+        // A single step without a term of the objective needs no graph.
         if let Some(cotangent) = cotangent.as_ref().filter(|_| to == from + 1 && self.objective.weight(to).is_none()) {
             if let Some(found) = self.dynamics.pull_back(&mut tape, &variable, end.as_ref(), cotangent)? {
                 let bytes = self.dynamics.taped_bytes(&tape);
@@ -412,8 +412,8 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
 }
 
 /// A scalar whose derivative by its argument is a given cotangent: the end of a segment, where candle's `backward`
-/// begins. (The scalar product of state and cotangent would do, with several more passes over the state; its value is of
-/// no use, so this one's is zero.)
+/// begins. (The scalar product of state and cotangent would do too, with several more passes over the state. The value
+/// is not used, so it is zero.)
 struct Seed(Tensor);
 
 impl CustomOp1 for Seed {

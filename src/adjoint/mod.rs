@@ -1,4 +1,4 @@
-//! Gradients of long runs in bounded memory: of anything that advances in steps. Knows no SPH.
+//! Gradients of long runs in bounded memory, for anything that advances in steps. Nothing here depends on SPH.
 pub mod check;
 pub mod dynamics;
 pub mod gradient;

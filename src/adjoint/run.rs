@@ -1,17 +1,17 @@
-//! The run loop, without a graph: advance, check, show.
+//! The run loop without a graph: advance, check, show.
 
 use super::dynamics::Dynamics;
 use crate::numerics::interrupt;
 
-/// Steps between two checks that all numbers are finite, and possible.
+/// Number of steps between two checks that all values are finite and possible.
 pub const CHECK_EVERY: usize = 64;
 
-/// Somebody who looks at a run on its way.
+/// An observer of a run.
 pub trait Observer<D: Dynamics> {
     /// Sees the run at its start and after each step.
     ///
     /// # Errors
-    /// Whatever shall end the run.
+    /// Any error, which ends the run.
     fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;
 }
 
@@ -21,11 +21,11 @@ impl<D: Dynamics, F: FnMut(&D, &mut D::Run) -> anyhow::Result<()>> Observer<D> f
     }
 }
 
-/// Runs from `start` until `steps` steps are made in all; every observer sees the start and every step. Numbers are
+/// Runs from `start` until `steps` steps are made in total. Every observer sees the start and every step. Values are
 /// checked every 64 steps and at the end, before observers see them.
 ///
 /// # Errors
-/// A [`super::RunError`] if the run can not go on; an observer's; [`crate::error::Error::Stopped`].
+/// A [`super::RunError`] if the run cannot continue; an observer's error; [`crate::error::Error::Stopped`].
 pub fn run<D: Dynamics>(
     dynamics: &D,
     start: &D::Start,
@@ -37,7 +37,7 @@ pub fn run<D: Dynamics>(
     Ok(run)
 }
 
-/// [`run`] for one that has begun.
+/// [`run`] for a run that has already started.
 ///
 /// # Errors
 /// As for [`run`].
@@ -48,7 +48,7 @@ pub fn go_on<D: Dynamics>(
     observers: &mut [&mut dyn Observer<D>],
 ) -> anyhow::Result<()> {
     loop {
-        // Asked for before the observers look, so that who keeps the state then does it before the run ends.
+        // Checked before the observers are called, so that one that keeps the state does so before the run ends.
         let stop = interrupt::check();
         let step = dynamics.step(run);
         if step.is_multiple_of(CHECK_EVERY) || step >= steps {

@@ -1,7 +1,7 @@
-//! Which states of a run are kept, when steps are run again, and what that costs. Apart from the executor, so that it
-//! can be tested without running physics: a schedule is a list of actions, and every count follows from playing it.
+//! Checkpointing schedules: which states of a run are kept, which steps are recomputed, and what this costs. A schedule
+//! is a list of actions, from which all counts follow, so it can be tested without physics.
 //!
-//! The kinds, by the steps they run again; every kind tapes (runs on the graph and differentiates) each step exactly once:
+//! Every kind tapes (runs on the graph and differentiates) each step exactly once:
 //!
 //! | kind | states kept | on the tape | steps run again |
 //! |---|---|---|---|
@@ -10,101 +10,101 @@
 //! | two-level, every k-th | n/k + k - 1 | 1 step | n - n/k - k + 1 |
 //! | binomial, c states | c | 1 step | least possible for c |
 //!
-//! Binomial: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c states and no
-//! step run more than r times, C(c + r, c) steps can be reversed, which is the most possible.
+//! Binomial schedules: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c
+//! states and no step run more than r times, at most C(c + r, c) steps can be reversed.
 
 use crate::config::memory_size::MemorySize;
 use crate::error::BadInput;
 use std::collections::BTreeMap;
 
-/// Bytes that a schedule's kinds of storage take.
+/// Memory costs of a schedule, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Costs {
     /// A kept state.
     pub state: usize,
     /// A kept state rounded to single precision.
     pub rounded_state: usize,
-    /// What kept states share while `shared_steps` steps last: the positions that their neighbour list is built from.
+    /// Data that kept states share for `shared_steps` steps: the positions from which their neighbour list is built.
     pub shared: usize,
-    /// Steps that one such list serves, about; 0 stands for 1.
+    /// Approximate number of steps for which one such list is valid; 0 stands for 1.
     pub shared_steps: usize,
     /// One step on the tape: every tensor that the backward pass reads.
     pub tape_step: usize,
     /// The list itself, once for the steps on the tape that share it.
     pub tape_shared: usize,
-    /// What any gradient needs: the run's buffers, a list, the cotangents of one step.
+    /// What any gradient needs: the run's buffers, a list, and the cotangents of one step.
     pub working: usize,
 }
 
 impl Costs {
-    /// Lists that serve `count` states, evenly spread over `steps` steps.
+    /// Number of lists that `count` states need, evenly spread over `steps` steps.
     fn lists(&self, count: usize, steps: usize) -> usize {
         count.min(steps.div_ceil(self.shared_steps.max(1)) + 1)
     }
 }
 
-/// What is kept.
+/// The states that a schedule keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Every state; one step at a time on the tape. `rounded`: in single precision. A step linearised at a rounded
-    /// state is nearly the same step; a replay of many steps from one would be another run, so no other kind has it.
+    /// Every state, with one step at a time on the tape. `rounded`: in single precision. A step linearised at a rounded
+    /// state is nearly the same, but a replay of many steps would be another run, so other kinds are not rounded.
     EveryState { rounded: bool },
-    /// The state at the start of each segment of `length` steps (the last may be shorter), which is taped at once.
+    /// The state at the start of each segment of `length` steps (the last may be shorter), which is taped as a whole.
     Segments { length: usize },
-    /// The same, but the states within a segment are run again and kept when it is its turn; one step at a time on
-    /// the tape.
+    /// As `Segments`, but the states of a segment are recomputed and kept when it is differentiated, with one step at a
+    /// time on the tape.
     TwoLevel { interval: usize },
-    /// Revolve with at most `states` kept at a time; one step at a time on the tape.
+    /// Revolve with at most `states` kept at a time, and one step at a time on the tape.
     Binomial { states: usize },
 }
 
-/// What the executor does next. "The present state" is the one that the last `Advance` or `Restore` led to.
+/// An action of the executor. The present state is the one after the last `Advance` or `Restore`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
-    /// Run the steps from ... to - 1 from the present state, without a graph.
+    /// Run the steps `from` ... `to` - 1 from the present state without a graph.
     Advance { from: usize, to: usize },
     /// Keep the present state.
     Store { step: usize },
-    /// Go back to a kept state.
+    /// Return to a kept state.
     Restore { step: usize },
-    /// Run the steps from ... to - 1 on the graph from the present state, and take the cotangent of their end to
-    /// their start. The present state is lost.
+    /// Run the steps `from` ... `to` - 1 on the graph from the present state, and map the cotangent of their end to
+    /// that of their start. The present state is lost.
     Tape { from: usize, to: usize },
-    /// Forget a kept state.
+    /// Delete a kept state.
     Discard { step: usize },
 }
 
-/// What playing a schedule takes.
+/// The work and the storage of a schedule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Counts {
-    /// Most states kept at the same time.
+    /// Largest number of states kept at the same time.
     pub stored_states: usize,
-    /// Most steps on the tape at the same time.
+    /// Largest number of steps on the tape at the same time.
     pub taped_steps: usize,
-    /// Steps run without a graph, the first run through included.
+    /// Number of steps run without a graph, including the first forward run.
     pub plain_steps: usize,
-    /// Of them, how many had been run before.
+    /// Number of these steps that had been run before.
     pub recomputed_steps: usize,
-    /// Steps run on the graph.
+    /// Number of steps run on the graph.
     pub differentiated_steps: usize,
 }
 
-/// A gradient over the steps `first` ... `steps` - 1 of a run.
+/// The schedule of a gradient over the steps `first` ... `steps` - 1 of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
     pub steps: usize,
     /// First step that is differentiated: 0, or `steps - horizon` for a truncated gradient.
     pub first: usize,
     pub kind: Kind,
-    /// The derivative by the state, where the flow moves it, is made no longer than so many times the longest that it was while terms of
-    /// the objective were still added; looked at every [`super::run::CHECK_EVERY`] steps. 0: never, the gradient is exact.
+    /// Limit of the derivative by the state where the flow moves it, as a multiple of its largest norm while terms of
+    /// the objective were added; applied every [`super::run::CHECK_EVERY`] steps. 0: no limit, an exact gradient.
     pub clip: f64,
 }
 
-/// A budget that is too small for any schedule.
+/// A memory budget that is too small for any schedule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooSmall {
-    /// Bytes of the schedule that needs the least.
+    /// Bytes of the schedule with the least memory.
     pub least: usize,
 }
 
@@ -122,12 +122,12 @@ impl Schedule {
         Self { steps, first, kind, clip: 0.0 }
     }
 
-    /// The same, not exact where the derivative by the state grows: see [`Self::clip`].
+    /// Adds a limit to the derivative by the state, see [`Self::clip`]; the gradient is then not exact.
     pub fn clipped(self, clip: f64) -> Self {
         Self { clip, ..self }
     }
 
-    /// Segments of a given length over the whole run; of 1: every state.
+    /// Segments of a given length over the whole run; a length of 1 keeps every state.
     pub fn segments(steps: usize, length: usize) -> Self {
         Self::new(steps, 0, Kind::Segments { length })
     }
@@ -137,17 +137,17 @@ impl Schedule {
         Self::segments(steps, steps)
     }
 
-    /// Only the last `horizon` steps are differentiated.
+    /// Differentiates only the last `horizon` steps.
     pub fn truncated(steps: usize, horizon: usize, length: usize) -> Self {
         Self::new(steps, steps.saturating_sub(horizon), Kind::Segments { length })
     }
 
-    /// Every state kept, exactly or rounded to single precision.
+    /// Keeps every state, exactly or rounded to single precision.
     pub fn every_state(steps: usize, first: usize, rounded: bool) -> Self {
         Self::new(steps, first, Kind::EveryState { rounded })
     }
 
-    /// Every `interval`-th state kept, those between restored in their turn.
+    /// Keeps every `interval`-th state, and recomputes those between when they are needed.
     pub fn two_level(steps: usize, first: usize, interval: usize) -> Self {
         Self::new(steps, first, Kind::TwoLevel { interval })
     }
@@ -157,16 +157,16 @@ impl Schedule {
         Self::new(steps, first, Kind::Binomial { states })
     }
 
-    /// The schedule of the steps from `first` on that runs the fewest steps again within `budget` bytes. Where none
-    /// need be run again: every state if that fits, else the shortest segments that do. (Segments of ten steps and more
-    /// are some 10 % faster than every state where a step is short, N = 950: starting and ending a tape costs several
-    /// passes over a state. `--segment` asks for them.)
+    /// The schedule of the steps from `first` on that recomputes the fewest steps within `budget` bytes. If none need
+    /// be recomputed, it keeps every state if that fits, else it uses the shortest segments that fit. (Segments of ten
+    /// or more steps are about 10 % faster than every state where a step is short, N = 950, because starting and ending
+    /// a tape costs several passes over a state. `--segment` chooses them.)
     pub fn within(steps: usize, first: usize, costs: Costs, budget: usize) -> Result<Self, TooSmall> {
         let most = steps.saturating_sub(first).max(1);
         let fits = |schedule: &Self| schedule.bound(costs) <= budget;
         let lengths = 1..=most;
         let segments = lengths.clone().map(|length| Self::new(steps, first, Kind::Segments { length }));
-        // All but the steps at the start of an interval, and none of the last interval, whose states are still there.
+        // All but the first step of each interval, and none of the last interval, whose states are still kept.
         let again = |k: usize| (most.div_ceil(k) - 1) * (k - 1);
         let two_level = lengths.map(|k| (again(k), Self::two_level(steps, first, k)));
         let least_again = two_level.filter(|(_, s)| fits(s)).min_by_key(|(again, _)| *again).map(|(_, s)| s);
@@ -181,7 +181,7 @@ impl Schedule {
         Ok(Self::binomial(steps, first, states))
     }
 
-    /// [`Self::within`] of what `optimise.memory` allows.
+    /// [`Self::within`] for the budget of `optimise.memory`.
     ///
     /// # Errors
     /// A budget that is too small for any schedule.
@@ -197,12 +197,12 @@ impl Schedule {
         })
     }
 
-    /// The segment length that needs the least memory, near sqrt(steps state/tape): (steps/k) states and k taped steps.
+    /// The segment length with the least memory, near sqrt(steps state/tape): (steps/k) states and k taped steps.
     pub fn least_memory(steps: usize, costs: Costs) -> usize {
         (1..=steps).min_by_key(|&k| Self::segments(steps, k).bound(costs)).unwrap_or(1)
     }
 
-    /// Steps between states that are kept from the first run through, for the kinds that have such.
+    /// Number of steps between the states that are kept during the first forward run.
     fn interval(&self) -> usize {
         match self.kind {
             Kind::EveryState { .. } => 1,
@@ -212,7 +212,7 @@ impl Schedule {
         }
     }
 
-    /// Steps that are differentiated.
+    /// Number of steps that are differentiated.
     fn differentiated(&self) -> usize {
         self.steps - self.first
     }
@@ -222,7 +222,7 @@ impl Schedule {
         self.kind == Kind::EveryState { rounded: true }
     }
 
-    /// What to do, in order. Made while it is read: the list itself may be longer than the states.
+    /// The actions, in order. They are generated lazily, because the list may be longer than the states.
     pub fn actions(&self) -> Actions {
         let mut pending = vec![Task::Backward { before: self.steps }, Task::Forward { from: self.first }];
         if let Kind::Binomial { states } = self.kind {
@@ -246,38 +246,38 @@ impl Schedule {
         self.play(Costs::default()).0
     }
 
-    /// Most states kept at the same time.
+    /// Largest number of states kept at the same time.
     pub fn stored_states(&self) -> usize {
         self.counts().stored_states
     }
 
-    /// Most steps on the tape at the same time.
+    /// Largest number of steps on the tape at the same time.
     pub fn taped_steps(&self) -> usize {
         self.counts().taped_steps
     }
 
-    /// Steps run again without a graph.
+    /// Number of steps recomputed without a graph.
     pub fn recomputed_steps(&self) -> usize {
         self.counts().recomputed_steps
     }
 
-    /// Peak of what is kept and on the tape, in bytes.
+    /// Peak memory of kept states and tape, in bytes.
     pub fn storage(&self, costs: Costs) -> usize {
         self.play(costs).1
     }
 
-    /// Peak memory in bytes: the storage and what any gradient needs.
+    /// Peak memory in bytes, including what any gradient needs.
     pub fn memory(&self, costs: Costs) -> usize {
         self.storage(costs) + costs.working
     }
 
-    /// Counts, and the most bytes kept and taped at the same time.
+    /// The counts, and the largest number of bytes kept and taped at the same time.
     fn play(&self, costs: Costs) -> (Counts, usize) {
         let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
         let list_of = |step: usize| step / costs.shared_steps.max(1);
         let mut counts = Counts::default();
         let (mut seen, mut stored, mut bytes, mut peak) = (0, 0, 0, 0);
-        // How many kept states share a list.
+        // Number of kept states for each list.
         let mut lists: BTreeMap<usize, usize> = BTreeMap::new();
         for action in self.actions() {
             match action {
@@ -306,7 +306,7 @@ impl Schedule {
                     }
                 }
                 Action::Tape { from, to } => {
-                    // The objective's values come from a plain run; steps taped before it came by are run for that.
+                    // Values of the objective come from a plain run, which is made for steps that were taped first.
                     counts.plain_steps += to - seen.clamp(from, to);
                     seen = seen.max(to);
                     counts.differentiated_steps += to - from;
@@ -321,7 +321,7 @@ impl Schedule {
         (counts, peak)
     }
 
-    /// No less than [`Self::memory`], in closed form: to compare many schedules.
+    /// An upper bound of [`Self::memory`] in closed form, for comparing many schedules.
     fn bound(&self, costs: Costs) -> usize {
         let n = self.differentiated();
         let kept = n.div_ceil(self.interval().max(1));
@@ -358,11 +358,10 @@ impl std::fmt::Display for Schedule {
     }
 }
 
-/// What remains to be done.
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Do(Action),
-    /// The first run through, from here on.
+    /// The first forward run from here on.
     Forward {
         from: usize,
     },
@@ -370,7 +369,7 @@ enum Task {
     Backward {
         before: usize,
     },
-    /// Keeps the states from + 1 ... to - 1 while running again from the kept state `from`.
+    /// Keeps the states `from` + 1 ... `to` - 1 while recomputing from the kept state `from`.
     Refill {
         from: usize,
         to: usize,
@@ -380,8 +379,8 @@ enum Task {
         from: usize,
         to: usize,
     },
-    /// Revolve: adjoints of the steps `from` ... `to` - 1 from the present and kept state `from`, with `states`
-    /// places, that of `from` among them.
+    /// Revolve: adjoints of the steps `from` ... `to` - 1, starting from the present and kept state `from`, with room
+    /// for `states` states, including that of `from`.
     Reverse {
         from: usize,
         to: usize,
@@ -393,12 +392,12 @@ enum Task {
 #[derive(Debug, Clone)]
 pub struct Actions {
     schedule: Schedule,
-    /// Last first.
+    /// Remaining tasks, the last one first.
     pending: Vec<Task>,
 }
 
 impl Actions {
-    /// Start of the segment that ends at `end`.
+    /// First step of the segment that ends at `end`.
     fn start_of(&self, end: usize) -> usize {
         let first = self.schedule.first;
         first + (end - first - 1) / self.schedule.interval() * self.schedule.interval()
@@ -409,7 +408,7 @@ impl Actions {
         if from >= end {
             return;
         }
-        // The last segment of a two-level schedule comes first on the way back: its states are kept at once.
+        // The last segment of a two-level schedule is differentiated first, so its states are kept at once.
         let two_level = matches!(self.schedule.kind, Kind::TwoLevel { .. });
         let last = self.start_of(end);
         let to = if two_level && from >= last { from + 1 } else { (from + interval).min(end) };
@@ -495,7 +494,7 @@ impl Iterator for Actions {
     }
 }
 
-/// How often the busiest of `length` steps is run forward with `states` places: the least r with
+/// Largest number of times that one of `length` steps is run forward with room for `states` states: the smallest r with
 /// C(states + r, states) >= length.
 fn repetitions(length: usize, states: usize) -> usize {
     let (mut reach, mut r) = (1u128, 0usize);
@@ -506,9 +505,9 @@ fn repetitions(length: usize, states: usize) -> usize {
     r
 }
 
-/// Least number of steps to run forward for the adjoints of `length` steps, last to first, with `states` places for
-/// states, the first among them (the taped run of each step not counted): r l - C(states + r, r - 1), r =
-/// `repetitions` (Griewank and Walther 2000).
+/// Smallest number of steps to run forward for the adjoints of `length` steps, last to first, with room for `states`
+/// states, including the first (without the taped run of each step): r l - C(states + r, r - 1), r = `repetitions`
+/// (Griewank and Walther 2000).
 pub fn least_steps(length: usize, states: usize) -> usize {
     let r = repetitions(length, states);
     // C(states + r, r - 1).
@@ -520,13 +519,13 @@ pub fn least_steps(length: usize, states: usize) -> usize {
     r * length - binomial as usize
 }
 
-/// Where to keep the next state: the m that minimises m + t(l - m, s - 1) + t(m, s), t = [`least_steps`]. t is convex
-/// in the length with slope `repetitions`, so the slope of the sum changes its sign once.
+/// The next state to keep: the m that minimises m + t(l - m, s - 1) + t(m, s), t = [`least_steps`]. t is convex in the
+/// length with slope `repetitions`, so the slope of the sum changes its sign once.
 fn split(length: usize, states: usize) -> usize {
     let (mut low, mut high) = (1, length - 1);
     while low < high {
         let m = (low + high) / 2;
-        // From m to m + 1: one step more to go there, r(m + 1, s) more on the left, r(l - m, s - 1) fewer on the right.
+        // From m to m + 1: one more step to reach it, r(m + 1, s) more on the left, r(l - m, s - 1) fewer on the right.
         if 1 + repetitions(m + 1, states) >= repetitions(length - m, states - 1) {
             high = m;
         } else {
@@ -536,7 +535,7 @@ fn split(length: usize, states: usize) -> usize {
     low
 }
 
-/// A number of bytes as `optimise.memory` takes it, up to the next tenth of a megabyte.
+/// A number of bytes in the form of `optimise.memory`, rounded up to a tenth of a megabyte.
 pub fn rounded_up(bytes: usize) -> String {
     format!("{:.1}MB", (bytes as f64 / 1e5).ceil() / 10.0)
 }

@@ -1,4 +1,4 @@
-//! `hydrograd calibrate`: viscosity and conductivity from a trajectory that was seen.
+//! `hydrograd calibrate`: finds viscosity and conductivity from an observed trajectory.
 
 use super::arguments::{at_least_one, set_option, threads};
 use super::files;
@@ -7,8 +7,6 @@ use super::page;
 use super::prepare::use_threads;
 use super::rollout::find;
 use super::run_folder::{Earlier, RunFolder};
-use crate::config::difference::differences;
-use crate::config::layers::Setting;
 use crate::config::scene::Config;
 use crate::dataset::Split;
 use crate::design::limits::Limits;
@@ -22,8 +20,9 @@ use crate::io::hdf5_file::open;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::scene::record::Record;
 use clap::Args;
-use serde_json::{json, Map, Value};
+use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -69,9 +68,9 @@ pub struct CalibrateArguments {
     pub out: PathBuf,
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "calibrate";
-/// The most that a parameter may be away from what is assumed.
+/// Largest ratio of a parameter to its assumed value.
 const FACTOR: f64 = 10.0;
 
 pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
@@ -91,9 +90,8 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
             .place(path.display().to_string())
             .allowed("a data set made by `hydrograd generate`")
     })?;
-    // What the trajectory's configuration has of its own, and on top what is assumed.
-    let own = differences(&true_config.scene.defaults(), &true_config, &[]).into_iter().filter(|d| d.key != "scene");
-    let mut settings: Vec<Setting> = own.map(|d| Setting::option("the trajectory", &d.key, d.now)).collect();
+    // The trajectory's own settings, and the assumed values.
+    let mut settings = true_config.over_its_scene("the trajectory", &[]);
     settings.extend(arguments.sets.iter().map(|text| set_option(text)));
     let loaded = Config::load_settings(Some(true_config.scene.name()), None, &settings)?;
     let mut parameters: Vec<Parameter> = Vec::new();
@@ -137,7 +135,7 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     curves.push(("loss".into(), rows.iter().map(|row| (row[0] + 1.0, row[1])).collect()));
     compare(&arguments.out.join("history"), "Calibration", "epoch", "", &curves, false, true)?;
     let mut table = Table::new(["", "assumed", "found", "made with", "error"]);
-    let mut summary = Map::new();
+    let mut summary = Record::default();
     for (k, parameter) in parameters.iter().enumerate() {
         let error = found[k] / known[k] - 1.0;
         let number = |x: f64| format!("{x:.6}");
@@ -145,16 +143,15 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
             [number(problem.assumed[k]), number(found[k]), number(known[k]), format!("{:+.3} %", 100.0 * error)];
         table.row([vec![parameter.key().to_string()], cells.to_vec()].concat());
         let row = json!({"assumed": problem.assumed[k], "found": found[k], "made_with": known[k], "error": error});
-        summary.insert(parameter.key().into(), row);
+        summary.put(parameter.key(), row);
     }
-    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
-    put("loss_before", json!(rows[0][1]));
-    put("loss", json!(best.loss));
-    put("epochs", json!(rows.len()));
-    put("steps", json!(problem.steps));
-    put("frames", json!(arguments.frames));
-    put("seconds", json!(clock.elapsed().as_secs_f64()));
-    files::write_summary(&arguments.out, summary)?;
+    summary.put("loss_before", rows[0][1]);
+    summary.put("loss", best.loss);
+    summary.put("epochs", rows.len());
+    summary.put("steps", problem.steps);
+    summary.put("frames", arguments.frames);
+    summary.put("seconds", clock.elapsed().as_secs_f64());
+    files::write_summary(&arguments.out, &summary)?;
     page::write(&arguments.out)?;
     println!("{}", table.to_text());
     for (k, parameter) in parameters.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! `hydrograd check-gradient`: is the design gradient what it claims to be?
+//! `hydrograd check-gradient`: checks the design gradient against differences.
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files::{self, write_json};
@@ -20,7 +20,7 @@ use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Steps that `check-gradient` differentiates unless told otherwise.
+/// Default number of differentiated steps.
 const CHECK_STEPS: usize = 500;
 
 /// Compare the design gradient with central differences; fails (exit code 1) if they disagree.
@@ -52,29 +52,29 @@ pub struct CheckGradientArguments {
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         self.common.require_design()?;
-        // Below the user's own settings, so that `--set objective.window=...` wins; the scene's window may be
-        // longer than the steps checked.
+        // These defaults are below the user's settings, such as `--set objective.window=...`. The scene's window may be
+        // longer than the checked steps.
         let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];
         self.common.load(None, defaults, self.gradient.settings())
     }
 
-    /// Where results go; an error if nothing can be written there.
+    /// The output folder; an error if it is not writable.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(None, "check-gradient", loaded)
     }
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "check-gradient";
 /// Largest relative error of a directional derivative.
 const TOLERANCE_F64: f64 = 1e-5;
-/// The adjoint of a steady state is solved to 1e-4.
+/// The same for a steady state, whose adjoint is solved to 1e-4.
 const TOLERANCE_STEADY: f64 = 1e-3;
-/// In f32: differences are still taken in f64, so this is the error of the f32 gradient itself.
+/// The same in f32. Differences are still taken in f64, so this is the error of the f32 gradient.
 const TOLERANCE_F32: f64 = 1e-3;
-/// A derivative by the state that has grown so many times is one of disorder: over 10,000 steps of a channel it stays below ten.
+/// Growth of the derivative by the state that indicates chaos. Over 10,000 steps of a channel it stays below ten.
 const EXPLODED: f64 = 1e3;
-/// Steps of the differences, in offset units times a direction of components in +-1.
+/// Steps of the differences, in offset units times a direction with components +-1.
 const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11];
 
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
@@ -82,7 +82,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
-    // What is checked is the adjoint, whatever an optimiser takes.
+    // The adjoint is checked, whatever gradient an optimiser uses.
     let mut config = loaded.config.clone();
     if config.optimise.gradient == GradientMode::Differences {
         config.optimise.gradient = GradientMode::Segments;
@@ -198,7 +198,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));
     println!("every design variable received a finite, non-zero gradient");
-    // Scene units make numbers of the order of 1.
+    // In scene units values are of the order of 1.
     if norm < f64::EPSILON * value.abs().max(1.0) {
         println!("WARNING: it is {norm:.0e} of {value:.1e}: the design has hardly reached what is measured, and little is checked; more --steps");
     }
@@ -222,7 +222,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     Ok(())
 }
 
-/// The objective's gradient, without the penalty on roughness: that is exact by inspection and would hide errors.
+/// The gradient of the objective without the roughness penalty, which is exact and would hide errors.
 fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Derivative> {
     let (problem, _) = build::<R>(config)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;

@@ -1,4 +1,4 @@
-//! `hydrograd completions` and `hydrograd man`: what shells and `man` want to know of the command line.
+//! `hydrograd completions` and `hydrograd man`: shell completions and manual pages of the command line.
 
 use super::{files, line, machine};
 use crate::io::atomic::{prepare_output_folder, write_bytes_atomically};
@@ -47,7 +47,7 @@ pub struct ManArguments {
 pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
     prepare_output_folder(&arguments.folder)?;
     let mut command = without_help(line());
-    // Then every command knows its whole name.
+    // Gives every command its full name.
     command.build();
     let count = page(&command, &arguments.folder)?;
     let first = arguments.folder.join("hydrograd.1");
@@ -58,7 +58,7 @@ pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The pages of a command and of those below it.
+/// Writes the pages of a command and its subcommands.
 fn page(command: &Command, folder: &Path) -> anyhow::Result<usize> {
     let man = Man::new(command.clone()).source(format!("hydrograd {}", files::VERSION)).manual("hydrograd");
     let mut text = Vec::new();
@@ -79,14 +79,14 @@ fn page(command: &Command, folder: &Path) -> anyhow::Result<usize> {
     Ok(count)
 }
 
-/// `hydrograd help` is no page.
+/// Removes `hydrograd help`, which needs no page.
 fn without_help(line: Command) -> Command {
     let names: Vec<String> = line.get_subcommands().map(|below| below.get_name().to_string()).collect();
     let line = line.disable_help_subcommand(true);
     names.into_iter().fold(line, |line, name| line.mut_subcommand(name, without_help))
 }
 
-/// What stands below the options in a command's help: its sections by their names in manuals, examples line by line.
+/// The sections of a command's help after its options, with examples line by line.
 fn notes(command: &Command) -> Roff {
     let mut page = Roff::new();
     let text = command.get_after_long_help().or(command.get_after_help()).map(|text| text.to_string());

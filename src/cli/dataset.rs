@@ -1,4 +1,4 @@
-//! `hydrograd dataset inspect`: what a data set holds.
+//! `hydrograd dataset inspect`: shows the content of a data set.
 
 use super::arguments::at_least_one;
 use super::machine;
@@ -58,7 +58,7 @@ const KINDS: [(i32, &str); 5] = [
     (kind::PADDING, "padding"),
 ];
 
-/// What folders of its own are marked with.
+/// The kind of its own folders.
 const KIND: &str = "dataset inspect";
 
 pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
@@ -118,7 +118,7 @@ pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
     }
     let _own = RunFolder::take(out, KIND, earlier)?;
     let picture = plot(out, &metadata, &trajectory, arguments.frames)?;
-    // Of a data set of ours: the picture is part of it from now on.
+    // The plot is now part of the page of our data set.
     page::refresh(out)?;
     println!(
         "{picture} of {}/{} in {}",
@@ -186,7 +186,7 @@ fn print_metadata(folder: &Path, metadata: &Metadata) {
     }
 }
 
-/// Names of the trajectories' walls without amplitudes; none if the data set is not ours.
+/// Names of the trajectories' walls without amplitudes; empty if the data set is not ours.
 fn wall_names(path: &Path, trajectories: &[Trajectory]) -> anyhow::Result<Vec<String>> {
     let file = open(path, "data set")?;
     let mut names = Vec::new();
@@ -199,12 +199,12 @@ fn wall_names(path: &Path, trajectories: &[Trajectory]) -> anyhow::Result<Vec<St
     Ok(names)
 }
 
-/// Writes `frames.png` and `frames.svg`; returns what they show.
+/// Writes `frames.png` and `frames.svg`, and returns what they show.
 fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) -> anyhow::Result<&'static str> {
     let (d, n, last) = (metadata.dim, trajectory.particles, trajectory.frames - 1);
     let count = count.min(trajectory.frames);
     let chosen: Vec<usize> = (0..count).map(|k| if count == 1 { last } else { k * last / (count - 1) }).collect();
-    // Of a cube, a slice one spacing thick.
+    // A slice with a thickness of one spacing in three dimensions.
     let shown: Vec<usize> = (0..n)
         .filter(|&i| d == 2 || f64::from(trajectory.position[i * d + 2]) - metadata.bounds[2][0] < metadata.dx)
         .collect();
@@ -222,7 +222,7 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
     let values = |frame: usize| -> Vec<f64> {
         match trajectory.temperature_of(frame) {
             Some(temperature) => shown.iter().map(|&i| f64::from(temperature[i])).collect(),
-            None => speeds(metadata, trajectory, frame, &shown),
+            None => trajectory.speeds(metadata, frame, &shown),
         }
     };
     let frames: Vec<(String, Vec<f64>, Vec<f64>)> = chosen
@@ -254,23 +254,4 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
     let range = |k: usize| (metadata.bounds[k][0], metadata.bounds[k][1]);
     colored_particles(&out.join("frames"), label, &panels, (low, high), range(0), range(1))?;
     Ok(if heated { "temperatures" } else { "speeds" })
-}
-
-/// Distances to the next frame (of the last one, from the one before), in spacings.
-pub(super) fn speeds(metadata: &Metadata, trajectory: &Trajectory, frame: usize, shown: &[usize]) -> Vec<f64> {
-    let d = metadata.dim;
-    let (from, to) = match frame + 1 < trajectory.frames {
-        true => (frame, frame + 1),
-        false => (frame.saturating_sub(1), frame),
-    };
-    let (from, to) = (trajectory.position_of(from), trajectory.position_of(to));
-    let (size, periodic) = (metadata.size(), metadata.periodic());
-    let square = |i: usize, k: usize| {
-        let mut step = f64::from(to[i * d + k]) - f64::from(from[i * d + k]);
-        if periodic[k] {
-            step -= size[k] * (step / size[k]).round();
-        }
-        step * step
-    };
-    shown.iter().map(|&i| (0..d).map(|k| square(i, k)).sum::<f64>().sqrt() / metadata.dx).collect()
 }

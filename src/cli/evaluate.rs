@@ -1,4 +1,4 @@
-//! `hydrograd evaluate`: a model against the truth, and against two baselines.
+//! `hydrograd evaluate`: compares a model with the truth and with two baselines.
 
 use super::arguments::at_least_one;
 use super::files::{write_json, VERSION};
@@ -42,7 +42,7 @@ pub struct EvaluateArguments {
     pub windows: Option<usize>,
 }
 
-/// Of a figure in the table: its name, and where it stands.
+/// A figure of the table: its name and how to get it.
 type Figure = (&'static str, fn(&Scores) -> Option<f64>);
 
 const FIGURES: [Figure; 10] = [
@@ -118,7 +118,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Figures by model; behind them how many times better than constant velocity the model is.
+/// Figures by model, and the ratio of constant velocity to the model.
 fn table(scores: &[Scores]) -> Table {
     let names = scores.iter().map(|scores| scores.model.clone());
     let compared = scores.len() > 1 && scores[1].model == ConstantVelocity.name();
@@ -143,7 +143,7 @@ fn table(scores: &[Scores]) -> Table {
     table
 }
 
-/// Curves by step; returns the names of the pictures.
+/// Plots curves by step and returns the names of the plots.
 fn plot(folder: &Path, scores: &[Scores]) -> anyhow::Result<Vec<String>> {
     type Curve = fn(&Curves) -> Option<Vec<f64>>;
     let pictures: [(&str, &str, &str, Curve, Curve, bool); 4] = [
@@ -170,16 +170,16 @@ fn plot(folder: &Path, scores: &[Scores]) -> anyhow::Result<Vec<String>> {
     for (stem, title, label, predicted, truth, log) in pictures {
         let points =
             |values: Vec<f64>| values.iter().enumerate().map(|(k, &y)| ((k + 1) as f64, y)).collect::<Vec<_>>();
-        // What is not shown keeps its place: a model has one colour in all pictures.
+        // Curves that are not shown keep their place, so that a model has the same colour in all plots.
         let shown = |values: Option<Vec<f64>>| values.map_or(Vec::new(), points);
         let mut series: Vec<(String, Vec<(f64, f64)>)> =
             scores.iter().map(|s| (s.model.clone(), shown(predicted(&s.curves)))).collect();
         series.push(("true".to_string(), shown(truth(&scores[0].curves))));
-        // Who stands still has no energy, and would leave the others a line at the top.
+        // A model at rest has no energy, and would distort the others' range.
         for (_, points) in series.iter_mut().filter(|(_, points)| !log && points.iter().all(|(_, y)| *y == 0.0)) {
             points.clear();
         }
-        // A logarithmic axis has no place for a model without error.
+        // A logarithmic axis cannot show a model without error.
         if series.iter().any(|(_, points)| points.iter().any(|&(_, y)| !log || y > 0.0)) {
             compare(&folder.join(stem), title, "step", label, &series, false, log)?;
             names.push(format!("{stem}.png"));

@@ -1,4 +1,4 @@
-//! `--explain`: what would be run, without running it.
+//! `--explain`: prints what would be run, without running it.
 
 use super::machine;
 use super::prepare::require_design;
@@ -10,7 +10,7 @@ use crate::sph::plan::Plan;
 use crate::sph::Sweeps;
 use serde_json::json;
 
-/// Prints the plan of a scene, with that of its gradient if one would be taken.
+/// Prints the plan of a scene, with that of its gradient if `gradient` is set.
 pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
     let config = &loaded.config;
     let plan = plan_of(config, gradient)?;
@@ -25,7 +25,7 @@ pub fn explain(loaded: &Loaded, gradient: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The plan of a configuration, with that of its gradient if one would be taken.
+/// The plan of a configuration, with that of its gradient if `gradient` is set.
 pub fn plan_of(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     match config.run.precision {
         Precision::F32 => plan::<f32>(config, gradient),
@@ -42,14 +42,14 @@ fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
     }
     let scene = Scene::<R>::from_config(config)?;
     let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config))).map_err(failed)?;
-    // The gradient of a steady state keeps one state, and tapes nothing.
+    // The gradient of a steady state keeps one state and tapes nothing.
     let Some(design) = scene.design.filter(|design| gradient && !design.is_steady) else { return Ok(plan) };
     let schedule = design.schedule(&config.optimise, config.run.precision)?;
     let costs = design.costs()?;
     Ok(plan.with_gradient(&design.model, &schedule, costs, Some(config.optimise.memory.bytes())))
 }
 
-/// What the time step was chosen by.
+/// What limits the time step.
 fn limit(config: &Config) -> String {
     let limits = config.time_step_limits();
     let which = match limits.acoustic <= limits.diffusive {

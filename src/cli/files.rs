@@ -1,30 +1,29 @@
 //! The files of a run.
 
 use super::machine;
-use crate::config::scene::{Config, Family};
-use crate::design::diagnostics::Diagnostics;
+use crate::config::scene::Config;
 use crate::design::shape::Shape;
 use crate::design::Parametrisation;
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_columns;
 use crate::io::vtk::write_surface;
-use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::{colored_particles, relief, ReliefPanel, TemperaturePanel};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
-use serde_json::{json, Map, Value};
+use crate::scene::record::Record;
+use serde_json::{json, Value};
 use std::io::Write;
 use std::path::Path;
 
-pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+pub use crate::report::VERSION;
 
-/// `config.toml`: the resolved configuration.
+/// Writes `config.toml`: the resolved configuration.
 pub fn write_config(folder: &Path, loaded: &Loaded) -> anyhow::Result<()> {
     Ok(write_bytes_atomically(&folder.join("config.toml"), loaded.text.as_bytes())?)
 }
 
-/// Prints a long text as it is. Not an error: a reader who has seen enough, as in `hydrograd scenes heated-channel | head`.
+/// Prints a long text. A closed pipe is not an error, as in `hydrograd scenes heated-channel | head`.
 pub fn print(text: &[u8]) -> std::io::Result<()> {
     match std::io::stdout().write_all(text) {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
@@ -32,20 +31,27 @@ pub fn print(text: &[u8]) -> std::io::Result<()> {
     }
 }
 
-/// What [`write_config`] left in a run's folder.
+/// Reads the configuration that [`write_config`] wrote to a run's folder.
 pub fn read_config(folder: &Path) -> Result<Loaded, Error> {
     Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])
 }
 
-/// The configuration of an optimisation's best wall.
+/// The checkpoint of a run.
+pub const CHECKPOINT: &str = "checkpoint.safetensors";
+
+/// Folders of the frames of an optimisation's first and best design.
+pub const BEFORE: &str = "particles-before";
+pub const AFTER: &str = "particles";
+
+/// The configuration with an optimisation's best wall.
 pub const BEST: &str = "best.toml";
 
-/// [`BEST`]: what runs the best wall as a scene file; `config.toml` begins the search.
+/// Writes [`BEST`], a scene file with the best wall; `config.toml` has the start of the search.
 pub fn write_best(folder: &Path, best: &Loaded) -> anyhow::Result<()> {
     Ok(write_bytes_atomically(&folder.join(BEST), best.text.as_bytes())?)
 }
 
-/// `shape.csv`: x, z of a wall that varies along it, and columns of heights there.
+/// Writes `shape.csv`: x (and z of a wall that varies along z), and columns of heights there.
 pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> anyhow::Result<()> {
     let mut all = vec![("x", wall.nodes.as_slice())];
     all.extend(wall.across.as_deref().map(|across| ("z", across)));
@@ -53,73 +59,36 @@ pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> a
     Ok(write_columns(&folder.join("shape.csv"), &all)?)
 }
 
-/// What every `summary.json` begins with.
-pub fn summary(loaded: &Loaded, found: &Diagnostics, steps: usize, wall_seconds: f64) -> Map<String, Value> {
-    let Value::Object(mut map) = json!({
-        "q": found.q,
-        "flow_rate": found.flow_rate,
-        "mean_outlet_temperature": found.mean_outlet_temperature,
-        "wall_heat_flux": found.wall_heat_flux,
-        "stored_heat_rate": found.stored_heat_rate,
-        "energy_imbalance": found.energy_imbalance,
-        "mean_density": found.mean_density,
-        "u_max": found.u_max,
-        "body_force": found.body_force,
-        "pumping_power": found.pumping_power,
-        "steps": steps,
-        "time_step": loaded.config.time_step(),
-        "wall_seconds": wall_seconds,
-        "peak_memory_bytes": peak_memory_bytes(),
-        "version": VERSION,
-        "seed": loaded.config.run.seed,
-        "precision": loaded.config.run.precision,
-        "scene": loaded.config.scene,
-    }) else {
-        unreachable!("a JSON object")
-    };
-    map.extend(scene_file(loaded));
-    if loaded.config.dimension() == 2 {
-        map.insert("q_sum".into(), json!(found.q / loaded.config.resolution.dx));
-    }
-    map
+/// Writes `summary.json`.
+pub fn write_summary(folder: &Path, record: &Record) -> anyhow::Result<()> {
+    write_json(&folder.join("summary.json"), &json!(record))
 }
 
-/// The file of a scene of one's own, for `summary.json`; none of a run that goes on, which has its own.
-pub fn scene_file(loaded: &Loaded) -> Option<(String, Value)> {
-    let name = Some(loaded.source.name()).filter(|name| loaded.config.scene == Family::Custom && name != "config");
-    Some(("scene_file".into(), json!(name?)))
-}
-
-/// `summary.json`.
-pub fn write_summary(folder: &Path, map: Map<String, Value>) -> anyhow::Result<()> {
-    write_json(&folder.join("summary.json"), &Value::Object(map))
-}
-
-/// What a command has found as its JSON file, and as its answer to `--json`.
+/// Writes the result of a command as a JSON file, and as the answer to `--json`.
 pub fn write_json(path: &Path, found: &Value) -> anyhow::Result<()> {
     machine::answer(found);
     Ok(write_bytes_atomically(path, format!("{found:#}\n").as_bytes())?)
 }
 
-/// `temperature.png` and `.svg`: particles coloured by temperature, panel by panel.
+/// Plots `temperature.png` and `.svg`: particles coloured by temperature, in panels.
 pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
     let (low, high) = (config.fluid.inlet_temperature, config.wall.hot_temperature);
-    // Equal temperatures are a fair question (does nothing happen?) but no range of colours.
+    // Equal temperatures are valid but need a range of colours.
     let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
     let temperatures = panels.iter().map(|(_, fields)| fields.temperature.clone().unwrap_or_default()).collect();
     let range = (low.min(high), low.max(high));
     plot_particles(folder, config, panels, ("temperature", "temperature T (scene units)"), temperatures, range)
 }
 
-/// `flow.png` and `.svg`: particles coloured by speed, panel by panel.
+/// Plots `flow.png` and `.svg`: particles coloured by speed, in panels.
 pub fn plot_flow(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
     let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speeds(fields)).collect();
     let fastest = speeds.iter().flatten().copied().fold(1e-6, f64::max);
     plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speeds, (0.0, fastest))
 }
 
-/// `NAME.png` and `.svg` of any scene: particles coloured by values `[N]`, as far as they reach; of a scene in three dimensions
-/// those whose height z is that of the middle, to half a spacing.
+/// Plots `NAME.png` and `.svg` for any scene: particles coloured by values `[N]`; in three dimensions those within half
+/// a spacing of the middle height z.
 pub fn plot_scene(
     folder: &Path,
     (name, label, title): (&str, &str, &str),
@@ -130,7 +99,7 @@ pub fn plot_scene(
     plot_scenes(folder, (name, label), &[(title, fields)], &[values.to_vec()], dx)
 }
 
-/// [`plot_scene`] of several states, panel by panel, in the same colours.
+/// [`plot_scene`] for several states, in panels with the same colours.
 pub fn plot_scenes(
     folder: &Path,
     (name, label): (&str, &str),
@@ -156,7 +125,7 @@ pub fn plot_scenes(
     Ok(())
 }
 
-/// The particles that a picture shows: all, in three dimensions those in the middle of z, to half a spacing.
+/// The particles of a picture: all, or in three dimensions those within half a spacing of the middle of z.
 struct Section {
     position: Vec<f64>,
     values: Vec<f64>,
@@ -171,7 +140,7 @@ impl Section {
             _ => {
                 let (low, high) = ends(fields, 2);
                 let middle = 0.5 * (low + high);
-                // Of an even number of layers the upper one of the middle two.
+                // Of an even number of layers it is the upper one of the middle two.
                 let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
                 (0..n).filter(|&i| is_near(i)).collect()
             }
@@ -189,31 +158,31 @@ impl Section {
     }
 }
 
-/// Least and largest coordinate of all particles.
+/// Smallest and largest coordinate of all particles.
 fn ends(fields: &ParticleFields, d: usize) -> (f64, f64) {
     let n = fields.tag.len();
     let row = fields.position[d * n..(d + 1) * n].iter();
     row.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)))
 }
 
-/// `NAME.png` and `.svg`: walls over x and z, panel by panel.
+/// Plots `NAME.png` and `.svg`: walls over x and z, in panels.
 pub fn plot_relief(folder: &Path, name: &str, config: &Config, walls: &[(&str, &Shape)]) -> anyhow::Result<()> {
     let channel = &config.channel;
     let (z, count) =
         walls.first().map_or((vec![], 0), |(_, wall)| (wall.across.clone().unwrap_or_default(), wall.nodes.len()));
-    // All along x at the first z stand first.
+    // Points along x at the first z come first.
     let along = z.iter().take_while(|&&other| other == z[0]).count().max(1);
     let panels: Vec<ReliefPanel> =
         walls.iter().map(|(title, wall)| ReliefPanel { title, heights: &wall.offsets }).collect();
-    // A flat wall has no range of colours.
+    // A flat wall needs a range of colours.
     let most = walls.iter().flat_map(|(_, wall)| &wall.offsets).fold(1e-6, |most: f64, height| most.max(height.abs()));
     let (x, z) = ((channel.hot_from, channel.hot_to, along), (0.0, channel.span, count / along));
     relief(&folder.join(name), &panels, most, x, z)?;
     Ok(())
 }
 
-/// `wall.vtp`: the surface of a lower wall over x and z, for ParaView, with its height above the plane channel's; two squares per
-/// spacing.
+/// Writes `wall.vtp` for ParaView: the surface of a lower wall over x and z with its height above the plane channel's,
+/// two squares per spacing.
 pub fn write_wall(folder: &Path, config: &Config, wall: &dyn Parametrisation, variables: &[f64]) -> anyhow::Result<()> {
     let half = 0.5 * config.resolution.dx;
     let (along, across) = (2 * config.columns() + 1, 2 * config.layers() + 1);
@@ -225,14 +194,14 @@ pub fn write_wall(folder: &Path, config: &Config, wall: &dyn Parametrisation, va
     Ok(write_surface(&folder.join("wall.vtp"), &points, &corners, &[("height", &heights)])?)
 }
 
-/// Of every particle.
+/// The speed of every particle.
 pub fn speeds(fields: &ParticleFields) -> Vec<f64> {
     let n = fields.tag.len();
     let square = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
     (0..n).map(|i| square(i).sqrt()).collect()
 }
 
-/// `NAME.png` and `.svg`: particles coloured by values `[N]` of each panel.
+/// Plots `NAME.png` and `.svg`: particles coloured by the values `[N]` of each panel.
 fn plot_particles(
     folder: &Path,
     config: &Config,

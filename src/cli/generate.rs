@@ -20,6 +20,7 @@ use crate::io::FileError;
 use crate::numerics::interrupt;
 use crate::report::page::PAGE;
 use crate::report::progress::Progress;
+use crate::report::text::bytes;
 use crate::scene::load::Loaded;
 use clap::Args;
 use serde::Serialize;
@@ -102,12 +103,12 @@ impl GenerateArguments {
         self.common.load(None, vec![], vec![])
     }
 
-    /// Where the data set goes; an error if nothing can be written there.
+    /// The output folder; an error if it is not writable.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(None, "generate", loaded)
     }
 
-    /// The scene's recipe with what was given.
+    /// The scene's recipe with the given options.
     pub fn recipe(&self, loaded: &Loaded) -> Result<Recipe, Error> {
         let (design, fluid) = (&loaded.config.design, &loaded.config.fluid);
         if design.walls == DesignWalls::Both {
@@ -149,14 +150,14 @@ impl GenerateArguments {
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "generate";
 
 pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let recipe = arguments.recipe(&loaded)?;
     recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
     let shard = arguments.shard.share()?.unwrap_or(Shard::ALL);
-    // What is wrong with one trajectory's configuration is wrong before anything is written.
+    // Errors in a trajectory's configuration are found before anything is written.
     for (line, job) in recipe.jobs().into_iter().take(recipe.given.len().max(1)).enumerate() {
         let of_line = |error| match error {
             Error::Input(bad) if recipe.walls == Walls::File => {
@@ -173,7 +174,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let jobs = recipe.jobs();
     if store.is_complete() {
         println!("{} is complete: {} trajectories", folder.display(), jobs.len());
-        // One that was ended behind the merge, or is of an earlier version.
+        // The run ended after the merge, or is of an earlier version.
         if !folder.join(PAGE).is_file() {
             let own = RunFolder::share(&folder, KIND)?;
             page::write(&folder)?;
@@ -183,7 +184,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     open_device(&loaded)?;
-    // Shards write there together; nothing of an earlier run of the same set is discarded.
+    // Shards write there together; nothing of an earlier run of the same data set is discarded.
     let own = RunFolder::share(&folder, KIND)?;
     if store.begun()?.is_none() {
         store.begin(&loaded.text, &Begun { recipe: recipe.clone(), version: VERSION.into() })?;
@@ -232,7 +233,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     own.finish()
 }
 
-/// What this process did of a data set.
+/// The trajectories that this process made or found.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 struct Made {
     made: usize,
@@ -241,7 +242,7 @@ struct Made {
     workers: usize,
 }
 
-/// What `--json` says of a data set, finished or not.
+/// The answer to `--json`, for a finished or unfinished data set.
 fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value> {
     let folder = &store.folder;
     let is_complete = store.is_complete();
@@ -269,7 +270,7 @@ fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value>
     Ok(Value::Object(all))
 }
 
-/// The option, as it was given, of a number of the recipe.
+/// The command-line option of a number of the recipe.
 fn option_of(recipe: &Recipe, key: &str) -> String {
     match key {
         "frames" => format!("--frames {}", recipe.frames),
@@ -279,7 +280,7 @@ fn option_of(recipe: &Recipe, key: &str) -> String {
     }
 }
 
-/// `hydrograd merge DIR`.
+/// Runs `hydrograd merge DIR`.
 pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
     let store = Store::new(&arguments.folder);
     let Some(begun) = store.begun()? else {
@@ -304,8 +305,7 @@ fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()>
     store.merge(config, recipe)?;
     page::write(&store.folder)?;
     let size = |split: Split| std::fs::metadata(split.path(&store.folder)).map_or(0, |file| file.len());
-    let sizes: Vec<String> =
-        Split::ALL.iter().map(|&s| format!("{} {:.1} MB", s.name(), size(s) as f64 / 1e6)).collect();
+    let sizes: Vec<String> = Split::ALL.iter().map(|&s| format!("{} {}", s.name(), bytes(size(s) as usize))).collect();
     println!(
         "files in {}: train.h5, valid.h5, test.h5, metadata.json ({}), {PAGE}",
         store.folder.display(),
@@ -315,7 +315,7 @@ fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()>
     Ok(())
 }
 
-/// An error if the folder was begun with something else, or holds something else.
+/// Returns an error if the folder was started with other settings, or has other content.
 fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Error> {
     let folder = store.folder.display();
     let place = format!("--out {folder}");
@@ -352,9 +352,9 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
     Ok(())
 }
 
-/// Makes trajectories, each by one of as many workers as there are threads; returns their number.
+/// Makes trajectories with as many workers as threads, and returns their number.
 fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow::Result<usize> {
-    // Workers share nothing; operators that shared them would only wait for each other.
+    // Workers are independent; operators with several threads would only wait for each other.
     for pool in ["CANDLE_NUM_THREADS", "RAYON_NUM_THREADS"] {
         std::env::set_var(pool, "1");
     }
@@ -379,7 +379,7 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
         wall: ready.wall,
     };
     match store.write_part(job, &trajectory, &provenance) {
-        // Another process made and merged them all meanwhile.
+        // Another process has made and merged all of them.
         Err(_) if store.is_complete() => {}
         result => result?,
     }
@@ -387,7 +387,7 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
     Ok(())
 }
 
-/// `train/valid/test`.
+/// Parses `train/valid/test`.
 pub fn parse_trajectories(text: &str) -> Result<[usize; 3], String> {
     let counts: Vec<usize> = text.split('/').map_while(|part| part.parse().ok()).collect();
     counts

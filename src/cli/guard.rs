@@ -1,4 +1,4 @@
-//! Nothing but one clear line reaches the user: errors with their causes, and panics as a bug to report.
+//! Reports errors with their causes to the user, and panics as a bug to report, each in clear lines.
 
 use std::any::Any;
 use std::io::Write;
@@ -10,10 +10,10 @@ use crate::error::{exit_code, Error, EXIT_INTERNAL};
 use crate::numerics::interrupt;
 use crate::report::text::shown;
 
-/// What std says when the reader of a pipe has gone, as in `hydrograd ... | head`.
+/// The message of std when the reader of a pipe has closed it, as in `hydrograd ... | head`.
 const BROKEN_PIPE: &str = "failed printing to std";
 
-/// 128 + SIGPIPE, as the shell reports a program that a closed pipe ended.
+/// 128 + SIGPIPE, the exit code that a shell reports for a closed pipe.
 const EXIT_BROKEN_PIPE: u8 = 141;
 
 /// Replaces Rust's panic message by one line that asks to report it.
@@ -24,7 +24,7 @@ pub fn install_panic_hook() {
             return;
         }
         let place = info.location().map(|location| format!(" at {}:{}", location.file(), location.line()));
-        // One line, whatever the panic says.
+        // Keeps the message on one line.
         let message = message.replace('\n', " ");
         complain(&format!(
             "error: internal error{}: {message}; this is a bug in hydrograd {}: please report it with the command line",
@@ -48,7 +48,7 @@ fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
         Ok(Err(error)) => match stopped_by(&error) {
             Some(signal) => {
                 tell(&interrupt::farewell(signal));
-                // As a shell reports a program that the signal ended.
+                // As a shell reports a program that was ended by the signal.
                 u8::try_from(128 + signal).unwrap_or(EXIT_INTERNAL)
             }
             None => tell_error(&error),
@@ -61,33 +61,33 @@ fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
     }
 }
 
-/// The signal that ended a command, if this is the error of that.
+/// The signal that ended a command, if the error is due to one.
 pub(super) fn stopped_by(error: &anyhow::Error) -> Option<i32> {
     let is_stop =
         |cause: &(dyn std::error::Error + 'static)| matches!(cause.downcast_ref::<Error>(), Some(Error::Stopped));
     interrupt::asked().filter(|_| error.chain().any(is_stop))
 }
 
-/// Prints an error and its causes; the exit code.
+/// Prints an error and its causes, and returns the exit code.
 pub(super) fn tell_error(error: &anyhow::Error) -> u8 {
     let causes: String = error.chain().skip(1).map(|cause| format!("\n  cause: {cause}")).collect();
     tell(&with_options(&format!("error: {error}{causes}")));
     exit_code(error)
 }
 
-/// On stderr, and in the document of `--json`.
+/// Prints to stderr, and to the document of `--json`.
 fn tell(text: &str) {
     let text = shown(text);
     machine::fail(&text);
     complain(&text);
 }
 
-/// A warning, and what to try: where a user looks last, and not among the figures that go to a file.
+/// Prints a warning with advice to stderr.
 pub(super) fn warn(problem: &str, advice: &str) {
     complain(&shown(&with_options(&format!("warning: {problem}\n  try: {advice}"))));
 }
 
-/// A line on stderr; if stderr is closed there is nobody to tell (`eprintln!` would panic).
+/// Prints a line to stderr. If stderr is closed the line is lost (`eprintln!` would panic).
 fn complain(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -7,7 +7,7 @@
 //! `result` is what the command writes as its JSON file (`summary.json`, `validation.json`, ...), or what it says at its end: counts, figures,
 //! and which files it wrote.
 
-use super::files::VERSION;
+use crate::report::VERSION;
 use serde_json::{json, Value};
 use std::fs::File;
 use std::io::Write;

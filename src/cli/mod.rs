@@ -17,7 +17,9 @@ mod model_data;
 mod new;
 mod optimize;
 mod optimize_compare;
-mod optimize_shapes;
+mod optimize_report;
+mod optimize_search;
+mod optimize_starts;
 mod page;
 mod prepare;
 pub mod program;
@@ -59,22 +61,22 @@ pub struct Cli {
     pub command: Command,
 }
 
-/// What was typed.
+/// Parses the command line.
 ///
 /// # Errors
-/// It is not understood, or asks for help.
+/// A command line that is not valid, or asks for help.
 pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
     Cli::from_arg_matches(&line().try_get_matches_from(words)?)
 }
 
-/// The command line with the texts of its help in lines as long as the terminal has room for.
+/// The command line, with paragraphs of its help as single lines, which clap wraps to the width of the terminal.
 fn line() -> Line {
-    // An option that commands share has one default in its text, and one command has another.
+    // The commands share this option and its text, but not its default.
     let other = "Built-in scene (`hydrograd scenes` lists them) or TOML file [default: taylor-green]";
     unwrapped(Cli::command().mut_subcommand("recover", |recover| recover.mut_arg("scene", |scene| scene.help(other))))
 }
 
-/// A command and those below it.
+/// Joins the paragraphs in the help of a command and its subcommands.
 fn unwrapped(mut line: Line) -> Line {
     if let Some(text) = line.get_after_help().map(|text| in_paragraphs(&text.to_string())) {
         line = line.after_help(text);
@@ -86,13 +88,13 @@ fn unwrapped(mut line: Line) -> Line {
     names.into_iter().fold(line, |line, name| line.mut_subcommand(name, unwrapped))
 }
 
-/// A text whose lines are broken for those who read the source: one line for a paragraph, and for what explains an example.
+/// Joins the lines of each paragraph, and of the explanation of each example.
 fn in_paragraphs(text: &str) -> String {
     let depth = |line: &str| line.len() - line.trim_start().len();
     let mut lines: Vec<String> = Vec::new();
     for line in text.lines() {
         match lines.last_mut() {
-            // Two spaces: a command, which ends where its line does.
+            // A line with two spaces is a command, which is not joined.
             Some(last)
                 if !last.is_empty()
                     && !last.ends_with(':')

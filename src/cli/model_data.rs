@@ -1,4 +1,4 @@
-//! What `evaluate` and `rollout` begin with: a model and a split of a data set.
+//! The input of `evaluate` and `rollout`: a model and a split of a data set.
 
 use super::arguments::threads;
 use super::guard;
@@ -35,7 +35,7 @@ pub struct ModelDataArguments {
     pub threads: usize,
 }
 
-/// A model and what it is held against.
+/// A model and the data with which it is compared.
 pub struct ModelData {
     pub model: Box<dyn Predictor>,
     pub metadata: Metadata,
@@ -43,7 +43,7 @@ pub struct ModelData {
 }
 
 impl ModelDataArguments {
-    /// Reads all of it; bad input is found here, before anything is written.
+    /// Reads model and data. Errors in the input are found before anything is written.
     pub fn read(&self) -> anyhow::Result<ModelData> {
         use_threads(self.threads);
         let compute = compute(self.kernels, self.device)?;
@@ -65,7 +65,7 @@ pub fn read_data(folder: &Path, split: Split) -> Result<(Metadata, Vec<Trajector
     Ok((metadata, trajectories))
 }
 
-/// A data set that cannot be read is bad input.
+/// Converts the error of an unreadable data set to one about input.
 pub fn unreadable(folder: &Path) -> impl Fn(FileError) -> BadInput + '_ {
     move |error| {
         BadInput::new(error.to_string())

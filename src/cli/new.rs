@@ -1,4 +1,4 @@
-//! `hydrograd new`: a scene to begin with, after a few questions.
+//! `hydrograd new`: writes a scene file after a few questions.
 
 use super::arguments::{check_preset, set_option, with_options};
 use super::machine;
@@ -46,7 +46,7 @@ pub struct NewArguments {
     pub overwrite: bool,
 }
 
-/// What is asked, of scenes that have the key.
+/// The questions, for scenes that have the key.
 const QUESTIONS: [(&str, &str); 12] = [
     ("channel.length", "Length of the channel"),
     ("channel.height", "Height of the channel"),
@@ -74,7 +74,7 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
             .into());
     }
     check_preset(arguments.preset.as_deref())?;
-    // Whoever says what they want is not asked.
+    // With options there are no questions.
     let is_told = arguments.scene.is_some() || arguments.preset.is_some() || !arguments.sets.is_empty();
     let asks = !is_told && std::io::stdin().is_terminal() && std::io::stderr().is_terminal();
     let scene = match &arguments.scene {
@@ -114,9 +114,9 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One of the built-in scenes.
+/// Asks for one of the built-in scenes.
 fn choose() -> anyhow::Result<&'static BuiltIn> {
-    // A line that is broken in two is drawn twice.
+    // A line that is wrapped would be drawn twice.
     let width = usize::from(Term::stderr().size().1).saturating_sub(4);
     let line = |scene: &BuiltIn| format!("{:<20} {}", scene.name, scene.description);
     let lines: Vec<String> = SCENES.iter().map(|scene| truncate_str(&line(scene), width, "...").into_owned()).collect();
@@ -124,7 +124,7 @@ fn choose() -> anyhow::Result<&'static BuiltIn> {
     Ok(&SCENES[chosen])
 }
 
-/// What a configuration's text has for a key, as one would type it.
+/// The value of a key in a configuration's text, as a user would type it.
 fn value(loaded: &Loaded, key: &str) -> Option<String> {
     let table: toml::Table = loaded.text.parse().ok()?;
     let (section, name) = key.split_once('.')?;
@@ -134,7 +134,7 @@ fn value(loaded: &Loaded, key: &str) -> Option<String> {
     }
 }
 
-/// Asks until the answer is one that the scene can be built with.
+/// Asks until the scene can be built with the answer.
 fn ask(
     key: &str,
     question: &str,

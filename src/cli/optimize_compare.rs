@@ -1,7 +1,8 @@
 //! `hydrograd optimize --compare`: solver, surrogate, both, a trust region, and a search without gradients, side by side.
 
 use super::files;
-use super::optimize::{one, surrogate, Begin, Outcome};
+use super::optimize_report::Outcome;
+use super::optimize_search::{one, Begin};
 use super::prepare::build;
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
@@ -9,6 +10,7 @@ use crate::config::scene::{ParametrisationName, Precision};
 use crate::design::cma_es;
 use crate::design::optimise::Epoch;
 use crate::design::problem::{Derivative, ADJOINT};
+use crate::design::Judge;
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::write_rows;
@@ -17,26 +19,29 @@ use crate::report::plots::compare;
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
+use crate::scene::record::Record;
+use crate::scene::search::solver;
 use crate::sph::Sweeps;
-use serde_json::{json, Map, Value};
+use crate::surrogate::design::SurrogateProblem;
+use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Epochs of a trust region: each has a proposal of its own.
+/// Epochs of the trust region, each of which has its own proposal.
 const REGION_EPOCHS: usize = 8;
-/// Evaluations of the search without gradients, per epoch of the others.
+/// Evaluations of the search without gradients per epoch of the others.
 const EVALUATIONS: usize = 12;
-/// Designs of the surrogate's path at which both gradients are taken.
+/// Number of designs on the surrogate's path at which both gradients are compared.
 const PLACES: usize = 6;
-/// Predicted frames of the comparison of gradients over horizons.
+/// Numbers of predicted frames in the comparison of gradients over horizons.
 const HORIZONS: [usize; 5] = [5, 10, 20, 40, 80];
 
-/// What one way to search found.
+/// The result of one method of search.
 struct Way {
     name: &'static str,
     /// The solver's objective of the first design.
     first: f64,
-    /// Steps of the solver so far, and the best objective that the solver has confirmed.
+    /// Number of solver steps so far, and the best objective that the solver has confirmed.
     course: Vec<(f64, f64)>,
     seconds: f64,
     bytes: u64,
@@ -52,19 +57,19 @@ impl Way {
     fn steps(&self) -> f64 {
         self.course.last().map_or(0.0, |point| point.0)
     }
-    /// Steps of the solver until so much of a gain is confirmed.
+    /// Number of solver steps until this gain is confirmed.
     fn steps_to(&self, gain: f64) -> Option<f64> {
         self.course.iter().find(|(_, q)| q / self.first - 1.0 >= gain).map(|(steps, _)| *steps)
     }
 }
 
-/// Every way, each in a folder of its own, and what they have in common beside each other.
+/// Runs every method in its own folder, and compares them.
 ///
-/// One that goes on repeats the search without gradients and what is made of all; a way that had begun goes on, and its memory is that of what
-/// was left.
+/// A resumed comparison repeats the search without gradients and the evaluation of all. Unfinished methods are resumed,
+/// and their memory is that of the resumed part.
 ///
 /// # Errors
-/// A way that fails.
+/// A method that fails.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(loaded, folder, earlier),
@@ -72,16 +77,17 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<V
     }
 }
 
+/// The configuration with other values of some keys.
+fn with(loaded: &Loaded, pairs: &[(&str, &str)]) -> Result<Loaded, Error> {
+    loaded.with(&pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect::<Vec<_>>())
+}
+
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
-    let set = |pairs: &[(&str, &str)]| -> Result<Loaded, Error> {
-        let settings: Vec<Setting> =
-            pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect();
-        loaded.with(&settings)
-    };
+    let set = |pairs: &[(&str, &str)]| with(loaded, pairs);
     let dynamics = |name: &'static str| ("optimise.dynamics", name);
     let trust = |name: &'static str| ("surrogate.trust", name);
     let epochs = REGION_EPOCHS.min(loaded.config.optimise.epochs).to_string();
-    // Every way is built before the first runs.
+    // Every method is built before the first one runs.
     let ways = [
         ("solver", set(&[trust("none"), dynamics("solver")])?),
         ("surrogate", set(&[dynamics("surrogate"), trust("none")])?),
@@ -90,12 +96,12 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
         ("both", set(&[dynamics("both"), trust("none")])?),
     ];
     for (_, loaded) in &ways {
-        surrogate::<R>(loaded)?;
+        SurrogateProblem::<R>::of_config(loaded)?;
     }
-    // Defaults differ from way to way: only what was given goes on with all of them.
+    // Defaults differ between methods, so only given values are shared.
     write_bytes_atomically(&folder.join("config.toml"), loaded.given_text().as_bytes())?;
     let splines = set(&[trust("none"), dynamics("solver"), ("design.parametrisation", "b-spline")])?;
-    let (mut found, mut path, mut all, mut owned) = (Vec::new(), Vec::new(), Map::new(), Vec::new());
+    let (mut found, mut path, mut all, mut owned) = (Vec::new(), Vec::new(), Record::default(), Vec::new());
     for (name, loaded) in &ways {
         reset_peak_memory();
         let clock = Instant::now();
@@ -106,7 +112,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
         let (own, outcome) = one(loaded, &place, begin, name, &Tasks::default())?;
         owned.push(own);
         let seconds = match goes_on {
-            // What came before is only known by the epochs.
+            // The time of earlier sessions is known only by epoch.
             true => outcome.history.iter().map(|epoch| epoch.seconds).sum(),
             false => clock.elapsed().as_secs_f64(),
         };
@@ -115,7 +121,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
         if *name == "surrogate" {
             path = designs(&outcome);
         }
-        all.insert(label, Value::Object(outcome.summary));
+        all.put(&label, outcome.record);
     }
     found.push(without_gradient::<R>(&splines)?);
     let cosines = cosines::<R>(&ways[1].1, &path)?;
@@ -124,7 +130,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
     Ok(owned)
 }
 
-/// Steps of the solver, and the best that it has confirmed, epoch by epoch.
+/// Number of solver steps and the best confirmed objective, by epoch.
 fn course(history: &[Epoch]) -> Vec<(f64, f64)> {
     let (mut steps, mut best) = (0.0, f64::NEG_INFINITY);
     let mut course = Vec::new();
@@ -137,7 +143,7 @@ fn course(history: &[Epoch]) -> Vec<(f64, f64)> {
             course.push((steps, best));
         }
     }
-    // What the solver said when all epochs were over, it said then.
+    // The solver's evaluations after all epochs come last.
     for epoch in history {
         let (Some(more), Some(truth)) = (epoch.judged_late, epoch.truth) else { continue };
         steps += more as f64;
@@ -149,7 +155,7 @@ fn course(history: &[Epoch]) -> Vec<(f64, f64)> {
     course
 }
 
-/// Some designs of a path, spread over it.
+/// Some designs spread over a path.
 fn designs(outcome: &Outcome) -> Vec<(usize, Vec<f64>)> {
     let good: Vec<usize> = (0..outcome.history.len()).filter(|&e| !outcome.history[e].is_rejected()).collect();
     let count = PLACES.min(good.len());
@@ -157,21 +163,20 @@ fn designs(outcome: &Outcome) -> Vec<(usize, Vec<f64>)> {
     chosen.map(|epoch| (epoch, outcome.history[epoch].variables.clone())).collect()
 }
 
-/// CMA-ES on the control points of a B-spline, judged by the solver.
+/// CMA-ES on the control points of a B-spline, evaluated by the solver.
 fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
-    let search = loaded.for_search()?;
-    let (problem, _) = build::<R>(&search.config)?;
+    let solver = solver::<R>(loaded)?;
     reset_peak_memory();
     let evaluations = EVALUATIONS * loaded.config.optimise.epochs;
     let (clock, bar) = (Instant::now(), Progress::new(evaluations as u64, "optimize cma-es"));
     let (mut steps, mut course, mut best) = (0, Vec::new(), f64::NEG_INFINITY);
-    let mut loss = |variables: &[f64]| match problem.truth(variables) {
-        Ok((truth, more)) => {
-            steps += more;
-            best = f64::max(best, truth.figure);
+    let mut loss = |variables: &[f64]| match solver.value(variables) {
+        Ok(found) => {
+            steps += found.solver_steps;
+            best = f64::max(best, found.figure);
             course.push((steps as f64, best));
             bar.done(1);
-            Ok(truth.loss)
+            Ok(found.loss)
         }
         Err(Error::Diverged { .. }) => {
             bar.done(1);
@@ -180,26 +185,24 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
         Err(error) => Err(error),
     };
     let step = 0.25 * loaded.config.design.bound;
-    let limits = problem.parametrisation.limits();
-    cma_es::search(&problem.first, step, evaluations, loaded.config.run.seed, limits, &mut loss)?;
+    let limits = solver.parametrisation().limits();
+    cma_es::search(&solver.problem.first, step, evaluations, loaded.config.run.seed, limits, &mut loss)?;
     bar.finish();
     let seconds = clock.elapsed().as_secs_f64();
     let first = course.first().map_or(f64::NAN, |point| point.1);
     Ok(Way { name: "CMA-ES, B-spline", first, course, seconds, bytes: peak_memory_bytes() })
 }
 
-/// By epoch: the cosine between the surrogate's gradient of the objective and the solver's.
+/// The cosine between the surrogate's and the solver's gradient of the objective, by epoch.
 fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Result<Vec<(usize, f64)>> {
-    let Some(surrogate) = surrogate::<R>(loaded)? else { return Ok(Vec::new()) };
-    let search = loaded.for_search()?;
-    let (problem, _) = build::<R>(&search.config)?;
-    let schedule = problem.schedule(&search.config.optimise, search.config.run.precision)?;
+    let Some(surrogate) = SurrogateProblem::<R>::of_config(loaded)? else { return Ok(Vec::new()) };
+    let solver = solver::<R>(loaded)?;
     let mut found = Vec::new();
     for (epoch, variables) in path {
-        // A wall that only the surrogate has judged may be none for the solver.
-        let solver = problem.differentiate(variables, &schedule, &mut |_| ());
+        // A wall that only the surrogate has evaluated may fail in the solver.
+        let by_solver = solver.differentiate(variables, &mut |_| ());
         let own = surrogate.differentiate(variables, &mut |_| ());
-        let cosine = match (solver, own) {
+        let cosine = match (by_solver, own) {
             (Ok(solver), Ok(own)) => cosine(&own.by_variables, &solver.by_variables),
             _ => f64::NAN,
         };
@@ -223,31 +226,31 @@ struct Horizon {
     solver: f64,
 }
 
-/// How gradients grow with the time that they look back, over the first design, with particles that move in both.
+/// Growth of gradients with the length of the horizon, for the first design, with moving particles in both.
 fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
-    let set = |settings: &[(&str, String)]| {
-        let settings: Vec<Setting> =
-            settings.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect();
-        loaded.with(&settings)
-    };
     let mut found = Vec::new();
     for steps in HORIZONS {
-        let last = ("objective.window", "0.0".to_string());
-        let one = ("objective.samples", "1".to_string());
-        let frames = ("surrogate.steps", steps.to_string());
-        let early = ("surrogate.settle", "300".to_string());
-        let with = set(&[frames, early, ("surrogate.window", "0.0".to_string())])?;
-        let Some(own) = surrogate::<R>(&with)? else { return Ok(found) };
-        // The same design variables in both.
-        let name = match loaded.config.design.parametrisation {
-            ParametrisationName::Nodes => "nodes".to_string(),
-            ParametrisationName::BSpline => "b-spline".to_string(),
-        };
-        let (none, same) = (("optimise.dynamics", "solver".to_string()), ("design.parametrisation", name));
-        let with = set(&[("time.end", format!("{:?}", own.end())), last, one, none, same])?;
+        let frames =
+            [("surrogate.steps", &*steps.to_string()), ("surrogate.settle", "300"), ("surrogate.window", "0.0")];
+        let Some(own) = SurrogateProblem::<R>::of_config(&with(loaded, &frames)?)? else { return Ok(found) };
+        let settings = [
+            ("time.end", &*format!("{:?}", own.end())),
+            ("objective.window", "0.0"),
+            ("objective.samples", "1"),
+            ("optimise.dynamics", "solver"),
+            // The same design variables in both.
+            (
+                "design.parametrisation",
+                match loaded.config.design.parametrisation {
+                    ParametrisationName::Nodes => "nodes",
+                    ParametrisationName::BSpline => "b-spline",
+                },
+            ),
+        ];
+        let with = with(loaded, &settings)?;
         let (problem, _) = build::<R>(&with.config)?;
         let schedule = problem.schedule(&with.config.optimise, with.config.run.precision)?;
-        // A run that goes wrong has no gradient to show; the others have.
+        // A failed run has no gradient; the others do.
         let size = |found: Result<Derivative, Error>| found.map_or(f64::NAN, |found| norm(&found.by_variables));
         found.push(Horizon {
             time: own.end(),
@@ -263,7 +266,7 @@ fn report(
     folder: &Path,
     ways: &[Way],
     (cosines, horizons): (&[(usize, f64)], &[Horizon]),
-    mut all: Map<String, Value>,
+    mut all: Record,
 ) -> anyhow::Result<()> {
     let symbol = crate::design::objectives::Figure::of_config(&loaded.config).symbol;
     let goal = 0.9 * ways[0].gain();
@@ -286,7 +289,7 @@ fn report(
             "gain": way.gain(), "solver_steps": way.steps(), "solver_steps_to_90_percent": way.steps_to(goal),
             "seconds": way.seconds, "peak_bytes": way.bytes,
         });
-        all.insert(format!("compared: {}", way.name), row);
+        all.put(&format!("compared: {}", way.name), row);
     }
     let curves: Vec<(String, Vec<(f64, f64)>)> = ways
         .iter()
@@ -301,13 +304,13 @@ fn report(
     let of = |size: fn(&Horizon) -> f64| horizons.iter().map(|h| (h.time, size(h))).collect::<Vec<_>>();
     let curves = [("surrogate".to_string(), of(|h| h.surrogate)), ("solver".to_string(), of(|h| h.solver))];
     let label = format!("|gradient of {symbol} at the end|");
-    compare(&folder.join("horizons"), "Gradient by horizon", "time", &label, &curves, false, true)?;
+    compare(&folder.join("horizons"), "Gradient by horizon", "time (scene units)", &label, &curves, false, true)?;
     let rows: Vec<Vec<f64>> = horizons.iter().map(|h| vec![h.time, h.surrogate, h.solver]).collect();
     write_rows(&folder.join("horizons.csv"), &["time", "surrogate", "solver"], &rows)?;
     let shown: Vec<String> = cosines.iter().map(|(epoch, cosine)| format!("{cosine:.3} (epoch {epoch})")).collect();
-    all.insert("cosine_by_epoch".into(), json!(cosines));
-    all.insert("gradient_norm_by_horizon".into(), json!(rows));
-    files::write_summary(folder, all)?;
+    all.put("cosine_by_epoch", cosines);
+    all.put("gradient_norm_by_horizon", rows);
+    files::write_summary(folder, &all)?;
     println!("{}", table.to_text());
     println!("a step of an adjoint counts as {ADJOINT} of the solver");
     println!("cosine of the surrogate's gradient with the solver's along its path: {}", shown.join(", "));

@@ -1,4 +1,4 @@
-//! What every run does first.
+//! Common preparations of runs.
 
 use crate::adjoint::RunError;
 use crate::config::device::{Compute, DeviceName};
@@ -10,37 +10,35 @@ pub use crate::numerics::threads::use_threads;
 use crate::scene::load::Loaded;
 pub use crate::scene::{build_design as build, require_design};
 use crate::sph::divergence;
-use crate::sph::model::Model;
 use crate::sph::solver::Snapshot;
+use crate::sph::Model;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::Mutex;
 use std::thread::ScopedJoinHandle;
 
-/// Opens the device that a configuration names, before anything is written.
+/// Opens the device of a configuration, before anything is written.
 ///
 /// # Errors
-/// A build or a machine without it.
+/// A build or a machine without the device.
 pub fn open_device(loaded: &Loaded) -> Result<(), BadInput> {
-    let opened = loaded.config.run.compute().map(drop);
-    opened.map_err(|bad| bad.located(|key| loaded.place(key).map(str::to_owned)))
+    loaded.config.run.compute().map(drop).map_err(|bad| loaded.located(bad))
 }
 
-/// For a command that runs on the CPU alone.
+/// Checks the device of a command that runs only on the CPU.
 ///
 /// # Errors
-/// A configuration that names another device.
+/// A configuration with another device.
 pub fn require_cpu(loaded: &Loaded, command: &str) -> Result<(), BadInput> {
     match loaded.config.run.device {
         DeviceName::Cpu => Ok(()),
-        device => Err(BadInput::new(format!("{command} runs on the CPU, not on {device}"))
-            .key("run.device")
-            .allowed("cpu")
-            .located(|key| loaded.place(key).map(str::to_owned))),
+        device => Err(loaded.located(
+            BadInput::new(format!("{command} runs on the CPU, not on {device}")).key("run.device").allowed("cpu"),
+        )),
     }
 }
 
-/// What `--kernels` and `--device` ask for, where they stand for no key.
+/// Kernels and device by `--kernels` and `--device`, for commands without these keys.
 ///
 /// # Errors
 /// As for [`open_device`].
@@ -49,16 +47,16 @@ pub fn compute(kernels: Kernels, device: DeviceName) -> Result<Compute, BadInput
     Ok(Compute::new(kernels, opened))
 }
 
-/// Workers that share out some jobs: as many as `threads` (0: as there are cores), and no more than there are jobs.
+/// Number of workers for some jobs: `threads` (0: the number of cores), and at most the number of jobs.
 pub fn workers(threads: usize, jobs: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     if threads > 0 { threads } else { cores }.min(jobs).max(1)
 }
 
-/// What `work` makes of each of the jobs, in their order, by several workers. After an error no job is begun any more.
+/// The results of `work` for all jobs, in order, by several workers. After an error no further job is started.
 ///
 /// # Errors
-/// The first of `work`.
+/// The first error of `work`.
 pub fn share_out<J: Sync, T: Send>(
     workers: usize,
     jobs: &[J],
@@ -93,7 +91,7 @@ pub fn share_out<J: Sync, T: Send>(
     }
 }
 
-/// What a user is told of a run that failed after a state that was good; other errors as they are.
+/// Converts the error of a run that failed after a good state; other errors stay the same.
 pub fn diverged<'a, R: Real>(
     model: &'a Model<R>,
     good: &'a Snapshot<R>,
@@ -104,7 +102,7 @@ pub fn diverged<'a, R: Real>(
     }
 }
 
-/// `a -> b (+1.2 %)`.
+/// A change in the form `a -> b (+1.2 %)`.
 pub fn change(before: f64, after: f64) -> String {
     format!("{before:.6} -> {after:.6} ({:+.2} %)", 100.0 * (after / before - 1.0))
 }

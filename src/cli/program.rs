@@ -1,19 +1,19 @@
-//! How this program is started again: `study` and `bench` do, and what `slurm` writes.
+//! Starts this program again, for `study`, `bench` and the scripts of `slurm`.
 
 use std::ffi::OsString;
 use std::process::Command;
 use std::sync::OnceLock;
 
-/// The words of another program that runs this command line.
+/// The words that start another program with this command line.
 static OTHER: OnceLock<Vec<OsString>> = OnceLock::new();
 
-/// Said by a program of another name that runs this command line, as Python does: the words that start it, arguments behind them.
+/// Sets the words that start another program with this command line, such as Python; arguments are appended.
 pub fn is_started_by(words: Vec<OsString>) {
-    // Whoever said so first is still there.
+    // The first call counts.
     let _ = OTHER.set(words);
 }
 
-/// What starts this program: its path, and what comes before the arguments.
+/// The words that start this program: its path, and words before the arguments.
 ///
 /// # Errors
 /// System errors.
@@ -24,7 +24,7 @@ pub fn words() -> std::io::Result<Vec<OsString>> {
     }
 }
 
-/// A process of the program that some words start.
+/// A process started by these words.
 pub fn command(words: &[OsString]) -> Command {
     let mut command = Command::new(words.first().map(OsString::as_os_str).unwrap_or_default());
     command.args(words.get(1..).unwrap_or_default());
@@ -37,7 +37,7 @@ mod tests {
 
     #[test]
     fn words_before_the_arguments_stay_there() {
-        // Nobody else said so: it is the test itself.
+        // Without other words it is the test itself.
         assert_eq!(words().unwrap(), [std::env::current_exe().unwrap().into_os_string()]);
         let words = ["echo", "-m", "hydrograd"].map(OsString::from);
         let output = command(&words).arg("study").output().unwrap();

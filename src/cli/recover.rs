@@ -1,4 +1,4 @@
-//! `hydrograd recover`: what a flow began with, from where its particles are later.
+//! `hydrograd recover`: finds the initial state of a flow from later positions of its particles.
 
 use super::arguments::{at_least_one, name_of, CommonArguments};
 use super::files;
@@ -17,6 +17,7 @@ use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::record::Record;
 use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use crate::surrogate::initial_velocity::{known_scene, LearnedVelocities};
@@ -24,7 +25,6 @@ use crate::surrogate::models::learned::Learned;
 use crate::surrogate::{load_learned, TAYLOR_GREEN};
 use candle_core::DType;
 use clap::{Args, ValueEnum};
-use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -85,10 +85,10 @@ pub enum SearchedBy {
     Surrogate,
 }
 
-/// Frames of a surrogate unless the user says so: a fifth of the time in which a vortex of the built-in model's data turns once.
+/// Default number of frames of a surrogate: a fifth of the rotation period of a vortex in the built-in model's data.
 const USUAL_FRAMES: usize = 8;
 
-/// How long a run is unless the user says so. A block that falls from the middle of its tank comes to the floor at 0.6.
+/// Default length of a run. A block that falls from the middle of its tank reaches the floor at 0.6.
 const USUAL: &str = "time.steps=100";
 const USUAL_OF_A_BLOCK: &str = "time.end=0.5";
 
@@ -114,7 +114,7 @@ impl RecoverArguments {
         Ok(common.load(None, if own { vec![Setting::set(usual)] } else { vec![] }, vec![])?)
     }
 
-    /// The scene whose flow a surrogate knows, with what the user says on top.
+    /// The scene of a surrogate's data with the user's settings.
     fn load_known(&self, common: &CommonArguments) -> anyhow::Result<Loaded> {
         let refused = |what: &str, place: &str, allowed: &str| -> anyhow::Result<Loaded> {
             Err(BadInput::new(what).place(place).allowed(allowed).into())
@@ -152,7 +152,7 @@ impl RecoverArguments {
         self.unknown.unwrap_or(usual)
     }
 
-    /// The scene with the start that is assumed at first; none: at rest.
+    /// The scene with the assumed start; none if it is at rest.
     fn assumed(&self, loaded: &Loaded) -> Result<Option<Loaded>, Error> {
         let config = &loaded.config;
         let given = |text: &String| Setting { label: format!("--guess {text}"), ..Setting::set(text) };
@@ -161,8 +161,8 @@ impl RecoverArguments {
             settings.push(match (self.unknown(config), config.scene) {
                 (Unknown::Velocities, _) => return Ok(None),
                 (_, Family::FallingBlock) => {
-                    // Two spacings away from the wall that is farther off: one more and it would hardly feel the wall, one less and
-                    // the wall pushes it out of its lattice.
+                    // Two spacings away from the more distant wall: with one more it would hardly feel the wall, with
+                    // one less the wall would push it out of its lattice.
                     let (away, water) = (2.0 * config.resolution.dx, &config.water);
                     let right = config.tank.length - water.length - away;
                     let x = if water.x - away > right - water.x { away } else { right };
@@ -175,7 +175,7 @@ impl RecoverArguments {
     }
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "recover";
 
 pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
@@ -189,7 +189,7 @@ pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
     }
 }
 
-/// What is known of an unknown: its name in tables, and in files.
+/// The name of an unknown's error in tables and in files.
 fn names(unknown: Unknown) -> (&'static str, &'static str) {
     match unknown {
         Unknown::Velocities => ("error of the velocities, relative", "velocity_error"),
@@ -232,12 +232,11 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     pictures(&problem, folder, &[("found", &found.at)], is_twin)?;
     let (first, seconds) = (&found.rows[0], found.seconds());
     let mut summary = summary_of(&problem, &found);
-    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
-    put("distance_before", json!(first[1]));
-    put("distance", json!(problem.distance(found.loss)));
-    put(&format!("{error_key}_before"), json!(is_twin.then_some(first[2])));
-    put(error_key, json!(is_twin.then(|| problem.error(&found.at))));
-    files::write_summary(folder, summary)?;
+    summary.put("distance_before", first[1]);
+    summary.put("distance", problem.distance(found.loss));
+    summary.put(&format!("{error_key}_before"), is_twin.then_some(first[2]));
+    summary.put(error_key, is_twin.then(|| problem.error(&found.at)));
+    files::write_summary(folder, &summary)?;
     page::write(folder)?;
     let mut table = Table::new(["", "before", "found"]);
     table.row(cells(END, &[first[1], problem.distance(found.loss)]));
@@ -258,32 +257,31 @@ fn cells(name: &str, numbers: &[f64]) -> Vec<String> {
     [vec![name.to_string()], numbers.iter().map(|x| format!("{x:.6}")).collect()].concat()
 }
 
-/// Says of bad input where the user wrote it.
+/// Adds to errors about input where the user wrote it.
 fn located(loaded: &Loaded) -> impl Fn(anyhow::Error) -> anyhow::Error + '_ {
     |error| match error.downcast::<Error>() {
-        Ok(Error::Input(bad)) => Error::from(bad.located(|key| loaded.place(key).map(str::to_owned))).into(),
+        Ok(Error::Input(bad)) => Error::from(loaded.located(*bad)).into(),
         Ok(other) => other.into(),
         Err(error) => match error.downcast::<BadInput>() {
-            Ok(bad) => bad.located(|key| loaded.place(key).map(str::to_owned)).into(),
+            Ok(bad) => loaded.located(bad).into(),
             Err(other) => other,
         },
     }
 }
 
-/// What the files say of any search.
-fn summary_of<R: Sweeps>(problem: &InitialState<R>, found: &Recovered) -> Map<String, Value> {
-    let numbers = [
-        ("unknown", json!(name_of(problem.unknown))),
-        ("particles", json!(problem.scene.model.particles())),
-        ("unknowns", json!(found.at.len())),
-        ("steps", json!(problem.scene.steps)),
-        ("epochs", json!(found.rows.len())),
-        ("seconds", json!(found.seconds())),
-    ];
-    numbers.into_iter().map(|(key, value)| (key.to_string(), value)).collect()
+/// The common figures of all searches.
+fn summary_of<R: Sweeps>(problem: &InitialState<R>, found: &Recovered) -> Record {
+    let mut record = Record::default();
+    record.put("unknown", name_of(problem.unknown));
+    record.put("particles", problem.scene.model.particles());
+    record.put("unknowns", found.at.len());
+    record.put("steps", problem.scene.steps);
+    record.put("epochs", found.rows.len());
+    record.put("seconds", found.seconds());
+    record
 }
 
-/// The velocities by a surrogate, judged in the solver, and beside them what the solver finds itself.
+/// Finds velocities by a surrogate, checks them by the solver, and compares them with those found by the solver.
 fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -> anyhow::Result<()> {
     let frames = arguments.frames.unwrap_or(USUAL_FRAMES);
     let learned = LearnedVelocities::<R>::new(loaded, arguments.surrogate()?, frames).map_err(located(loaded))?;
@@ -321,19 +319,18 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     let (before, own) = (&solver.rows[0], problem.distance(solver.loss));
     let (error, own_error) = (problem.error(&model.at), problem.error(&solver.at));
     let mut summary = summary_of(problem, &model);
-    let mut put = |key: &str, value: Value| summary.insert(key.into(), value);
-    put("frames", json!(frames));
-    put("distance_before", json!(before[1]));
-    put("distance", json!(judged));
-    put("distance_in_the_surrogate_before", json!(model.rows[0][1]));
-    put("distance_in_the_surrogate", json!(problem.distance(model.loss)));
-    put("distance_in_the_surrogate_from_the_true_start", json!(true_start));
-    put("velocity_error", json!(error));
+    summary.put("frames", frames);
+    summary.put("distance_before", before[1]);
+    summary.put("distance", judged);
+    summary.put("distance_in_the_surrogate_before", model.rows[0][1]);
+    summary.put("distance_in_the_surrogate", problem.distance(model.loss));
+    summary.put("distance_in_the_surrogate_from_the_true_start", true_start);
+    summary.put("velocity_error", error);
     let mut beside = summary_of(problem, &solver);
-    beside.insert("distance".into(), json!(own));
-    beside.insert("velocity_error".into(), json!(own_error));
-    put("solver", Value::Object(beside));
-    files::write_summary(folder, summary)?;
+    beside.put("distance", own);
+    beside.put("velocity_error", own_error);
+    summary.put("solver", beside);
+    files::write_summary(folder, &summary)?;
     page::write(folder)?;
     let mut table = Table::new(["", "before", "found by the surrogate", "found by the solver"]);
     table.row(cells(&format!("{END}, in the solver"), &[before[1], judged, own]));
@@ -357,7 +354,7 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     Ok(())
 }
 
-/// An error if there is nothing to find.
+/// Returns an error if there is nothing to find.
 fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: bool) -> Result<(), Error> {
     let bad = |what: &str| BadInput::new(what).place(loaded.config.scene.name());
     if is_twin && problem.unknown == Unknown::Velocities && problem.truth().iter().all(|v| *v == 0.0) {
@@ -377,12 +374,12 @@ fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: b
     Ok(())
 }
 
-/// Told which share of an epoch is done.
+/// Called with the completed fraction of an epoch.
 type Share<'a> = &'a mut dyn FnMut(f64);
-/// Loss and gradient of unknowns.
+/// Computes loss and gradient for values of the unknowns.
 type Evaluate<'a> = &'a mut dyn FnMut(&[f64], Share<'_>) -> Result<(f64, Vec<f64>), Error>;
 
-/// What a search has found, and its epochs: number, distance at the end, error of the unknowns, seconds.
+/// The result of a search, and its epochs: number, distance at the end, error of the unknowns, seconds.
 struct Recovered {
     at: Vec<f64>,
     loss: f64,
@@ -391,7 +388,7 @@ struct Recovered {
 
 impl Recovered {
     fn column(&self, k: usize) -> Vec<(f64, f64)> {
-        // In pictures epochs count from one.
+        // In plots epochs are counted from one.
         self.rows.iter().map(|row| (row[0] + 1.0, row[k])).collect()
     }
 
@@ -400,7 +397,7 @@ impl Recovered {
     }
 }
 
-/// `label` begins the line of an epoch.
+/// Searches; `label` is the prefix of the lines.
 fn recover<R: Sweeps>(
     problem: &InitialState<R>,
     label: &str,
@@ -416,7 +413,7 @@ fn recover<R: Sweeps>(
         |epoch: usize, x: &[f64]| evaluate(x, &mut |share| bar.set_position((100.0 * (epoch as f64 + share)) as u64));
     let mut see = |epoch: Epoch<'_>| {
         let distance = problem.distance(epoch.loss);
-        // Of another flow's start nothing is known.
+        // The true start of another flow is unknown.
         let error = if is_twin { problem.error(epoch.at) } else { f64::NAN };
         let (name, _) = names(problem.unknown);
         let known = if is_twin { format!("  {name} {error:.6}") } else { String::new() };
@@ -428,10 +425,10 @@ fn recover<R: Sweeps>(
     Ok(Recovered { at: found.at, loss: found.loss, rows })
 }
 
-/// Places `[2, N]` and speeds `[N]`.
+/// Positions `[2, N]` and speeds `[N]`.
 type Shown = (Vec<f64>, Vec<f64>);
 
-/// Where particles end and begin: with what was assumed, as they should, and as found; coloured by their speeds.
+/// Plots initial and final positions, assumed, true and found, coloured by speed.
 fn pictures<R: Sweeps>(
     problem: &InitialState<R>,
     folder: &Path,
@@ -439,15 +436,15 @@ fn pictures<R: Sweeps>(
     is_twin: bool,
 ) -> anyhow::Result<()> {
     let (scene, model) = (&problem.scene, &problem.scene.model);
-    let (n, d) = (model.particles(), model.layout.dimension);
+    let (n, d) = (model.particles(), model.dimension());
     let speed = |fields: &ParticleFields| -> Vec<f64> {
         (0..n).map(|i| (0..d).map(|k| fields.velocity[k * n + i].powi(2)).sum::<f64>().sqrt()).collect()
     };
-    let shown = |solver: &mut Solver<R>| {
-        let fields = ParticleFields::of(solver);
-        (fields.position[..2 * n].to_vec(), speed(&fields))
+    let shown = |solver: &mut Solver<R>| -> anyhow::Result<_> {
+        let fields = ParticleFields::of(solver)?;
+        Ok((fields.position[..2 * n].to_vec(), speed(&fields)))
     };
-    let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { Ok(shown(&mut Solver::restore(model.clone(), start)?)) };
+    let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { shown(&mut Solver::restore(model.clone(), start)?) };
     let draw = |name: &str, panels: &[(String, Shown)]| {
         let fluid = |speeds: &[f64]| (0..n).filter(|&i| model.is_fluid(i)).map(|i| speeds[i]).fold(0.0, f64::max);
         let most = panels.iter().map(|(_, (_, speeds))| fluid(speeds)).fold(0.0, f64::max);
@@ -460,13 +457,13 @@ fn pictures<R: Sweeps>(
         colored_particles(&folder.join(name), "speed |u|", &drawn, (0.0, most.max(1e-6)), range(0), range(1))
     };
     let first = problem.first();
-    // How fast particles of a file are is not looked at.
+    // The speeds of particles in a file are not used.
     let wanted = match is_twin {
-        true => shown(&mut problem.end_of(&scene.start)?).1,
+        true => shown(&mut problem.end_of(&scene.start)?)?.1,
         false => vec![0.0; n],
     };
     let mut ends = vec![
-        ("end, from what was assumed".to_string(), shown(&mut problem.end(&first)?)),
+        ("end, from what was assumed".to_string(), shown(&mut problem.end(&first)?)?),
         ("end, as it should be".to_string(), (problem.target()[..2 * n].to_vec(), wanted)),
     ];
     let mut starts = vec![("start, as assumed".to_string(), begin(&problem.start(&first))?)];
@@ -474,7 +471,7 @@ fn pictures<R: Sweeps>(
         starts.push(("start, as it was".to_string(), begin(&scene.start)?));
     }
     for (name, x) in found {
-        ends.push((format!("end, from what was {name}"), shown(&mut problem.end(x)?)));
+        ends.push((format!("end, from what was {name}"), shown(&mut problem.end(x)?)?));
         starts.push((format!("start, as {name}"), begin(&problem.start(x))?));
     }
     draw("end", &ends)?;

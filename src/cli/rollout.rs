@@ -1,4 +1,4 @@
-//! `hydrograd rollout`: what a model predicts, beside what happened, to look at.
+//! `hydrograd rollout`: plots a model's prediction beside the truth.
 
 use super::arguments::at_least_one;
 use super::machine;
@@ -6,7 +6,7 @@ use super::model_data::{ModelData, ModelDataArguments};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::dataset::extent::Extent;
-use crate::dataset::{kind, Metadata, Trajectory};
+use crate::dataset::{Metadata, Trajectory};
 use crate::error::{BadInput, Error};
 use crate::io::vtk::{ParticleFrame, VtkSeries};
 use crate::report::page::PAGE;
@@ -20,7 +20,7 @@ use clap::Args;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Rows of the picture.
+/// Largest number of rows in the plot.
 const PICTURES: usize = 4;
 
 /// Predict a trajectory and write it beside the true one: ParaView series and pictures.
@@ -50,7 +50,7 @@ pub struct RolloutArguments {
     pub out: PathBuf,
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "rollout";
 
 pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
@@ -69,7 +69,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
 
     let folder = &arguments.out;
     let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
-    let scene = Scene { metadata: &metadata, trajectory, tag: tags(trajectory) };
+    let scene = Scene { metadata: &metadata, trajectory, tag: trajectory.tags() };
     let predicted = scene.fields(&last_seen, &run.frames);
     let truth_fields = scene.fields(&last_seen, &truth);
     scene.write_series(folder, "predicted", &predicted)?;
@@ -119,7 +119,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The trajectory of a name; none: the first.
+/// The trajectory with a name; the first one without a name.
 pub(super) fn find<'a>(trajectories: &'a [Trajectory], name: Option<&str>) -> Result<&'a Trajectory, BadInput> {
     let first = trajectories.first().ok_or_else(|| BadInput::new("the data set has no trajectory"))?;
     let Some(name) = name else { return Ok(first) };
@@ -130,15 +130,15 @@ pub(super) fn find<'a>(trajectories: &'a [Trajectory], name: Option<&str>) -> Re
     })
 }
 
-/// Steps (from 1) that the picture shows: spread over all, the last among them.
+/// The steps (from 1) in the plot, spread over all and including the last.
 fn shown(steps: usize) -> Vec<usize> {
     let rows = PICTURES.min(steps);
     (1..=rows).map(|row| (row * steps).div_ceil(rows)).collect()
 }
 
-/// How far a step is off, mean squares over the particles that move by themselves.
+/// Mean squared errors of a step over the particles that the model moves.
 struct StepError {
-    /// From 1.
+    /// Number of the step, from 1.
     step: usize,
     position: f64,
     temperature: Option<f64>,
@@ -156,7 +156,7 @@ fn errors(scene: &Scene, predicted: &[Frame], truth: &[Frame]) -> Vec<StepError>
     predicted.iter().zip(truth).enumerate().map(of).collect()
 }
 
-/// The errors of some steps.
+/// A table of the errors of some steps.
 fn table(errors: &[StepError], shown: &[usize]) -> Table {
     let mut table = Table::new(["step", "position MSE", "temperature MSE"]);
     for error in errors.iter().filter(|error| shown.contains(&error.step)) {
@@ -169,27 +169,13 @@ fn table(errors: &[StepError], shown: &[usize]) -> Table {
     table
 }
 
-/// 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as everywhere in hydrograd), 4 rigid body, 5 padding.
-pub(super) fn tags(trajectory: &Trajectory) -> Vec<u8> {
-    let hot = |i: usize| trajectory.wall_temperature.as_ref().is_some_and(|t| t[i].is_finite());
-    let tag = |(i, &k): (usize, &i32)| match k {
-        kind::FLUID => 0,
-        kind::SOLID_WALL if hot(i) => 3,
-        kind::SOLID_WALL => 1,
-        kind::MOVING_WALL => 2,
-        kind::RIGID_BODY => 4,
-        _ => 5,
-    };
-    trajectory.kind.iter().enumerate().map(tag).collect()
-}
-
 struct Scene<'a> {
     metadata: &'a Metadata,
     trajectory: &'a Trajectory,
     tag: Vec<u8>,
 }
 
-/// One frame, component-major as the writers want it.
+/// The fields of one frame, by component, as the writers need them.
 struct Fields {
     position: Vec<f64>,
     velocity: Vec<f64>,
@@ -197,7 +183,7 @@ struct Fields {
 }
 
 impl Scene<'_> {
-    /// The frame before the first predicted one, at rest, and the frames.
+    /// The fields of the frame before the first predicted one, at rest, and of the frames.
     fn fields(&self, before: &Frame, frames: &[Frame]) -> Vec<Fields> {
         let extent = Extent::of(self.metadata);
         let (d, n) = (extent.dimension(), self.trajectory.particles);
@@ -233,7 +219,7 @@ impl Scene<'_> {
         Ok(())
     }
 
-    /// Predicted, true, difference, coloured by temperature, or by speed where there is none. 3D is seen along z.
+    /// Plots prediction, truth and difference, coloured by temperature, or by speed without heat. 3D is viewed along z.
     fn picture(&self, stem: &Path, predicted: &[Fields], truth: &[Fields]) -> anyhow::Result<()> {
         let n = self.trajectory.particles;
         let speed = |velocity: &[f64]| -> Vec<f64> {
@@ -279,13 +265,13 @@ impl Scene<'_> {
             let mut values: Vec<f64> =
                 rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k]))).collect();
             values.sort_by(f64::total_cmp);
-            // The particles that one of the two reset at the inlet would leave no colours for the others.
+            // Excludes particles that only one of both reset at the inlet, which would dominate the range of colours.
             let cut = if columns == [2] { values.len() / 20 } else { 0 };
             let (low, high) = match values.len() {
                 0 => (0.0, 0.0),
                 count => (values[0], values[count - 1 - cut]),
             };
-            // Equal values are no range of colours.
+            // Equal values need a range of colours.
             if high > low {
                 (low, high)
             } else {
@@ -297,7 +283,7 @@ impl Scene<'_> {
         } else {
             ("speed |v|", "|v - v true|, the largest 5 % alike")
         };
-        // Walls may lie outside of the box.
+        // Walls may be outside of the box.
         let bounds = |d: usize| {
             let (low, high) = (self.metadata.bounds[d][0], self.metadata.bounds[d][1]);
             let half = 0.5 * self.metadata.dx;

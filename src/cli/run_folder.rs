@@ -1,7 +1,7 @@
-//! The folder of a run: of one kind of command, and written by one process at a time.
+//! The folder of a run, which is for one kind of command and is written by one process at a time.
 //!
-//! A file in it, [`MARKER`], says whose it is and whether the run has left everything that it is to leave. Who writes there holds
-//! a lock on that file, which the system drops with the process, however that ends.
+//! A file in it, [`MARKER`], has the kind of the run and whether the run is finished. The process that writes to the
+//! folder holds a lock on that file, which the system releases when the process ends in any way.
 
 use super::arguments::check_writable;
 use crate::error::BadInput;
@@ -12,25 +12,24 @@ use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// The name of the command, and `finished` in a second line once there is nothing left to do.
+/// The marker file: the name of the command, and `finished` in a second line once the run is.
 pub const MARKER: &str = ".hydrograd";
 const FINISHED: &str = "finished";
 
-/// What becomes of an earlier run of the same kind.
+/// How an earlier run of the same kind is treated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Earlier {
-    /// Its files make room for the new ones.
+    /// Its files are replaced.
     Replaced,
-    /// It took long: a new run must not discard it.
+    /// It is kept, because it took long: a new run is an error.
     Kept,
-    /// It is the one that goes on.
     Resumed,
     /// It may be of any kind, and a file is added to it.
     Visited,
 }
 
 impl Earlier {
-    /// Of a command whose runs take long.
+    /// The treatment by the options of a command whose runs take long.
     pub fn of_options(resumes: bool, overwrite: bool) -> Self {
         match (resumes, overwrite) {
             (true, _) => Self::Resumed,
@@ -45,11 +44,10 @@ impl Earlier {
 pub struct RunFolder {
     kind: &'static str,
     path: PathBuf,
-    /// None in a visited folder that has none.
+    /// None in a visited folder without a marker.
     marker: Option<File>,
 }
 
-/// What a folder holds.
 #[derive(Debug, PartialEq, Eq)]
 enum Content {
     Nothing,
@@ -57,11 +55,11 @@ enum Content {
         kind: String,
         finished: bool,
     },
-    /// A file as runs leave it, and nothing says of which.
+    /// A file as written by runs, of an unknown kind.
     Unknown(&'static str),
 }
 
-/// Files that runs leave, for folders without a marker: from earlier versions, or by other programs.
+/// Files that identify runs in folders without a marker, from earlier versions or other programs.
 const TELLTALES: [(&str, Option<&str>); 7] = [
     ("generate.json", Some("generate")),
     ("last.safetensors", Some("train")),
@@ -76,7 +74,7 @@ impl Content {
     fn of(folder: &Path) -> Self {
         let text = std::fs::read_to_string(folder.join(MARKER)).unwrap_or_default();
         let mut lines = text.lines();
-        // A process that was killed when it had just begun leaves an empty one.
+        // A process that was killed at its start leaves an empty marker.
         if let Some(kind) = lines.next() {
             return Self::Run { kind: kind.to_string(), finished: lines.next() == Some(FINISHED) };
         }
@@ -88,12 +86,12 @@ impl Content {
     }
 }
 
-/// Whether a folder's run has left everything that it is to leave.
+/// Whether the run of a folder is finished.
 pub fn is_finished(folder: &Path) -> bool {
     matches!(Content::of(folder), Content::Run { finished: true, .. })
 }
 
-/// Which command's run a folder holds; none if nothing says so.
+/// The kind of a folder's run; none if it is unknown.
 pub fn kind_of(folder: &Path) -> Option<String> {
     match Content::of(folder) {
         Content::Run { kind, .. } => Some(kind),
@@ -101,16 +99,16 @@ pub fn kind_of(folder: &Path) -> Option<String> {
     }
 }
 
-/// Whether a run of this kind began in a folder and has not left everything.
+/// Whether a folder has an unfinished run of this kind.
 pub fn is_unfinished(folder: &Path, kind: &str) -> bool {
     Content::of(folder) == Content::Run { kind: kind.to_string(), finished: false }
 }
 
 impl RunFolder {
-    /// Whether [`Self::take`] could be done, without leaving anything behind.
+    /// Checks whether [`Self::take`] is possible, without changing anything.
     ///
     /// # Errors
-    /// A folder that can not be written to, of another command, or with a run that must not be discarded.
+    /// A folder that is not writable, of another command, or with a run that must not be discarded.
     pub fn check(folder: &Path, kind: &'static str, earlier: Earlier) -> Result<(), BadInput> {
         check_writable(folder)?;
         if earlier == Earlier::Visited {
@@ -138,7 +136,7 @@ impl RunFolder {
                         resume_option(kind, folder)
                     )))
             }
-            // A run that goes on looks at its files itself.
+            // A resumed run checks its files itself.
             Content::Unknown(file) if earlier != Earlier::Resumed => {
                 Err(BadInput::new(format!("the folder holds {file}, which `hydrograd {kind}` did not make"))
                     .place(place)
@@ -149,15 +147,15 @@ impl RunFolder {
         }
     }
 
-    /// Creates the folder, if need be, and keeps all others from it as long as this lives.
+    /// Creates the folder if needed, and locks it until this is dropped.
     ///
     /// # Errors
-    /// As for [`Self::check`]; another process writes there; system errors.
+    /// As for [`Self::check`]; another process that writes there; system errors.
     pub fn take(folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
         Self::locked(folder, kind, earlier, false)
     }
 
-    /// The same, together with other processes of this kind: nothing of what is there is removed.
+    /// As [`Self::take`], shared with other processes of this kind. Nothing is removed.
     ///
     /// # Errors
     /// As for [`Self::take`].
@@ -176,7 +174,7 @@ impl RunFolder {
         if let Some(marker) = &marker {
             hold(folder, if is_shared { marker.try_lock_shared() } else { marker.try_lock() })?;
         }
-        // Another one may have come and gone since.
+        // Another process may have finished since.
         Self::check(folder, kind, earlier)?;
         let own = Self { kind, path, marker };
         log::debug!("{} is ours, for `hydrograd {kind}`", folder.display());
@@ -193,12 +191,11 @@ impl RunFolder {
         Ok(own)
     }
 
-    /// Where it is.
     pub fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(Path::new("."))
     }
 
-    /// Notes that the run has left everything that it is to leave.
+    /// Marks the run as finished.
     ///
     /// # Errors
     /// System errors.
@@ -206,7 +203,7 @@ impl RunFolder {
         self.write(&format!("{FINISHED}\n"))
     }
 
-    /// The kind, and more. In place, as the lock is on the file: what was there has the same first line, or is empty.
+    /// Writes the kind and further text in place, because the lock is on the file (empty, or with the same first line).
     fn write(&self, more: &str) -> anyhow::Result<()> {
         let Some(mut marker) = self.marker.as_ref() else { return Ok(()) };
         let text = format!("{}\n{more}", self.kind);
@@ -216,7 +213,6 @@ impl RunFolder {
     }
 }
 
-/// How a run of this kind is told to go on.
 fn resume_option(kind: &str, folder: &Path) -> String {
     match kind {
         "train" => "--resume".to_string(),
@@ -230,7 +226,7 @@ fn hold(folder: &Path, lock: Result<(), TryLockError>) -> Result<(), BadInput> {
             .place(folder.display().to_string())
             .allowed("one run at a time")
             .advice("wait until it ends, stop it, or another --out")),
-        // Some file systems have no locks: then nothing can be said.
+        // Some file systems have no locks.
         _ => Ok(()),
     }
 }
@@ -240,12 +236,12 @@ fn names(folder: &Path) -> Vec<String> {
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
-/// Whether there is more than what a run writes when it begins.
+/// Whether the folder has more than the files that a run writes at its start.
 pub fn holds_results(folder: &Path) -> bool {
     names(folder).iter().any(|name| name != MARKER && name != "config.toml" && !is_temporary(name))
 }
 
-/// What runs of a command leave, by name without extension, as far as another run might not write it again.
+/// Names without extension of the files that a command writes, as far as another run might not replace them.
 fn stems(kind: &str) -> &'static [&'static str] {
     match kind {
         "simulate" => &[
@@ -285,8 +281,8 @@ fn stems(kind: &str) -> &'static [&'static str] {
     }
 }
 
-/// Removes what an earlier run of this kind left and a new one might leave as it is, and nothing else. Best effort: what can not be
-/// removed is written over, or only in the way.
+/// Removes the files of an earlier run of this kind that a new one might not replace, and nothing else. Errors are
+/// ignored: files that cannot be removed are overwritten, or do no harm.
 fn remove_outputs(folder: &Path, kind: &str) {
     for name in names(folder) {
         let path = folder.join(&name);
@@ -301,7 +297,7 @@ fn remove_outputs(folder: &Path, kind: &str) {
     }
 }
 
-/// Removes the frames of a ParaView series, and its folder if there was nothing else in it.
+/// Removes the frames of a ParaView series, and its folder if that is then empty.
 fn remove_series(folder: &Path) {
     let Some(name) = folder.file_name().and_then(|name| name.to_str()) else { return };
     let Some(series) = ["particles", "predicted", "true"].into_iter().find(|series| {
@@ -324,7 +320,7 @@ fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// Removes files that a killed process had not finished, here, among frames and among the runs of maps.
+/// Removes unfinished files of a killed process, here, among frames and among the runs of maps.
 fn remove_temporaries(folder: &Path) {
     for name in names(folder) {
         let path = folder.join(&name);
@@ -336,7 +332,7 @@ fn remove_temporaries(folder: &Path) {
     }
 }
 
-/// The same, of what a command resumes: the folder itself, or another one that it goes on in.
+/// The treatment for a command with `--resume`: the folder itself is resumed, or another one from which it continues.
 pub fn earlier(folder: &Path, resume: Option<&Path>, otherwise: Earlier) -> Earlier {
     match resume {
         Some(from) if same(from, folder) => Earlier::Resumed,

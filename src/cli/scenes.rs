@@ -1,4 +1,4 @@
-//! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or says what a file would build.
+//! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or checks what a file would build.
 
 use super::arguments::check_preset;
 use super::arguments::CommonArguments;
@@ -84,14 +84,14 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             }
             check_preset(arguments.preset.as_deref())?;
             let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
-            machine::answer(&serde_json::to_value(&loaded.config)?);
+            machine::answer(&serde_json::to_value(&loaded.config as &dyn erased_serde::Serialize)?);
             loaded.text
         }
     };
     Ok(files::print(text.as_bytes())?)
 }
 
-/// What the folders of a check are marked with.
+/// The kind of the folders of a check.
 const KIND: &str = "scenes check";
 
 fn check(common: &CommonArguments) -> anyhow::Result<()> {
@@ -106,7 +106,7 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     }
 }
 
-/// At least this many steps are timed, and at least so many seconds, unless the run is shorter.
+/// Smallest number of steps and seconds of the timing, unless the run is shorter.
 const BURST: (usize, f64) = (5, 0.5);
 
 fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
@@ -144,7 +144,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let mut run = dynamics.start(&scene.start)?;
     let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
-    let start = ParticleFields::of(&mut run);
+    let start = ParticleFields::of(&mut run)?;
     let (label, values) = match &start.temperature {
         Some(temperature) => ("temperature T (scene units)", temperature.clone()),
         None => ("speed |u| (scene units)", files::speeds(&start)),
@@ -194,7 +194,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// `12 s`, `3.4 min`, `5.6 h`.
+/// A duration in the form `12 s`, `3.4 min`, `5.6 h`.
 fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 100.0 => format!("{s:.1} s"),

@@ -1,7 +1,7 @@
-//! Shares of a command's work: `--shard I/N`, or the tasks of a Slurm job array.
+//! Shares of a command's work, by `--shard I/N` or by the tasks of a Slurm job array.
 //!
-//! Every N-th piece of the work is of one share. Shares write side by side into one folder, keep what is there already, and what is made
-//! of all pieces is made by whoever gathers them.
+//! A share has every N-th piece of the work. Shares write to one folder and keep existing results; a run without a
+//! share evaluates all pieces.
 
 use crate::error::BadInput;
 use clap::Args;
@@ -15,7 +15,7 @@ pub struct ShardArgument {
 }
 
 impl ShardArgument {
-    /// The share that was asked for, or that of the job array; none for the whole.
+    /// The requested share, or that of the job array; none for all of the work.
     pub fn share(&self) -> Result<Option<Shard>, BadInput> {
         match self.shard {
             Some(shard) => Ok(Some(shard)),
@@ -24,10 +24,10 @@ impl ShardArgument {
     }
 }
 
-/// A share of some pieces of work: those whose number is `index` modulo `count`.
+/// A share of the work: the pieces whose number is `index` modulo `count`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// From 0.
+    /// Index of the share, from 0.
     pub index: usize,
     pub count: usize,
 }
@@ -35,17 +35,17 @@ pub struct Shard {
 impl Shard {
     pub const ALL: Self = Self { index: 0, count: 1 };
 
-    /// Whether the piece of this number is its own.
+    /// Whether a piece belongs to this share.
     pub fn has(self, number: usize) -> bool {
         number % self.count == self.index
     }
 
-    /// Its own of all pieces.
+    /// The pieces of this share.
     pub fn of<T>(self, all: &[T]) -> impl Iterator<Item = &T> {
         all.iter().skip(self.index).step_by(self.count)
     }
 
-    /// `i/n`, i from 0.
+    /// Parses `i/n`, with i from 0.
     pub fn parse(text: &str) -> Result<Self, String> {
         let allowed = || "allowed: I/N with I = 0 ... N - 1, for example 0/4".to_string();
         let (index, count) = text.split_once('/').ok_or_else(allowed)?;
@@ -57,7 +57,7 @@ impl Shard {
         }
     }
 
-    /// From Slurm's job array, if the process is in one: `variable` reads an environment variable.
+    /// The share of a process in Slurm's job array, if it is in one; `variable` reads an environment variable.
     pub fn from_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Option<Self>, BadInput> {
         let Some(task) = variable("SLURM_ARRAY_TASK_ID") else { return Ok(None) };
         let number = |name: &str, text: Option<String>| -> Result<usize, BadInput> {

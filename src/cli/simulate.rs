@@ -1,8 +1,8 @@
-//! `hydrograd simulate`: one run forward, with figures, plots and frames.
+//! `hydrograd simulate`: runs a scene, with figures, plots and frames.
 
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
-use super::files;
+use super::files::{self, CHECKPOINT};
 use super::guard;
 use super::page;
 use super::prepare::{open_device, use_threads};
@@ -12,7 +12,7 @@ use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::Dynamics;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Motion, Precision};
+use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
@@ -21,13 +21,13 @@ use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::record::Recovery;
 use crate::scene::{checkpoint, Scene};
 use crate::sph::divergence::{self, Divergence};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
 use crate::sph::Sweeps;
 use clap::Args;
-use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -68,7 +68,7 @@ impl SimulateArguments {
         let resume = self.resume.resume.as_deref();
         let loaded = self.common.load(resume, vec![], vec![])?;
         let Some(folder) = resume else { return Ok(loaded) };
-        // Steps are made to fit the time; those of a run that becomes longer stay what they were.
+        // Steps divide the run's time. When a run is extended, its time step must stay the same.
         let before = files::read_config(folder)?.config;
         let (time, earlier) = (&loaded.config.time, &before.time);
         match (time.end, time.steps) == (earlier.end, earlier.steps) || time.step.is_some() {
@@ -77,22 +77,21 @@ impl SimulateArguments {
         }
     }
 
-    /// Where results go; an error if nothing can be written there.
+    /// The output folder; an error if it is not writable.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(self.resume.resume.as_deref(), "simulate", loaded)
     }
 }
 
-/// Checkpoints per run, besides the one at the end.
+/// Number of checkpoints per run, besides the one at the end.
 const CHECKPOINTS: usize = 10;
-/// Rows of history.csv.
+/// Number of rows of history.csv.
 const HISTORY: usize = 400;
-const CHECKPOINT: &str = "checkpoint.safetensors";
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "simulate";
-/// Of the same kind: what is left of a run that diverged.
+/// A checkpoint of the last good state of a diverged run.
 const LAST_GOOD: &str = "last-good.safetensors";
-/// How often steps are halved before a run is given up.
+/// Number of times that steps are halved before a run is given up.
 const HALVINGS: usize = 4;
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
@@ -104,9 +103,9 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
     let resume = arguments.resume.resume.as_deref();
     let halvings = if arguments.recover { HALVINGS } else { 0 };
-    if arguments.recover && loaded.config.fluid.motion == Motion::Fixed {
+    if arguments.recover && !loaded.config.method.facts().moves {
         return Err(BadInput::new("--recover with fixed particles, whose steps have one length")
-            .allowed("fluid.motion = moving")
+            .allowed("a method whose particles move, such as method.name = consistent")
             .advice("time.cfl=0.6 from the beginning")
             .into());
     }
@@ -118,23 +117,11 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
 }
 
-/// A divergence that a run went on from.
-#[derive(Debug, Clone, Serialize)]
-pub struct Recovery {
-    /// In which step it was found.
-    pub step: usize,
-    /// The state that the run went back to.
-    pub from_step: usize,
-    /// In how many parts every step was made from there.
-    pub parts: usize,
-    pub cause: String,
-}
-
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usize) -> anyhow::Result<()> {
     let config = &loaded.config;
     let scene = Scene::<R>::from_config(config)?;
     let first = match resume {
-        // It was ended before its first checkpoint.
+        // The run ended before its first checkpoint.
         Some(from) if !from.join(CHECKPOINT).exists() && is_unfinished(from, KIND) => scene.start.clone(),
         Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
         None => scene.start.clone(),
@@ -143,7 +130,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let began = first.step;
     check_unfinished(began, &scene)?;
     let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;
-    let start = ParticleFields::of(&mut { start });
+    let start = ParticleFields::of(&mut { start })?;
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
@@ -155,7 +142,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
             files::write_wall(folder, config, &*design.parametrisation, &design.first)?;
         }
     }
-    // A resumed run leaves the frames and the history of its first part alone and adds to them.
+    // A resumed run keeps the frames and the history of its earlier part and adds to them.
     let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };
     let mut frames = Frames::new(&folder.join(&part), scene.steps, config.output.frames)?;
     let bar = Progress::new(scene.steps as u64, "simulate");
@@ -221,7 +208,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let seconds = clock.elapsed().as_secs_f64();
     let history = history.rows;
     bar.finish();
-    let end = ParticleFields::of(&mut solver);
+    let end = ParticleFields::of(&mut solver)?;
     end.write(folder, loaded)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     println!(
@@ -259,13 +246,13 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
     }
     page::write(folder)?;
-    // Last, so that a run which has this one has everything: the averages of its end are in no checkpoint.
+    // The checkpoint comes last, so that a run with it is complete: the averages of its end are in no checkpoint.
     checkpoint::write(&folder.join(CHECKPOINT), &scene.model, &solver.snapshot(), &loaded.text)?;
     own.finish()
 }
 
-/// An error if a resumed run has nothing left to do, or not enough for the averages of its end.
-fn check_unfinished<R>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
+/// Returns an error if a resumed run has nothing left to do, or not enough for the averages of its end.
+fn check_unfinished<R: Sweeps>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
     let (steps, window) = (scene.steps, scene.design.as_ref().map_or(0, |design| design.window));
     let time = |steps: usize| steps as f64 * scene.model.dt;
     let advice = format!("time.end={:.3}", 2.0 * time(step));

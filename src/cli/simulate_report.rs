@@ -1,27 +1,24 @@
-//! What `hydrograd simulate` says of a finished run: plots, `summary.json`, lines.
+//! The report of `hydrograd simulate` on a finished run: plots, `summary.json`, text.
 
-use super::files::{self, VERSION};
+use super::files;
 use super::guard;
-use super::simulate::Recovery;
 use crate::config::scene::Family;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::Problem;
-use crate::report::memory::peak_memory_bytes;
 use crate::report::plots::compare;
 use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::record::{Record, Recovery};
 use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
 use crate::sph::division::Divided;
 use crate::sph::Sweeps;
-use serde_json::{json, Map, Value};
 use std::path::Path;
 
-/// Points of the exact profile's curve.
+/// Number of points in the curve of the exact profile.
 const PROFILE: usize = 100;
 
-/// A run at its end.
 pub struct Finished<'a, R> {
     pub loaded: &'a Loaded,
     pub folder: &'a Path,
@@ -32,11 +29,10 @@ pub struct Finished<'a, R> {
     pub seconds: f64,
     pub divided: Divided,
     pub recovered: &'a [Recovery],
-    /// What is said of ParaView frames.
+    /// Text about ParaView frames.
     pub pictures: String,
 }
 
-/// Of a scene with a design.
 pub fn report_design<R: Sweeps>(
     finished: &Finished<R>,
     design: &Problem<R>,
@@ -48,26 +44,28 @@ pub fn report_design<R: Sweeps>(
     let panels = [("start", start), ("end", finished.end)];
     files::plot_temperature(folder, &loaded.config, &panels)?;
     files::plot_flow(folder, &loaded.config, &panels)?;
-    let mut map = files::summary(loaded, d, finished.scene.steps, finished.seconds);
+    let mut record = Record::of_design(loaded, d, finished.scene.steps, finished.seconds);
     match design.parametrisation.across() {
-        // A wall over x and z: its control points.
+        // For a wall over x and z these are its control points.
         Some(across) => {
-            map.insert("nodes".into(), design.parametrisation.positions().into());
-            map.insert("nodes_z".into(), across.into());
-            map.insert("offsets".into(), design.first.as_slice().into());
+            record.put("nodes", design.parametrisation.positions());
+            record.put("nodes_z", across);
+            record.put("offsets", &design.first);
         }
         None => {
             let wall = design.first_wall();
-            map.insert("nodes".into(), wall.nodes.into());
-            map.insert("offsets".into(), wall.offsets.into());
-            map.extend(wall.top.map(|top| ("top_offsets".to_string(), top.into())));
+            record.put("nodes", wall.nodes);
+            record.put("offsets", wall.offsets);
+            if let Some(top) = wall.top {
+                record.put("top_offsets", top);
+            }
         }
     }
     let mut warnings = warnings::of_channel(&loaded.config, d, history);
     warnings.extend(warnings::of_particles(&loaded.config, finished.end));
-    map.insert("warnings".into(), json!(warnings));
-    map.insert("recovered".into(), json!(finished.recovered));
-    files::write_summary(folder, map)?;
+    record.put("warnings", &warnings);
+    record.put("recovered", finished.recovered);
+    files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
     let per_depth = if is_deep { ", per depth" } else { "" };
     println!(
@@ -96,7 +94,6 @@ pub fn report_design<R: Sweeps>(
     Ok(())
 }
 
-/// Of a verification flow.
 pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> anyhow::Result<()> {
     let Finished { loaded, folder, scene, .. } = finished;
     let rests = found.wall_flux.is_some();
@@ -122,10 +119,10 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     }
     let mut warnings = warnings::of_flow(&loaded.config, found, finished.history);
     warnings.extend(warnings::of_particles(&loaded.config, finished.end));
-    let mut map = summary(finished, found);
-    map.insert("warnings".into(), json!(warnings));
-    map.insert("recovered".into(), json!(finished.recovered));
-    files::write_summary(folder, map)?;
+    let mut record = Record::of_flow(loaded, scene, found, finished.divided, finished.seconds);
+    record.put("warnings", &warnings);
+    record.put("recovered", finished.recovered);
+    files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
     if !rests {
         println!(
@@ -136,12 +133,15 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         println!("fastest particle    {:.6}", found.largest_velocity);
     }
     match found.velocity_error {
-        Some(error) => println!("velocity error      {}", mean_error(error, scene.exact.amplitude_name())),
+        Some(error) => {
+            println!("velocity error      {}", mean_error(error, &format!(", over {}", scene.exact.amplitude_name())))
+        }
         None if rests => {}
         None => println!("velocity error      unknown: this flow has no closed form"),
     }
     if let Some(error) = found.temperature_error {
-        println!("temperature error   {}", mean_error(error, "the walls' difference"));
+        let over = if rests { ", over the walls' difference" } else { "" };
+        println!("temperature error   {}", mean_error(error, over));
     }
     if let (Some(flux), Some(exact)) = (found.wall_flux, found.exact_wall_flux) {
         for (wall, flux, exact) in [("lower", flux[0], exact[0]), ("upper", flux[1], exact[1])] {
@@ -168,49 +168,50 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     Ok(())
 }
 
-/// Where a user looks last, and not among the figures that go to a file.
+/// Prints warnings to stderr at the end, apart from the figures.
 pub fn warn(warnings: &[Warning]) {
     for Warning { problem, advice } in warnings {
         guard::warn(problem, advice);
     }
 }
 
-/// With as many digits as say something.
+/// An error with its significant digits.
 fn mean_error(error: f64, over: &str) -> String {
     let digits = if error < 1e-4 { format!("{error:.2e}") } else { format!("{error:.6}") };
-    format!("{digits}   root mean square over the particles, over {over}")
+    format!("{digits}   root mean square over the particles{over}")
 }
 
 fn against(value: f64, exact: Option<f64>) -> String {
     match exact {
         None => String::new(),
-        // Of nothing there is no share.
+        // There is no relative error of zero.
         Some(exact) if exact.abs() < f64::MIN_POSITIVE => format!("   exact {exact:.6}"),
         Some(exact) => format!("   exact {exact:.6} ({:+.2} %)", 100.0 * (value / exact - 1.0)),
     }
 }
 
-/// `history.png` and `.svg`.
+/// Plots `history.png` and `.svg`.
 fn plot_outflow(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
     let curve = |column: usize, factor: f64| history.iter().map(|row| (row[0], factor * row[column])).collect();
     let curves = [("Q".to_string(), curve(1, 1.0)), ("flow rate / 10".to_string(), curve(2, 0.1))];
-    let (title, y) = ("Outflowing heat and flow rate", "Q (rho u T length), flow rate / 10");
-    compare(&folder.join("history"), title, "time", y, &curves, false, false)?;
+    let (title, y) = ("Outflowing heat and flow rate", "Q, flow rate / 10 (scene units)");
+    compare(&folder.join("history"), title, "time (scene units)", y, &curves, false, false)?;
     Ok(())
 }
 
-/// `kinetic_energy.png` and `.svg`.
+/// Plots `kinetic_energy.png` and `.svg`.
 fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
     let curve = |column: usize| history.iter().map(|row| (row[0], row[column])).collect::<Vec<_>>();
     let mut curves = vec![("simulated".to_string(), curve(1))];
-    if history.iter().all(|row| row.len() > 3) {
+    if history.iter().all(|row| row.len() > 4) {
         curves.push(("exact".to_string(), curve(3)));
     }
-    compare(&folder.join("kinetic_energy"), "Kinetic energy", "time", "kinetic energy", &curves, false, false)?;
+    let (x, y) = ("time (scene units)", "kinetic energy (scene units)");
+    compare(&folder.join("kinetic_energy"), "Kinetic energy", x, y, &curves, false, false)?;
     Ok(())
 }
 
-/// `profile.png` and `.svg`: the velocity along the channel, or the temperature of what is at rest, over the height.
+/// Plots `profile.png` and `.svg`: velocity along the channel, or temperature in a scene at rest, over the height.
 fn plot_profile<R: Sweeps>(
     folder: &Path,
     flow: &Scene<R>,
@@ -220,8 +221,8 @@ fn plot_profile<R: Sweeps>(
     let n = flow.model.particles();
     let temperature = fields.temperature.as_ref().filter(|_| matches!(flow.exact, Exact::Slab(_)));
     let (what, unit) = match temperature {
-        Some(_) => ("Temperature profile", "temperature"),
-        None => ("Velocity profile", "velocity along x"),
+        Some(_) => ("Temperature profile", "temperature (scene units)"),
+        None => ("Velocity profile", "velocity along x (scene units)"),
     };
     let value = |i: usize| temperature.map_or(fields.velocity[i], |temperature| temperature[i]);
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
@@ -235,37 +236,6 @@ fn plot_profile<R: Sweeps>(
     let exact = (0..=PROFILE).filter_map(|k| Some((height(k), known(height(k))?))).collect();
     let title = format!("{what} at t = {:.4}", fields.time);
     let curves = [("simulated".to_string(), simulated), ("exact".to_string(), exact)];
-    compare(&folder.join("profile"), &title, "y", unit, &curves, false, false)?;
+    compare(&folder.join("profile"), &title, "y (scene units)", unit, &curves, false, false)?;
     Ok(())
-}
-
-fn summary<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> Map<String, Value> {
-    let Finished { loaded, scene, .. } = finished;
-    let Value::Object(mut map) = json!({
-        "scene": loaded.config.scene,
-        "particles": scene.model.particles(),
-        "steps": scene.steps,
-        "time_step": loaded.config.time_step(),
-        "divided_steps": finished.divided.steps,
-        "most_parts": finished.divided.most.max(1),
-        "time": found.time,
-        "kinetic_energy": found.kinetic_energy,
-        "exact_kinetic_energy": found.exact_kinetic_energy,
-        "largest_velocity": found.largest_velocity,
-        "velocity_error": found.velocity_error,
-        "temperature_error": found.temperature_error,
-        "wall_flux": found.wall_flux,
-        "exact_wall_flux": found.exact_wall_flux,
-        "nusselt": found.nusselt,
-        "exact_nusselt": found.exact_nusselt,
-        "wall_seconds": finished.seconds,
-        "peak_memory_bytes": peak_memory_bytes(),
-        "version": VERSION,
-        "seed": loaded.config.run.seed,
-        "precision": loaded.config.run.precision,
-    }) else {
-        unreachable!("a JSON object")
-    };
-    map.extend(files::scene_file(loaded));
-    map
 }

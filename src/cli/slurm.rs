@@ -1,10 +1,12 @@
-//! `hydrograd slurm`: job files for Slurm, of any command whose work can be shared out or go on.
+//! `hydrograd slurm`: job files for Slurm, for any command whose work can be divided or resumed.
 //!
-//! A job is an array where the command has shares (see [`super::shard`]), and another job puts them together once all have ended well.
-//! Every job may be stopped and queued again at any time: what there is is kept, and it goes on with the rest.
+//! A job is an array if the command has shares (see [`super::shard`]); another job merges them after all have
+//! succeeded. Every job may be stopped and requeued at any time: its results are kept, and it continues with the rest.
 
 use super::arguments::at_least_one;
-use super::optimize::{OptimizeArguments, CHECKPOINT, STARTS};
+use super::files::CHECKPOINT;
+use super::optimize::OptimizeArguments;
+use super::optimize_starts::{StartName, STARTS};
 use super::run_folder::{holds_results, Earlier, RunFolder, MARKER};
 use super::{files, machine, program, Cli, Command};
 use crate::error::{BadInput, Error};
@@ -69,34 +71,34 @@ pub struct SlurmArguments {
     pub command: Vec<String>,
 }
 
-/// Most tasks of an array unless told otherwise.
+/// Default largest number of tasks of an array.
 const USUAL_TASKS: usize = 8;
-/// Seconds before the time limit at which a job is told, and the shortest time limit: Slurm may tell a minute too early.
+/// Seconds before the time limit at which a job is signalled, and the shortest time limit: Slurm may be a minute early.
 const NOTICE: u64 = 60;
 const SHORTEST: u64 = 3 * NOTICE;
-/// A job that was queued again so often does not get on.
+/// Number of requeues after which a job is given up.
 const MOST_RESTARTS: usize = 100;
-/// What the job files of ours have, which may be written over.
+/// The mark of our job files, which may be overwritten.
 const OURS: &str = "# Written by `hydrograd slurm`";
 
-/// A job: what it runs, and how it goes on.
+/// A job: its command, and how it is resumed.
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Job {
-    /// The command's, behind `hydrograd-`.
+    /// The job's name without `hydrograd-`.
     name: String,
-    /// Tasks of an array.
+    /// Number of tasks of an array.
     tasks: Option<usize>,
-    /// Processes that MPI joins.
+    /// Number of MPI processes.
     ranks: Option<usize>,
-    /// Without `hydrograd`; of an array, without the share.
+    /// The command without `hydrograd`, and for an array without the share.
     command: Vec<String>,
-    /// Where this file is there is something to go on with, and this is how.
+    /// If this file exists, the job is resumed with this command.
     resumed: Option<(PathBuf, Vec<String>)>,
-    /// Where this file says so there is nothing left to do.
+    /// If this file says that the run is finished, nothing is left to do.
     marker: Option<PathBuf>,
 }
 
-/// What is asked of Slurm for each job.
+/// Resources and settings of the jobs.
 #[derive(Debug, Clone, PartialEq)]
 struct Wanted {
     time: String,
@@ -104,9 +106,9 @@ struct Wanted {
     partition: Option<String>,
     memory: Option<String>,
     options: Vec<String>,
-    /// What starts this program.
+    /// The words that start this program.
     program: Vec<String>,
-    /// Where the command was typed, which its paths begin at.
+    /// The working directory of the command, to which its paths are relative.
     folder: String,
 }
 
@@ -160,7 +162,7 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The line of a shell that gives the jobs to Slurm.
+/// The shell command that submits the jobs.
 fn next(scripts: &[(PathBuf, String)]) -> String {
     let words: Vec<String> = scripts.iter().map(|(file, _)| quoted(&file.display().to_string())).collect();
     match &words[..] {
@@ -169,14 +171,14 @@ fn next(scripts: &[(PathBuf, String)]) -> String {
     }
 }
 
-/// Gives a job to Slurm, to begin when another one has ended well; its number.
+/// Submits a job, to start after another one has succeeded, and returns its number.
 fn submit(file: &Path, after: Option<&String>) -> anyhow::Result<String> {
     let advice = "where the cluster's sbatch is, or without --submit";
     let mut sbatch = process::Command::new("sbatch");
     sbatch.arg("--parsable").args(after.map(|job| format!("--dependency=afterok:{job}"))).arg(file);
     let output = sbatch.output().map_err(|error| Error::run(format!("can not start sbatch: {error}"), advice))?;
     let (said, number) = (String::from_utf8_lossy(&output.stderr), String::from_utf8_lossy(&output.stdout));
-    // `12;cluster`, where there are several.
+    // The output is `12;cluster` if there are several clusters.
     let number = number.trim().split(';').next().unwrap_or_default().to_string();
     match output.status.success() && !number.is_empty() {
         true => Ok(number),
@@ -184,7 +186,7 @@ fn submit(file: &Path, after: Option<&String>) -> anyhow::Result<String> {
     }
 }
 
-/// An error if a file of somebody else's would be lost.
+/// Checks that a file to be overwritten is one of our job files.
 fn check_ours(file: &Path) -> Result<(), BadInput> {
     match std::fs::read_to_string(file) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
@@ -196,7 +198,7 @@ fn check_ours(file: &Path) -> Result<(), BadInput> {
     }
 }
 
-/// The command's job, and the one behind it that puts shares together. None: only help was asked for.
+/// The job of the command, and the job that merges its shares. None if only help was requested.
 fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Job>)>> {
     let mut typed = arguments.command.as_slice();
     if typed.first().is_some_and(|word| word == "hydrograd") {
@@ -263,12 +265,12 @@ fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Job>)>
     Ok(Some((main, merge)))
 }
 
-/// Whether an option was typed, as `--option value` or `--option=value`.
+/// Whether an option is given, as `--option value` or `--option=value`.
 fn has(words: &[String], option: &str) -> bool {
     words.iter().any(|word| word.strip_prefix(option).is_some_and(|rest| rest.is_empty() || rest.starts_with('=')))
 }
 
-/// A command's words, and what they lack.
+/// The words of a command, and its missing options.
 #[derive(Clone, Copy)]
 struct Words<'a> {
     typed: &'a [String],
@@ -277,7 +279,7 @@ struct Words<'a> {
 }
 
 impl Words<'_> {
-    /// As typed, into a folder that the jobs have in common, on their cores.
+    /// The words as typed, with the common folder and the number of threads added.
     fn whole(&self, folder: &Path) -> Vec<String> {
         let mut words = self.typed.to_vec();
         for (option, value) in [("--out", folder.display().to_string()), ("--threads", self.cpus.to_string())] {
@@ -288,7 +290,7 @@ impl Words<'_> {
         words
     }
 
-    /// Another command that goes on with what this one began; its folder knows the threads.
+    /// The words of another command that continues what this one started in a folder.
     fn other<'w>(&self, words: impl IntoIterator<Item = &'w str>, folder: &Path) -> Vec<String> {
         let words = words.into_iter().map(str::to_string).chain([folder.display().to_string()]);
         let json = self.json.then(|| "--json".to_string());
@@ -296,17 +298,17 @@ impl Words<'_> {
     }
 }
 
-/// How a command is shared out.
+/// How a command is divided into shares.
 struct Shares {
     main: Job,
     merge: Option<Job>,
-    /// Of its work.
+    /// Number of pieces of its work.
     pieces: usize,
     is_shared: bool,
 }
 
 impl Shares {
-    /// An array, and what puts its shares together.
+    /// An array, and the job that merges its shares.
     fn array(name: &str, pieces: usize, command: Vec<String>, merge: Vec<String>) -> Self {
         let main = Job { name: name.into(), command, ..Job::default() };
         let merge = Job { name: format!("{name}-merge"), command: merge, ..Job::default() };
@@ -318,7 +320,7 @@ impl Shares {
     }
 }
 
-/// An error if a job would go on with a run of which nobody said that it should.
+/// Returns an error if a job would continue a run without `--resume`.
 fn check_new(folder: &Path, kind: &'static str, resumes: bool) -> Result<(), BadInput> {
     RunFolder::check(folder, kind, Earlier::Resumed)?;
     match resumes || !holds_results(folder) {
@@ -330,7 +332,7 @@ fn check_new(folder: &Path, kind: &'static str, resumes: bool) -> Result<(), Bad
     }
 }
 
-/// What each command does in jobs; everything that is wrong with it comes out here, and not in the queue.
+/// The shares of each command. All errors of the command are found here, before it is queued.
 fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
     let also = |mut words: Vec<String>, option: &str| {
         if !has(&words, option) {
@@ -378,7 +380,7 @@ fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
             let job = Job { name: "train".into(), ..Job::default() };
             Shares::single(match own.resume {
                 true => Job { command: whole, ..job },
-                // What was begun before the first checkpoint is nothing to lose.
+                // A run that ended before its first checkpoint may be overwritten.
                 false => Job {
                     command: also(whole.clone(), "--overwrite"),
                     resumed: Some((own.out.join("last.safetensors"), also(without_value(whole, "--init"), "--resume"))),
@@ -397,7 +399,7 @@ fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
     })
 }
 
-/// One search, or all starts.
+/// A single search, or all starts.
 fn optimize(own: &OptimizeArguments, words: Words<'_>) -> anyhow::Result<Shares> {
     let loaded = own.load()?;
     let folder = own.free(own.folder(&loaded)?);
@@ -411,7 +413,7 @@ fn optimize(own: &OptimizeArguments, words: Words<'_>) -> anyhow::Result<Shares>
     }
     check_new(&folder, kind, from.is_some_and(|from| from == folder))?;
     let whole = words.whole(&folder);
-    let mut shares = Shares::array("optimize", super::optimize::StartName::EACH.len(), whole.clone(), whole);
+    let mut shares = Shares::array("optimize", StartName::EACH.len(), whole.clone(), whole);
     if let (None, Some(merge)) = (from, &mut shares.merge) {
         merge.command = again;
         merge.marker = Some(folder.join(MARKER));
@@ -420,7 +422,7 @@ fn optimize(own: &OptimizeArguments, words: Words<'_>) -> anyhow::Result<Shares>
     Ok(shares)
 }
 
-/// A run of `simulate` or `optimize`, whose configuration is in its folder: `again` goes on with it.
+/// A run of `simulate` or `optimize` with its configuration in its folder; `again` resumes it.
 fn one_run(
     name: &str,
     kind: &'static str,
@@ -432,16 +434,16 @@ fn one_run(
     let goes_on = from.is_some_and(|from| from == folder);
     check_new(folder, kind, goes_on)?;
     let job = Job { name: name.into(), command: words.whole(folder), ..Job::default() };
-    // Several searches have their checkpoints in folders of their own.
+    // Several searches have checkpoints in their own folders.
     let begun = if kind == "optimize --compare" { "config.toml" } else { CHECKPOINT };
     Ok(Shares::single(match goes_on {
-        // It says itself how far it goes.
+        // The command itself has the new end.
         true => job,
         false => Job { resumed: Some((folder.join(begun), again)), marker: Some(folder.join(MARKER)), ..job },
     }))
 }
 
-/// Words without an option and its value.
+/// The words without an option and its value.
 fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
     let mut words = words.into_iter();
     let mut kept = Vec::new();
@@ -456,7 +458,7 @@ fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
 }
 
 impl Job {
-    /// The job file.
+    /// The text of the job file.
     fn text(&self, wanted: &Wanted, file: &Path) -> Result<String, BadInput> {
         let is_array = self.tasks.is_some();
         let log = file.with_extension("").display().to_string().replace('%', "%%");
@@ -477,7 +479,7 @@ impl Job {
             format!("--signal=B:TERM@{NOTICE}"),
         ]);
         if self.name.ends_with("-merge") {
-            // Nothing to wait for where a task has failed.
+            // A failed task must not leave the merging job waiting.
             options.push("--kill-on-invalid-dep=yes".into());
         }
         options.extend(wanted.options.iter().cloned());
@@ -487,7 +489,7 @@ impl Job {
         }
         let share = self.tasks.map_or(String::new(), |tasks| format!(" --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\""));
         let launch = match self.ranks {
-            // srun does not take the cores of the job by itself.
+            // srun does not use all cores of the job by default.
             Some(_) => format!("srun --mpi=pmix --kill-on-bad-exit --cpus-per-task={} ", wanted.cpus),
             None => String::new(),
         };
@@ -497,7 +499,7 @@ impl Job {
         };
         text += &format!("{OURS} {}, which writes it anew.\n", files::VERSION);
         text += match is_array {
-            // The number of the whole array is that of one of its tasks, too: this is the task's own.
+            // One of the tasks has the number of the whole array, so this is the task's own number.
             true => "job=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID\n",
             false => "job=$SLURM_JOB_ID\n",
         };
@@ -516,7 +518,7 @@ impl Job {
             }
         }
         let forward = match self.ranks {
-            // By way of Slurm: srun would kill them.
+            // The signal must go through Slurm, because srun would kill the processes.
             Some(_) => "scancel --signal=TERM \"$job\"",
             None => "kill -TERM \"$child\" 2>/dev/null",
         };
@@ -524,7 +526,7 @@ impl Job {
     }
 }
 
-/// What all jobs do: run the command, hand SIGTERM on to it, and go on later.
+/// The common part of all jobs: runs the command, forwards SIGTERM to it, and requeues the job.
 fn body(forward: &str) -> String {
     format!(
         r#"
@@ -550,7 +552,7 @@ exit "$code"
     )
 }
 
-/// A word as a shell reads it back.
+/// Quotes a word for a shell.
 fn quoted(word: &str) -> String {
     match !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c)) {
         true => word.to_string(),
@@ -558,7 +560,7 @@ fn quoted(word: &str) -> String {
     }
 }
 
-/// An option as sbatch reads it back from a file.
+/// Quotes an option for sbatch in a file.
 fn of_sbatch(option: &str) -> String {
     let plain = |text: &str| text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c));
     match option.split_once('=') {
@@ -569,7 +571,7 @@ fn of_sbatch(option: &str) -> String {
     }
 }
 
-/// An error if a text is not one line.
+/// Checks that a text is a single line.
 fn one_line(text: &str) -> Result<String, BadInput> {
     match text.contains(['\n', '\r', '\0']) {
         false => Ok(text.to_string()),
@@ -577,7 +579,7 @@ fn one_line(text: &str) -> Result<String, BadInput> {
     }
 }
 
-/// Slurm's ways to write a time: `MM`, `MM:SS`, `HH:MM:SS`, `D-HH`, `D-HH:MM`, `D-HH:MM:SS`.
+/// Slurm's notations of a time: `MM`, `MM:SS`, `HH:MM:SS`, `D-HH`, `D-HH:MM`, `D-HH:MM:SS`.
 fn time(text: &str) -> Result<String, String> {
     let allowed = || {
         "allowed: minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before".into()
@@ -646,7 +648,7 @@ mod tests {
         line.split(' ').map(str::to_string).collect()
     }
 
-    /// The jobs of a typed line, from a folder without runs.
+    /// The jobs of a command line, in a folder without runs.
     fn of(line: &str) -> anyhow::Result<(Job, Option<Job>)> {
         let typed = words(line);
         let cli = Cli::try_parse_from(["hydrograd", "slurm"].into_iter().chain(typed.iter().map(String::as_str)))?;
@@ -654,7 +656,7 @@ mod tests {
         Ok(jobs(&arguments)?.unwrap())
     }
 
-    /// What a shell makes of a script.
+    /// The output of a script in bash.
     fn bash(script: &str, variables: &[(&str, &str)]) -> String {
         let mut bash = process::Command::new("bash");
         let output = bash.arg("-c").arg(script).envs(variables.iter().copied()).output().unwrap();
@@ -684,7 +686,7 @@ mod tests {
         assert!(!text.contains("afterok") && !text.contains("kill-on-invalid-dep"), "{text}");
     }
 
-    /// The words of a command reach it as they were typed, and its exit code gets out.
+    /// The words of a command reach it as typed, and its exit code is returned.
     #[test]
     fn words_reach_the_command() {
         let odd = ["%s\\n", "a b", "it's", "$HOME `date`", "", "\"x\"", "*"];
@@ -696,7 +698,7 @@ mod tests {
         assert!(lines.unwrap_err().to_string().contains("line break"));
     }
 
-    /// One that is there goes on, and one that is finished is let be.
+    /// An existing run is resumed, and a finished one stays as it is.
     #[test]
     fn a_job_goes_on_with_what_is_there() {
         let folder = tempfile::tempdir().unwrap();
@@ -731,7 +733,7 @@ mod tests {
         for line in [
             "#SBATCH --ntasks=3".to_string(),
             format!("    {srun} --init old.safetensors --out runs/none --threads 2 --overwrite"),
-            // Parameters are taken over once.
+            // Parameters are taken over only once.
             format!("    {srun} --out runs/none --threads 2 --resume"),
             "trap 'scancel --signal=TERM \"$job\"' TERM".to_string(),
         ] {
@@ -759,7 +761,7 @@ mod tests {
         let (begun, again) = main.resumed.unwrap();
         assert_eq!(begun, Path::new("runs/none/checkpoint.safetensors"));
         assert_eq!(again.join(" "), "simulate --recover --resume runs/none --json");
-        // One whose folder is not named has the one that it would have without Slurm.
+        // Without a given folder, the job has the command's default one.
         let (main, _) = of("optimize --epochs 3").unwrap();
         assert!(command(&main).starts_with("optimize --epochs 3 --out runs/optimize-heated-channel"), "{main:?}");
     }

@@ -1,4 +1,4 @@
-//! `hydrograd stress`: maps of where the solver holds.
+//! `hydrograd stress`: maps of the solver's stability.
 
 use super::arguments::set_option;
 use super::files::{write_json, VERSION};
@@ -32,7 +32,7 @@ Examples:
       a few runs of every map: a minute on two cores
   hydrograd stress taylor-green --filter step --out runs/stress-step
       the largest stable CFL number of the vortices, over the noise of their start
-  hydrograd stress heated-channel --set time.integrator=verlet --out runs/stress-verlet
+  hydrograd stress heated-channel --set method.integrator=verlet --out runs/stress-verlet
       the same maps with something changed in every run
   hydrograd stress --resume
       go on with runs/stress after a kill
@@ -71,7 +71,7 @@ pub struct StressArguments {
 }
 
 impl StressArguments {
-    /// Every run, with the number of its map. What is wrong with one is wrong before the first is run.
+    /// All runs with the numbers of their maps. An error in one is found before the first one runs.
     pub(super) fn jobs(&self, maps: &[Map]) -> Result<Vec<(usize, Job)>, Error> {
         let of = |(k, map)| Job::of(map, self.quick, &self.sets).into_iter().map(move |job| (k, job));
         let jobs: Vec<(usize, Job)> = maps.iter().enumerate().flat_map(of).collect();
@@ -84,7 +84,7 @@ impl StressArguments {
         Ok(jobs)
     }
 
-    /// The maps that were asked for.
+    /// The requested maps.
     pub(super) fn maps(&self) -> Result<Vec<Map>, BadInput> {
         let mut maps = maps::all();
         let mut scenes: Vec<&str> = maps.iter().map(|map| map.scene).collect();
@@ -104,7 +104,7 @@ impl StressArguments {
     }
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "stress";
 
 pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
@@ -189,7 +189,7 @@ fn file(runs: &Path, job: &Job) -> PathBuf {
     runs.join(format!("{}.json", job.name))
 }
 
-/// What a run left, if it was this one.
+/// The stored result of a run with the same settings.
 fn kept(runs: &Path, job: &Job) -> Option<Record> {
     let text = std::fs::read_to_string(file(runs, job)).ok()?;
     serde_json::from_str::<Record>(&text).ok().filter(|record| record.settings == job.settings)
@@ -204,7 +204,7 @@ fn list(maps: &[Map], quick: bool) -> Table {
     table
 }
 
-/// The letters of a row's runs; those that a quick map leaves out are left out.
+/// Indices of the columns of a map; a quick map lacks some.
 fn columns_seen(found: &Found) -> Vec<usize> {
     let seen = |x: &usize| found.panels.iter().any(|(_, rows)| rows.iter().any(|row| row[*x].is_some()));
     (0..found.map.x.values.len()).filter(seen).collect()
@@ -219,7 +219,7 @@ fn mark(record: Option<&Record>) -> char {
     record.map_or('.', |record| record.verdict.mark())
 }
 
-/// A map for the screen: a row per value of y and panel, and why it ends.
+/// A map as text: a row for each value of y and panel, with the reason for its end.
 fn text_of(found: &Found) -> String {
     let map = &found.map;
     let columns = columns_seen(found);
@@ -258,7 +258,7 @@ fn largest(all: &[Found]) -> Table {
     table
 }
 
-/// `stress.json` and `stress.csv`.
+/// Writes `stress.json` and `stress.csv`.
 fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
     let (mut maps, mut rows) = (Vec::new(), Vec::new());
     for found in all {
@@ -330,7 +330,7 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
     write_json(&folder.join("stress.json"), &json!({ "version": VERSION, "maps": maps }))
 }
 
-/// quantity, value, limit, step, time, particle, cause; empty where there is none.
+/// Cells of quantity, value, limit, step, time, particle and cause; empty without a fault.
 fn of_fault(fault: Option<&Fault>) -> [Cell; 7] {
     let empty = || Cell::from("");
     let number = |value: Option<f64>| value.map_or_else(empty, Cell::from);

@@ -1,4 +1,4 @@
-//! `hydrograd study`: a grid over training settings, one table and plots.
+//! `hydrograd study`: trains over a grid of settings, with a table and plots.
 
 use super::arguments::{at_least_one, threads};
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
@@ -56,11 +56,11 @@ pub struct StudyArguments {
     pub shard: ShardArgument,
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "study";
 
 impl StudyArguments {
-    /// The grid, its points, and what they have in common.
+    /// The grid, its points, and their common settings.
     ///
     /// # Errors
     /// A grid, settings or data that are not allowed.
@@ -83,13 +83,13 @@ impl StudyArguments {
 pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     let (grid, points, study) = arguments.study()?;
     let share = arguments.shard.share()?;
-    // Found out before hours of training, not after.
+    // Errors are found before hours of training.
     let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     let kept = known.iter().flatten().count();
     if let Some(shard) = share {
         return train_share(&study, shard, &points, &known);
     }
-    // A study never discards what another one trained: what differs is refused.
+    // A study does not discard earlier trainings: different ones are an error.
     let own = RunFolder::take(&study.out, KIND, Earlier::Resumed)?;
 
     interrupt::listen("the same command again: what is trained is kept")?;
@@ -102,7 +102,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
             None => study.train(point)?,
         };
         outcomes.push((point.clone(), outcome));
-        // After every point: a study that is killed leaves a table.
+        // Writes the table after every point, in case the study is interrupted.
         write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
         bar.done(1);
     }
@@ -135,7 +135,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Trains the points of a share; whoever has no share makes the table of all.
+/// Trains the points of a share. A run without a share makes the table of all.
 fn train_share(
     study: &Study,
     shard: Shard,
@@ -156,7 +156,7 @@ fn train_share(
                 study.train(&points[k])?
             }
         };
-        // Not an error here: the table says so, too.
+        // The table reports the error, too.
         if let PointOutcome::Failed(message) = &outcome {
             failed += 1;
             bar.log(&format!("{} failed: {message}", points[k].name()));
@@ -173,7 +173,7 @@ fn train_share(
     Ok(())
 }
 
-/// What `--json` says of the points of a study, or of a share of them.
+/// The answer to `--json` for the points of a study or of a share.
 fn summary(study: &Study, outcomes: &[(GridPoint, PointOutcome)], kept: usize, files: Value) -> Value {
     let row = |(point, outcome): &(GridPoint, PointOutcome)| {
         let settings: Map<String, Value> = point.0.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
@@ -229,7 +229,7 @@ fn table(grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> Table {
 fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> anyhow::Result<()> {
     let header: Vec<&str> =
         grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best_mse_5", "best_step", "seconds"]).collect();
-    // Empty where there is none.
+    // An empty cell without a value.
     let cell = |value: Option<f64>| value.map_or(Cell::Text(String::new()), Cell::Number);
     let rows: Vec<Vec<Cell>> = outcomes
         .iter()
@@ -248,8 +248,8 @@ fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome
     Ok(write_table(path, &header, &rows)?)
 }
 
-/// Two plots for each key: the final error against its values, and the error by step for each value (with the best of the
-/// other keys). Returns the names of the pictures.
+/// Two plots for each key: the final error against its values, and the error by step for each value (with the best of
+/// the other keys). Returns the names of the plots.
 fn plot(folder: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> anyhow::Result<Vec<String>> {
     let trained: Vec<(&GridPoint, &Validation)> = outcomes
         .iter()

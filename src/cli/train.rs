@@ -1,4 +1,4 @@
-//! `hydrograd train`: a surrogate from a data set.
+//! `hydrograd train`: trains a surrogate on a data set.
 
 use super::arguments::{set_option, threads, OverwriteArgument};
 use super::guard::{stopped_by, tell_error};
@@ -94,13 +94,13 @@ pub struct TrainArguments {
     pub print_config: bool,
 }
 
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     if arguments.print_config {
         let settings = arguments.settings(arguments.init()?.as_ref())?;
-        machine::answer(&serde_json::to_value(&settings)?);
+        machine::answer(&serde_json::to_value(&settings as &dyn erased_serde::Serialize)?);
         print!("{}", settings.shown());
         return Ok(());
     }
@@ -110,10 +110,10 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         rank => follow(&arguments, &ranks).map_err(|error| error.context(format!("rank {rank} of {}", ranks.size()))),
     };
     match result {
-        // A signal has ended all of them at the same step.
+        // A signal ends all ranks at the same step.
         Err(error) if ranks.size() > 1 && stopped_by(&error).is_none() => {
             if ranks.rank() > 0 {
-                // Most likely the first rank has the same trouble, tells it, and ends this one too.
+                // The first rank probably has the same error, reports it, and ends this one.
                 std::thread::sleep(Duration::from_secs(2));
             }
             let code = tell_error(&error);
@@ -126,7 +126,7 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
     }
 }
 
-/// The training as it is begun on every rank.
+/// The input of a training on every rank.
 struct Begun {
     settings: Settings,
     setup: Setup,
@@ -134,7 +134,7 @@ struct Begun {
     origin: Origin,
 }
 
-/// What trains, prints and writes.
+/// Runs the first rank, which trains, prints and writes.
 fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let (folder, earlier) = (&arguments.out, arguments.earlier());
     let compute = compute(arguments.kernels, arguments.device)?;
@@ -165,7 +165,7 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What all ranks but the first do: their share of every batch.
+/// Runs the other ranks, which train with their share of every batch.
 fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     machine::be_silent();
     let compute = compute(arguments.kernels, arguments.device)?;
@@ -178,13 +178,13 @@ fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     training.follow()
 }
 
-/// Waits for the others: none of them reads a file of the folder any more.
+/// Waits until no rank reads files of the folder any more.
 fn all_are_ready(ranks: &Ranks) {
     ranks.all(&[0.0]);
 }
 
 impl TrainArguments {
-    /// Reads and checks all that is asked for; nothing is written yet.
+    /// Reads and checks all input, before anything is written.
     fn begin(&self, ranks: &Ranks) -> anyhow::Result<Begun> {
         let init = self.init()?;
         let settings = self.settings(init.as_ref())?;
@@ -220,8 +220,8 @@ impl TrainArguments {
         Team { ranks, is_ordered: self.deterministic }
     }
 
-    /// Those of a file (a resumed training's own, if no other is named) and of the options; without a file the model is that
-    /// of `init`.
+    /// The settings of a file (for a resumed training its own, unless another is given) and of the options; without a
+    /// file the model is that of `init`.
     fn settings(&self, init: Option<&Header>) -> Result<Settings, BadInput> {
         let mut settings: Vec<Setting> = self.sets.iter().map(|text| set_option(text)).collect();
         settings.extend(self.steps.map(|steps| Setting::option("--steps", "steps", steps)));
@@ -234,7 +234,7 @@ impl TrainArguments {
         Settings::load_settings(config, init.map(|header| &header.settings), &settings)
     }
 
-    /// Where the parameters come from.
+    /// Origin of the parameters.
     fn origin(&self, init: Option<Header>, settings: &Settings, setup: &Setup) -> Result<Origin, BadInput> {
         let folder = &self.out;
         let place = format!("--out {}", folder.display());
@@ -260,7 +260,7 @@ impl TrainArguments {
     }
 }
 
-/// An error unless every rank has as many windows of a batch as every other.
+/// Checks that every rank has the same number of windows of a batch.
 fn check_shares(settings: &Settings, ranks: usize) -> Result<(), BadInput> {
     if settings.batch_size.is_multiple_of(ranks) {
         return Ok(());
@@ -273,17 +273,17 @@ fn check_shares(settings: &Settings, ranks: usize) -> Result<(), BadInput> {
         )))
 }
 
-/// Whether a folder's training was ended before its first checkpoint: then it begins with its settings.
+/// Whether the training of a folder ended before its first checkpoint; it is then restarted with its settings.
 pub(super) fn ended_early(folder: &Path) -> bool {
     is_unfinished(folder, KIND) && folder.join("config.toml").is_file() && !folder.join(LAST).exists()
 }
 
-/// An error in a file that --init names.
+/// Adds the file of --init to an error.
 fn of_init(from: &Path) -> impl Fn(BadInput) -> BadInput + '_ {
     move |bad| bad.place(format!("--init {}", from.display()))
 }
 
-/// What `--json` says of a training.
+/// The answer to `--json`.
 fn summary(arguments: &TrainArguments, training: &Training, outcome: &Outcome) -> Value {
     let folder = &arguments.out;
     let figures = |scores: &Scores| {
@@ -317,7 +317,7 @@ fn summary(arguments: &TrainArguments, training: &Training, outcome: &Outcome) -
     })
 }
 
-/// The scores of the last step beside the baseline's, and how long it took.
+/// Prints the scores of the last step and of the baseline, and the time.
 fn show(outcome: &Outcome, settings: &Settings, seconds: f64) {
     let mut table = Table::new(["", "MSE_1", "MSE_5", "MSE_20", "Sinkhorn", "E_kin", "temperature MSE"]);
     let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3e}"));

@@ -1,4 +1,4 @@
-//! `hydrograd validate`: every scene with a known answer, run and compared with it.
+//! `hydrograd validate`: runs every scene with a known solution and compares it.
 
 use super::arguments::threads;
 use super::files::{write_json, VERSION};
@@ -64,11 +64,11 @@ pub struct ValidateArguments {
 
 /// Parts of a case in the progress bar.
 const PARTS: f64 = 100.0;
-/// What its folders are marked with.
+/// The kind of its folders.
 const KIND: &str = "validate";
 
 impl ValidateArguments {
-    /// The cases that were asked for.
+    /// The requested cases.
     pub(super) fn cases(&self) -> Result<Vec<Case>, BadInput> {
         let mut chosen = cases::all();
         let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();
@@ -85,18 +85,18 @@ impl ValidateArguments {
     }
 }
 
-/// What a case left, for `--resume` and for those who put shares together.
+/// The stored result of a case, for `--resume` and for merging shares.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     version: String,
-    /// Of all of its runs.
+    /// Settings of all of its runs.
     settings: Vec<String>,
     rows: Vec<Row>,
     curves: Vec<Curve>,
 }
 
 impl Kept {
-    /// Where that of a case is.
+    /// Path of the stored result of a case.
     fn path(folder: &Path, case: &Case) -> PathBuf {
         folder.join(format!("{}.json", case.name))
     }
@@ -110,7 +110,7 @@ impl Kept {
         of_all.chain(case.levels_of(quick).flat_map(of_level)).collect()
     }
 
-    /// What was found before, if that was of the same runs.
+    /// The stored result of a case, if it is of the same runs.
     fn read(folder: &Path, case: &Case, quick: bool) -> Option<Validated> {
         let text = std::fs::read_to_string(Self::path(folder, case)).ok()?;
         let kept: Self = serde_json::from_str(&text).ok()?;
@@ -151,7 +151,7 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         chosen.iter().map(|case| Kept::read(&folder, case, quick).filter(|_| keeps)).collect();
     let todo: Vec<usize> = (0..chosen.len()).filter(|&k| shard.has(k) && found[k].is_none()).collect();
     if !keeps {
-        // Those of an earlier run are not this one's, should it be stopped.
+        // Removes results of an earlier run, so that they do not remain if this one is stopped.
         chosen.iter().for_each(|case| drop(std::fs::remove_file(Kept::path(&folder, case))));
     }
     use_threads(1);
@@ -181,7 +181,7 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     }
     if share.is_some() {
         machine::answer(&json!({ "version": VERSION, "rows": rows }));
-        // Not an error here: whoever judges all of them says so.
+        // The command that merges the shares reports failures.
         println!("{}", table(&rows).to_text());
         println!(
             "next: the same command with --resume instead of --shard, once all shares are done    judges all cases"
@@ -285,7 +285,7 @@ fn write(folder: &Path, rows: &[&Row]) -> anyhow::Result<()> {
     write_json(&folder.join("validation.json"), &json!({ "version": VERSION, "rows": rows }))
 }
 
-/// A picture of each case that has curves, and one of error over spacing; their names.
+/// Plots the curves of each case, and error over spacing; returns the names of the plots.
 fn draw(folder: &Path, found: &[Validated]) -> anyhow::Result<Vec<String>> {
     let mut names = Vec::new();
     for one in found.iter().filter(|one| !one.curves.is_empty()) {
@@ -303,7 +303,7 @@ fn draw(folder: &Path, found: &[Validated]) -> anyhow::Result<Vec<String>> {
     };
     let series: Vec<_> = found.iter().map(|one| (one.case.name.to_string(), errors(one))).collect();
     if series.iter().any(|(_, points)| !points.is_empty()) {
-        compare(&folder.join("errors"), "Errors", "particle spacing", "error", &series, true, true)?;
+        compare(&folder.join("errors"), "Errors", "particle spacing (scene units)", "error", &series, true, true)?;
         names.push("errors.png".into());
     }
     Ok(names)

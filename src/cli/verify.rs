@@ -1,20 +1,22 @@
-//! `hydrograd verify`: whether the gain of a design is one of its wall; and what `optimize` says of it.
+//! `hydrograd verify`: checks whether the gain of a design is a property of its wall, also for `optimize`.
 
 use super::arguments::{name_of, option, set_option, threads, with_options};
-use super::files::{write_json, VERSION};
+use super::files::{write_json, write_summary, VERSION};
 use super::page;
 use super::prepare::{open_device, require_design, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::scene::{Config, Precision};
 use crate::design::shape::{self, read_column, read_columns, read_surface, Columns, Shape};
 use crate::error::{BadInput, Error};
+use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::report::text::shown;
 use crate::scene::load::Loaded;
-use crate::scene::verification::{Finding, Verification, Verified};
+use crate::scene::record::Record;
+use crate::scene::verification::{Verification, Verified};
 use clap::Args;
-use serde_json::{json, Map, Value};
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Evaluate a wall again at half the spacing, with other particles, over twice the time and from another seed.
@@ -52,16 +54,16 @@ pub struct VerifyArguments {
     pub threads: Option<usize>,
 }
 
-/// What `verify` is given: where the wall is, and which scene it belongs to.
+/// The input of `verify`: the wall and its scene.
 struct Given {
     wall: PathBuf,
     scene: Option<String>,
-    /// Where results go unless told otherwise.
+    /// Default output folder.
     folder: PathBuf,
 }
 
 impl VerifyArguments {
-    /// The files behind PATH.
+    /// The files of the argument PATH.
     fn given(&self) -> Result<Given, BadInput> {
         let path = &self.path;
         let name = path.display();
@@ -104,14 +106,14 @@ impl VerifyArguments {
     }
 }
 
-/// What folders of its own are marked with.
+/// The kind of its own folders.
 const KIND: &str = "verify";
 
 pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let given = arguments.given()?;
     let loaded = arguments.load(&given)?;
     let folder = arguments.out.clone().unwrap_or_else(|| given.folder.clone());
-    // Into a folder of its own, or beside what is verified.
+    // The output goes to a separate folder, or to that of the verified run.
     let earlier = if folder == given.folder { Earlier::Visited } else { Earlier::Replaced };
     RunFolder::check(&folder, KIND, earlier)?;
     let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
@@ -132,20 +134,18 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let is_surface = loaded.config.dimension() == 3;
     let columns = if is_surface { read_surface(&given.wall) } else { read_columns(&given.wall) };
     let best = wall(columns?, shape::TOP)?;
-    let (reference, reference_name) = match read_column(&given.wall, "first", is_surface)? {
-        Some(first) => (wall(first, "top_first")?, FIRST),
-        None => (best.flat(), FLAT),
-    };
+    let first = read_column(&given.wall, "first", is_surface)?;
+    let first = first.map(|first| wall(first, "top_first")).transpose()?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
-    let verification = Verification { loaded: loaded.for_search()?, reference, best, reference_name };
+    let verification = Verification::of_search(&loaded, first, best)?;
     let _own = RunFolder::take(&folder, KIND, earlier)?;
-    let verified = verify(&verification, "verify")?;
-    let mut map = data(&verified);
-    map.insert("version".into(), json!(VERSION));
-    map.insert("wall".into(), json!(arguments.path.display().to_string()));
+    let verified = verify(&verification)?;
+    let mut record = verified.record();
+    record.put("version", VERSION);
+    record.put("wall", arguments.path.display().to_string());
     let file = folder.join("verification.json");
-    write_json(&file, &Value::Object(map))?;
+    write_json(&file, &json!(record))?;
     match earlier {
         Earlier::Visited => page::refresh(&folder)?,
         _ => page::write(&folder)?,
@@ -155,42 +155,28 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What the reference of a run is called.
-pub const FIRST: &str = "the first design";
-pub const FLAT: &str = "the flat wall";
-
-/// Runs the checks, behind a progress bar.
-pub fn verify(verification: &Verification, label: &str) -> Result<Verified, Error> {
+/// Runs the checks with a progress bar.
+fn verify(verification: &Verification) -> Result<Verified, Error> {
     const UNITS: f64 = 1000.0;
-    let bar = Progress::new(UNITS as u64, label);
+    let bar = Progress::new(UNITS as u64, "verify");
     let verified = verification.run(&mut |share| bar.set_position((share * UNITS) as u64));
     bar.finish();
     verified
 }
 
-/// For `summary.json` and `verification.json`.
-pub fn data(verified: &Verified) -> Map<String, Value> {
-    let name = verified.figure.symbol.to_lowercase();
-    let of = |finding: &Finding| {
-        let figures = finding.figures.as_ref().ok();
-        let mut map = Map::new();
-        map.insert("check".into(), json!(finding.check));
-        map.insert(format!("{name}_reference"), json!(figures.map(|(reference, _)| reference)));
-        map.insert(format!("{name}_best"), json!(figures.map(|(_, best)| best)));
-        map.insert("gain".into(), json!(finding.gain()));
-        map.insert("error".into(), json!(finding.figures.as_ref().err()));
-        Value::Object(map)
-    };
-    let mut map = Map::new();
-    map.insert("verification".into(), verified.checks.iter().map(of).collect());
-    map.insert("verification_reference".into(), json!(verified.reference_name));
-    map.insert("verification_seconds".into(), json!(verified.seconds));
-    map.insert("gain_survives".into(), json!(verified.survives()));
-    map
+/// Checks the gain of a search, prints the remaining gain, and adds it to `summary.json`.
+pub fn of_search(folder: &Path, mut record: Record, verification: &Verification) -> anyhow::Result<()> {
+    let verified = verify(verification)?;
+    // Otherwise a check that was interrupted would count as failed.
+    interrupt::check()?;
+    record.0.extend(verified.record().0);
+    write_summary(folder, &record)?;
+    println!("\nverification: both walls again, with one thing changed\n{}", text_of(&verified));
+    Ok(())
 }
 
-/// What is printed: the table, the gain that survives, and warnings.
-pub fn text_of(verified: &Verified) -> String {
+/// The printed text: the table, the surviving gain, and warnings.
+fn text_of(verified: &Verified) -> String {
     let symbol = verified.figure.symbol;
     let mut table = Table::new(["check", &format!("{symbol} reference"), &format!("{symbol} best"), "gain"]);
     for finding in &verified.checks {

@@ -1,52 +1,41 @@
-//! Scenes of one's own: a box, the shapes in it, what the fluid begins with.
+//! Custom scenes: a box, the shapes in it, and the initial fields.
 
-use crate::config::formula::Formula;
-use crate::config::scene::{Config, Formulation, GradientMode, ObjectiveKind};
+use crate::config::formula::{Formula, Function};
+use crate::config::range::Range::NotNegative;
+use crate::config::section::section;
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
-/// The box.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Region {
-    /// Lengths along x, y (and z): as many as there are dimensions. The corner is at 0.
-    pub size: Vec<f64>,
-    /// Whether what leaves at one side comes in at the other; a side that is not periodic is a wall.
-    pub periodic: Vec<bool>,
-    /// Body force per mass.
-    pub acceleration: Vec<f64>,
-    /// Fluid at x below this is reset to `fluid.inlet_temperature`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub inlet_until: Option<f64>,
-    /// Fluid at x above this does not conduct.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub outlet_from: Option<f64>,
-}
-
-impl Default for Region {
-    fn default() -> Self {
-        Self {
-            size: vec![1.0, 0.4],
-            periodic: vec![true, false],
-            acceleration: vec![0.0, 0.0],
-            inlet_until: None,
-            outlet_from: None,
-        }
+section! {
+    /// The box.
+    "region.": Region {
+        /// Lengths along x, y (and z), one for each dimension. The corner is at 0.
+        size: Vec<f64> = vec![1.0, 0.4];
+        /// Whether each direction is periodic; otherwise its sides are walls.
+        periodic: Vec<bool> = vec![true, false];
+        /// Body force per mass.
+        acceleration: Vec<f64> = vec![0.0, 0.0];
+        /// Fluid at x below this is reset to `fluid.inlet_temperature`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        inlet_until: Option<f64> = None, NotNegative;
+        /// Fluid at x above this does not conduct.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        outlet_from: Option<f64> = None, NotNegative;
     }
 }
 
-/// What the fluid begins with.
+/// Formulas of the fluid's fields: what it begins with (`[initial]`), and the exact solution, if there is one (`[exact]`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Initial {
-    /// Components of the velocity; none: at rest.
+pub struct Fields {
+    /// Components of the velocity. None: at rest at the start; unknown in the exact solution.
     pub velocity: Vec<Formula>,
-    /// None: the scene has no heat.
+    /// None at the start: the scene has no heat; none in the exact solution: unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<Formula>,
 }
 
-/// A part of space, and what fills it. Of two shapes that overlap the later one counts.
+/// A region and what fills it. Of overlapping shapes the last one counts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ShapeEntry {
@@ -68,32 +57,31 @@ pub struct ShapeEntry {
     pub thickness: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub positive: Option<Formula>,
-    /// Of a wall: what its surface moves with. None: at rest.
+    /// Velocity of a wall's surface; none: at rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity: Option<Vec<Formula>>,
-    /// Of a wall. None: no heat flows through it.
+    /// Temperature of a wall; none: adiabatic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<Formula>,
 }
 
-/// A number of a shape that an optimiser may change, and how far.
+/// A number of a shape that an optimiser may change, and its limits.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VariableEntry {
-    /// Its key, such as `shapes[0].centre[1]`.
+    /// Key of the number, such as `shapes[0].centre[1]`.
     pub number: String,
     pub lower: f64,
     pub upper: f64,
 }
 
-/// Which number of which shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ShapeNumber {
     pub shape: usize,
     pub part: Part,
 }
 
-/// Which number of a shape: of vectors the component, of points the point and its component.
+/// Identifies a number within a shape: for vectors by component, for points by point and component.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Lower(usize),
@@ -105,8 +93,8 @@ pub enum Part {
 }
 
 impl ShapeNumber {
-    /// Those that shape number `shape` has.
-    fn all(shape: usize, entry: &ShapeEntry) -> Vec<Self> {
+    /// The numbers of shape number `shape`.
+    pub fn all(shape: usize, entry: &ShapeEntry) -> Vec<Self> {
         let vector = |vector: &Option<Vec<f64>>| 0..vector.as_ref().map_or(0, Vec::len);
         let points = 0..entry.points.as_ref().map_or(0, Vec::len);
         let parts = vector(&entry.lower).map(Part::Lower);
@@ -116,7 +104,7 @@ impl ShapeNumber {
         parts.chain(entry.thickness.map(|_| Part::Thickness)).map(|part| Self { shape, part }).collect()
     }
 
-    /// The number itself; none if there is no such one.
+    /// The number itself, if it exists.
     pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
         let entry = shapes.get_mut(self.shape)?;
         match self.part {
@@ -144,22 +132,22 @@ impl std::fmt::Display for ShapeNumber {
     }
 }
 
-/// Kinds of shapes, each with keys of its own.
+/// Kinds of shapes, with their keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Between two corners: `lower`, `upper`.
+    /// A box between two corners: `lower`, `upper`.
     #[default]
     Box,
-    /// `centre`, `radius`; a ball in three dimensions.
+    /// A disc, or a ball in three dimensions: `centre`, `radius`.
     Disc,
-    /// Three dimensions: `centre`, `radius`, along `axis` from end to end.
+    /// A cylinder along `axis` through the whole box, in three dimensions: `centre`, `radius`.
     Cylinder,
-    /// Within half a `thickness` of the line through `points` (x, y); along all of z.
+    /// A line through `points` (x, y) of a `thickness`, along all of z.
     Polyline,
-    /// Inside the closed line through `points` (x, y); along all of z.
+    /// The inside of the closed line through `points` (x, y), along all of z.
     Polygon,
-    /// Where a formula is above 0: `positive`.
+    /// The region where the formula `positive` is above 0.
     Where,
 }
 
@@ -181,7 +169,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// 0, 1, 2 for x, y, z.
+    /// Index of the direction: 0, 1, 2 for x, y, z.
     pub fn direction(self) -> usize {
         match self {
             Self::X => 0,
@@ -203,7 +191,7 @@ impl Kind {
         }
     }
 
-    /// Keys that a shape of this kind must have.
+    /// The keys that a shape of this kind must have.
     fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Box => &["lower", "upper"],
@@ -217,7 +205,7 @@ impl Kind {
 }
 
 impl ShapeEntry {
-    /// One with every key, for the list of keys.
+    /// A shape with every key, for the list of keys.
     pub fn complete() -> Self {
         Self {
             lower: Some(vec![]),
@@ -234,8 +222,8 @@ impl ShapeEntry {
         }
     }
 
-    /// The first thing wrong with shape number `place`.
-    fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
+    /// Checks shape number `place`; returns the first error.
+    pub fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
         let bad = |name: &str, problem: String| BadInput::new(format!("{}: {problem}", key(name))).key(key(name));
         let kind = self.kind;
@@ -311,192 +299,39 @@ impl ShapeEntry {
     }
 }
 
-/// Formulas of a vector.
-fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
-    if vector.len() != dimension {
-        let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
-        return Err(BadInput::new(format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
-            .key(key)
-            .allowed(format!("{dimension} numbers or formulas, as region.size")));
-    }
+pub fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
+    check_components(key, vector, dimension)?;
     for (d, formula) in vector.iter().enumerate() {
         formula.function(&format!("{key}[{d}]"), dimension)?;
     }
     Ok(())
 }
 
-impl Config {
-    /// Whether anything in a scene of one's own is a wall.
-    pub fn has_walls(&self) -> bool {
-        self.region.periodic.contains(&false) || self.shapes.iter().any(|shape| shape.fill == Fill::Wall)
+/// As many formulas as there are dimensions.
+fn check_components(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
+    if vector.len() != dimension {
+        let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
+        return Err(BadInput::new(format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
+            .key(key)
+            .allowed(format!("{dimension} numbers or formulas, as region.size")));
     }
+    Ok(())
+}
 
-    /// A scene of one's own: lengths of vectors, whole numbers of spacings, shapes, formulas.
-    pub(super) fn check_custom(&self) -> Result<(), BadInput> {
-        let (region, initial) = (&self.region, &self.initial);
-        let bad = |key: &str, problem: String| BadInput::new(format!("{key} = {problem}")).key(key);
-        if !(2..=3).contains(&region.size.len()) || region.size.iter().any(|x| !(*x > 0.0 && x.is_finite())) {
-            return Err(bad("region.size", format!("{:?}", region.size)).allowed("two or three lengths above 0"));
+impl Fields {
+    /// Reads the formulas of an exact solution: of the velocity's components, and of the temperature.
+    ///
+    /// # Errors
+    /// Formulas that can not be read, and another number of components than of dimensions.
+    pub fn of_time(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
+        if !self.velocity.is_empty() {
+            check_components("exact.velocity", &self.velocity, dimension)?;
         }
-        let d = region.size.len();
-        let other = |key: &str, length: usize, shown: String| match length == d {
-            true => Ok(()),
-            false => Err(bad(key, shown).allowed(format!("{d} entries, as region.size"))),
-        };
-        other("region.periodic", region.periodic.len(), format!("{:?}", region.periodic))?;
-        other("region.acceleration", region.acceleration.len(), format!("{:?}", region.acceleration))?;
-        if region.acceleration.iter().any(|x| !x.is_finite()) {
-            return Err(bad("region.acceleration", format!("{:?}", region.acceleration)).allowed("finite numbers"));
-        }
-        self.check_cells()?;
-        let has_heat = initial.temperature.is_some();
-        if !initial.velocity.is_empty() {
-            check_vector("initial.velocity", &initial.velocity, d)?;
-        }
-        if let Some(temperature) = &initial.temperature {
-            temperature.function("initial.temperature", d)?;
-        }
-        for (key, x) in [("region.inlet_until", region.inlet_until), ("region.outlet_from", region.outlet_from)] {
-            let Some(x) = x else { continue };
-            if !has_heat {
-                return Err(bad(key, format!("{x} in a scene without heat")).allowed("with initial.temperature"));
-            }
-            if !(0.0..=region.size[0]).contains(&x) {
-                return Err(bad(key, format!("{x}")).allowed(format!("0 ... {}, region.size[0]", region.size[0])));
-            }
-        }
-        if let (Some(inlet), Some(outlet)) = (region.inlet_until, region.outlet_from) {
-            if inlet >= outlet {
-                return Err(bad("region.outlet_from", format!("{outlet}"))
-                    .allowed(format!("above region.inlet_until = {inlet}")));
-            }
-        }
-        for (place, shape) in self.shapes.iter().enumerate() {
-            shape.check(place, d, has_heat)?;
-        }
-        Ok(())
-    }
-
-    /// The numbers of all shapes.
-    fn all_shape_numbers(&self) -> Vec<ShapeNumber> {
-        self.shapes.iter().enumerate().flat_map(|(place, entry)| ShapeNumber::all(place, entry)).collect()
-    }
-
-    /// The numbers that `variables` names, in their order; those of a checked configuration.
-    pub fn shape_numbers(&self) -> Vec<ShapeNumber> {
-        let all = self.all_shape_numbers();
-        let named = |variable: &VariableEntry| all.iter().find(|number| number.to_string() == variable.number).copied();
-        self.variables.iter().filter_map(named).collect()
-    }
-
-    /// What an optimiser may change: numbers that there are, between limits that the shapes allow, and what it is judged by.
-    pub(super) fn check_variables(&self) -> Result<(), BadInput> {
-        let (dimension, has_heat) = (self.dimension(), self.initial.temperature.is_some());
-        let numbers = self.all_shape_numbers();
-        for (k, variable) in self.variables.iter().enumerate() {
-            let VariableEntry { number, lower, upper } = variable;
-            let bad = |name: &str, problem: String| {
-                let key = format!("variables[{k}].{name}");
-                BadInput::new(format!("{key} = {problem}")).key(key)
-            };
-            let Some(found) = numbers.iter().find(|one| one.to_string() == *number) else {
-                let names: Vec<String> = numbers.iter().map(ShapeNumber::to_string).collect();
-                return Err(bad("number", format!("\"{number}\": no shape has such a number")).allowed(
-                    if names.is_empty() { "those of shapes, and there are none".into() } else { names.join(", ") },
-                ));
-            };
-            if self.variables[..k].iter().any(|other| other.number == *number) {
-                return Err(bad("number", format!("\"{number}\" for the second time")).allowed("each number once"));
-            }
-            let mut shapes = self.shapes.clone();
-            let now = found.of(&mut shapes).copied().unwrap_or(f64::NAN);
-            if !(lower.is_finite() && upper.is_finite() && lower < upper) {
-                return Err(
-                    bad("upper", format!("{upper} with lower = {lower}")).allowed("finite numbers, upper above lower")
-                );
-            }
-            if !(*lower..=*upper).contains(&now) {
-                return Err(bad("number", format!("\"{number}\" is {now}, outside of its limits"))
-                    .allowed(format!("{lower} ... {upper} (variables[{k}].lower ... variables[{k}].upper)")));
-            }
-            for limit in [lower, upper] {
-                if let Some(it) = found.of(&mut shapes) {
-                    *it = *limit;
-                }
-                shapes[found.shape].check(found.shape, dimension, has_heat).map_err(|wrong| {
-                    let wrong = wrong.to_string();
-                    let problem = wrong.lines().next().unwrap_or_default();
-                    bad("number", format!("\"{number}\" may become {limit}, but {problem}"))
-                        .allowed("limits between which the shape is one")
-                })?;
-            }
-            let entry = &self.shapes[found.shape];
-            let formulas = entry.velocity.iter().flatten().chain(&entry.temperature);
-            if let Some(formula) = formulas.into_iter().find(|formula| formula.0.trim().parse::<f64>().is_err()) {
-                return Err(bad(
-                    "number",
-                    format!("\"{number}\" moves a wall whose values are formulas: {}", formula.0),
-                )
-                .allowed("shapes whose velocity and temperature are numbers, or none"));
-            }
-        }
-        if self.variables.is_empty() {
-            return Ok(());
-        }
-        if self.fluid.formulation == Formulation::Standard {
-            return Err(BadInput::new("variables in the standard formulation, whose walls are cells of the lattice")
-                .key("fluid.formulation")
-                .allowed("consistent with them")
-                .advice("fluid.formulation=consistent"));
-        }
-        if self.optimise.gradient == GradientMode::Steady {
-            return Err(BadInput::new("optimise.gradient = steady with particles that move")
-                .key("optimise.gradient")
-                .allowed("differences, segments, taped, truncated")
-                .advice("optimise.gradient=differences"));
-        }
-        let (objective, along) = (&self.objective, self.region.size[0]);
-        if !has_heat && objective.kind != ObjectiveKind::FlowRate {
-            return Err(BadInput::new("objective.kind is about heat, and the scene has none")
-                .key("objective.kind")
-                .allowed("flow-rate; the others with initial.temperature")
-                .advice("objective.kind=flow-rate, or initial.temperature=1.0"));
-        }
-        if objective.target_x > along {
-            return Err(BadInput::new(format!("objective.target_x = {} is outside the box", objective.target_x))
-                .key("objective.target_x")
-                .allowed(format!("0 ... {along}, region.size[0]")));
-        }
-        self.check_clip()?;
-        self.check_store()
-    }
-
-    /// dx divides the box, which is large enough and not too large.
-    fn check_cells(&self) -> Result<(), BadInput> {
-        let (region, dx) = (&self.region, self.resolution.dx);
-        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
-        let particles: f64 = region.size.iter().map(|x| x / dx).product();
-        if particles > super::validate::MAX_PARTICLES {
-            return Err(bad(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
-                .allowed(format!("at most {:.0e} particles", super::validate::MAX_PARTICLES)));
-        }
-        let support = self.support();
-        for (k, (size, periodic)) in region.size.iter().zip(&region.periodic).enumerate() {
-            let key = format!("region.size[{k}]");
-            let count = (size / dx).round();
-            if !super::validate::is_whole(size / dx) {
-                return Err(bad(format!("resolution.dx = {dx} does not divide {key} = {size}"))
-                    .allowed("a whole number of spacings along each side")
-                    .advice(format!("{key} = {}", count.max(1.0) * dx)));
-            }
-            // Periodic images: a particle may see each neighbour once only.
-            let fewest = if *periodic { 2.0 * (support + self.time.skin) } else { 1.0 };
-            if count < fewest {
-                return Err(bad(format!("resolution.dx = {dx} is too coarse for {key} = {size}"))
-                    .allowed(format!("at least {fewest:.1} spacings along a periodic side"))
-                    .advice(format!("resolution.dx={}", size / fewest.ceil())));
-            }
-        }
-        Ok(())
+        let component =
+            |(d, formula): (usize, &Formula)| formula.function_of_time(&format!("exact.velocity[{d}]"), dimension);
+        let velocity = self.velocity.iter().enumerate().map(component).collect::<Result<_, _>>()?;
+        let temperature = self.temperature.as_ref();
+        let temperature = temperature.map(|formula| formula.function_of_time("exact.temperature", dimension));
+        Ok((velocity, temperature.transpose()?))
     }
 }

@@ -1,13 +1,13 @@
 //! Quantities that follow from a configuration.
 
-use crate::config::scene::{Config, DriveName, Family, Formulation, IntegratorName, Motion};
+use crate::config::scene::{Config, DriveName, Family};
+use crate::config::stability::{CflLimit, FREE_SURFACE};
 
-/// What bounds the time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeStepLimits {
     pub acoustic: f64,
     pub diffusive: f64,
-    /// What the body force allows in a scene of one's own; infinite elsewhere.
+    /// Limit by the body force of a custom scene; infinite for others.
     pub force: f64,
 }
 
@@ -15,15 +15,15 @@ pub struct TimeStepLimits {
 const FORCE_NUMBER: f64 = 0.25;
 
 impl Config {
-    /// c = sound_speed_factor * reference_velocity.
+    /// Speed of sound, c = sound_speed_factor * reference_velocity.
     pub fn sound_speed(&self) -> f64 {
         self.fluid.sound_speed_factor * self.fluid.reference_velocity
     }
 
-    /// alpha = conductivity / (density * heat_capacity); of verification flows the largest that there is, in their own units.
+    /// alpha = conductivity / (density * heat_capacity); for verification flows the largest one, in their own units.
     pub fn thermal_diffusivity(&self) -> f64 {
         match self.scene {
-            // The lower half's is 1.
+            // That of the lower half is 1.
             Family::Slab => (self.heat.conductivity_ratio / self.heat.capacity_ratio).max(1.0),
             Family::IsothermalChannel => 1.0 / (self.flow.reynolds * self.heat.prandtl),
             _ => self.fluid.conductivity / (self.fluid.density * self.fluid.heat_capacity),
@@ -35,7 +35,7 @@ impl Config {
         self.fluid.viscosity / self.fluid.density
     }
 
-    /// The acceleration g that drives the plane channel: the body force, or what its flow rate or its power needs there.
+    /// The acceleration g that drives the plane channel: the body force, or that which gives its flow rate or power.
     pub fn plane_force(&self) -> f64 {
         let (fluid, channel) = (&self.fluid, &self.channel);
         let stiff = 12.0 * self.kinematic_viscosity() / channel.height.powi(3);
@@ -54,22 +54,22 @@ impl Config {
         self.plane_force() * self.channel.height.powi(3) / (12.0 * self.kinematic_viscosity())
     }
 
-    /// The plane channel's fastest flow, on its centre line.
+    /// The largest velocity of the plane channel, on its centre line.
     pub fn plane_speed(&self) -> f64 {
         1.5 * self.plane_flow_rate() / self.channel.height
     }
 
-    /// The power that drives it, density g length times the flow rate, per depth.
+    /// The power that drives the plane channel, density g length times the flow rate, per depth.
     pub fn plane_power(&self) -> f64 {
         self.fluid.density * self.plane_force() * self.channel.length * self.plane_flow_rate()
     }
 
-    /// Whether there is something to optimise.
+    /// Whether the scene has something to optimise.
     pub fn has_design(&self) -> bool {
         self.scene.has_design() || !self.variables.is_empty()
     }
 
-    /// 2 or 3.
+    /// Number of dimensions, 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
             Family::HeatedChannel3d
@@ -87,33 +87,36 @@ impl Config {
         self.resolution.smoothing_length * self.resolution.dx
     }
 
-    /// The kernel's support radius, in spacings.
+    /// The kernel's support radius in spacings.
     pub fn support(&self) -> f64 {
         self.resolution.kernel.support() * self.resolution.smoothing_length
     }
 
-    /// The fewest rows of dummy particles that fill the kernel's support; in the consistent formulation those that a particle
-    /// in its place, half a spacing from the wall, can see.
-    pub fn least_wall_rows(&self) -> usize {
-        let seen = match self.fluid.formulation {
-            Formulation::Consistent if self.scene.has_design() => self.support() - 0.5,
-            _ => self.support(),
-        };
-        // Products such as 3 * 1.1 are rounded.
-        (seen - 1e-9).ceil() as usize
+    /// The largest stable CFL numbers.
+    pub fn cfl_limit(&self) -> CflLimit {
+        match self.scene.has_surface() {
+            true => FREE_SURFACE,
+            false => self.method.cfl_limit(self.time.jitter),
+        }
     }
 
-    /// The kinematic viscosity that the artificial one amounts to, alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
+    /// The smallest number of rows of dummy particles that fill the kernel's support; where walls are shaped, those
+    /// that a particle next to the wall can reach.
+    pub fn least_wall_rows(&self) -> usize {
+        let first = if self.scene.has_design() { self.method.facts().first_particle } else { 0.0 };
+        // Products such as 3 * 1.1 are rounded.
+        (self.support() - first - 1e-9).ceil() as usize
+    }
+
+    /// The kinematic viscosity of the artificial viscosity, alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
     pub fn artificial_kinematic_viscosity(&self) -> f64 {
-        let alpha = self.fluid.artificial_viscosity;
+        let alpha = self.method.artificial_viscosity();
         alpha * self.smoothing_length() * self.sound_speed() / (2.0 * (self.dimension() as f64 + 2.0))
     }
 
-    /// The time steps that sound and diffusion allow: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu, alpha),
-    /// nu with the artificial viscosity, half of it for velocity Verlet; the verification flows have nu = 1 / Re, and most no heat. Under
-    /// gravity g the first is no more than
-    /// cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2). Fixed particles take no larger cfl
-    /// than 0.144 c / u where the plane channel's fastest flow u is faster than 0.12 c.
+    /// The limits of the time step by sound and diffusion: cfl dx / (c + u_ref), and diffusion_number dx^2 / max(nu,
+    /// alpha) times the method's factor, where nu includes the artificial viscosity. Verification flows have nu = 1 /
+    /// Re, and most no heat. Under gravity g the first limit is at most cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2).
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
         let artificial = self.artificial_kinematic_viscosity();
@@ -130,15 +133,7 @@ impl Config {
             Family::Custom => self.kinematic_viscosity() + artificial,
             _ => 1.0 / self.flow.reynolds + artificial,
         };
-        // Steps of fixed particles carry sound with the flow explicitly, and the faster that is the smaller they must be:
-        // measured, cfl 1.2 at Mach 0.115 (height 0.2) and 0.8 at 0.194 (0.26).
-        let mach = self.plane_speed() / self.sound_speed();
-        let most = match self.fluid.motion {
-            Motion::Fixed if mach > 0.12 => 1.2 * 0.12 / mach,
-            _ => f64::INFINITY,
-        };
-        // Its explicit rates are those of Adams and Bashforth, which are stable for half of what Euler's are.
-        let share = if self.time.integrator == IntegratorName::Verlet { 0.5 } else { 1.0 };
+        let most = self.method.largest_cfl(self.plane_speed() / self.sound_speed());
         let gravity = self.fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let falling = match self.scene.has_surface() {
             true => self.time.cfl * (dx / gravity).sqrt(),
@@ -147,7 +142,7 @@ impl Config {
         TimeStepLimits {
             acoustic: (self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity))
                 .min(falling),
-            diffusive: share * self.time.diffusion_number * dx * dx / diffusivity,
+            diffusive: self.method.diffusive_share() * self.time.diffusion_number * dx * dx / diffusivity,
             force: match self.scene {
                 Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),
                 _ => f64::INFINITY,
@@ -161,21 +156,22 @@ impl Config {
         limits.acoustic.min(limits.diffusive).min(limits.force)
     }
 
-    /// Size of the body force per mass in a scene of one's own.
+    /// Magnitude of the body force per mass in a custom scene.
     pub fn acceleration(&self) -> f64 {
         self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()
     }
 
-    /// Number of steps: `time.steps`, or the fewest that reach `time.end` within the limit, or with `time.step`.
+    /// Number of steps: `time.steps`, or the smallest number that reaches `time.end` with the largest or the given
+    /// step.
     pub fn steps(&self) -> usize {
-        // The tolerance keeps an exact multiple from costing one more, tiny step.
+        // The tolerance avoids an additional, tiny step for an exact multiple.
         let step = self.time.step.unwrap_or_else(|| self.time_step_limit());
         let needed = (self.time.end / step - 1e-9).ceil().max(1.0);
         self.time.steps.unwrap_or(needed as usize)
     }
 
-    /// Time step: the one that is given; else the limit itself when the steps are counted, or shortened so that the run ends at
-    /// `time.end`.
+    /// Time step: the given one; else the limit if the number of steps is given, or a smaller step with which the run
+    /// ends at `time.end`.
     pub fn time_step(&self) -> f64 {
         match (self.time.step, self.time.steps) {
             (Some(step), _) => step,
@@ -189,17 +185,17 @@ impl Config {
         self.time_step() * self.steps() as f64
     }
 
-    /// Particle columns along x.
+    /// Number of particle columns along x.
     pub fn columns(&self) -> usize {
         (self.channel.length / self.resolution.dx).round() as usize
     }
 
-    /// Rows of fluid particles.
+    /// Number of rows of fluid particles.
     pub fn rows(&self) -> usize {
         (self.channel.height / self.resolution.dx).round() as usize
     }
 
-    /// Layers of particles across the channel; one in two dimensions.
+    /// Number of layers of particles across the channel; one in two dimensions.
     pub fn layers(&self) -> usize {
         match self.dimension() {
             3 => (self.channel.span / self.resolution.dx).round() as usize,
@@ -207,7 +203,7 @@ impl Config {
         }
     }
 
-    /// Depth of what is simulated: the span, and 1 in two dimensions.
+    /// Depth of the simulated domain: the span, or 1 in two dimensions.
     pub fn depth(&self) -> f64 {
         match self.dimension() {
             3 if self.scene == Family::Custom => self.region.size[2],
@@ -216,8 +212,8 @@ impl Config {
         }
     }
 
-    /// In three dimensions: distances of the design's control points along and across the channel. The first begins, and the
-    /// last ends, with the hot section, and each reaches over four distances.
+    /// In three dimensions: distances between the design's control points along and across the channel. The support of
+    /// the first begins, and that of the last ends, with the hot section; each is four distances wide.
     pub fn control_distances(&self) -> [f64; 2] {
         let (channel, design) = (&self.channel, &self.design);
         let along = (channel.hot_to - channel.hot_from) / (design.control_points as f64 + 3.0);
@@ -228,7 +224,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::scene::KernelName;
+    use crate::config::scene::{KernelName, Method, Standard};
 
     #[test]
     fn step_of_the_report() {
@@ -256,11 +252,11 @@ mod tests {
     fn support_follows_kernel_and_smoothing_length() {
         let mut config = Config::default();
         assert!((config.support() - 2.4).abs() < 1e-15 && (config.smoothing_length() - 0.016).abs() < 1e-17);
-        // Half a spacing of the support is fluid.
+        // Half a spacing of the support is in the fluid.
         assert_eq!(config.least_wall_rows(), 2);
         config.resolution.smoothing_length = 1.1;
         assert_eq!(config.least_wall_rows(), 3);
-        config.fluid.formulation = Formulation::Standard;
+        config.method = Method::named("standard").unwrap();
         config.resolution.smoothing_length = 1.0;
         assert_eq!((config.support(), config.smoothing_length(), config.least_wall_rows()), (3.0, 0.02, 3));
         config.resolution.smoothing_length = 1.1;
@@ -274,13 +270,12 @@ mod tests {
     #[test]
     fn artificial_viscosity_limits_the_step() {
         let mut config = Family::TaylorGreen.defaults();
-        config.fluid.artificial_viscosity = 4.0;
+        config.method = Method::Standard(Standard { artificial_viscosity: 4.0, ..Standard::default() });
         config.resolution.smoothing_length = 1.0;
-        config.time.integrator = IntegratorName::SymplecticEuler;
-        // 4 h c / 8 with h = 0.02 and c = 10, beside 1 / Re = 0.01.
+        // The artificial viscosity is 4 h c / 8 with h = 0.02 and c = 10, in addition to 1 / Re = 0.01.
         assert!((config.time_step_limits().diffusive - 0.25 * 4e-4 / 0.11).abs() < 1e-15);
         let mut config = Family::TaylorGreen3d.defaults();
-        config.fluid.artificial_viscosity = 1.0;
+        config.method = Method::Standard(Standard { artificial_viscosity: 1.0, ..Standard::default() });
         config.resolution.smoothing_length = 1.0;
         let dx = config.resolution.dx;
         assert!((config.artificial_kinematic_viscosity() - dx).abs() < 1e-15, "h c / 10");

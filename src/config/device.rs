@@ -1,6 +1,5 @@
-//! Where operators run: on the CPU, or on a GPU by candle's CUDA backend.
+//! Device of the operators: the CPU, or a GPU by candle's CUDA backend.
 
-use crate::config::scene::{Kernels, Run};
 use crate::error::BadInput;
 use candle_core::Device;
 use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
@@ -8,16 +7,26 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Mutex, PoisonError};
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kernels {
+    /// One SIMD kernel and hand-written adjoint per operator.
+    #[default]
+    Fused,
+    /// The same operators from ordinary candle ops: slow, the oracle.
+    Composed,
+}
+
 /// A device by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeviceName {
     #[default]
     Cpu,
-    /// By its number.
+    /// The GPU with this number.
     Cuda(usize),
 }
 
-/// What can be written.
+/// The accepted notation, for messages.
 const FORM: &str = "cpu, cuda (the first GPU) or cuda:N (GPU number N, from 0)";
 
 impl std::str::FromStr for DeviceName {
@@ -68,11 +77,11 @@ impl<'de> Deserialize<'de> for DeviceName {
     }
 }
 
-/// The GPUs that were opened, by number: candle takes two openings of one GPU for two devices.
+/// The opened GPUs by number, because candle treats two openings of one GPU as two devices.
 static OPENED: Mutex<BTreeMap<usize, Device>> = Mutex::new(BTreeMap::new());
 
 impl DeviceName {
-    /// The device itself, the same one whenever it is asked for.
+    /// Opens the device, or returns the one that is already open.
     ///
     /// # Errors
     /// [`BadInput`] (its key is `run.device`): a build without CUDA, a machine without such a GPU.
@@ -89,7 +98,7 @@ impl DeviceName {
             return Ok(device.clone());
         }
         let device = Device::new_cuda(number).map_err(|error| {
-            // Behind the first line there may be a trace.
+            // The first line may be followed by a trace.
             let cause = error.to_string();
             bad(cause.lines().next().unwrap_or_default())
                 .allowed("a GPU of this machine, as `nvidia-smi` numbers them from 0; cpu")
@@ -100,7 +109,7 @@ impl DeviceName {
     }
 }
 
-/// What operators and networks run with: their implementation, and the device.
+/// Implementation of operators and networks, and their device.
 #[derive(Debug, Clone)]
 pub struct Compute {
     kernels: Kernels,
@@ -108,7 +117,7 @@ pub struct Compute {
 }
 
 impl Compute {
-    /// Off the CPU the operators are the composed ones, whatever is asked for: fused ones run on the CPU only.
+    /// Chooses composed operators on other devices than the CPU, because fused ones run only there.
     pub fn new(kernels: Kernels, device: Device) -> Self {
         let kernels = if device.is_cpu() { kernels } else { Kernels::Composed };
         Self { kernels, device }
@@ -124,19 +133,9 @@ impl Compute {
 }
 
 impl From<Kernels> for Compute {
-    /// On the CPU.
+    /// These kernels on the CPU.
     fn from(kernels: Kernels) -> Self {
         Self::new(kernels, Device::Cpu)
-    }
-}
-
-impl Run {
-    /// What a run's operators run with.
-    ///
-    /// # Errors
-    /// As for [`DeviceName::open`].
-    pub fn compute(&self) -> Result<Compute, BadInput> {
-        Ok(Compute::new(self.kernels, self.device.open()?))
     }
 }
 
@@ -166,7 +165,7 @@ mod tests {
     #[test]
     fn on_the_cpu_kernels_are_those_that_were_asked_for() {
         for kernels in [Kernels::Fused, Kernels::Composed] {
-            let compute = Run { kernels, ..Run::default() }.compute().unwrap();
+            let compute = Compute::from(kernels);
             assert!(compute.kernels() == kernels && compute.device().is_cpu());
         }
     }

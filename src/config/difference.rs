@@ -1,4 +1,4 @@
-//! Where two configurations differ: a run can be resumed, and a data set gone on with, only where they do not.
+//! Differences between configurations. A run or a data set can be continued only without differences in most keys.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::config::schema::{values, Schema};
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Difference {
     pub key: String,
-    /// As TOML; `nothing` where the key is absent.
+    /// The value as TOML; `nothing` where the key is absent.
     pub before: String,
     pub now: String,
 }
@@ -19,7 +19,7 @@ impl std::fmt::Display for Difference {
     }
 }
 
-/// The keys whose values differ, in the order of their names. `free` names keys and sections that may differ.
+/// The keys whose values differ, in alphabetical order, except for the keys and sections in `free`.
 pub fn differences<S: Schema>(before: &S, now: &S, free: &[&str]) -> Vec<Difference> {
     let texts = |config: &S| -> BTreeMap<String, String> {
         values(config).into_iter().map(|(key, value)| (key, value.to_string().trim().to_string())).collect()
@@ -39,7 +39,7 @@ pub fn differences<S: Schema>(before: &S, now: &S, free: &[&str]) -> Vec<Differe
         .collect()
 }
 
-/// The first of the [`differences`], in words.
+/// The first of the [`differences`] in words.
 pub fn difference<S: Schema>(before: &S, now: &S, free: &[&str]) -> Option<String> {
     differences(before, now, free).first().map(Difference::to_string)
 }

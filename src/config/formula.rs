@@ -1,4 +1,4 @@
-//! Numbers that depend on the place: expressions of x, y and z in a configuration, read by the crate exmex.
+//! Numbers that depend on the position: expressions of x, y and z in a configuration, parsed by the crate exmex.
 
 use crate::error::BadInput;
 use exmex::{literal_matcher_from_pattern, Express, FlatEx, FloatOpsFactory, MatchLiteral};
@@ -6,53 +6,71 @@ use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// What formulas are made of, for messages.
+/// The elements of formulas, for messages.
 pub const ALLOWED: &str =
     "a number, or a formula in quotes: x, y, z, + - * / ^ ( ), PI, abs(), sqrt(), sin(), exp(), tanh(), \
                            signum(), min(a, b), max(a, b) (a nested one first: max(min(a, b), c)) and the like";
 
-/// An expression of x, y, z, or a number. A minus in front belongs to what follows it: -x^2 is (-x)^2; of two nested min or max
-/// the inner one is the first argument (exmex refuses the other order).
+/// An expression of x, y, z, or a number. A leading minus belongs to what follows it: -x^2 is (-x)^2. Of two nested min
+/// or max the inner one must be the first argument (exmex rejects the other order).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Formula(pub String);
 
-// Numbers as everywhere else: with exponents too.
+// Numbers may have exponents.
 literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?");
 
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
-/// A formula that has been read.
+/// A parsed formula.
 #[derive(Debug, Clone)]
 pub struct Function {
     expression: Expression,
-    /// 0, 1, 2 for x, y, z, in the order of the expression's variables.
+    /// 0, 1, 2, 3 for x, y, z, t, in the order of the expression's variables.
     variables: Vec<usize>,
 }
 
 impl Formula {
-    /// Reads it; `key` is its own, such as `shapes[2].temperature`.
+    /// Parses the formula; `key` is its key in messages, such as `shapes[2].temperature`.
     ///
     /// # Errors
-    /// No expression, or one of something else than x, y, z (z in three dimensions only).
+    /// An invalid expression, or one with other variables than x, y, z (z only in three dimensions).
     pub fn function(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
+        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
+        self.read(key, place.collect(), &format!("a place in {dimension} dimensions"))
+    }
+
+    /// Reads an expression of the place and of the time t.
+    ///
+    /// # Errors
+    /// As for [`Self::function`].
+    pub fn function_of_time(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
+        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
+        self.read(key, place.chain([(3, "t")]).collect(), &format!("a place in {dimension} dimensions and a time"))
+    }
+
+    fn read(&self, key: &str, names: Vec<(usize, &str)>, what: &str) -> Result<Function, BadInput> {
         let bad =
             |problem: String| BadInput::new(format!("{key} = \"{}\": {problem}", self.0)).key(key).allowed(ALLOWED);
         let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
-        let names = &["x", "y", "z"][..dimension];
-        let place = |name: &String| names.iter().position(|known| known == name).ok_or_else(|| name.clone());
-        let variables = expression.var_names().iter().map(place).collect::<Result<Vec<_>, _>>();
+        let number = |name: &String| names.iter().find(|(_, known)| known == name).map(|(k, _)| *k).ok_or(name.clone());
+        let variables = expression.var_names().iter().map(number).collect::<Result<Vec<_>, _>>();
         let variables = variables.map_err(|name| {
-            let has = format!("`{name}` is unknown; a place in {dimension} dimensions has {}", names.join(", "));
-            bad(has)
+            let known: Vec<&str> = names.iter().map(|(_, name)| *name).collect();
+            bad(format!("`{name}` is unknown; {what} has {}", known.join(", ")))
         })?;
         Ok(Function { expression, variables })
     }
 }
 
 impl Function {
-    /// Its value at a place; not a number where it has none.
+    /// The value at a position; NaN where it has none.
     pub fn at(&self, place: [f64; 3]) -> f64 {
-        let values: Vec<f64> = self.variables.iter().map(|&d| place[d]).collect();
+        self.at_time(place, 0.0)
+    }
+
+    /// Its value at a place and a time; not a number where it has none.
+    pub fn at_time(&self, [x, y, z]: [f64; 3], t: f64) -> f64 {
+        let values: Vec<f64> = self.variables.iter().map(|&k| [x, y, z, t][k]).collect();
         self.expression.eval(&values).unwrap_or(f64::NAN)
     }
 }
@@ -124,7 +142,7 @@ mod tests {
         ] {
             assert!((value(text, p) - expected).abs() < 1e-14, "{text}: {} is not {expected}", value(text, p));
         }
-        // As the page says.
+        // As documented.
         assert_eq!(value("-x^2", p), 0.25);
         assert!(value("sqrt(y)", p).is_nan() && value("1/(x - 0.5)", p).is_infinite());
     }
@@ -144,7 +162,7 @@ mod tests {
         assert!(flat.contains("`z` is unknown; a place in 2 dimensions has x, y"), "{flat}");
     }
 
-    /// Whatever is typed, the reader may refuse it but must not fall over.
+    /// The parser may reject a text, but must not panic.
     #[test]
     fn no_text_panics() {
         let parts =

@@ -1,31 +1,33 @@
-//! Layers of configuration: texts and `key=value` settings laid over a complete text, each checked alone first, so that an
-//! error points into the text that the user wrote. Scenes and trainings are read by the same code: see [`Schema`].
+//! Layers of configuration: texts and `key=value` settings that override a complete text. Each is first checked alone,
+//! so that an error points to what the user wrote. Scenes and trainings use the same code, see [`Schema`].
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use toml_edit::{Document, DocumentMut, Item, Value};
+use toml_edit::{Document, DocumentMut, Item, Table, Value};
 
+use crate::config::before;
+use crate::config::method::Method;
 use crate::config::schema::{description, flatten, known_keys, value_of, values, Schema};
 use crate::config::suggest;
 use crate::error::BadInput;
 
-/// One assignment, `key=value`, or an option that stands for one.
+/// An assignment `key=value`, or an option that stands for one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Setting {
     /// What the user wrote, for messages.
     pub label: String,
-    /// `key=value` or `section.key=value`; the value in TOML, quotes optional around a single word.
+    /// `key=value` or `section.key=value`. The value is TOML; a single word needs no quotes.
     pub assignment: String,
 }
 
 impl Setting {
-    /// From an assignment, which names itself in messages.
+    /// A setting from an assignment, which is its own label.
     pub fn set(assignment: &str) -> Self {
         Self { label: assignment.to_string(), assignment: assignment.to_string() }
     }
 
-    /// From an option, e.g. `--threads 2` for `run.threads=2`.
+    /// A setting from an option, such as `--threads 2` for `run.threads=2`.
     pub fn option(option: &str, key: &str, value: impl std::fmt::Display) -> Self {
         Self { label: format!("{option} {value}"), assignment: format!("{key}={value}") }
     }
@@ -37,6 +39,36 @@ struct Entry {
     path: String,
     value: Value,
     place: String,
+    /// The key that the user wrote, if it is an old one (see [`before`]).
+    before: Option<String>,
+    /// Whether the entry is ignored if the chosen method has no such key.
+    lenient: bool,
+}
+
+impl Entry {
+    fn new(path: String, value: Value, place: String) -> Self {
+        match before::today(&path) {
+            None => Self { path, value, place, before: None, lenient: false },
+            Some(today) => {
+                let lenient = before::had_no_effect(&path, value.as_str().unwrap_or_default());
+                Self { path: today, value, place, before: Some(path), lenient }
+            }
+        }
+    }
+
+    /// Whether the key is in the section `[method]`, whose keys depend on the method.
+    fn is_of_method(&self) -> bool {
+        self.path.starts_with("method.")
+    }
+
+    /// Checks that the entry alone can be read as a configuration. An old key that chooses a method is checked later.
+    fn read_alone<S: Schema>(&self) -> Result<(), toml::de::Error> {
+        if self.before.is_some() && self.path == "method.name" {
+            return Ok(());
+        }
+        let keys: Vec<&str> = self.path.split('.').collect();
+        toml::from_str::<S>(&document(&keys, self.value.clone()).to_string()).map(|_| ())
+    }
 }
 
 /// Checked entries of one text or option.
@@ -49,18 +81,11 @@ impl Layer {
     /// Reads a whole TOML text; `name` is the file's name for messages.
     ///
     /// # Errors
-    /// No TOML, an unknown key, a value of the wrong type; with file and line.
+    /// Invalid TOML, an unknown key, or a value of the wrong type, with file and line.
     pub fn from_text<S: Schema>(name: &str, text: &str) -> Result<Self, BadInput> {
         let spanned = Document::parse(text)
             .map_err(|error| BadInput::new(cut(&error.to_string())).place(name).advice(S::HELP))?;
         let found = flatten(spanned.as_table());
-        if let Err(error) = toml::from_str::<S>(text) {
-            let at = error.span().unwrap_or_default();
-            let inside = |span: Range<usize>| span.contains(&at.start);
-            let key = found.iter().find(|(_, item)| item.span().is_some_and(inside));
-            let key = key.map(|(path, _)| path.clone());
-            return Err(explain::<S>(&error, &error.to_string(), key.as_deref()).place(name));
-        }
         let places: Vec<String> = found
             .iter()
             .map(|(_, item)| {
@@ -68,21 +93,44 @@ impl Layer {
                 format!("{name}, line {}", text[..start].matches('\n').count() + 1)
             })
             .collect();
+        let spans: Vec<Option<Range<usize>>> = found.iter().map(|(_, item)| item.span()).collect();
         // Values cloned from a spanned document would refer to its text; the mutable form owns them.
         let owned = spanned.into_mut();
+        let found = flatten(owned.as_table());
+        let written = found.iter().zip(&places);
+        let written: Vec<Entry> = written
+            .filter_map(|((path, item), place)| Some(Entry::new(path.clone(), value_of(item)?, place.clone())))
+            .collect();
+        if let Err(error) = toml::from_str::<S>(text) {
+            if !written.iter().any(Entry::is_of_method) {
+                let at = error.span().unwrap_or_default();
+                let inside = |span: &Option<Range<usize>>| span.as_ref().is_some_and(|span| span.contains(&at.start));
+                let key = spans.iter().position(inside).map(|place| found[place].0.as_str());
+                return Err(explain::<S>(&error, &error.to_string(), key).place(name));
+            }
+            // Whether keys and method are consistent is checked when all layers are known.
+            for entry in &written {
+                entry
+                    .read_alone::<S>()
+                    .map_err(|error| explain::<S>(&error, error.message(), Some(&entry.path)).place(&entry.place))?;
+            }
+        }
         let known = known_keys::<S>();
-        let entries = flatten(owned.as_table())
-            .into_iter()
-            .zip(places)
-            .map(|((path, item), place)| entry(&known, path, item, place))
-            .collect::<Result<_, _>>()?;
+        let mut entries = found
+            .iter()
+            .zip(&places)
+            .map(|((path, item), place)| entry(&known, path.clone(), item, place.clone()))
+            .collect::<Result<Vec<_>, _>>()?;
+        if before::is_complete(&found.iter().map(|(path, _)| path.as_str()).collect::<Vec<_>>()) {
+            entries.iter_mut().for_each(|entry| entry.lenient |= entry.before.is_some());
+        }
         Ok(Self { entries })
     }
 
     /// Reads one assignment.
     ///
     /// # Errors
-    /// As [`Layer::from_text`], with the setting's label.
+    /// As for [`Layer::from_text`], with the setting's label.
     pub fn from_setting<S: Schema>(setting: &Setting) -> Result<Self, BadInput> {
         let bad = |problem: String| BadInput::new(problem).place(&setting.label);
         let Some((path, text)) = setting.assignment.split_once('=') else {
@@ -94,34 +142,32 @@ impl Layer {
         }
         let value = parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
 
-        let mut document = DocumentMut::new();
-        let mut item: &mut Item = document.as_item_mut();
-        for key in &keys {
-            item = &mut item[key];
+        let entry = Entry::new(keys.join("."), value, setting.label.clone());
+        entry
+            .read_alone::<S>()
+            .map_err(|error| explain::<S>(&error, error.message(), Some(&entry.path)).place(&setting.label))?;
+        if known_keys::<S>().contains(&entry.path) {
+            return Ok(Self { entries: vec![entry] });
         }
-        *item = Item::Value(value);
-        if let Err(error) = toml::from_str::<S>(&document.to_string()) {
-            let key = keys.join(".");
-            return Err(explain::<S>(&error, error.message(), Some(&key)).place(&setting.label));
-        }
+        // A setting may be a section's table.
         let known = known_keys::<S>();
-        let entries = flatten(document.as_table())
+        let entries = flatten(document(&keys, entry.value).as_table())
             .into_iter()
-            .map(|(path, item)| entry(&known, path, item, setting.label.clone()))
+            .map(|(path, item)| self::entry(&known, path, item, setting.label.clone()))
             .collect::<Result<_, _>>()?;
         Ok(Self { entries })
     }
 
-    /// The values of a configuration that are not the default ones; `place` is said to have set them.
+    /// The values of a configuration that differ from the defaults, with `place` as their origin.
     pub fn from_value<S: Schema>(config: &S, place: &str) -> Self {
         let usual: BTreeMap<String, String> =
             values(&S::default()).into_iter().map(|(path, value)| (path, value.to_string())).collect();
         let differs = |(path, value): &(String, Value)| usual.get(path) != Some(&value.to_string());
         let entries = values(config).into_iter().filter(differs);
-        Self { entries: entries.map(|(path, value)| Entry { path, value, place: place.to_string() }).collect() }
+        Self { entries: entries.map(|(path, value)| Entry::new(path, value, place.to_string())).collect() }
     }
 
-    /// Changes a text, such as a path that is relative to the file that names it.
+    /// Changes the text of a key, such as a path relative to its file.
     pub fn change(mut self, path: &str, change: impl Fn(&str) -> String) -> Self {
         for entry in self.entries.iter_mut().filter(|entry| entry.path == path) {
             if let Some(text) = entry.value.as_str() {
@@ -131,12 +177,12 @@ impl Layer {
         self
     }
 
-    /// The string value of a key of this layer.
+    /// The text of a key in this layer.
     pub fn string(&self, path: &str) -> Option<&str> {
         self.entries.iter().find(|entry| entry.path == path).and_then(|entry| entry.value.as_str())
     }
 
-    /// The keys, and where each was written.
+    /// The keys of the layer and where each was written.
     pub fn keys(&self) -> impl Iterator<Item = (&str, &str)> {
         self.entries.iter().map(|entry| (entry.path.as_str(), entry.place.as_str()))
     }
@@ -146,21 +192,35 @@ impl Layer {
     }
 }
 
-/// Layers merged over a complete text: it with its comments, and who set each key.
+/// The tables that the section `[method]` of a scene may have, by method. Each has the method's keys, and those of the
+/// other methods as comments.
+pub type Methods = Vec<(&'static str, Table)>;
+
+/// Layers merged into a complete text with its comments, and where each key was set.
 #[derive(Debug, Clone)]
 pub struct Merged {
     document: DocumentMut,
     places: BTreeMap<String, String>,
+    methods: Methods,
+    /// The entries of layers for the section `[method]`, in order.
+    of_method: Vec<Entry>,
+    /// The error in these entries, if any.
+    misfit: Option<BadInput>,
 }
 
 impl Merged {
-    /// Starts from a complete text (a built-in one, or one resolved before).
+    /// Starts from a complete text, a built-in or a resolved one.
     pub fn new(text: &str, places: BTreeMap<String, String>) -> Self {
         let document = text.parse().expect("a complete text is valid TOML");
-        Self { document, places }
+        Self { document, places, methods: vec![], of_method: vec![], misfit: None }
     }
 
-    /// Lays `layer` over what is there. Of keys that say the same thing in different ways the last layer that speaks wins.
+    /// Starts from a complete document, in which the section `[method]` may be replaced by another of `methods`.
+    pub fn with_methods(document: DocumentMut, methods: Methods) -> Self {
+        Self { document, places: BTreeMap::new(), methods, of_method: vec![], misfit: None }
+    }
+
+    /// Applies a layer. Of alternative keys those of the last layer that has one remain.
     pub fn apply<S: Schema>(&mut self, layer: &Layer) {
         for (given, replaced) in S::ALTERNATIVES {
             if given.iter().any(|path| layer.has(path)) {
@@ -169,11 +229,89 @@ impl Merged {
             }
         }
         for entry in &layer.entries {
-            self.set(&entry.path, entry.value.clone(), &entry.place);
+            match entry.is_of_method() && !self.methods.is_empty() {
+                true => self.of_method.push(entry.clone()),
+                false => self.set(&entry.path, entry.value.clone(), &entry.place),
+            }
         }
+        self.fit_method();
     }
 
-    /// Sets one key; the comment above it stays.
+    /// Chooses a method if none was chosen.
+    pub fn choose(&mut self, method: &str, place: &str) {
+        self.of_method.push(Entry::new("method.name".into(), method.into(), place.into()));
+        self.fit_method();
+    }
+
+    /// Allows later layers to choose another method; keys that it lacks are then dropped.
+    pub fn free_method(&mut self) {
+        self.of_method.iter_mut().for_each(|entry| entry.lenient = true);
+        self.fit_method();
+    }
+
+    /// Checks that the scene supports the chosen method and that the method has the given keys.
+    ///
+    /// # Errors
+    /// The wrong key, its place, and the methods that have it.
+    pub fn check_method(&self) -> Result<(), BadInput> {
+        self.misfit.clone().map_or(Ok(()), Err)
+    }
+
+    /// Builds the section of the last chosen method with those given keys that it has. Values that equal the scene's do
+    /// not count as given, because a complete file has them all.
+    fn fit_method(&mut self) {
+        let Some((own, _)) = self.methods.first().filter(|_| !self.of_method.is_empty()) else { return };
+        let (mut name, mut place, mut wrong) = (own.to_string(), None, None);
+        for entry in self.of_method.iter().filter(|entry| entry.path == "method.name") {
+            let value = entry.value.as_str().unwrap_or_default();
+            let chosen = match &entry.before {
+                Some(key) => before::chosen(key, value, &name),
+                None => Ok(value.to_string()),
+            };
+            match chosen {
+                Ok(chosen) => (name, place) = (chosen, Some(entry.place.clone())),
+                Err(bad) => wrong = Some(bad.place(&entry.place)),
+            }
+        }
+        let table = self.methods.iter().find(|(method, _)| *method == name).map(|(_, table)| table.clone());
+        let Some(table) = table else {
+            let methods: Vec<&str> = self.methods.iter().map(|(method, _)| *method).collect();
+            let bad = BadInput::new(format!("method.name = {name} can not solve this scene"))
+                .place(place.unwrap_or_default());
+            self.misfit = Some(bad.allowed(methods.join(", ")).advice(format!("method.name={}", methods[0])));
+            return;
+        };
+        self.document["method"] = Item::Table(table);
+        self.places.retain(|path, _| !path.starts_with("method."));
+        for mut entry in self.of_method.clone() {
+            let key = entry.path["method.".len()..].to_string();
+            if key == "name" {
+                entry.value = name.as_str().into();
+            } else if !self.document["method"].as_table().is_some_and(|table| table.contains_key(&key)) {
+                let usual = |(_, table): &(&str, Table)| {
+                    let value = table.get(&key).and_then(Item::as_value);
+                    value.is_some_and(|value| same(value, &entry.value))
+                };
+                if wrong.is_none() && !entry.lenient && !self.methods.iter().any(usual) {
+                    let having = Method::having(&key).join(" or ");
+                    let written = entry.before.as_ref().unwrap_or(&entry.path);
+                    let bad =
+                        BadInput::new(format!("{written} is a key of the method {having}, and the method is {name}"));
+                    let allowed = match Method::keys_of(&name) {
+                        own if own.is_empty() => "no key but name".into(),
+                        own => own.join(", "),
+                    };
+                    let bad = bad.place(&entry.place).allowed(format!("in [method] with name = {name}: {allowed}"));
+                    wrong = Some(bad.advice(format!("method.name={having}, or leave {written} out")));
+                }
+                continue;
+            }
+            self.set(&entry.path, entry.value, &entry.place);
+        }
+        self.misfit = wrong;
+    }
+
+    /// Sets a key and keeps the comment above it.
     pub fn set(&mut self, path: &str, mut value: Value, place: &str) {
         let (table, key) = self.table_of(path);
         match table.get_mut(key).and_then(Item::as_value_mut) {
@@ -205,27 +343,27 @@ impl Merged {
         }
     }
 
-    /// Whether a key has a text.
+    /// Whether a key has this text.
     pub fn is_text(&self, path: &str, text: &str) -> bool {
         let (section, key) = path.split_once('.').unwrap_or(("", path));
         self.document.get(section).and_then(|table| table.get(key)).and_then(Item::as_str) == Some(text)
     }
 
-    /// What the layers amount to, not checked yet.
+    /// The merged configuration, not yet checked.
     pub fn read<S: Schema>(&self) -> S {
         toml::from_str(&self.text()).expect("every layer was read alone, so their union can be read")
     }
 
-    /// What the layers amount to, checked: every number, how they fit together, and then by `more`, which may know what
-    /// this layer of the program does not.
+    /// The merged configuration after checks of every number and their consistency, and then by `more`, which may use
+    /// code that this module does not depend on.
     ///
     /// # Errors
-    /// The first thing wrong, with the place where its key was set.
+    /// The first problem, with the place where its key was set.
     pub fn checked<S: Schema>(&self, more: impl Fn(&S) -> Result<(), BadInput>) -> Result<S, BadInput> {
         let config: S = self.read();
         let origin = config.origin();
         let place_of = |key: &str| {
-            // The place of `design.offsets[3]` is that of the array.
+            // `design.offsets[3]` has the place of the array.
             let key = key.split('[').next().unwrap_or(key);
             Some(self.places.get(key).cloned().unwrap_or_else(|| origin.clone()))
         };
@@ -233,7 +371,7 @@ impl Merged {
         Ok(config)
     }
 
-    /// The text with every key, comments included.
+    /// The complete text with every key and the comments.
     pub fn text(&self) -> String {
         self.document.to_string()
     }
@@ -243,17 +381,38 @@ impl Merged {
     }
 }
 
-/// An entry, if it is a value at the path of a key (serde would also read a section from an array, by position).
+/// Whether two values are equal, in any notation.
+fn same(one: &Value, other: &Value) -> bool {
+    let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|number| number as f64));
+    match (number(one), number(other)) {
+        (Some(one), Some(other)) => one == other,
+        _ => one.clone().decorated("", "").to_string() == other.clone().decorated("", "").to_string(),
+    }
+}
+
+/// A document with a single value.
+fn document(keys: &[&str], value: Value) -> DocumentMut {
+    let mut document = DocumentMut::new();
+    let mut item: &mut Item = document.as_item_mut();
+    for key in keys {
+        item = &mut item[key];
+    }
+    *item = Item::Value(value);
+    document
+}
+
+/// The entry of a value at the path of a key. (Serde would also read a section from an array by position.)
 fn entry(known: &[String], path: String, item: &Item, place: String) -> Result<Entry, BadInput> {
+    let today = before::today(&path).unwrap_or_else(|| path.clone());
     match value_of(item) {
-        Some(value) if known.contains(&path) => Ok(Entry { path, value, place }),
+        Some(value) if known.contains(&today) => Ok(Entry::new(path, value, place)),
         _ => Err(BadInput::new(format!("`{path}` is a section, not a value"))
             .place(place)
             .allowed(format!("[{path}] with one line per key"))),
     }
 }
 
-/// A TOML value, a bare number such as `.5`, or a word without quotes.
+/// Parses a TOML value, a number such as `.5`, or a word without quotes.
 fn parse_value(text: &str) -> Result<Value, String> {
     if let Ok(value) = text.parse::<Value>() {
         return Ok(value);
@@ -267,10 +426,10 @@ fn parse_value(text: &str) -> Result<Value, String> {
     Ok(text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from))
 }
 
-/// Longest line of a file that a message shows.
+/// Length at which lines of a file are cut in messages.
 const SHOWN: usize = 160;
 
-/// A message about a text, whose lines may be as long as they like.
+/// Cuts long lines of a message.
 fn cut(message: &str) -> String {
     let line = |line: &str| match line.char_indices().nth(SHOWN) {
         Some((at, _)) => format!("{} ...", &line[..at]),
@@ -279,7 +438,7 @@ fn cut(message: &str) -> String {
     message.trim_end().lines().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// Turns serde's message into one for users: plain words for Rust's types, the key's description, a suggestion.
+/// Converts serde's message to one for users: plain words for Rust's types, the key's description, a suggestion.
 fn explain<S: Schema>(error: &toml::de::Error, text: &str, key: Option<&str>) -> BadInput {
     let mut text = cut(text);
     for (rust, plain) in [
@@ -304,7 +463,7 @@ fn explain<S: Schema>(error: &toml::de::Error, text: &str, key: Option<&str>) ->
     let mut words = message.split('`').skip(1).step_by(2);
     let given = words.next().unwrap_or_default();
     let expected: Vec<&str> = words.collect();
-    // The expected names go into the line of allowed values.
+    // The expected names are shown as allowed values.
     let problem = text.rsplit_once(", expected").map_or(text.as_str(), |(problem, _)| problem);
     let bad = BadInput::new(problem).allowed(expected.join(", "));
     let ends_with = format!(".{given}");

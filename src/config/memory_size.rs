@@ -1,13 +1,16 @@
-//! An amount of memory as people write it: `200MB`, `1.5 GiB`.
+//! An amount of memory in the notation of users: `200MB`, `1.5 GiB`.
+//!
+//! The crate `bytesize` (2.7) is not used, because it accepts a number without a unit and 0, rejects `1e3B`, and writes
+//! 300 MB as 286.1 MiB, which does not read back.
 
 use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// Bytes.
+/// An amount of memory in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MemorySize(pub u64);
 
-/// Units by what they are worth.
+/// Units and their numbers of bytes.
 const UNITS: [(&str, u64); 7] = [
     ("B", 1),
     ("KB", 1_000),
@@ -18,11 +21,11 @@ const UNITS: [(&str, u64); 7] = [
     ("GiB", 1 << 30),
 ];
 
-/// What can be written.
+/// The accepted notation, for messages.
 pub const FORM: &str = "a number above 0 with its unit, B, KB, MB, GB, KiB, MiB or GiB, such as \"200MB\"";
 
 impl MemorySize {
-    /// Bytes as the machine counts them.
+    /// The number of bytes as `usize`.
     pub fn bytes(self) -> usize {
         usize::try_from(self.0).unwrap_or(usize::MAX)
     }
@@ -33,7 +36,7 @@ impl std::str::FromStr for MemorySize {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let text = text.trim();
-        // A number may end in a letter only if it is an exponent, which no unit begins with.
+        // A letter in a number can only be that of an exponent, with which no unit begins.
         let at = text.find(|c: char| c.is_ascii_alphabetic() && !"eE".contains(c)).unwrap_or(text.len());
         let (number, unit) = (text[..at].trim(), &text[at..]);
         let bad = |what: &str| format!("`{text}` {what}; expected {FORM}");
@@ -54,7 +57,7 @@ impl std::str::FromStr for MemorySize {
 }
 
 impl fmt::Display for MemorySize {
-    /// In the largest unit that needs no fraction.
+    /// Uses the largest unit without a fraction.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let whole = UNITS.iter().filter(|(_, factor)| self.0.is_multiple_of(*factor));
         let (unit, factor) = whole.max_by_key(|(_, factor)| *factor).unwrap_or(&UNITS[0]);

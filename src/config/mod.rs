@@ -1,17 +1,30 @@
-//! Configuration: what a run or a training is, as read from TOML and `key=value`.
+//! Configuration of a run or a training, read from TOML and `key=value` settings.
+pub mod before;
 pub mod builtin;
+pub mod checks;
 pub mod custom;
 pub mod derived;
+pub mod design;
 pub mod device;
 pub mod difference;
+pub mod fluid;
 pub mod formula;
+pub mod geometry;
 pub mod layers;
 pub mod memory_size;
+pub mod method;
+pub mod objective;
+pub mod optimise;
 pub mod provenance;
 pub mod range;
+pub mod resolution;
+pub mod run;
 pub mod scene;
 pub mod schema;
+pub mod section;
 pub mod stability;
 pub mod suggest;
+pub mod surrogate;
+pub mod time;
 pub mod training;
-pub mod validate;
+pub mod wall;

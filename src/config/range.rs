@@ -1,20 +1,31 @@
 //! Ranges of single numbers.
 
+use crate::error::BadInput;
+
+/// Largest number of particles. More are taken for a mistake in `resolution.dx`.
+const MAX_PARTICLES: f64 = 1e8;
+
+/// Largest number of steps. More are taken for a mistake in `time.*`.
+pub const MAX_STEPS: f64 = 1e9;
+
+/// Tolerance within which a number of spacings is a whole number.
+pub const WHOLE: f64 = 1e-6;
+
 /// A key, its value, and the range that it must be in.
 pub type Number = (&'static str, f64, Range);
 
-/// The range of one number; all are finite.
+/// The range of a number, which must be finite.
 #[derive(Debug, Clone, Copy)]
 pub enum Range {
     Finite,
     Positive,
     NotNegative,
     AtLeast(f64),
-    /// Both ends included.
+    /// Both ends are included.
     Within(f64, f64),
-    /// Above the first, up to the second.
+    /// Above the first number, up to and including the second.
     Above(f64, f64),
-    /// From the first on, below the second.
+    /// From and including the first number, below the second.
     Below(f64, f64),
 }
 
@@ -32,7 +43,7 @@ impl Range {
             }
     }
 
-    /// In words, for messages.
+    /// The range in words, for messages.
     pub fn describe(self, key: &str) -> String {
         match self {
             Self::Finite => format!("{key}: any finite number"),
@@ -43,6 +54,32 @@ impl Range {
             Self::Above(low, high) => format!("{low} < {key} <= {high}"),
             Self::Below(low, high) => format!("{low} <= {key} < {high}"),
         }
+    }
+}
+
+/// Returns an error if a spacing makes too many particles.
+///
+/// # Errors
+/// Too many particles.
+pub fn countable(dx: f64, particles: f64) -> Result<(), BadInput> {
+    match particles > MAX_PARTICLES {
+        false => Ok(()),
+        true => Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
+            .key("resolution.dx")
+            .allowed(format!("at most {MAX_PARTICLES:.0e} particles"))),
+    }
+}
+
+/// Whether a number is whole and above 0, up to rounding.
+pub fn is_whole(count: f64) -> bool {
+    count.round() >= 1.0 && (count - count.round()).abs() <= WHOLE
+}
+
+/// A number of spacings in words.
+pub fn spacings(count: f64) -> String {
+    match count {
+        6.0 => "six spacings".into(),
+        _ => format!("{} spacings", (1e6 * count).round() / 1e6),
     }
 }
 

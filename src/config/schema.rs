@@ -1,4 +1,4 @@
-//! What the loader must know of a kind of configuration: a scene ([`Config`](crate::config::scene::Config)) or a training
+//! The interface of a kind of configuration: a scene ([`Config`](crate::config::scene::Config)) or a training
 //! ([`Settings`](crate::config::training::Settings)).
 
 use serde::{de::DeserializeOwned, Serialize};
@@ -7,15 +7,14 @@ use toml_edit::{DocumentMut, Item, TableLike, Value};
 use crate::config::range::Number;
 use crate::error::BadInput;
 
-/// Keys, and those that they take the place of.
+/// Keys, and the keys that they replace.
 pub type Alternative = (&'static [&'static str], &'static [&'static str]);
 
 /// A kind of configuration, read from layers of TOML (see [`crate::config::layers`]).
 pub trait Schema: Default + Serialize + DeserializeOwned {
-    /// Keys that say the same thing in different ways: a layer that gives one of the first removes the second, unless it
-    /// gives them too.
+    /// Alternative keys: a layer with one of the first removes the second, unless it has them too.
     const ALTERNATIVES: &'static [Alternative];
-    /// How one assignment looks, for messages.
+    /// The form of an assignment, for messages.
     const FORM: &'static str;
     /// Where every key is explained, for messages.
     const HELP: &'static str;
@@ -23,38 +22,39 @@ pub trait Schema: Default + Serialize + DeserializeOwned {
     /// Complete texts. The comment above a key in the first text that has it describes the key.
     fn texts() -> Vec<&'static str>;
 
-    /// A value with every key, those that usually are absent included.
-    fn complete() -> Self;
+    /// Values that together have every key, including optional ones.
+    fn complete() -> Vec<Self>;
 
     /// Every number with its range.
     fn numbers(&self) -> Vec<Number>;
 
-    /// The values that it began with, and whose they are, for messages: `the built-in scene's`.
+    /// The default values and their origin, for messages, such as `the built-in scene's`.
     fn usual(&self) -> (Self, &'static str);
 
-    /// Where a key was set that no layer set.
+    /// The place of keys that no layer set.
     fn origin(&self) -> String;
 
-    /// How the values fit together, once every number is in its range.
+    /// Checks that the values are consistent, after every number was found to be in its range.
     ///
     /// # Errors
-    /// The first thing that does not; with the key at fault, from which the loader finds the place.
+    /// The first inconsistency, with the wrong key, from which the loader finds the place.
     fn check_together(&self) -> Result<(), BadInput>;
 
-    /// Checks every number and how they fit together.
+    /// Checks the range of every number, and that the values are consistent.
     ///
     /// # Errors
-    /// The first thing wrong.
+    /// The first error.
     fn check(&self) -> Result<(), BadInput> {
         let (usual, whose) = self.usual();
-        for ((key, value, range), (_, default, _)) in self.numbers().into_iter().zip(usual.numbers()) {
+        for (key, value, range) in self.numbers() {
             if !range.contains(value) {
                 let bad = BadInput::new(format!("{key} = {value} is out of range"));
                 let bad = bad.key(key).allowed(range.describe(key));
-                return Err(match values(&usual).iter().any(|(path, _)| path == key) {
-                    true => bad.advice(format!("{whose} {key} = {default}")),
-                    // A key that usually is absent has no usual value.
-                    false => bad,
+                let default = usual.numbers().into_iter().find(|(other, _, _)| *other == key);
+                return Err(match default.filter(|_| values(&usual).iter().any(|(path, _)| path == key)) {
+                    Some((_, default, _)) => bad.advice(format!("{whose} {key} = {default}")),
+                    // An optional key may have no default.
+                    None => bad,
                 });
             }
         }
@@ -62,7 +62,7 @@ pub trait Schema: Default + Serialize + DeserializeOwned {
     }
 }
 
-/// The values of a table by their paths (`section.key`), in their order.
+/// The values of a table by their paths (`section.key`), in order.
 pub(crate) fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
     let mut found = Vec::new();
     for (key, item) in table.iter() {
@@ -74,15 +74,16 @@ pub(crate) fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
     found
 }
 
-/// Every key that a configuration has, with its value.
+/// Every key of a configuration with its value.
 pub fn values<S: Schema>(config: &S) -> Vec<(String, Value)> {
-    let text = toml::to_string(config).expect("a configuration is representable in TOML");
+    let text =
+        toml::to_string(config as &dyn erased_serde::Serialize).expect("a configuration is representable in TOML");
     let document: DocumentMut = text.parse().expect("toml writes valid TOML");
     let found = flatten(document.as_table()).into_iter();
     found.filter_map(|(path, item)| Some((path, value_of(item)?))).collect()
 }
 
-/// The value of an item: of `[[key]]` sections an array of inline tables.
+/// The value of an item; an array of inline tables for `[[key]]` sections.
 pub(crate) fn value_of(item: &Item) -> Option<Value> {
     match item {
         Item::ArrayOfTables(tables) => Some(Value::Array(tables.clone().into_array())),
@@ -92,7 +93,13 @@ pub(crate) fn value_of(item: &Item) -> Option<Value> {
 
 /// Every key of a kind of configuration, as `key` or `section.key`.
 pub fn known_keys<S: Schema>() -> Vec<String> {
-    values(&S::complete()).into_iter().map(|(path, _)| path).collect()
+    let mut keys: Vec<String> = Vec::new();
+    for (path, _) in S::complete().iter().flat_map(values) {
+        if !keys.contains(&path) {
+            keys.push(path);
+        }
+    }
+    keys
 }
 
 /// The comment above a key in the first text that has it: its meaning, units and range, on one line.
@@ -101,7 +108,7 @@ pub fn description<S: Schema>(path: &str) -> Option<String> {
     all.filter(|(key, comment)| key == path && !comment.is_empty()).map(|(_, comment)| comment).next()
 }
 
-/// The keys of a text, those commented out included, each with the comment above it.
+/// The keys of a text, including those that are commented out, with the comment above each.
 pub fn described<S: Schema>(text: &str) -> Vec<(String, String)> {
     let known = known_keys::<S>();
     let (mut section, mut comment, mut found) = ("", Vec::new(), Vec::new());
@@ -110,7 +117,10 @@ pub fn described<S: Schema>(text: &str) -> Vec<(String, String)> {
         let key = bare.split_once(" = ").map_or("", |(key, _)| key);
         let path = format!("{section}.{key}").trim_start_matches('.').to_string();
         if known.contains(&path) {
-            found.push((path, comment.join(" ")));
+            // Several methods may have the same key.
+            if !found.iter().any(|(other, _)| *other == path) {
+                found.push((path, comment.join(" ")));
+            }
             comment.clear();
         } else if line.starts_with('#') {
             comment.push(bare);
@@ -130,19 +140,20 @@ mod tests {
     use crate::config::scene::Config;
     use crate::config::training::Settings;
 
-    /// A key without a range would be a number that is never checked; of a seed every value is allowed.
+    /// Checks that every number has a range, except for the seed. A key without one would never be checked.
     fn every_number_has_a_range<S: Schema>(seed: &str) {
-        let complete = S::complete();
-        let numbers = complete.numbers();
-        let with_range: Vec<&str> = numbers.iter().map(|(key, _, _)| *key).collect();
-        let mut expected = Vec::new();
-        for (path, value) in values(&complete) {
-            if (value.is_integer() || value.is_float()) && path != seed {
-                assert!(with_range.contains(&path.as_str()), "{path} has no range");
-                expected.push(path);
+        for complete in S::complete() {
+            let numbers = complete.numbers();
+            let with_range: Vec<&str> = numbers.iter().map(|(key, _, _)| *key).collect();
+            let mut expected = Vec::new();
+            for (path, value) in values(&complete) {
+                if (value.is_integer() || value.is_float()) && path != seed {
+                    assert!(with_range.contains(&path.as_str()), "{path} has no range");
+                    expected.push(path);
+                }
             }
+            assert_eq!(expected.len(), with_range.len(), "a key is there twice, or is none");
         }
-        assert_eq!(expected.len(), with_range.len(), "a key is there twice, or is none");
         S::default().check().unwrap();
     }
 

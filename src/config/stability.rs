@@ -1,4 +1,4 @@
-//! Up to which CFL numbers the solver holds, and what `time.cfl = "auto"` takes.
+//! Largest stable CFL numbers of the solver, and the values of `time.cfl = "auto"`.
 //!
 //! Measured by `hydrograd stress` over the noise of the start (jitter 0 to 0.3), f64 and f32 alike, see
 //! src/validation/README.md:
@@ -13,47 +13,32 @@
 //!
 //! Fixed particles were not mapped: 0.9 is three quarters of the 1.2 that was found to hold over gentle walls.
 
-use super::scene::{Config, Formulation, IntegratorName, Motion};
 use serde::de::{self, Deserializer};
 use std::fmt;
 
-/// CFL numbers of a kind of step.
+/// Limits of the CFL number for a kind of step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CflLimit {
-    /// Courant number, of the speed that the flow has, above which runs diverge: between the last that held and the first that
-    /// failed.
+    /// Courant number by the actual speed of the flow above which runs diverge, between the last stable and the first
+    /// unstable one.
     pub most: f64,
-    /// Four fifths of the last that held.
+    /// Four fifths of the last stable one.
     pub safe: f64,
 }
 
 pub const VERLET: CflLimit = CflLimit { most: 1.3, safe: 1.0 };
-/// From a start that is so disordered that walls see gaps.
+/// For an initial state so disordered that walls see gaps.
 pub const VERLET_FROM_NOISE: CflLimit = CflLimit { safe: 0.4, ..VERLET };
 pub const SYMPLECTIC_EULER: CflLimit = CflLimit { most: 1.85, safe: 1.4 };
 pub const STANDARD: CflLimit = CflLimit { most: 2.15, safe: 1.6 };
 pub const FREE_SURFACE: CflLimit = CflLimit { most: 2.15, safe: 0.8 };
 pub const FIXED: CflLimit = CflLimit { most: 1.25, safe: 0.9 };
 
-impl Config {
-    /// That of this configuration's steps.
-    pub fn cfl_limit(&self) -> CflLimit {
-        match (self.fluid.formulation, self.time.integrator) {
-            _ if self.fluid.motion == Motion::Fixed => FIXED,
-            _ if self.scene.has_surface() => FREE_SURFACE,
-            (Formulation::Standard, _) => STANDARD,
-            (Formulation::Consistent, IntegratorName::Verlet) if self.time.jitter > 0.1 => VERLET_FROM_NOISE,
-            (Formulation::Consistent, IntegratorName::Verlet) => VERLET,
-            (Formulation::Consistent, IntegratorName::SymplecticEuler) => SYMPLECTIC_EULER,
-        }
-    }
-}
-
-/// What a configuration calls a CFL number that follows from its steps.
+/// The value of `time.cfl` for a CFL number that follows from the steps.
 pub const AUTO: &str = "auto";
 
-/// A number; not a number for [`AUTO`], until the loader has put one in its place.
-pub(super) fn cfl<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+/// Reads a CFL number. [`AUTO`] gives NaN, which the loader replaces.
+pub fn cfl<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     struct Visitor;
     impl de::Visitor<'_> for Visitor {
         type Value = f64;

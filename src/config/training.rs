@@ -1,4 +1,4 @@
-//! What a training is: every number of it, as read from TOML and `key=value`. `data/training.toml` has a comment on every key.
+//! The configuration of a training, read from TOML and `key=value`. `data/training.toml` has a comment on every key.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,77 +6,80 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::config::layers::{Layer, Merged, Setting};
-use crate::config::range::{Number, Range};
+use crate::config::range::{
+    Number,
+    Range::{Above, AtLeast, Below, NotNegative, Positive, Within},
+};
 use crate::config::schema::{Alternative, Schema};
+use crate::config::section::section;
 use crate::error::BadInput;
 
 /// The default settings, with a comment on every key.
 pub const TRAINING: &str = include_str!("../../data/training.toml");
 
-/// Most frames that a model may see: those that a rollout begins with.
+/// Largest number of frames in a model's input, with which a rollout begins.
 pub const MOST_FRAMES: usize = 6;
 
-/// Most steps that a prediction may be unrolled for pushforward.
+/// Largest number of unrolled steps for pushforward.
 const MOST_UNROLLS: usize = 20;
 
-/// Keys that may change when a training goes on.
+/// Keys that may change when a training is continued.
 pub const FREE: [&str; 6] =
     ["steps", "log_every", "validate_every", "store_every", "validation_windows", "validation_steps"];
 
-/// A training's settings. Defaults follow LagrangeBench where it has them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Settings {
-    /// Updates of the parameters.
-    pub steps: u64,
-    /// Windows per update; their gradients are averaged.
-    pub batch_size: usize,
-    /// Standard deviation of the position noise at the last input frame, in units of length.
-    pub noise: f64,
-    /// The same for temperatures, in standard deviations of the temperature's change per frame.
-    pub temperature_noise: f64,
-    /// max(learning_rate * learning_rate_factor^(step/learning_rate_steps), learning_rate_least).
-    pub learning_rate: f64,
-    pub learning_rate_factor: f64,
-    pub learning_rate_steps: u64,
-    pub learning_rate_least: f64,
-    pub weight_decay: f64,
-    /// Largest norm of the gradient of all parameters; 0 does not clip.
-    pub clip: f64,
-    /// Decay of a moving average of the parameters that is validated and stored beside them; 0 keeps none.
-    pub ema: f64,
-    /// Weight of the temperature's part of the loss.
-    pub temperature_weight: f64,
-    pub seed: u64,
-    /// Steps between rows of history.csv, between validations, and between checkpoints.
-    pub log_every: u64,
-    pub validate_every: u64,
-    pub store_every: u64,
-    /// Windows of the validation split that are rolled out, and frames of each.
-    pub validation_windows: usize,
-    pub validation_steps: usize,
-    pub model: ModelSettings,
-    pub features: Features,
-    pub pushforward: Pushforward,
+section! {
+    /// The settings of a training. Defaults follow LagrangeBench where it has them.
+    "": Settings {
+        /// Number of parameter updates.
+        steps: u64 = 20_000, AtLeast(1.0);
+        /// Number of windows per update, whose gradients are averaged.
+        batch_size: usize = 1, Within(1.0, 4096.0);
+        /// Standard deviation of the position noise at the last input frame, in units of length.
+        noise: f64 = 3e-4, NotNegative;
+        /// Standard deviation of the temperature noise, in standard deviations of the temperature's change per frame.
+        temperature_noise: f64 = 0.1, NotNegative;
+        /// max(learning_rate * learning_rate_factor^(step/learning_rate_steps), learning_rate_least).
+        learning_rate: f64 = 5e-4, Positive;
+        learning_rate_factor: f64 = 0.1, Within(0.0, 1.0);
+        learning_rate_steps: u64 = 100_000, AtLeast(1.0);
+        learning_rate_least: f64 = 1e-6, NotNegative;
+        weight_decay: f64 = 1e-8, NotNegative;
+        /// Largest norm of the gradient of all parameters; 0 does not clip.
+        clip: f64 = 0.0, NotNegative;
+        /// Decay of a moving average of the parameters, which is validated and stored as well; 0 keeps none.
+        ema: f64 = 0.0, Below(0.0, 1.0);
+        temperature_weight: f64 = 1.0, NotNegative;
+        seed: u64 = 0;
+        /// Steps between rows of history.csv, between validations, and between checkpoints.
+        log_every: u64 = 50, AtLeast(1.0);
+        validate_every: u64 = 1000, AtLeast(1.0);
+        store_every: u64 = 1000, AtLeast(1.0);
+        /// Number of windows of the validation split that are rolled out, and of frames in each.
+        validation_windows: usize = 8, AtLeast(1.0);
+        validation_steps: usize = 20, AtLeast(1.0);
+        model: ModelSettings = ModelSettings::default();
+        features: Features = Features::default();
+        pushforward: Pushforward = Pushforward::default();
+    }
 }
 
-/// The model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ModelSettings {
-    pub kind: Kind,
-    /// Width of everything.
-    pub latent: usize,
-    /// Rounds of messages.
-    pub rounds: usize,
-    /// Linear layers of each perceptron.
-    pub linears: usize,
-    /// Connectivity radius in spacings; without one the data set's.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub radius: Option<f64>,
-    /// Columns of the embedding of the particle type.
-    pub embedding: usize,
-    pub heat: HeatModel,
+section! {
+    /// The model.
+    "model.": ModelSettings {
+        kind: Kind = Kind::Gns;
+        /// Width of the latent vectors and of the hidden layers.
+        latent: usize = 64, Within(1.0, 4096.0);
+        /// Number of rounds of message passing.
+        rounds: usize = 5, Within(1.0, 100.0);
+        /// Number of linear layers of each perceptron.
+        linears: usize = 2, Within(2.0, 8.0);
+        /// Connectivity radius in spacings; default: that of the data set.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        radius: Option<f64> = None, Above(1.0, 10.0);
+        /// Size of the embedding of the particle type.
+        embedding: usize = 16, AtLeast(1.0);
+        heat: HeatModel = HeatModel::Learned;
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,92 +91,45 @@ pub enum Kind {
     Egnn,
 }
 
-/// How temperatures advance.
+/// How temperatures are advanced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HeatModel {
-    /// The change is another output of the model.
+    /// The change is a further output of the model.
     Learned,
-    /// The solver's conduction along the learned motion.
+    /// The solver's heat conduction along the learned motion.
     Conduction,
-    /// Temperatures of the data are not looked at.
+    /// Temperatures of the data are ignored.
     None,
 }
 
-/// Which features a model sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Features {
-    /// Frames of a window.
-    pub frames: usize,
-    /// Norms of the velocities.
-    pub speed: bool,
-    /// Distances to the ends of the box in directions that are not periodic.
-    pub boundary: bool,
-    /// Temperatures of walls that none is set for, which the data have and a rollout on its own does not.
-    pub unset_walls: bool,
-}
-
-impl Default for Features {
-    fn default() -> Self {
-        Self { frames: MOST_FRAMES, speed: false, boundary: true, unset_walls: false }
+section! {
+    /// The input features of a model.
+    #[derive(Copy, Eq)]
+    "features.": Features {
+        /// Number of frames of a window.
+        frames: usize = MOST_FRAMES, Within(2.0, MOST_FRAMES as f64);
+        /// Whether norms of the velocities are features.
+        speed: bool = false;
+        /// Whether distances to the ends of the box are features, in directions that are not periodic.
+        boundary: bool = true;
+        /// Whether temperatures of adiabatic walls are features, which the data have but a rollout does not.
+        unset_walls: bool = false;
     }
 }
 
-/// Training on the model's own predictions (Brandstetter, Worrall and Welling 2022): from step `after[k]` on, `unrolls[k]`
-/// steps without gradient before the one that is learned from come up with odds `odds[k]`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Pushforward {
-    pub after: Vec<i64>,
-    pub unrolls: Vec<usize>,
-    pub odds: Vec<f64>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            steps: 20_000,
-            batch_size: 1,
-            noise: 3e-4,
-            temperature_noise: 0.1,
-            learning_rate: 5e-4,
-            learning_rate_factor: 0.1,
-            learning_rate_steps: 100_000,
-            learning_rate_least: 1e-6,
-            weight_decay: 1e-8,
-            clip: 0.0,
-            ema: 0.0,
-            temperature_weight: 1.0,
-            seed: 0,
-            log_every: 50,
-            validate_every: 1000,
-            store_every: 1000,
-            validation_windows: 8,
-            validation_steps: 20,
-            model: ModelSettings::default(),
-            features: Features::default(),
-            pushforward: Pushforward::default(),
-        }
-    }
-}
-
-impl Default for ModelSettings {
-    fn default() -> Self {
-        let (kind, heat) = (Kind::Gns, HeatModel::Learned);
-        Self { kind, latent: 64, rounds: 5, linears: 2, radius: None, embedding: 16, heat }
-    }
-}
-
-impl Default for Pushforward {
-    fn default() -> Self {
-        let after = vec![-1, 20_000, 300_000, 400_000];
-        Self { after, unrolls: vec![0, 1, 2, 3], odds: vec![18.0, 2.0, 1.0, 1.0] }
+section! {
+    /// Training on the model's own predictions (Brandstetter, Worrall and Welling 2022): after step `after[k]`, with
+    /// relative odds `odds[k]`, `unrolls[k]` steps without gradient precede the step that is learned from.
+    "pushforward.": Pushforward {
+        after: Vec<i64> = vec![-1, 20_000, 300_000, 400_000];
+        unrolls: Vec<usize> = vec![0, 1, 2, 3];
+        odds: Vec<f64> = vec![18.0, 2.0, 1.0, 1.0];
     }
 }
 
 impl Pushforward {
-    /// Unrolled steps at a step, from a number in [0, 1).
+    /// The number of unrolled steps at a training step, for a random number in [0, 1).
     pub fn unrolls(&self, step: u64, chance: f64) -> usize {
         let open = self.after.iter().filter(|&&after| step as i64 > after).count();
         let total: f64 = self.odds[..open].iter().sum();
@@ -187,7 +143,7 @@ impl Pushforward {
         self.unrolls.first().copied().unwrap_or(0)
     }
 
-    /// The most unrolled steps that can come up.
+    /// The largest number of unrolled steps.
     pub fn most(&self) -> usize {
         self.unrolls.iter().copied().max().unwrap_or(0)
     }
@@ -202,14 +158,14 @@ impl Schema for Settings {
         vec![TRAINING]
     }
 
-    fn complete() -> Self {
+    fn complete() -> Vec<Self> {
         let mut settings = Self::default();
         settings.model.radius = Some(1.45);
-        settings
+        vec![settings]
     }
 
     fn numbers(&self) -> Vec<Number> {
-        numbers(self)
+        [Self::numbers(self), self.model.numbers(), self.features.numbers()].concat()
     }
 
     fn usual(&self) -> (Self, &'static str) {
@@ -230,39 +186,8 @@ impl Schema for Settings {
     }
 }
 
-/// Every number with its own range; of the seed every value is allowed.
-fn numbers(settings: &Settings) -> Vec<Number> {
-    use Range::{Above, AtLeast, Below, NotNegative, Positive, Within};
-    let Settings { model, features, .. } = settings;
-    vec![
-        ("steps", settings.steps as f64, AtLeast(1.0)),
-        ("batch_size", settings.batch_size as f64, Within(1.0, 4096.0)),
-        ("noise", settings.noise, NotNegative),
-        ("temperature_noise", settings.temperature_noise, NotNegative),
-        ("learning_rate", settings.learning_rate, Positive),
-        ("learning_rate_factor", settings.learning_rate_factor, Within(0.0, 1.0)),
-        ("learning_rate_steps", settings.learning_rate_steps as f64, AtLeast(1.0)),
-        ("learning_rate_least", settings.learning_rate_least, NotNegative),
-        ("weight_decay", settings.weight_decay, NotNegative),
-        ("clip", settings.clip, NotNegative),
-        ("ema", settings.ema, Below(0.0, 1.0)),
-        ("temperature_weight", settings.temperature_weight, NotNegative),
-        ("log_every", settings.log_every as f64, AtLeast(1.0)),
-        ("validate_every", settings.validate_every as f64, AtLeast(1.0)),
-        ("store_every", settings.store_every as f64, AtLeast(1.0)),
-        ("validation_windows", settings.validation_windows as f64, AtLeast(1.0)),
-        ("validation_steps", settings.validation_steps as f64, AtLeast(1.0)),
-        ("model.latent", model.latent as f64, Within(1.0, 4096.0)),
-        ("model.rounds", model.rounds as f64, Within(1.0, 100.0)),
-        ("model.linears", model.linears as f64, Within(2.0, 8.0)),
-        ("model.radius", model.radius.unwrap_or(10.0), Above(1.0, 10.0)),
-        ("model.embedding", model.embedding as f64, AtLeast(1.0)),
-        ("features.frames", features.frames as f64, Within(2.0, MOST_FRAMES as f64)),
-    ]
-}
-
 impl Pushforward {
-    /// Three lists that belong together.
+    /// Checks that the three lists are consistent.
     fn check(&self) -> Result<(), BadInput> {
         let Self { after, unrolls, odds } = self;
         if after.len() != unrolls.len() || after.len() != odds.len() || after.first() != Some(&-1) {
@@ -289,8 +214,8 @@ impl Pushforward {
 }
 
 impl Settings {
-    /// Loads and checks a training. Layers, later ones win: the defaults, the file, each of `sets` (`key=value`). Without a
-    /// file the model and its features are those of `like`, if there is one: the training whose parameters are taken over.
+    /// Loads and checks a training. Later layers take precedence: the defaults, the file, each of `sets` (`key=value`).
+    /// Without a file, model and features are those of `like`, the training whose parameters are used, if there is one.
     ///
     /// # Errors
     /// Unreadable file; unknown key, wrong type or range, with the place where it was set.
@@ -299,7 +224,7 @@ impl Settings {
         Self::load_settings(file, like, &settings)
     }
 
-    /// [`Settings::load`] with the options' own names in error messages.
+    /// [`Settings::load`] for settings that carry the names of command-line options for error messages.
     pub fn load_settings(file: Option<&Path>, like: Option<&Self>, settings: &[Setting]) -> Result<Self, BadInput> {
         let mut merged = Merged::new(TRAINING, BTreeMap::new());
         match (file, like) {
@@ -316,12 +241,12 @@ impl Settings {
         merged.checked(|_| Ok(()))
     }
 
-    /// As TOML.
+    /// The settings as TOML.
     pub fn text(&self) -> String {
-        toml::to_string(self).unwrap_or_default()
+        toml::to_string(self as &dyn erased_serde::Serialize).unwrap_or_default()
     }
 
-    /// The same with a comment on every key, those included that are absent.
+    /// The settings as TOML with a comment on every key, including absent ones.
     pub fn shown(&self) -> String {
         let mut merged = Merged::new(TRAINING, BTreeMap::new());
         merged.apply::<Self>(&Layer::from_value(self, ""));
@@ -329,7 +254,7 @@ impl Settings {
     }
 }
 
-/// A file with settings.
+/// Reads a file with settings.
 fn read(path: &Path) -> Result<Layer, BadInput> {
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|error| {
@@ -396,7 +321,7 @@ mod tests {
         let with_file = Settings::load(Some(&file), Some(&like), &sets).unwrap();
         assert_eq!((with_file.noise, with_file.model.latent, with_file.model.rounds), (1e-3, 16, 4));
         assert!(!with_file.features.speed);
-        // Without a file: the other training's model, but not its other settings.
+        // Without a file, the other training's model is used, but not its other settings.
         let without = Settings::load(None, Some(&like), &sets).unwrap();
         assert_eq!((without.noise, without.model.latent, without.model.rounds), (3e-4, 8, 4));
         assert!(without.features.speed);

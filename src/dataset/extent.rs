@@ -1,4 +1,4 @@
-//! The box of a data set: [`Domain`]'s nearest images, with a lower corner that need not be 0.
+//! The box of a data set: the nearest images of [`Domain`], with a lower corner that need not be 0.
 
 use super::Metadata;
 use crate::particles::Domain;
@@ -16,12 +16,12 @@ impl Extent {
         Self { domain: metadata.domain(), low }
     }
 
-    /// D.
+    /// Number of dimensions, D.
     pub fn dimension(&self) -> usize {
         self.domain.dimension
     }
 
-    /// A difference of coordinates in direction `d`: the shortest one of all images.
+    /// A difference of coordinates in direction `d` to the nearest image.
     pub fn shortest(&self, d: usize, difference: f64) -> f64 {
         self.domain.nearest(d, difference)
     }
@@ -32,7 +32,7 @@ impl Extent {
         pairs.map(|(index, (to, from))| self.shortest(index % self.dimension(), to - from)).collect()
     }
 
-    /// The image of a coordinate that lies in the box, where it is periodic in direction `d`.
+    /// The image of a coordinate inside the box, if direction `d` is periodic.
     pub fn wrapped(&self, d: usize, coordinate: f64) -> f64 {
         match self.domain.periodic[d] {
             true => self.low[d] + self.from_corner(d, coordinate),
@@ -40,7 +40,7 @@ impl Extent {
         }
     }
 
-    /// The same from the box's lower end, where the neighbour search's box begins.
+    /// The wrapped coordinate relative to the lower end of the box, as the neighbour search needs it.
     pub fn from_corner(&self, d: usize, coordinate: f64) -> f64 {
         self.domain.wrapped(d, coordinate - self.low[d])
     }

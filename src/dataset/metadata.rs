@@ -1,4 +1,4 @@
-//! `metadata.json`: what a data set's numbers mean, and their statistics over the training split.
+//! `metadata.json`: units, geometry and statistics of a data set; the statistics are those of the training split.
 
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::FileError;
@@ -6,46 +6,46 @@ use crate::particles::Domain;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// LagrangeBench's keys, and ours. Unknown keys are kept: other programs write their own.
+/// The keys of LagrangeBench and ours. Unknown keys of other programs are kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metadata {
-    /// D.
+    /// Number of dimensions, D.
     pub dim: usize,
     /// Particle spacing.
     pub dx: f64,
-    /// Time step of the simulation; frames are `write_every` of them apart.
+    /// Time step of the simulation; `write_every` steps are between frames.
     pub dt: f64,
     pub write_every: usize,
     pub num_particles_max: usize,
     pub periodic_boundary_conditions: Vec<bool>,
-    /// `[D][2]`: lower and upper end of the box.
+    /// Lower and upper end of the box, `[D][2]`.
     pub bounds: Vec<[f64; 2]>,
     pub default_connectivity_radius: f64,
-    /// `[D]`, per frame (dt = 1), fluid particles of the training split only; as are the following.
+    /// `[D]`, per frame (dt = 1), over fluid particles of the training split; so are the following.
     pub vel_mean: Vec<f64>,
     pub vel_std: Vec<f64>,
     pub acc_mean: Vec<f64>,
     pub acc_std: Vec<f64>,
-    /// Only data with temperature have it.
+    /// Only for data with temperature.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heat: Option<Heat>,
     #[serde(flatten)]
     pub other: serde_json::Map<String, serde_json::Value>,
 }
 
-/// What is known of the temperature, in the units of the scene.
+/// Parameters and statistics of the temperature, in the units of the scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Heat {
-    /// Of the fluid's temperature, training split.
+    /// Mean and standard deviation of the fluid's temperature in the training split.
     pub temperature_mean: f64,
     pub temperature_std: f64,
-    /// Of its change from frame to frame, without particles that the inlet reset.
+    /// Those of its change between frames, without particles that the inlet reset.
     pub change_mean: f64,
     pub change_std: f64,
     /// Fluid at x < `inlet_length` is held at `inlet_temperature`.
     pub inlet_length: f64,
     pub inlet_temperature: f64,
-    /// Where the outflowing heat is measured.
+    /// x at which the outflowing heat is measured.
     pub target_x: f64,
     /// Thermal diffusivity, conductivity/(density heat capacity).
     pub diffusivity: f64,
@@ -56,14 +56,14 @@ pub struct Heat {
 }
 
 impl Heat {
-    /// Whether fluid that went from x to `to` within a frame met the inlet: it is there, or it came around through it (the
-    /// fastest particles pass the inlet between two frames).
+    /// Whether fluid that moved from x to `to` within a frame was reset by the inlet: it is there, or passed it around
+    /// the periodic end (the fastest particles pass the inlet between two frames).
     pub fn resets(&self, from: f64, to: f64, bounds: [f64; 2]) -> bool {
         to < self.inlet_length || from - to > 0.5 * (bounds[1] - bounds[0])
     }
 }
 
-/// A box is at most this long, in spacings: its cells are counted.
+/// Largest length of a box in spacings, which limits the number of its cells.
 const MOST_SPACINGS: f64 = 1e6;
 
 impl Metadata {
@@ -150,7 +150,7 @@ impl Metadata {
         write_bytes_atomically(&path, text.as_bytes())
     }
 
-    /// Where 0, 0 is in the scene, `[D]`; only data of ours say so.
+    /// Position of the data's origin in the scene, `[D]`; only in our data.
     pub fn origin(&self) -> Option<Vec<f64>> {
         let origin: Vec<f64> = serde_json::from_value(self.other.get("origin")?.clone()).ok()?;
         (origin.len() == self.dim).then_some(origin)
@@ -161,12 +161,12 @@ impl Metadata {
         std::array::from_fn(|d| self.bounds.get(d).map_or(1.0, |b| b[1] - b[0]))
     }
 
-    /// The box, as the neighbour search knows it.
+    /// The box for the neighbour search.
     pub fn domain(&self) -> Domain {
         Domain { dimension: self.dim, size: self.size(), periodic: self.periodic() }
     }
 
-    /// Which of the D directions are periodic.
+    /// Whether each of the D directions is periodic.
     pub fn periodic(&self) -> [bool; 3] {
         std::array::from_fn(|d| d < self.dim && self.periodic_boundary_conditions[d])
     }

@@ -1,8 +1,8 @@
 //! Data sets of trajectories in LagrangeBench's layout, with temperature beside the positions.
 //!
-//! A folder with `train.h5`, `valid.h5`, `test.h5` and `metadata.json`. Each file has one group per trajectory
-//! ("00000", "00001", ...): see [`trajectory`].
-//! `hydrograd generate` makes them: a [`recipe`] says what, [`record`] runs it, [`store`] keeps it.
+//! A data set is a folder with `train.h5`, `valid.h5`, `test.h5` and `metadata.json`. Each file has one group per
+//! trajectory ("00000", "00001", ...), see [`trajectory`]. `hydrograd generate` makes data sets: [`recipe`] describes
+//! them, [`record`] runs their trajectories, [`store`] writes them.
 
 pub mod extent;
 pub mod metadata;

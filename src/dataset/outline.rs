@@ -1,4 +1,4 @@
-//! What the files of a data set say of their trajectories, without the frames: counts and walls.
+//! Outlines of the trajectories in a data set, without frames: counts and walls.
 
 use super::metadata::Metadata;
 use super::trajectory::{names, nodes, shape, Split};
@@ -11,19 +11,19 @@ use std::path::Path;
 pub struct Outline {
     /// The group's name.
     pub name: String,
-    /// T.
+    /// Number of frames, T.
     pub frames: usize,
-    /// N.
+    /// Number of particles, N.
     pub particles: usize,
-    /// `[M]` each: the nodes of the wall's shape and its height there; empty where no wall is shaped.
+    /// Positions of the wall shape's nodes and its heights there, `[M]` each; empty if no wall is shaped.
     pub wall_x: Vec<f64>,
     pub wall_offset: Vec<f64>,
-    /// What the wall is called; empty where nothing says so.
+    /// Name of the wall; empty if unknown.
     pub wall: String,
 }
 
 impl Outline {
-    /// Of all trajectories of a split, in the order of their names.
+    /// The outlines of all trajectories of a split, sorted by name.
     ///
     /// # Errors
     /// As for [`super::read_split`].
@@ -39,7 +39,7 @@ impl Outline {
                 particles,
                 wall_x: nodes(path, &group, &present, "wall_x")?,
                 wall_offset: nodes(path, &group, &present, "wall_offset")?,
-                // Only data of ours say so.
+                // Only our data have it.
                 wall: read_text(path, &group, "wall").unwrap_or_default(),
                 name,
             })
@@ -47,7 +47,7 @@ impl Outline {
         names(path, &file)?.into_iter().map(of).collect()
     }
 
-    /// What the wall is called, without how large it is.
+    /// The kind of the wall, without its amplitude.
     pub fn kind_of_wall(&self) -> &str {
         self.wall.split(", amplitude").next().unwrap_or_default()
     }

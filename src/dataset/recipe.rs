@@ -1,41 +1,42 @@
-//! What a data set is made from: a scene, which trajectories of it, and which of their steps are kept.
+//! The recipe of a data set: its scene, its trajectories, and the steps that are kept as frames.
 //!
-//! `every` and `skip` count reference steps: those of JAX-SPH at its Courant number (0.25 for the heated channel, 0.22
-//! for LagrangeBench's flows), dt_ref = C min(dx/(c + U), dx^2/max(nu, alpha)). The run itself takes the largest steps
-//! that `time.cfl` and `time.diffusion_number` allow and that divide the time between two frames. So frames are the same
+//! `every` and `skip` count reference steps. These are the steps of JAX-SPH at its Courant number C (0.25 for the
+//! heated channel, 0.22 for LagrangeBench's flows), dt_ref = C min(dx/(c + U), dx^2/max(nu, alpha)). The run uses the
+//! largest steps that `time.cfl` and `time.diffusion_number` allow and that divide the time between two frames, so this
+//! time does not depend on the time step.
 //! physical time apart whatever the time step.
 
 use super::trajectory::Split;
 use super::walls::{wall, Section, Walls};
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, Family, Method};
 use crate::design::shape::default_nodes;
 use crate::error::{BadInput, Error};
 use crate::numerics::random::{new_seed, numbered, uniform};
 use crate::scene::load::Loaded;
 use serde::{Deserialize, Serialize};
 
-/// Fluid particles' standard deviation from the lattice, in spacings, where a relaxation follows (as LagrangeBench).
+/// Standard deviation of the fluid particles from the lattice, in spacings, before a relaxation (as in LagrangeBench).
 const RELAXED_JITTER: f64 = 0.25;
 
-/// Everything besides the scene's configuration.
+/// The settings of a data set besides the scene's configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
-    /// Training, validation, test.
+    /// Numbers of trajectories for training, validation and test.
     pub trajectories: [usize; 3],
-    /// T, per trajectory.
+    /// Number of frames per trajectory, T.
     pub frames: usize,
-    /// Reference steps from frame to frame.
+    /// Number of reference steps between frames.
     pub every: usize,
-    /// Reference steps before the first frame.
+    /// Number of reference steps before the first frame.
     pub skip: usize,
-    /// Reference steps from a random start to a relaxed one, before time 0; flows only.
+    /// Number of reference steps that relax a random start before time 0; for flows only.
     pub relax: usize,
     pub walls: Walls,
-    /// How the flows begin.
+    /// The initial state of the flows.
     #[serde(default)]
     pub starts: Starts,
-    /// Offsets of [`Walls::File`]; the trajectories of all splits take them in turns.
+    /// Offsets for [`Walls::File`], which the trajectories of all splits use in turns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub given: Vec<Vec<f64>>,
 }
@@ -51,45 +52,45 @@ pub enum Starts {
     Mix,
 }
 
-/// One trajectory of a data set.
+/// A trajectory of a data set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Job {
     pub split: Split,
-    /// In its split, from 0.
+    /// Its index in the split, from 0.
     pub index: usize,
 }
 
-/// Steps of a run and what is kept of them.
+/// The steps of a run, and which of them are kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
     /// Time of a reference step.
     pub reference: f64,
     /// Time of a step of the run.
     pub dt: f64,
-    /// Steps of the run from frame to frame.
+    /// Number of the run's steps between frames.
     pub every: usize,
-    /// Steps of the run before the first frame.
+    /// Number of the run's steps before the first frame.
     pub skip: usize,
-    /// All steps.
+    /// Number of all steps.
     pub total: usize,
 }
 
-/// A trajectory ready to run.
+/// A trajectory that is ready to run.
 #[derive(Debug, Clone)]
 pub struct Ready {
     pub job: Job,
-    /// Its own seed, wall and number of steps.
+    /// The configuration with the trajectory's seed, wall and number of steps.
     pub config: Config,
-    /// What its wall is called; empty for flows.
+    /// Name of its wall; empty for flows.
     pub wall: String,
-    /// The configuration that the relaxation runs with, and its steps; none where there is no relaxation.
+    /// Configuration and number of steps of the relaxation, if there is one.
     pub relaxation: Option<(Config, usize)>,
     pub pace: Pace,
 }
 
 impl Recipe {
-    /// What a scene's data set is like unless told otherwise. The heated channel's is the report's; the flows' are
-    /// LagrangeBench's with fewer (and for those that it cuts from one long run, more and shorter) trajectories.
+    /// The default recipe of a scene. That of the heated channel is the report's; those of flows are LagrangeBench's
+    /// with fewer trajectories (and where LagrangeBench cuts one long run, with more and shorter ones).
     pub fn of(scene: Family) -> Self {
         let (trajectories, frames, skip, relax) = match scene {
             Family::HeatedChannel => ([100, 50, 50], 147, 300, 0),
@@ -100,7 +101,7 @@ impl Recipe {
             Family::LidDrivenCavity | Family::LidDrivenCavity3d => ([4, 2, 2], 500, 50_000, 5000),
             Family::Slab | Family::IsothermalChannel | Family::HeatedChannel3d => ([4, 2, 2], 147, 0, 0),
             Family::Custom => ([4, 2, 2], 147, 0, 0),
-            // Their blocks differ by time.jitter: without gravity water with a free surface does not relax.
+            // The blocks differ by time.jitter, because water with a free surface does not relax without gravity.
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
             Family::DamBreak3d | Family::FallingBlock | Family::HydrostaticTank => ([4, 2, 2], 101, 0, 0),
         };
@@ -116,11 +117,11 @@ impl Recipe {
         }
     }
 
-    /// An error if the numbers cannot be used with the scene.
+    /// Checks that the recipe is valid for the scene.
     pub fn check(&self, loaded: &Loaded) -> Result<(), BadInput> {
         let config = &loaded.config;
         if matches!(config.scene, Family::Slab | Family::IsothermalChannel | Family::HeatedChannel3d) {
-            // What walls a frame has tells a heated channel's, and nothing else's.
+            // The walls in a frame describe a heated channel only.
             return Err(BadInput::new(format!("there are no data sets of scene {}", config.scene.name()))
                 .place("generate")
                 .allowed("heated-channel, and flows without heat")
@@ -166,7 +167,7 @@ impl Recipe {
                 .allowed("starts = mix with scene heated-channel only"));
         }
         let usual = config.scene.defaults().time;
-        // A preset's length is that of its own runs.
+        // The length in a preset is for its own runs.
         let wish = |key: &str| loaded.place(key).is_some_and(|place| !place.starts_with("preset "));
         if (config.time.steps != usual.steps && wish("time.steps"))
             || (config.time.end != usual.end && wish("time.end"))
@@ -213,13 +214,13 @@ impl Recipe {
         Pace { reference, dt, every: every as usize, skip: skip as usize, total: total as usize }
     }
 
-    /// Every trajectory, split by split.
+    /// All trajectories, by split.
     pub fn jobs(&self) -> Vec<Job> {
         let of = |(split, count): (Split, usize)| (0..count).map(move |index| Job { split, index });
         Split::ALL.into_iter().zip(self.trajectories).flat_map(of).collect()
     }
 
-    /// The wall that a trajectory takes from the table, if there is one.
+    /// The wall of a trajectory in the table, if there is one.
     fn given(&self, job: Job) -> Option<(String, Vec<f64>)> {
         let before = Split::ALL.iter().zip(self.trajectories).take_while(|(split, _)| **split != job.split);
         let number = before.map(|(_, count)| count).sum::<usize>() + job.index;
@@ -227,7 +228,7 @@ impl Recipe {
         Some((format!("line {} of the table", line + 1), self.given.get(line)?.clone()))
     }
 
-    /// The configuration of one trajectory: it depends on the seed, the split and the index alone.
+    /// The configuration of a trajectory, which depends only on the seed, the split and the index.
     pub fn ready(&self, loaded: &Loaded, job: Job) -> Result<Ready, Error> {
         let pace = self.pace(&loaded.config);
         let mut rng = numbered(loaded.config.run.seed, job.split.name(), job.index as u32);
@@ -258,11 +259,13 @@ impl Recipe {
             settings.push(option("time.start", format!("{start:?}")));
         }
         let mut ready = loaded.with(&settings)?.config;
-        // Not part of the result: it must not be part of the file either.
+        // The number of threads does not change the result, so it must not be in the file.
         ready.run.threads = 0;
         let relaxation = (self.relax > 0).then(|| {
             let mut rest = ready.clone();
-            rest.fluid.transport_velocity = 1.0;
+            if let Method::Standard(own) = &mut rest.method {
+                own.transport_velocity = 1.0;
+            }
             rest.time.jitter = RELAXED_JITTER;
             (rest, (self.relax as f64 * pace.reference / pace.dt).ceil() as usize)
         });

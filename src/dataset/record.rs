@@ -1,7 +1,7 @@
-//! Runs one trajectory of a data set and keeps its frames.
+//! Runs a trajectory of a data set and keeps its frames.
 //!
-//! Positions are written from the lower corner of [`Enclosure`], so that they are all within 0 ... size as
-//! LagrangeBench's readers want them; `origin` is where that corner is in the scene.
+//! Positions are relative to the lower corner of [`Enclosure`], so that all are within 0 ... size, as LagrangeBench's
+//! readers need; `origin` is the position of that corner in the scene.
 
 use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
@@ -15,27 +15,27 @@ use crate::scene::taylor_green::TaylorGreen;
 use crate::scene::Scene;
 use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
-use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Model;
 use crate::sph::Sweeps;
 
-/// The box that holds every particle of a data set, walls included.
+/// The box that contains every particle of a data set, including walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Enclosure {
     pub dimension: usize,
-    /// Its lower corner in the scene's coordinates.
+    /// Position of its lower corner in the scene.
     pub origin: [f64; 3],
     pub size: [f64; 3],
     pub periodic: [bool; 3],
-    /// Particles written.
+    /// Number of written particles.
     pub particles: usize,
 }
 
-/// A scene, and what is written of it.
+/// A scene and its written particles.
 struct Stage<R> {
     scene: Scene<R>,
     enclosure: Enclosure,
-    /// Particles that are written.
+    /// Indices of the written particles.
     kept: Vec<usize>,
 }
 
@@ -49,17 +49,17 @@ impl Enclosure {
 fn stage<R: Sweeps>(config: &Config) -> Result<Stage<R>, Error> {
     let scene = Scene::<R>::from_config(config)?;
     let (model, mut origin) = (&scene.model, scene.corner);
-    // Points on a wall's surface are no particles: the dummy particles behind it show where it is.
+    // Points on a wall's surface are not written: the dummy particles behind it represent the wall.
     let is_particle = |i: usize| !tag::is_on_surface(model.tags[i]);
     let written = |&i: &usize| is_particle(i) && (!is_cavity(config) || is_inner(config, &scene, i));
     let kept: Vec<usize> = (0..model.particles()).filter(written).collect();
     let mut size = model.domain.size;
     if scene.design.is_some() {
-        // Below the lowest wall's dummy rows.
+        // The box includes the dummy particles of the lowest wall.
         origin[1] -= config.design.bound;
         size[1] += config.design.bound;
     }
-    let (periodic, dimension) = (model.domain.periodic, model.layout.dimension);
+    let (periodic, dimension) = (model.domain.periodic, model.dimension());
     let enclosure = Enclosure { dimension, origin, size, periodic, particles: kept.len() };
     Ok(Stage { scene, enclosure, kept })
 }
@@ -68,18 +68,18 @@ fn is_cavity(config: &Config) -> bool {
     matches!(config.scene, Family::LidDrivenCavity | Family::LidDrivenCavity3d)
 }
 
-/// The cavity's fluid and the innermost row of its walls, as in LagrangeBench: 2708 particles of 3136. The lid's row is
-/// as long as the box.
+/// Whether a particle is in the cavity's fluid or the innermost row of its walls, as in LagrangeBench: 2708 particles
+/// of 3136. The lid's row is as long as the box.
 fn is_inner<R: Sweeps>(config: &Config, scene: &Scene<R>, i: usize) -> bool {
     let (model, state, dx) = (&scene.model, &scene.start.state, scene.spacing);
     let n = model.particles();
-    // How far outside of the fluid's square, which the walls' rows surround.
+    // Distance outside of the fluid's square, which the walls surround.
     let walls = Numerics::from_config(config).wall_rows as f64 * dx;
     let outside = |d: usize| {
         let x = state[d * n + i].f64();
         (walls - x).max(x - (model.domain.size[d] - walls))
     };
-    let deep = model.layout.dimension < 3 || outside(2) < dx;
+    let deep = model.dimension() < 3 || outside(2) < dx;
     deep && outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
 }
 
@@ -101,13 +101,13 @@ pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<T
     Ok(recorder.trajectory)
 }
 
-/// Observer that keeps the frames of a trajectory.
+/// An observer that keeps the frames of a trajectory.
 struct Recorder<'a, R> {
     ready: &'a Ready,
     stage: &'a Stage<R>,
     progress: &'a dyn Fn(),
     trajectory: Trajectory,
-    /// The last temperature that each particle had, `[N]`.
+    /// The last temperature of each particle, `[N]`.
     last: Vec<f64>,
 }
 
@@ -147,7 +147,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Recorder<'_, R> {
         dynamics.check(solver)?;
         write_positions(self.ready, self.stage, solver, &mut self.trajectory.position)?;
         if let Some(all) = &mut self.trajectory.temperature {
-            look_at_temperatures(&self.ready.config, solver, &mut self.last);
+            look_at_temperatures(&self.ready.config, solver, &mut self.last)?;
             all.extend(self.stage.kept.iter().map(|&i| self.last[i] as f32));
         }
         (self.progress)();
@@ -155,12 +155,12 @@ impl<R: Sweeps> Observer<Sph<R>> for Recorder<'_, R> {
     }
 }
 
-/// What LagrangeBench calls a particle of a tag.
+/// The particle type of LagrangeBench for a tag.
 pub fn kind_of(tag: u8) -> i32 {
     match tag {
         tag::FLUID => kind::FLUID,
         tag::MOVING_WALL => kind::MOVING_WALL,
-        // A hot wall too: what LagrangeBench does not know it would take for a rigid body.
+        // Also for a hot wall: an unknown type would be a rigid body for LagrangeBench.
         _ => kind::SOLID_WALL,
     }
 }
@@ -187,7 +187,7 @@ fn write_positions<R: Sweeps>(
                     Cause::of(&stage.scene.model, &stage.scene.start).advice,
                 ));
             }
-            // Rounded to f32, a place just below a period's end is the end itself.
+            // A position just below the end of a period may be rounded to the end.
             let x = x as f32;
             to.push(if enclosure.periodic[d] && x >= enclosure.size[d] as f32 { 0.0 } else { x });
         }
@@ -195,20 +195,19 @@ fn write_positions<R: Sweeps>(
     Ok(())
 }
 
-/// Temperatures `[N]` of the present state. Walls of set temperature have that one; others what the solver extrapolates
-/// to them, and where no fluid is in reach the last that they had.
-fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last: &mut [f64]) {
-    solver.look();
+/// Temperatures `[N]` of the present state. Walls have their set temperature; others have the solver's extrapolation,
+/// or their last temperature if no fluid is in reach.
+fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last: &mut [f64]) -> Result<(), RunError> {
+    solver.look()?;
     let model = solver.model.clone();
-    let (n, Some(heat)) = (model.particles(), &model.heat) else { return };
-    let row = model.layout.primitive_temperature() * n;
-    let now = |i: usize| solver.primitives[row + i].f64() + heat.reference;
+    let (n, Some(heat)) = (model.particles(), &model.heat) else { return Ok(()) };
+    let now = |i: usize| solver.looked.temperature[i].f64() + heat.reference;
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for i in (0..n).filter(|&i| model.is_fluid(i)) {
         last[i] = now(i);
         (low, high) = (low.min(last[i]), high.max(last[i]));
     }
-    // Averages are between the fluid's temperatures; an average of nothing is not.
+    // Averages are between the fluid's temperatures, except where no fluid is in reach.
     let slack = 1e-5 * (high - low);
     for i in (0..n).filter(|&i| !model.is_fluid(i)) {
         if model.tags[i] == tag::HOT_WALL {
@@ -217,19 +216,20 @@ fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last
             last[i] = now(i);
         }
     }
+    Ok(())
 }
 
-/// Positions `[D, N]` after a run from rest without forces: disordered and evenly spread.
+/// Positions `[D, N]` after a run from rest without forces, which are disordered and evenly spread.
 fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
     let scene = Scene::<R>::at_rest(config)?;
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let solver = run(&dynamics, &scene.start, steps, &mut [])?;
-    Ok(solver.state[..scene.model.layout.dimension * scene.model.particles()].to_vec())
+    Ok(solver.state[..scene.model.dimension() * scene.model.particles()].to_vec())
 }
 
-/// The start of a flow with the fluid at other places, and the velocity that it starts with there.
+/// The initial state with the fluid at other positions, with the initial velocities there.
 fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, position: &[R]) {
-    let (n, l) = (model.particles(), model.layout);
+    let (n, l) = (model.particles(), model.rows);
     let vortices = TaylorGreen { dimension: l.dimension, ..Default::default() };
     for i in (0..n).filter(|&i| model.is_fluid(i)) {
         for d in 0..l.dimension {
@@ -246,7 +246,7 @@ fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>
     *start = Snapshot::first(model, std::mem::take(&mut start.state));
 }
 
-/// A run that could not go on, with advice; other errors as they are.
+/// Adds advice to the error of a diverged run; other errors stay the same.
 fn failed<R: Sweeps>(ready: &Ready, scene: &Scene<R>, error: anyhow::Error) -> anyhow::Error {
     match error.downcast::<RunError>() {
         Ok(error) => told(&error, &scene.model, &scene.start).of(ready.job).into(),

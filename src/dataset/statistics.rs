@@ -1,4 +1,4 @@
-//! Means and standard deviations over a training split: fluid particles only, minimum-image differences, in f64.
+//! Means and standard deviations over a training split, for fluid particles, by minimum-image differences in f64.
 
 use super::extent::Extent;
 use super::metadata::Metadata;
@@ -24,7 +24,7 @@ impl Moments {
         self.mean
     }
 
-    /// Of the whole population; 1 if there is no deviation to divide by (as LagrangeBench).
+    /// Standard deviation of the population; 1 if there is none to divide by (as in LagrangeBench).
     pub fn deviation(&self) -> f64 {
         let deviation = (self.squares / self.count.max(1.0)).sqrt();
         if deviation < 1e-7 {
@@ -35,7 +35,7 @@ impl Moments {
     }
 }
 
-/// Sums over trajectories.
+/// Statistics over trajectories.
 #[derive(Debug, Clone, Default)]
 pub struct Statistics {
     velocity: [Moments; 3],
@@ -45,7 +45,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Adds a trajectory; `metadata` gives box and inlet.
+    /// Adds a trajectory; `metadata` has the box and the inlet.
     pub fn add(&mut self, metadata: &Metadata, trajectory: &Trajectory) {
         let (n, dimension) = (trajectory.particles, metadata.dim);
         let extent = Extent::of(metadata);
@@ -71,7 +71,7 @@ impl Statistics {
             if let (Some(old), Some(new)) = (trajectory.temperature_of(last), trajectory.temperature_of(frame)) {
                 for &i in &fluid {
                     let (from, to) = (f64::from(from[i * dimension]), f64::from(to[i * dimension]));
-                    // What the inlet did is no change that the flow made.
+                    // A reset by the inlet is not a change by the flow.
                     if !metadata.heat.as_ref().is_some_and(|heat| heat.resets(from, to, metadata.bounds[0])) {
                         self.change.add(f64::from(new[i]) - f64::from(old[i]));
                     }
@@ -80,7 +80,7 @@ impl Statistics {
         }
     }
 
-    /// Fills in the statistics.
+    /// Writes the statistics into the metadata.
     pub fn write_to(&self, metadata: &mut Metadata) {
         let means = |moments: &[Moments]| moments[..metadata.dim].iter().map(Moments::mean).collect();
         let deviations = |moments: &[Moments]| moments[..metadata.dim].iter().map(Moments::deviation).collect();

@@ -1,11 +1,11 @@
-//! The files of a data set while it is made: one per finished trajectory in `parts/`, and the merge of them.
+//! The files of a data set during its generation: one per finished trajectory in `parts/`, and their merge.
 
 use super::metadata::{Heat, Metadata};
 use super::recipe::{Job, Recipe};
 use super::record::Enclosure;
 use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
-use crate::config::scene::{Config, DensityEquation, Family, FluxName, SlipName};
+use crate::config::scene::{Config, DensityEquation, Family, FluxName, Method, SlipName, Standard};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{is_temporary, write_bytes_atomically};
 use crate::io::hdf5_file::{
@@ -16,22 +16,22 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Frames per compressed chunk: a window of a few frames is read without the rest.
+/// Number of frames per compressed chunk, so that a window of a few frames can be read without the rest.
 const CHUNK: usize = 8;
 
-/// Where a trajectory comes from, as attributes of its group.
+/// The provenance of a trajectory, as attributes of its group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Provenance {
-    /// TOML: `hydrograd simulate` runs it again.
+    /// Configuration as TOML, with which `hydrograd simulate` runs it again.
     pub configuration: String,
     pub seed: u64,
-    /// Of this program.
+    /// Version of the program.
     pub version: String,
-    /// What the wall is called; empty where there is none to shape.
+    /// Name of the wall; empty if no wall is shaped.
     pub wall: String,
 }
 
-/// `generate.json`: what a folder was begun with, beside `config.toml`.
+/// `generate.json`: the recipe with which a folder was started, beside `config.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Begun {
     #[serde(flatten)]
@@ -71,7 +71,7 @@ impl Store {
         self.folder.join("metadata.json").is_file() && Split::ALL.iter().all(|split| split.path(&self.folder).is_file())
     }
 
-    /// What the folder was begun with, if it was.
+    /// The recipe with which the folder was started, if any.
     pub fn begun(&self) -> Result<Option<Begun>, BadInput> {
         let path = self.begun_path();
         let Ok(text) = std::fs::read_to_string(&path) else { return Ok(None) };
@@ -82,7 +82,7 @@ impl Store {
         })
     }
 
-    /// Writes what the folder is begun with: `config.toml`, `generate.json`.
+    /// Writes `config.toml` and `generate.json`.
     pub fn begin(&self, configuration: &str, begun: &Begun) -> anyhow::Result<()> {
         std::fs::create_dir_all(self.parts()).map_err(|source| FileError::write(&self.parts(), source))?;
         write_bytes_atomically(&self.config_path(), configuration.as_bytes())?;
@@ -90,7 +90,6 @@ impl Store {
         Ok(write_bytes_atomically(&self.begun_path(), text.as_bytes())?)
     }
 
-    /// Writes a finished trajectory.
     pub fn write_part(&self, job: Job, trajectory: &Trajectory, provenance: &Provenance) -> Result<(), FileError> {
         let path = &self.part(job);
         write_file(path, |file| write_trajectory(path, file, trajectory, provenance))
@@ -104,17 +103,17 @@ impl Store {
         Ok((read_trajectory(path, &file, dimension, name)?, provenance))
     }
 
-    /// Trajectories without a file yet.
+    /// The trajectories without a file.
     pub fn missing(&self, recipe: &Recipe) -> Vec<Job> {
         recipe.jobs().into_iter().filter(|&job| !self.part(job).is_file()).collect()
     }
 
-    /// Puts the trajectories together: `train.h5`, `valid.h5`, `test.h5`, then `metadata.json`; removes `parts/`.
+    /// Merges the trajectories into `train.h5`, `valid.h5`, `test.h5`, then `metadata.json`, and removes `parts/`.
     ///
     /// # Errors
-    /// Trajectories that are missing or damaged; system errors.
+    /// Missing or damaged trajectories; system errors.
     pub fn merge(&self, config: &Config, recipe: &Recipe) -> anyhow::Result<()> {
-        // Shards that finish together: one merges, the others find it done.
+        // Of shards that finish together one merges, and the others find it done.
         let lock_path = self.folder.join("merge.lock");
         let lock = std::fs::File::create(&lock_path).map_err(|source| FileError::write(&lock_path, source))?;
         // Where the file system has no locks, shards that finish together write the same bytes.
@@ -130,7 +129,7 @@ impl Store {
             }
             let frame = Enclosure::of(config)?;
             let mut metadata = metadata(config, recipe, &frame);
-            // What does not change the data must not change their bytes.
+            // Settings that do not change the data must not change their bytes.
             let (usual, mut recorded) = (config.scene.defaults(), config.clone());
             (recorded.run.threads, recorded.output) = (usual.run.threads, usual.output);
             (recorded.optimise, recorded.surrogate) = (usual.optimise, usual.surrogate);
@@ -151,7 +150,7 @@ impl Store {
             }
             statistics.write_to(&mut metadata);
             metadata.write(&self.folder)?;
-            // A merge that was killed leaves its half of a file, which may be large. Only now: others write beside what is complete.
+            // Removes partial files of an interrupted merge, now that the data set is complete and no shard writes.
             for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
                 let name = entry.file_name().to_string_lossy().into_owned();
                 if is_temporary(&name) {
@@ -159,7 +158,7 @@ impl Store {
                 }
             }
         }
-        // Best effort: the data set is there; what cannot be removed is only in the way.
+        // Errors are ignored: the data set is complete.
         let _ = std::fs::remove_dir_all(self.parts());
         let _ = std::fs::remove_file(&lock_path);
         Ok(())
@@ -197,7 +196,7 @@ fn write_trajectory(
 /// The provenance of a trajectory's group.
 ///
 /// # Errors
-/// An attribute is missing: the data set was not made by `hydrograd generate`.
+/// A missing attribute: the data set was not made by `hydrograd generate`.
 pub fn read_provenance(path: &Path, group: &hdf5::Group) -> Result<Provenance, FileError> {
     Ok(Provenance {
         configuration: read_text(path, group, "configuration")?,
@@ -210,24 +209,29 @@ pub fn read_provenance(path: &Path, group: &hdf5::Group) -> Result<Provenance, F
 /// The key of the metadata with the scene's configuration, as TOML.
 pub const CONFIGURATION: &str = "configuration";
 
-/// Metadata without statistics.
+/// The metadata without statistics.
 fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
     let (d, dx, pace) = (frame.dimension, config.resolution.dx, recipe.pace(config));
     let (fluid, channel) = (&config.fluid, &config.channel);
     let heated = config.scene.has_design();
+    // Other methods lack LagrangeBench's keys here; the values of the standard method are then defaults.
+    let own = match [config.method, config.scene.defaults_with("standard").method] {
+        [Method::Standard(own), _] | [_, Method::Standard(own)] => own,
+        _ => Standard::default(),
+    };
     let serde_json::Value::Object(other) = json!({
         "case": config.scene.name(),
-        "solver": match fluid.flux {
+        "solver": match own.flux {
             FluxName::Pair => "SPH",
             FluxName::Delta => "DELTA",
             FluxName::Riemann => "RIE",
         },
-        "density_evolution": fluid.density_equation == DensityEquation::Evolution,
+        "density_evolution": own.density_equation == DensityEquation::Evolution,
         "is_bc_trick": true,
         "free_slip": config.wall.slip == SlipName::FreeSlip,
-        "artificial_alpha": fluid.artificial_viscosity,
+        "artificial_alpha": own.artificial_viscosity,
         "viscosity": if heated || config.scene == Family::Custom || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
-        "p_bg_factor": fluid.background_pressure_factor,
+        "p_bg_factor": own.background_pressure_factor,
         "g_ext_magnitude": match config.scene {
             Family::HeatedChannel | Family::ReversePoiseuille | Family::ReversePoiseuille3d => fluid.body_force,
             Family::Poiseuille => 8.0 / config.flow.reynolds,

@@ -1,7 +1,7 @@
-//! One trajectory of a data set: frames of particles, and what belongs to the trajectory as a whole.
+//! A trajectory of a data set: frames of particles, and properties of the whole trajectory.
 //!
-//! Group "00000" holds `position` `[T, N, D]` f32 and `particle_type` `[N]` i32 as in LagrangeBench; ours add
-//! `temperature` `[T, N]` f32, `wall_temperature` `[N]` f32 (not-a-number where none is set), and `wall_x`, `wall_offset` `[M]`
+//! Group "00000" has `position` `[T, N, D]` f32 and `particle_type` `[N]` i32 as in LagrangeBench. Ours add
+//! `temperature` `[T, N]` f32, `wall_temperature` `[N]` f32 (NaN where none is set), and `wall_x`, `wall_offset` `[M]`
 //! f64 (the shape of the wall).
 
 use super::metadata::Metadata;
@@ -16,10 +16,10 @@ pub mod kind {
     pub const SOLID_WALL: i32 = 1;
     pub const MOVING_WALL: i32 = 2;
     pub const RIGID_BODY: i32 = 3;
-    /// LagrangeBench's types are below it.
+    /// Number of types; those of LagrangeBench are below it.
     pub const COUNT: i32 = 9;
 
-    /// Moved by others, not by the model: walls and padding.
+    /// Whether particles are moved by others than the model: walls and padding.
     pub fn is_kinematic(kind: i32) -> bool {
         matches!(kind, SOLID_WALL | MOVING_WALL | PADDING)
     }
@@ -54,37 +54,70 @@ impl Split {
 pub struct Trajectory {
     /// The group's name.
     pub name: String,
-    /// T.
+    /// Number of frames, T.
     pub frames: usize,
-    /// N, without padding.
+    /// Number of particles, N, without padding.
     pub particles: usize,
-    /// `[T, N, D]`.
+    /// Positions, `[T, N, D]`.
     pub position: Vec<f32>,
-    /// `[N]`, see [`kind`].
+    /// Types, `[N]`, see [`kind`].
     pub kind: Vec<i32>,
-    /// `[T, N]`.
+    /// Temperatures, `[T, N]`.
     pub temperature: Option<Vec<f32>>,
-    /// `[N]`, not-a-number where no temperature is set.
+    /// Set temperatures of walls, `[N]`, NaN where none is set.
     pub wall_temperature: Option<Vec<f32>>,
-    /// `[M]` each: the nodes of the wall's shape and its height there.
+    /// Positions of the wall shape's nodes and its heights there, `[M]` each.
     pub wall_x: Vec<f64>,
     pub wall_offset: Vec<f64>,
 }
 
 impl Trajectory {
-    /// `[N, D]` of one frame.
+    /// Positions of one frame, `[N, D]`.
     pub fn position_of(&self, frame: usize) -> &[f32] {
         let row = self.position.len() / self.frames;
         &self.position[frame * row..(frame + 1) * row]
     }
 
-    /// `[N]` of one frame.
+    /// Temperatures of one frame, `[N]`.
     pub fn temperature_of(&self, frame: usize) -> Option<&[f32]> {
         self.temperature.as_deref().map(|t| &t[frame * self.particles..(frame + 1) * self.particles])
     }
+
+    /// Distances to the next frame (for the last one from the frame before), in spacings.
+    pub fn speeds(&self, metadata: &Metadata, frame: usize, shown: &[usize]) -> Vec<f64> {
+        let d = metadata.dim;
+        let (from, to) = match frame + 1 < self.frames {
+            true => (frame, frame + 1),
+            false => (frame.saturating_sub(1), frame),
+        };
+        let (from, to) = (self.position_of(from), self.position_of(to));
+        let (size, periodic) = (metadata.size(), metadata.periodic());
+        let square = |i: usize, k: usize| {
+            let mut step = f64::from(to[i * d + k]) - f64::from(from[i * d + k]);
+            if periodic[k] {
+                step -= size[k] * (step / size[k]).round();
+            }
+            step * step
+        };
+        shown.iter().map(|&i| (0..d).map(|k| square(i, k)).sum::<f64>().sqrt() / metadata.dx).collect()
+    }
+
+    /// Tags: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as in hydrograd), 4 rigid body, 5 padding.
+    pub fn tags(&self) -> Vec<u8> {
+        let hot = |i: usize| self.wall_temperature.as_ref().is_some_and(|t| t[i].is_finite());
+        let tag = |(i, &k): (usize, &i32)| match k {
+            kind::FLUID => 0,
+            kind::SOLID_WALL if hot(i) => 3,
+            kind::SOLID_WALL => 1,
+            kind::MOVING_WALL => 2,
+            kind::RIGID_BODY => 4,
+            _ => 5,
+        };
+        self.kind.iter().enumerate().map(tag).collect()
+    }
 }
 
-/// All trajectories of a split, in the order of their names.
+/// Reads all trajectories of a split, sorted by name.
 ///
 /// # Errors
 /// The file is missing, damaged, or a dataset in it is missing or of the wrong shape.
@@ -94,7 +127,7 @@ pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Ve
     names(path, &file)?.into_iter().map(|name| read_checked(path, &file, metadata, name)).collect()
 }
 
-/// One trajectory of a split, by its number; none if there are not so many.
+/// Reads one trajectory of a split by its number; none if there are fewer.
 ///
 /// # Errors
 /// As for [`read_split`].
@@ -110,7 +143,7 @@ pub fn read_one(
     name.map(|name| read_checked(path, &file, metadata, name)).transpose()
 }
 
-/// The names of a file's trajectories, in order.
+/// The sorted names of a file's trajectories.
 pub(super) fn names(path: &Path, file: &hdf5::File) -> Result<Vec<String>, FileError> {
     let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
     names.sort();
@@ -123,7 +156,7 @@ fn read_checked(path: &Path, file: &hdf5::File, metadata: &Metadata, name: Strin
     Ok(trajectory)
 }
 
-/// Places are in the box or not far from it (walls stand around it), and temperatures are there if the data have heat.
+/// Checks that positions are in the box or near it (walls are around it), and that data with heat have temperatures.
 fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<(), FileError> {
     let (d, size, name) = (metadata.dim, metadata.size(), &trajectory.name);
     let is_near = |k: usize, x: f32| {
@@ -155,7 +188,7 @@ fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<()
     Ok(())
 }
 
-/// T, N and D of a trajectory's group; `dim` is D.
+/// T, N and D of a trajectory's group; `dim` is the expected D.
 pub(super) fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) -> Result<[usize; 3], FileError> {
     let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
     let bad = |allowed: &str| mismatch(path, &format!("{name}/position"), format!("of shape {shape:?}"), allowed);
@@ -166,7 +199,7 @@ pub(super) fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) ->
     }
 }
 
-/// Numbers along a wall, `[M]`; none if the group does not have them.
+/// Values along a wall, `[M]`; empty if the group lacks them.
 pub(super) fn nodes(path: &Path, group: &hdf5::Group, present: &[String], name: &str) -> Result<Vec<f64>, FileError> {
     if !present.iter().any(|other| other == name) {
         return Ok(Vec::new());
@@ -175,7 +208,7 @@ pub(super) fn nodes(path: &Path, group: &hdf5::Group, present: &[String], name: 
     Ok(read_dataset(path, group, present, name, &length)?.unwrap_or_default())
 }
 
-/// One trajectory of an open file; `dim` is D.
+/// Reads a trajectory of an open file; `dim` is D.
 pub(super) fn read_trajectory(
     path: &Path,
     file: &hdf5::File,

@@ -1,7 +1,7 @@
 //! Wall shapes of a data set of the heated channel: the report's ten functions and two random families.
 //!
-//! With s = (x - hot_from) / (hot_to - hot_from) and an amplitude A up to `design.bound`; all keep |offset| <= bound and
-//! the slope between nodes within 1 (functions that are steeper are scaled down).
+//! With s = (x - hot_from) / (hot_to - hot_from) and an amplitude A up to `design.bound`. All have |offset| <= bound
+//! and a slope between nodes of at most 1 (steeper functions are scaled down).
 
 use super::trajectory::Split;
 use crate::error::BadInput;
@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
-/// Largest slope between two nodes. Half of what a design may have: moving particles hold over all of these functions up to
-/// it, and break over some beyond.
+/// Largest slope between two nodes, half of that of a design. Moving particles are stable over all of these functions
+/// up to it, and unstable over some beyond.
 const STEEPEST: f64 = 1.0;
-/// The same of walls whose nodes are random, one by one: 120 of 120 such walls within 0.03 ran for 147 frames, with a slope
-/// of 0.75 it is 119.
+/// Largest slope of walls with independent random nodes. 120 of 120 such walls within 0.03 ran for 147 frames, and 119
+/// with a slope of 0.75.
 const ROUGHEST: f64 = 0.5;
 
 /// Which walls the trajectories get.
@@ -38,7 +38,7 @@ pub enum Walls {
     File,
 }
 
-/// One of the report's functions.
+/// A function of the report.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Function {
     Flat,
@@ -63,13 +63,13 @@ const REPORT: [Function; 10] = [
     Function::Linear,
 ];
 
-/// Waves in a smooth random wall; the k-th has k half periods and a deviation of 1/k.
+/// Number of waves in a smooth random wall. The k-th has k half periods and a standard deviation of 1/k.
 const WAVES: usize = 6;
 
-/// The hot section and what a wall in it may be.
+/// The hot section and the limits of its wall.
 #[derive(Debug, Clone, Copy)]
 pub struct Section<'a> {
-    /// Increasing, at least one.
+    /// Positions of the nodes, increasing, at least one.
     pub nodes: &'a [f64],
     pub hot_from: f64,
     pub hot_to: f64,
@@ -77,10 +77,10 @@ pub struct Section<'a> {
     pub bound: f64,
 }
 
-/// Reads walls: a line each, offsets separated by commas. Whether they fit the design is the scene's to say.
+/// Reads walls, one per line, as offsets separated by commas. The scene checks whether they fit the design.
 ///
 /// # Errors
-/// No file, no line, something that is not a number.
+/// A missing file, no line, or something that is not a number.
 pub fn read_walls(path: &Path) -> Result<Vec<Vec<f64>>, BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
@@ -102,7 +102,7 @@ pub fn read_walls(path: &Path) -> Result<Vec<Vec<f64>>, BadInput> {
     Ok(walls)
 }
 
-/// The wall of a trajectory: what it is called, and its offsets at the nodes. None for [`Walls::Scene`] and [`Walls::File`].
+/// The name of a trajectory's wall and its offsets at the nodes; none for [`Walls::Scene`] and [`Walls::File`].
 pub fn wall(
     walls: Walls,
     split: Split,
@@ -118,7 +118,7 @@ pub fn wall(
     match family {
         Walls::Report => {
             let function = REPORT[turn % REPORT.len()];
-            // The first ten of the training split are the report's own; others have an amplitude of their own.
+            // The first ten of the training split are the report's own; others have a random amplitude.
             let share = 0.25 + 0.75 * uniform(rng);
             let sign = if uniform(rng) < 0.5 { -1.0 } else { 1.0 };
             let own = split == Split::Train && turn < REPORT.len();
@@ -169,7 +169,7 @@ impl Section<'_> {
         (format!("{name}, amplitude {amplitude:.4}"), self.gentle(offsets))
     }
 
-    /// Scaled down until no step is too steep.
+    /// Scales offsets down until no slope is too large.
     fn gentle(&self, mut offsets: Vec<f64>) -> Vec<f64> {
         let steps = offsets.windows(2).zip(self.nodes.windows(2));
         let steepness = |(o, x): (&[f64], &[f64])| (o[1] - o[0]).abs() / (STEEPEST * (x[1] - x[0]));
@@ -178,7 +178,7 @@ impl Section<'_> {
         offsets
     }
 
-    /// Node after node uniform in what the bound and the node before allow.
+    /// Each node is uniform within the bound and the slope from the node before.
     fn columns(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
         let mut offsets: Vec<f64> = Vec::with_capacity(self.nodes.len());
         for (i, x) in self.nodes.iter().enumerate() {

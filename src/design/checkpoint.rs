@@ -1,15 +1,15 @@
-//! The checkpoint of an optimisation: one safetensors file, from which it goes on to the bit.
+//! The checkpoint of an optimisation: a safetensors file from which the optimisation continues to the bit.
 //!
 //! ```text
 //!   offsets [K]                 the design that the next epoch evaluates
 //!   offsets_best [K]            the best one
 //!   history.offsets [E, K]      of each epoch: variables,
 //!   history.q, .loss, .gradient_norm, .seconds [E]      objective, loss, norm of its gradient, time
-//!   history.truth_q, .truth_loss, .predicted_q, .solver_steps [E]     what solver and surrogate say; NaN where nobody asked
+//!   history.truth_q, .truth_loss, .predicted_q, .solver_steps [E]     by solver and surrogate; NaN where not evaluated
 //!   adam.*                      what the optimiser adds, see [`Optimiser::save`]
 //! ```
 //!
-//! and in the metadata the kind of file, `epochs`, `best_epoch`, the configuration, and the program's version.
+//! The metadata have the kind of file, `epochs`, `best_epoch`, the configuration and the program's version.
 
 use super::optimise::{Epoch, Optimisation};
 use super::optimisers::{count, unreadable, Optimiser, Record};
@@ -20,10 +20,10 @@ use crate::io::tensor_file::{write_tensors, TensorFile};
 use crate::io::FileError;
 use std::path::Path;
 
-/// What the metadata call it.
+/// The kind of file in the metadata.
 pub const KIND: &str = "hydrograd optimisation";
 
-/// Writes a checkpoint of at least one epoch, with `notes` (the configuration, the version, ...) in its metadata.
+/// Writes a checkpoint after at least one epoch. `notes` (the configuration, the version, ...) go into its metadata.
 ///
 /// # Errors
 /// System errors.
@@ -55,10 +55,10 @@ pub fn write(path: &Path, optimisation: &Optimisation, notes: &[(&str, String)])
     write_tensors(path, &record.tensors, &record.metadata)
 }
 
-/// The optimisation of a checkpoint. `begin` makes the optimiser at a point.
+/// Reads the optimisation of a checkpoint. `begin` makes the optimiser at a point.
 ///
 /// # Errors
-/// Numbers that no run could have written.
+/// Values that no optimisation could have written.
 pub fn restore(
     file: &TensorFile,
     parametrisation: &dyn Parametrisation,
@@ -75,7 +75,7 @@ pub fn restore(
     let variables = file.f64("history.offsets", &[epochs, k]).map_err(unreadable)?;
     let (q, loss) = (column("history.q")?, column("history.loss")?);
     let (norm, seconds) = (column("history.gradient_norm")?, column("history.seconds")?);
-    // Earlier versions had no surrogate: what they say is the solver's.
+    // Earlier versions had no surrogate, so all their results are the solver's.
     let judged = file.tensors.contains_key("history.truth_q");
     let (truth_q, truth_loss) = match judged {
         true => (column("history.truth_q")?, column("history.truth_loss")?),
@@ -96,7 +96,7 @@ pub fn restore(
             truth: is_known(e).then(|| Truth { figure: truth_q[e], loss: truth_loss[e] }),
             predicted: predicted.map(|q| q[e]).filter(|q| !q.is_nan()),
             solver_steps: steps.map_or(0, |steps| steps[e] as usize),
-            judged_late: None,
+            ..Epoch::default()
         })
         .collect();
     let x = file.f64("offsets", &[k]).map_err(unreadable)?;

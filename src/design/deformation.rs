@@ -1,11 +1,11 @@
-//! From the heights of a wall over the particle columns to the initial state: positions of wall and fluid particles and
-//! their masses.
+//! The map from the heights of a wall over the particle columns to the initial state: positions of wall and fluid
+//! particles and their masses.
 //!
-//! A column whose wall is raised by s (the average of the wall's height over the column, see [`super::parametrisations`])
-//! keeps its number of particles: wall particles move by s, fluid is remapped to y + s (1 - y/H), so the column's height
-//! becomes H - s. With the mass convention `column-area` a particle's mass is scaled with the column's area, m (1 - s/H),
-//! and the density stays what it was; with `constant` it does not, and the fluid is compressed or thinned. All of it is
-//! linear in the heights.
+//! In a column where the wall is raised by s (the average of the wall's height over the column, see
+//! [`super::parametrisations`]) the particles stay the same: wall particles move by s, fluid moves to y + s (1 - y/H),
+//! and the column's height becomes H - s. With the mass convention `column-area` the mass of a particle is scaled with
+//! the column's area, m (1 - s/H), so the density does not change; with `constant` the fluid is compressed or expanded.
+//! The map is linear.
 
 use super::relief::Relief;
 use super::shapes::Shapes;
@@ -14,35 +14,35 @@ use crate::numerics::lanes::Real;
 /// The map from heights `[C]` to the initial state `[F, N]`.
 #[derive(Debug, Clone)]
 pub struct Deformation {
-    /// Heights C: of particle columns, of points on the wall's surface, or at the places that a relief asks for.
+    /// Number of heights, C: of particle columns, of points on the wall's surface, or at the places of a relief.
     pub columns: usize,
     /// State of the undeformed channel, `[F, N]`.
     pub base: Vec<f64>,
-    /// Particles N.
+    /// Number of particles, N.
     pub particles: usize,
     pub map: Map,
 }
 
-/// How heights move particles.
+/// How the heights move particles.
 #[derive(Debug, Clone)]
 pub enum Map {
     Columns(Columns),
-    /// The bottom wall, and the top wall if it is shaped too: their heights one behind the other.
+    /// The bottom wall, followed by the top wall if that is shaped too.
     Surfaces(Vec<Surface>),
-    /// The bottom wall over x and z.
+    /// The bottom wall as a function of x and z.
     Relief(Relief),
-    /// Shapes whose numbers change: "heights" are the changes.
+    /// Shapes whose numbers vary. The "heights" are the changes of these numbers.
     Shapes(Shapes),
 }
 
-/// The standard formulation's: column by column.
+/// The map of the standard method, by columns.
 #[derive(Debug, Clone)]
 pub struct Columns {
-    /// Column of each particle.
+    /// Index of the column of each particle.
     pub column: Vec<u32>,
     /// dy/ds of each particle.
     pub by_height: Vec<f64>,
-    /// dm/ds of each particle and the state's mass row, if mass is scaled.
+    /// The mass row of the state and dm/ds of each particle, if masses are scaled.
     pub by_mass: Option<(usize, Vec<f64>)>,
 }
 
@@ -63,7 +63,7 @@ impl Deformation {
         state.into_iter().map(R::of).collect()
     }
 
-    /// The derivative by the heights, `[C]`, from the cotangent of the state they make, summed in f64 in particle order.
+    /// The derivative by the heights, `[C]`, given the cotangent of the initial state. Sums are in f64.
     pub fn pull_back<R: Real>(&self, heights: &[f64], state_bar: &[R]) -> Vec<f64> {
         let mut heights_bar = vec![0.0; self.columns];
         match &self.map {
@@ -82,8 +82,8 @@ impl Deformation {
         heights_bar
     }
 
-    /// Sets the cotangent of everything to zero that a state in the middle of a run does not take from the design
-    /// directly: what remains are wall positions and masses (for truncated gradients).
+    /// Sets those cotangents to zero through which a state during a run does not depend on the design directly. Wall
+    /// positions and masses remain (for truncated gradients).
     pub fn keep_static<R: Real>(&self, state_bar: &mut [R], is_fluid: impl Fn(usize) -> bool) {
         let n = self.particles;
         for i in (0..n).filter(|&i| is_fluid(i)) {
@@ -97,7 +97,7 @@ impl Deformation {
     }
 }
 
-/// Walls with their parts of the heights.
+/// Each wall with its part of the heights.
 fn parts<'a>(walls: &'a [Surface], heights: &'a [f64]) -> impl Iterator<Item = (&'a Surface, &'a [f64])> {
     let mut rest = heights;
     walls.iter().map(move |surface| {
@@ -129,39 +129,39 @@ impl Columns {
     }
 }
 
-/// The consistent formulation's: the wall is the polyline through vertices, heights are theirs, into the channel. Fluid is
-/// moved by s(x) times its distance from the other wall over H, dummy particles keep their depth below their vertex, and their
-/// mirror images are those in the nearest point of the polyline.
+/// The map of the consistent method. The wall is a polyline, whose vertices have the heights, into the channel. Fluid
+/// moves by s(x) times its distance from the other wall over H. Dummy particles keep their depth below their vertex,
+/// and their mirror images are those in the nearest point of the polyline.
 #[derive(Debug, Clone)]
 pub struct Surface {
-    /// x of the points, increasing, within one period.
+    /// x of the vertices, increasing, within one period.
     pub x: Vec<f64>,
     pub length: f64,
-    /// H.
+    /// Height H of the channel.
     pub height: f64,
-    /// The wall at y = H; heights point down there.
+    /// Whether this is the wall at y = H, where heights point down.
     pub is_top: bool,
-    /// Number of each vertex' particle.
+    /// Particle index of each vertex.
     pub points: Vec<usize>,
-    /// Other points on the wall: hot ones, and those at which no heat flows, which have the wall's normal.
+    /// Indices of other wall points, with a temperature, or with a no-flux condition and a normal.
     pub hot: Vec<usize>,
     pub cold: Vec<usize>,
-    /// The length over which a normal's slope is taken.
+    /// The length over which the slope of a normal is taken.
     pub slope_over: f64,
     pub fluid: Vec<usize>,
-    /// Dummy particles behind this wall, and their vertex.
+    /// Index of each dummy particle behind this wall, and its vertex.
     pub dummies: Vec<(usize, usize)>,
-    /// Where mirror images and normals stand in the state: the first of two rows.
+    /// The first of the two rows of the state that hold mirror images and normals.
     pub vector: usize,
 }
 
-/// Where a place lies on the polyline: the points on both sides, and the share of the right one.
+/// A place on the polyline between the vertices `left` and `right`.
 #[derive(Debug, Clone, Copy)]
 struct On {
     left: usize,
     right: usize,
     share: f64,
-    /// Distance of both.
+    /// Distance along x between both vertices.
     width: f64,
 }
 
@@ -175,12 +175,12 @@ impl Surface {
         On { left, right, share: (x - self.x[left]).rem_euclid(self.length) / width, width }
     }
 
-    /// The nearest image of a difference along x.
+    /// The difference along x to the nearest periodic image.
     fn near(&self, difference: f64) -> f64 {
         difference - self.length * (difference / self.length).round()
     }
 
-    /// Height of the wall.
+    /// Height of the wall at x.
     fn level(&self, x: f64, heights: &[f64]) -> f64 {
         let on = self.on(x);
         heights[on.left] + on.share * (heights[on.right] - heights[on.left])
@@ -193,14 +193,13 @@ impl Surface {
         heights_bar[on.right] += on.share * bar;
     }
 
-    /// Slope of the wall, and where it is taken from.
+    /// Slope of the wall at x.
     fn slope(&self, x: f64, heights: &[f64]) -> f64 {
         let half = 0.5 * self.slope_over;
         (self.level(x + half, heights) - self.level(x - half, heights)) / self.slope_over
     }
 
-    /// The nearest point of the polyline to a dummy particle: the segment, the share of its right end, and whether the
-    /// nearest point lies between the ends.
+    /// The nearest point of the polyline to a dummy particle, and whether it lies between the ends of its segment.
     fn nearest(&self, x: f64, y: f64, heights: &[f64]) -> (On, bool) {
         let count = self.x.len();
         let mut best = (On { left: 0, right: 0, share: 0.0, width: 0.0 }, false);
@@ -209,7 +208,7 @@ impl Surface {
             let right = (left + 1) % count;
             let width = (self.x[right] - self.x[left]).rem_euclid(self.length);
             let (a, b) = (self.near(x - self.x[left]), y - heights[left]);
-            // Segments far away are not looked at.
+            // Skips segments that are far away.
             if a.abs() > 0.25 * self.length {
                 continue;
             }
@@ -225,7 +224,7 @@ impl Surface {
         best
     }
 
-    /// The flat wall's y, and which way its heights point.
+    /// y of the flat wall, and the direction of its heights.
     fn frame(&self) -> (f64, f64) {
         match self.is_top {
             true => (self.height, -1.0),
@@ -259,7 +258,7 @@ impl Surface {
             state[n + i] += self.level(state[i], heights) * self.share(base[n + i]);
         }
         for &(i, point) in &self.dummies {
-            // Above the flat wall, towards the fluid.
+            // Height above the flat wall, towards the fluid.
             let (x, y) = (state[i], up * (base[n + i] - flat) + heights[point]);
             state[n + i] = flat + up * y;
             let (on, _) = self.nearest(x, y, heights);

@@ -1,4 +1,4 @@
-//! What a run of the heated channel did, in numbers that one can check against each other.
+//! Measurements of a run of the heated channel, which can be checked against each other.
 
 use super::problem::Problem;
 use crate::adjoint::run::{run, Observer};
@@ -9,18 +9,18 @@ use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use serde::Serialize;
 
-/// Most samples of the window that the averages take.
+/// Largest number of samples in the averages.
 const SAMPLES: usize = 100;
 
-/// Averages over the objective's window. Heat is in units of density * velocity * temperature * length, as Q in flux
-/// form; times the heat capacity it is power per depth.
+/// Averages over the window of the objective. Heat is in units of density * velocity * temperature * length, as Q in
+/// flux form; times the heat capacity it is power per depth.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Diagnostics {
-    /// Outflowing heat at the targets, sum of rho u (T - T_in) times their spacing.
+    /// Outflowing heat Q at the targets: the sum of rho u (T - T_in) times their spacing.
     pub q: f64,
-    /// Sum of u times the spacing.
+    /// Flow rate: the sum of u times the spacing.
     pub flow_rate: f64,
-    /// Mixed temperature of the outflow, T_in + Q / (sum of rho u times the spacing).
+    /// Mixed temperature of the outflow: T_in + Q / (sum of rho u times the spacing).
     pub mean_outlet_temperature: f64,
     /// Heat from the walls into the fluid upstream of the targets.
     pub wall_heat_flux: f64,
@@ -31,20 +31,20 @@ pub struct Diagnostics {
     pub mean_density: f64,
     /// Fastest fluid particle along x.
     pub u_max: f64,
-    /// The acceleration that drives the flow: given, or what holds the flow rate or the power.
+    /// The acceleration that drives the flow: the given one, or that which holds the flow rate or the power.
     pub body_force: f64,
-    /// Its work per time and depth: body_force times the fluid's momentum.
+    /// Pumping power per depth: body_force times the momentum of the fluid.
     pub pumping_power: f64,
 }
 
-/// A run's end.
+/// The result of a run.
 pub struct Finished<R> {
     pub diagnostics: Diagnostics,
     pub solver: Solver<R>,
     pub seconds: f64,
 }
 
-/// Runs a design forward and measures it; the observers see the run after it was measured.
+/// Runs a design and measures it. The observers see each state after it was measured.
 ///
 /// # Errors
 /// As for [`run`].
@@ -65,11 +65,11 @@ pub fn simulate<R: Sweeps>(
     Ok(Finished { diagnostics: measurement.diagnostics(), solver, seconds: clock.elapsed().as_secs_f64() })
 }
 
-/// Observer that measures a run in the objective's window.
+/// An observer that measures a run in the window of the objective.
 pub struct Measurement<'a, R> {
     design: &'a Problem<R>,
     sums: Sums,
-    /// Those before each sample, and its step.
+    /// The step of each sample, and the sums before it.
     before: Vec<(usize, Sums)>,
 }
 
@@ -93,7 +93,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
     fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (steps, window) = (self.design.steps, self.design.window);
         let stride = window.div_ceil(SAMPLES).max(1);
-        // Never the start of a run: it is given, not found.
+        // The initial state is not sampled, because it is given.
         let is_inside = solver.step >= (steps - window).max(1);
         if is_inside && (steps - solver.step).is_multiple_of(stride) {
             self.before.push((solver.step, self.sums.clone()));
@@ -108,7 +108,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         Self { design, sums: Sums::default(), before: Vec::new() }
     }
 
-    /// Forgets what is not before `step`.
+    /// Discards the samples from `step` on.
     pub fn go_back(&mut self, step: usize) {
         if let Some(place) = self.before.iter().position(|(sampled, _)| *sampled >= step) {
             self.sums = self.before.swap_remove(place).1;
@@ -119,7 +119,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
     fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (design, sums) = (self.design, &mut self.sums);
         let (model, outlet, depth) = (&design.model, &design.outlet, design.depth);
-        let (n, l) = (model.particles(), model.layout);
+        let (n, l) = (model.particles(), model.rows);
         let flows = outlet.numbers(&dynamics.look(solver)?)?;
         let scale = outlet.spacing;
         sums.count += 1.0;
@@ -127,18 +127,18 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         sums.flow += scale * flows.volume;
         sums.mass_flow += scale * flows.mass;
         let target_x = outlet.place();
-        sums.wall += solver.wall_heat_flux(target_x) / depth;
+        sums.wall += solver.wall_heat_flux(target_x)? / depth;
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat, mut momentum) = (0.0, 0.0, f64::NEG_INFINITY, 0.0, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
-            density += solver.primitives[i].f64();
+            density += solver.looked.density[i].f64();
             fluids += 1.0;
             let u = solver.state[l.velocity() * n + i].f64();
             fastest = fastest.max(u);
             momentum += solver.mass(i) * u;
             let x = solver.state[i].f64();
-            if x > inlet && x < target_x {
-                heat += solver.mass(i) * solver.state[l.temperature() * n + i].f64();
+            if let Some(row) = l.temperature().filter(|_| x > inlet && x < target_x) {
+                heat += solver.mass(i) * solver.state[row * n + i].f64();
             }
         }
         sums.density += density / fluids;
@@ -150,7 +150,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         Ok(())
     }
 
-    /// The averages over what was seen.
+    /// The averages over the samples.
     pub fn diagnostics(&self) -> Diagnostics {
         let sums = &self.sums;
         let mean = |sum: f64| sum / sums.count.max(1.0);

@@ -1,4 +1,4 @@
-//! Where design variables may be: bounds for each, and a limit on the steepness between neighbours.
+//! Limits of design variables: bounds for each, and a largest slope between neighbours.
 
 use crate::error::BadInput;
 
@@ -10,38 +10,38 @@ pub struct Limits {
     steepness: Option<Steepness>,
 }
 
-/// How much neighbours may differ.
+/// Largest slope between neighbours.
 #[derive(Debug, Clone, PartialEq)]
 struct Steepness {
     positions: Vec<f64>,
     slope: f64,
-    /// The variable behind which another wall begins, which may be anywhere.
+    /// The last variable of the bottom wall, if the top wall follows, which is independent of it.
     last_of_wall: Option<usize>,
 }
 
-/// Most sweeps over the sets of Dykstra's algorithm; it converges linearly, usually within ten.
+/// Largest number of sweeps of Dykstra's algorithm. It converges linearly, usually within ten.
 const SWEEPS: usize = 10_000;
 
 impl Limits {
-    /// Bounds alone.
+    /// Bounds without a largest slope.
     pub fn within(lower: Vec<f64>, upper: Vec<f64>) -> Self {
         Self { lower, upper, steepness: None }
     }
 
-    /// `|x_k| <= bound`, and neighbours, at increasing `positions`, no steeper than `slope`.
+    /// `|x_k| <= bound`, and a largest `slope` between neighbours at increasing `positions`.
     pub fn symmetric(bound: f64, positions: &[f64], slope: f64) -> Self {
         let steepness = Some(Steepness { positions: positions.to_vec(), slope, last_of_wall: None });
         Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steepness }
     }
 
-    /// The part that is within `radius` of a point of the set, along each variable.
+    /// The part of the set within `radius` of `point` in each variable.
     pub fn near(&self, point: &[f64], radius: f64) -> Self {
         let lower = self.lower.iter().zip(point).map(|(lower, x)| lower.max(x - radius)).collect();
         let upper = self.upper.iter().zip(point).map(|(upper, x)| upper.min(x + radius)).collect();
         Self { lower, upper, steepness: self.steepness.clone() }
     }
 
-    /// Those of two walls, one behind the other.
+    /// The limits of two walls, whose variables follow each other.
     pub fn twice(&self) -> Self {
         let twice = |numbers: &[f64]| [numbers, numbers].concat();
         let steepness = self.steepness.as_ref().map(|one| Steepness {
@@ -52,23 +52,23 @@ impl Limits {
         Self { lower: twice(&self.lower), upper: twice(&self.upper), steepness }
     }
 
-    /// Most that the variables k and k + 1 may differ by, if that is limited. A little inside, so that a wall passes its
-    /// own check after rounding.
+    /// Largest difference of the variables k and k + 1, if it is limited. It is slightly reduced, so that a wall passes
+    /// its own check after rounding.
     fn most(&self, k: usize) -> Option<f64> {
         let steepness = self.steepness.as_ref().filter(|steepness| steepness.last_of_wall != Some(k))?;
         let (from, to) = (steepness.positions[k], steepness.positions[k + 1]);
         Some(steepness.slope * (to - from).abs() * (1.0 - 1e-12))
     }
 
-    /// Cuts `x` to its bounds.
+    /// Clamps `x` to its bounds.
     pub fn clamp(&self, x: &mut [f64]) {
         for (x, (lower, upper)) in x.iter_mut().zip(self.lower.iter().zip(&self.upper)) {
             *x = x.clamp(*lower, *upper);
         }
     }
 
-    /// Takes `x` into the set, to the bit: bounds first, then steepness, sweeping from the middle outwards. What is in
-    /// the set stays as it is. Quick, but not the nearest point: see [`Self::nearest`].
+    /// Moves `x` into the set, to the bit: to the bounds, then to the largest slope from the middle outwards. Points of
+    /// the set do not change. It is fast, but does not give the nearest point as [`Self::nearest`] does.
     pub fn project(&self, x: &mut [f64]) {
         self.clamp(x);
         let middle = x.len() / 2;
@@ -91,7 +91,7 @@ impl Limits {
         projected == x
     }
 
-    /// Takes `x` to the nearest point of the set (Euclidean norm), by Dykstra's algorithm over three simple sets: the
+    /// Moves `x` to the nearest point of the set (Euclidean norm), by Dykstra's algorithm over three simple sets: the
     /// bounds, the pairs (0, 1), (2, 3), ... and the pairs (1, 2), (3, 4), ... (Boyle and Dykstra 1986).
     pub fn nearest(&self, x: &mut [f64]) {
         if self.steepness.is_none() {
@@ -124,7 +124,7 @@ impl Limits {
         self.project(x);
     }
 
-    /// The nearest point whose pairs (first, first + 1), (first + 2, first + 3), ... are no steeper than allowed.
+    /// Moves `x` to the nearest point whose pairs (first, first + 1), (first + 2, first + 3), ... are not too steep.
     fn level_pairs(&self, first: usize, x: &mut [f64]) {
         for k in (first..x.len().saturating_sub(1)).step_by(2) {
             let difference = x[k + 1] - x[k];
@@ -136,11 +136,10 @@ impl Limits {
         }
     }
 
-    /// An error that names the first of `values` that is no number or out of bounds, or the first pair that is too steep.
-    /// `what` is what the values are called.
+    /// Checks that `values` are finite, within bounds and not too steep. `what` is their name in messages.
     ///
     /// # Errors
-    /// As said.
+    /// The first value or pair that violates this.
     pub fn check(&self, what: &str, values: &[f64]) -> Result<(), BadInput> {
         for (k, (&x, (&lower, &upper))) in values.iter().zip(self.lower.iter().zip(&self.upper)).enumerate() {
             if !x.is_finite() {

@@ -1,4 +1,4 @@
-//! From a wall shape to a number, its gradient, and a better shape.
+//! Design optimisation: from a wall shape to an objective, its gradient, and a better shape.
 //!
 //! ```text
 //!   variables --parametrisation--> heights of columns --deformation--> initial state --dynamics--> objective
@@ -9,6 +9,7 @@ pub mod checkpoint;
 pub mod cma_es;
 pub mod deformation;
 pub mod diagnostics;
+pub mod judge;
 pub mod limits;
 pub mod objectives;
 pub mod optimise;
@@ -16,11 +17,14 @@ pub mod optimisers;
 pub mod parametrisations;
 pub mod problem;
 pub mod relief;
+pub mod search;
 pub mod shape;
 pub mod shapes;
 pub mod start_shape;
 
 pub use deformation::Deformation;
+pub use judge::{Judge, Scheduled};
 pub use optimise::Optimisation;
 pub use parametrisations::Parametrisation;
 pub use problem::Problem;
+pub use search::Search;

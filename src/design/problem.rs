@@ -1,4 +1,4 @@
-//! What is optimised: variables in, an objective's value and its derivative by the variables out.
+//! The design problem: maps variables to an objective and its derivative.
 
 use super::deformation::Deformation;
 use super::objectives::{Figure, Outlet};
@@ -14,52 +14,48 @@ use crate::numerics::interrupt;
 use crate::numerics::lanes::Real;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
-use crate::sph::fixed::steady::SteadyOptions;
-use crate::sph::fixed::Fixed;
-use crate::sph::model::Model;
+use crate::sph::method::Steady;
 use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::Model;
 use crate::sph::Sweeps;
 use candle_core::{DType, Device, Tensor, Var};
 use std::sync::Arc;
 
-/// A wall to shape, a flow over it, and what is made large.
+/// A wall to be shaped, the flow over it, and the objective to be maximised.
 #[derive(Clone)]
 pub struct Problem<R> {
-    pub model: Arc<Model<R>>,
-    /// What its steps are made with.
+    pub model: Model<R>,
+    /// Kernels and device of the steps.
     pub compute: Compute,
     pub deformation: Arc<Deformation>,
     pub parametrisation: Arc<dyn Parametrisation>,
     pub objective: Arc<dyn Objective + Send>,
     /// How the objective is reported.
     pub figure: Figure,
-    /// Weight of the penalty on roughness.
+    /// Weight of the roughness penalty.
     pub smoothing: f64,
-    /// Steps of a run.
+    /// Number of steps of a run.
     pub steps: usize,
-    /// The variables to begin with.
+    /// The initial variables.
     pub first: Vec<f64>,
-    /// Where the flow is measured, whatever the objective is.
+    /// Where the flow is measured, for any objective.
     pub outlet: Outlet,
-    /// Depth of what is simulated: 1 in two dimensions.
+    /// Depth of the simulated domain; 1 in two dimensions.
     pub depth: f64,
-    /// Steps of the objective's window, at the run's end.
+    /// Length of the objective's window at the end of the run, in steps.
     pub window: usize,
     /// Whether gradients are those of the steady state.
     pub is_steady: bool,
-    /// Whether they are differences of runs, and how far to both sides.
+    /// Step of central differences by which gradients are computed, if they are not adjoint gradients.
     pub differences: Option<f64>,
 }
 
-/// How the steady state is found: by Anderson's acceleration of blocks of so many steps, so many blocks deep, until nothing
-/// changes by more than this per time.
-const BLOCK: usize = 20;
-const DEPTH: usize = 20;
+/// A state is steady when no field changes by more than this per time.
 const STEADY: f64 = 1e-6;
-/// In single precision rounding alone changes a state so much.
+/// The same in single precision, where rounding alone changes a state this much.
 const STEADY_SINGLE: f64 = 3e-4;
 
-/// The change per time that counts as none.
+/// The tolerance of a steady state in the precision R.
 fn steady_tolerance<R: Real>() -> f64 {
     if R::DTYPE == DType::F32 {
         STEADY_SINGLE
@@ -68,7 +64,6 @@ fn steady_tolerance<R: Real>() -> f64 {
     }
 }
 
-const MOST_STEPS: usize = 100_000;
 const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
 
 impl<R> std::fmt::Debug for Problem<R> {
@@ -82,74 +77,74 @@ impl<R> std::fmt::Debug for Problem<R> {
     }
 }
 
-/// Loss and gradient of a design, as whoever judges it has them.
+/// Loss and gradient of a design.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
-    /// The objective as it is reported.
+    /// The reported objective.
     pub figure: f64,
-    /// Penalty - objective: what is made small.
+    /// Loss to be minimised: penalty - objective.
     pub loss: f64,
-    /// Of the loss by the variables.
+    /// Gradient of the loss by the variables, `[K]`.
     pub gradient: Vec<f64>,
-    /// Steps that the solver made for it; one of an adjoint counts as [`ADJOINT`].
+    /// Number of solver steps; an adjoint step counts as [`ADJOINT`].
     pub solver_steps: usize,
-    /// What the solver says, where it was asked.
+    /// The solver's result, if the solver evaluated the design.
     pub truth: Option<Truth>,
-    /// The objective as a surrogate predicts it, where one was asked.
+    /// The objective predicted by a surrogate, if one evaluated the design.
     pub predicted: Option<f64>,
 }
 
-/// What the solver says of a design: the objective as it is reported, and the loss.
+/// The solver's result for a design: the reported objective and the loss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Truth {
     pub figure: f64,
     pub loss: f64,
 }
 
-/// Steps forward that a step of an adjoint counts as: what it costs.
+/// Cost of an adjoint step in steps forward.
 pub const ADJOINT: usize = 3;
 
 /// The objective of a design and its derivative.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Derivative {
     pub value: f64,
-    /// By the variables, `[K]`.
+    /// Derivative by the variables, `[K]`.
     pub by_variables: Vec<f64>,
     /// See [`Evaluation::solver_steps`].
     pub solver_steps: usize,
-    /// See [`Gradient::growth`]; of the adjoint of a run only.
+    /// See [`Gradient::growth`]; only for the adjoint of a run.
     pub growth: Vec<(usize, f64)>,
     /// See [`Gradient::clipped`].
     pub clipped: usize,
 }
 
 impl Evaluation {
-    /// That of a design without a value: an infinite loss that leads nowhere.
+    /// The evaluation of a design whose run diverged: an infinite loss and no gradient.
     pub fn rejected(variables: usize) -> Self {
         Self { figure: f64::NAN, loss: f64::INFINITY, gradient: vec![0.0; variables], ..Self::default() }
     }
 }
 
 impl<R: Real> Problem<R> {
-    /// The start of a design's run.
+    /// The initial snapshot of a design's run.
     pub fn start(&self, variables: &[f64]) -> Snapshot<R> {
         let heights = self.parametrisation.column_heights(variables);
         Snapshot::first(&self.model, self.deformation.state::<R>(&heights))
     }
 
-    /// The wall to begin with, at points.
+    /// The initial wall, sampled at points.
     pub fn first_wall(&self) -> Shape {
         self.parametrisation.sampled(&self.first)
     }
 }
 
 impl<R: Sweeps> Problem<R> {
-    /// What runs a design.
+    /// The dynamics that run a design.
     pub fn dynamics(&self) -> Sph<R> {
         Sph::new(self.model.clone(), self.compute.clone())
     }
 
-    /// The objective of a design, without a gradient. By the fused step, which is the composed one to rounding.
+    /// The objective of a design without a gradient, by fused steps, which equal composed ones to rounding.
     ///
     /// # Errors
     /// A [`RunError`] if the run can not go on.
@@ -157,7 +152,7 @@ impl<R: Sweeps> Problem<R> {
         self.evaluate_watched(variables, &mut |_| ())
     }
 
-    /// [`Self::evaluate`]; `progress` sees the share of the run that is done.
+    /// [`Self::evaluate`]. `progress` is called with the completed fraction of the run.
     ///
     /// # Errors
     /// As for [`Self::evaluate`].
@@ -179,7 +174,7 @@ impl<R: Sweeps> Problem<R> {
     /// The objective of a design and its derivative by the variables.
     ///
     /// # Errors
-    /// [`Error::Diverged`] for a run that can not go on, and for a gradient that is not finite; others.
+    /// [`Error::Diverged`] for a run that diverges and for a gradient that is not finite; others.
     pub fn differentiate(
         &self,
         variables: &[f64],
@@ -202,9 +197,9 @@ impl<R: Sweeps> Problem<R> {
         Ok(Derivative { value, by_variables, solver_steps, growth, clipped })
     }
 
-    /// [`Self::differentiate`] by central differences of runs, at a limit by one-sided ones. Over a long time two runs whose particles
-    /// began a little differently have them elsewhere: the exact derivative of one run grows without end then, while the
-    /// averages that the runs agree on are smooth at steps like these.
+    /// [`Self::differentiate`] by central differences of runs, one-sided at a limit. Over a long time two runs from
+    /// slightly different particles diverge from each other: the exact derivative of one run grows without bound, while
+    /// averages are the same in both runs and smooth at finite steps.
     fn differentiate_by_runs(&self, variables: &[f64], step: f64, progress: Progress<'_>) -> Result<Derivative, Error> {
         let runs = 2 * variables.len() + 1;
         let mut done = 0;
@@ -230,7 +225,7 @@ impl<R: Sweeps> Problem<R> {
         Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps, growth: vec![], clipped: 0 })
     }
 
-    /// A run's failure, with its cause.
+    /// The error for the user of a failed run, with its cause.
     fn told(&self, error: anyhow::Error, variables: &[f64]) -> Error {
         match error.downcast::<RunError>() {
             Ok(error) => told(&error, &self.model, &self.start(variables)),
@@ -241,7 +236,7 @@ impl<R: Sweeps> Problem<R> {
         }
     }
 
-    /// The objective at the steady state of fixed particles, where nothing changes by more than `tolerance` per time.
+    /// The objective at the steady state of fixed particles, where no field changes by more than `tolerance` per time.
     ///
     /// # Errors
     /// As for [`Self::differentiate`].
@@ -249,46 +244,44 @@ impl<R: Sweeps> Problem<R> {
         Ok(self.evaluate_settled(variables, tolerance)?.0)
     }
 
-    /// The same, and the steps that it took.
+    /// As [`Self::evaluate_steady`], with the number of steps.
     fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
-        let (fixed, state, steps) = self.settled(variables, tolerance)?;
+        let (steady, state, steps) = self.settled(variables, tolerance)?;
         let value = || -> candle_core::Result<f64> {
-            let shape = (self.model.layout.state_rows(), self.model.particles());
+            let shape = (self.model.rows.count(), self.model.particles());
             let state = Tensor::from_slice(&state, shape, &Device::Cpu)?;
-            value(&*self.objective, &self.dynamics().fields_of_fixed(fixed, &state)?)
+            value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?))
         };
         let value = value().map_err(|error| Error::run(error.to_string(), "report this"))?;
         Ok((value, steps))
     }
 
-    /// The steady state that a design's run would come to, and the steps that it took.
-    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&Fixed<R>, Vec<R>, usize), Error> {
-        let Some(fixed) = &self.model.fixed else {
-            return Err(Error::run("there is no steady state of particles that move", "fluid.motion=fixed"));
+    /// The steady state of a design's run, and the number of steps to it.
+    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&dyn Steady<R>, Vec<R>, usize), Error> {
+        let Some(steady) = self.model.steady() else {
+            return Err(Error::run("there is no steady state of particles that move", "method.name=fixed"));
         };
         let mut state = self.start(variables).state;
-        let (steps, residual) = fixed.settle(&mut state, BLOCK, DEPTH, tolerance, MOST_STEPS);
+        let (steps, residual) = steady.settle(&mut state, tolerance);
         interrupt::check_own()?;
-        // Not a number fails here too.
+        // A NaN must fail as well.
         if residual.is_nan() || residual > 100.0 * tolerance {
             let what = format!("the flow is not steady after {steps} steps: it changes by {residual:.1e} per time");
             return Err(Error::diverged(what, UNSTEADY));
         }
-        Ok((fixed, state, steps))
+        Ok((steady, state, steps))
     }
 
-    /// [`Self::differentiate`] at the steady state of fixed particles, which the run would come to: one state, whatever the
-    /// length of the run.
+    /// [`Self::differentiate`] at the steady state of fixed particles, which takes one state for any length of the run.
     fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
-        let (fixed, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
+        let (steady, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
         progress(0.5);
         let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
-            let tensor =
-                Tensor::from_slice(&state, (self.model.layout.state_rows(), self.model.particles()), &Device::Cpu)?;
+            let tensor = Tensor::from_slice(&state, (self.model.rows.count(), self.model.particles()), &Device::Cpu)?;
             let variable = Var::from_tensor(&tensor)?;
             let dynamics = self.dynamics();
-            let fields = dynamics.fields_of_fixed(fixed, variable.as_tensor())?;
+            let fields = dynamics.fields_of_steady(steady.shown(variable.as_tensor())?);
             let value = self.objective.value(&fields)?;
             let mut gradients = value.backward()?;
             let bar = match gradients.remove(variable.as_tensor()) {
@@ -297,27 +290,21 @@ impl<R: Sweeps> Problem<R> {
             };
             Ok((value.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?, bar))
         };
-        let (value, mut bar) = go().map_err(failed)?;
-        let found = fixed.steady_gradient(&state, &bar, &SteadyOptions::default());
+        let (value, bar) = go().map_err(failed)?;
+        let found = steady.gradient(&state, &bar);
         interrupt::check_own()?;
         if found.residual.is_nan() || found.residual > 1e-2 {
             let what = format!("the adjoint of the steady state does not converge: {:.1e}", found.residual);
             return Err(Error::diverged(what, UNSTEADY));
         }
-        // What is left is how positions, the walls' among them, come of the variables.
-        let (n, inner) = (self.model.particles(), fixed.fluid_particles());
-        bar[2 * n..].fill(R::default());
-        for (k, wall) in found.walls.iter().enumerate() {
-            bar[n + inner + k] = R::of(*wall);
-        }
-        let by_variables = self.by_variables(variables, &bar);
+        let by_variables = self.by_variables(variables, &found.state);
         check_gradient(&by_variables)?;
         progress(1.0);
         let solver_steps = steps + ADJOINT * found.steps;
         Ok(Derivative { value, by_variables, solver_steps, growth: vec![], clipped: 0 })
     }
 
-    /// The derivative by the variables from that by the state at the schedule's first step.
+    /// The derivative by the variables, given that by the state at the schedule's first step.
     fn pull_back(&self, variables: &[f64], found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
         let mut state_bar: Vec<R> = found
             .state
@@ -331,7 +318,7 @@ impl<R: Sweeps> Problem<R> {
         Ok(self.by_variables(variables, &state_bar))
     }
 
-    /// The derivative by the variables, `[K]`, from the cotangent of the initial state that they make, `[F, N]`.
+    /// The derivative by the variables, `[K]`, given the cotangent of the initial state, `[F, N]`.
     pub fn by_variables(&self, variables: &[f64], state_bar: &[R]) -> Vec<f64> {
         let heights = self.parametrisation.column_heights(variables);
         self.parametrisation.pull_back(&self.deformation.pull_back(&heights, state_bar))
@@ -347,29 +334,39 @@ impl<R: Sweeps> Problem<R> {
         schedule: &Schedule,
         progress: Progress<'_>,
     ) -> Result<Evaluation, Error> {
-        let found = self.evaluation(variables, &self.differentiate(variables, schedule, progress)?);
-        Ok(Evaluation { truth: Some(Truth { figure: found.figure, loss: found.loss }), ..found })
+        Ok(self.confirmed(variables, &self.differentiate(variables, schedule, progress)?))
     }
 
-    /// What the solver says of a design, without a gradient, and the steps that it took.
+    /// The loss of a design without its gradient.
     ///
     /// # Errors
     /// [`Error::Diverged`] for a run that can not go on.
-    pub fn truth(&self, variables: &[f64]) -> Result<(Truth, usize), Error> {
-        let (value, steps) = match self.is_steady {
+    pub fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
+        let (value, solver_steps) = match self.is_steady {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
                 let found = self.evaluate(variables).map_err(|error| self.told(error, variables));
                 (found?, self.steps)
             }
         };
-        let (penalty, _) = self.parametrisation.penalty(self.smoothing, variables);
-        Ok((Truth { figure: value * self.figure.factor, loss: penalty - value }, steps))
+        Ok(self.confirmed(variables, &Derivative { value, solver_steps, ..Derivative::default() }))
     }
 
-    /// The loss of a design with this objective.
+    /// The [`Self::evaluation`] of a result of the solver.
+    fn confirmed(&self, variables: &[f64], found: &Derivative) -> Evaluation {
+        let found = self.evaluation(variables, found);
+        Evaluation { truth: Some(Truth { figure: found.figure, loss: found.loss }), ..found }
+    }
+
+    /// The reported objective of a design with this loss.
+    pub fn figure_of(&self, variables: &[f64], loss: f64) -> f64 {
+        let (penalty, _) = self.parametrisation.penalty(self.smoothing, variables);
+        (penalty - loss) * self.figure.factor
+    }
+
+    /// The loss of a design with this objective, and its gradient if the derivative is known.
     pub fn evaluation(&self, variables: &[f64], found: &Derivative) -> Evaluation {
-        // The objective enters the loss with a minus: more is better.
+        // The objective enters the loss with a minus sign, because it is maximised.
         let (penalty, penalty_gradient) = self.parametrisation.penalty(self.smoothing, variables);
         let gradient = found.by_variables.iter().zip(penalty_gradient).map(|(v, p)| p - v).collect();
         Evaluation {
@@ -381,7 +378,7 @@ impl<R: Sweeps> Problem<R> {
         }
     }
 
-    /// What keeping a state and taping a step cost, from the first neighbour list over a flat wall.
+    /// Memory of a kept state and of a taped step, by the first neighbour list over a flat wall.
     ///
     /// # Errors
     /// Particles without a neighbour list.
@@ -390,14 +387,14 @@ impl<R: Sweeps> Problem<R> {
         self.dynamics().costs_from(&state).map_err(|e| Error::run(e.to_string(), "another resolution.dx or time.skin"))
     }
 
-    /// The schedule that is asked for, for numbers of `precision`: what fits into `optimise.memory`, or segments of a
-    /// given length.
+    /// The checkpointing schedule for values of `precision`: the fastest within `optimise.memory`, or one of given
+    /// segments.
     ///
     /// # Errors
     /// A schedule that would not fit, and a budget that is too small for any.
     pub fn schedule(&self, wanted: &Optimise, precision: Precision) -> Result<Schedule, Error> {
         if self.is_steady || self.differences.is_some() {
-            // One state is kept, and nothing taped.
+            // One state is kept, and nothing is taped.
             return Ok(Schedule::taped(self.steps));
         }
         let (costs, steps) = (self.costs()?, self.steps);
@@ -406,7 +403,7 @@ impl<R: Sweeps> Problem<R> {
             GradientMode::Truncated => steps - wanted.horizon.min(steps),
             _ => 0,
         };
-        // In f32 a rounded state is the state.
+        // In f32 rounding a state does not change it.
         let rounded = wanted.store == Precision::F32 && precision == Precision::F64;
         let schedule = match (wanted.gradient, wanted.segment) {
             (GradientMode::Taped, _) => Schedule::taped(steps),
@@ -423,7 +420,7 @@ impl<R: Sweeps> Problem<R> {
     }
 }
 
-/// The error for a schedule that needs more than it is given.
+/// The error for a schedule that exceeds its memory budget.
 fn does_not_fit(schedule: &Schedule, costs: Costs, needed: usize) -> BadInput {
     let counts = schedule.counts();
     let state = if schedule.is_rounded() { costs.rounded_state } else { costs.state };
@@ -442,7 +439,7 @@ fn does_not_fit(schedule: &Schedule, costs: Costs, needed: usize) -> BadInput {
     ))
 }
 
-/// Every design variable must have received a finite gradient.
+/// Checks that the gradient by every design variable is finite and not zero.
 pub fn check_gradient(gradient: &[f64]) -> Result<(), Error> {
     if let Some(k) = gradient.iter().position(|g| !g.is_finite()) {
         return Err(Error::diverged(

@@ -1,29 +1,29 @@
-//! From the heights of a wall over x and z to the initial state in three dimensions: what [`super::deformation::Surface`] is
-//! in two.
+//! The map from the heights of a wall over x and z to the initial state in three dimensions. The one in two dimensions
+//! is [`super::deformation::Surface`].
 //!
 //! A wall y = s(x, z) under a plane channel 0 < y < H moves
 //!
 //! ```text
 //!   points on it         to y = s(x, z)
 //!   fluid                to y + s(x, z) (1 - y/H)
-//!   dummy particles      to y + s(x, z): they keep their depth d = -y below the wall's point above them
+//!   dummy particles      to y + s(x, z), keeping their depth d = -y below the wall's point above them
 //! ```
 //!
-//! and, with its slopes g_x, g_z there, w = 1/(1 + g_x^2 + g_z^2), a normal is sqrt(w) (-g_x, 1, -g_z) and the mirror image of
-//! a dummy particle that in the wall's tangent plane above it, r + 2 d w (-g_x, 1, -g_z). (In two dimensions it is that in the
-//! nearest point of a polyline; of a smooth wall the two differ by the depth squared times the curvature.) Slopes are differences
-//! over a quarter of a spacing to both sides. Whoever knows the wall is asked for its heights at all these places.
+//! With its slopes g_x, g_z there and w = 1/(1 + g_x^2 + g_z^2), a normal is sqrt(w) (-g_x, 1, -g_z), and the mirror
+//! image of a dummy particle is the one in the wall's tangent plane above it, r + 2 d w (-g_x, 1, -g_z). (In two
+//! dimensions it is that in the nearest point of a polyline; on a smooth wall the two differ by the depth squared times
+//! the curvature.) Slopes are differences over a quarter of a spacing to both sides.
 
 use crate::numerics::lanes::Real;
 
-/// Everything that moves with a wall over x and z.
+/// The particles that move with a wall over x and z.
 #[derive(Debug, Clone)]
 pub struct Relief {
     /// Places (x, z) where heights are needed, `[C]`.
     pub places: Vec<[f64; 2]>,
     /// Half of the length over which slopes are taken.
     half: f64,
-    /// Where normals and mirror images stand in the state: the first of three rows.
+    /// The first of the three rows of the state that hold normals and mirror images.
     vector: usize,
     moved: Vec<Moved>,
     leaning: Vec<Leaning>,
@@ -34,7 +34,7 @@ pub struct Relief {
 struct Moved {
     particle: usize,
     place: usize,
-    /// dy/ds.
+    /// dy/ds of the particle.
     share: f64,
 }
 
@@ -42,30 +42,30 @@ struct Moved {
 #[derive(Debug, Clone, Copy)]
 struct Leaning {
     particle: usize,
-    /// The first of the four places around it: before and behind along x, and along z.
+    /// The first of the four places around it: before and after it along x, then along z.
     around: usize,
-    /// Of a dummy particle; none of a point, which has the normal.
+    /// Depth of a dummy particle, which has a mirror image; none for a surface point, which has a normal.
     depth: Option<f64>,
 }
 
 impl Relief {
-    /// Without particles; slopes are taken over a length.
+    /// An empty relief, with the length over which slopes are taken.
     pub fn new(slope_over: f64, vector: usize) -> Self {
         Self { places: vec![], half: 0.5 * slope_over, vector, moved: vec![], leaning: vec![] }
     }
 
-    /// A particle at (x, z) is moved by a share of the height there.
+    /// Adds a particle at (x, z) that is moved by `share` times the height there.
     pub fn moves(&mut self, particle: usize, place: [f64; 2], share: f64) {
         self.moved.push(Moved { particle, place: self.places.len(), share });
         self.places.push(place);
     }
 
-    /// A point at (x, z) has the wall's normal.
+    /// Adds a surface point at (x, z), which has the wall's normal.
     pub fn leans(&mut self, particle: usize, place: [f64; 2]) {
         self.lean(particle, place, None);
     }
 
-    /// A dummy particle at (x, z) and this depth has a mirror image.
+    /// Adds a dummy particle at (x, z) and this depth, which has a mirror image.
     pub fn mirrors(&mut self, particle: usize, place: [f64; 2], depth: f64) {
         self.lean(particle, place, Some(depth));
     }
@@ -76,7 +76,7 @@ impl Relief {
         self.places.extend([[x - h, z], [x + h, z], [x, z - h], [x, z + h]]);
     }
 
-    /// g_x and g_z.
+    /// The slopes g_x and g_z.
     fn slopes(&self, around: usize, heights: &[f64]) -> [f64; 2] {
         [0, 2].map(|k| (heights[around + k + 1] - heights[around + k]) / (2.0 * self.half))
     }
@@ -107,7 +107,7 @@ impl Relief {
             let w = 1.0 / (1.0 + gx * gx + gz * gz);
             let i = leaning.particle;
             let bar: [f64; 3] = std::array::from_fn(|k| state_bar[(self.vector + k) * n + i].f64());
-            // The vector is f(w) (-g_x, 1, -g_z), plus the particle's place if it is a mirror image.
+            // The vector is f(w) (-g_x, 1, -g_z), plus the particle's position if it is a mirror image.
             let (size, slope) = match leaning.depth {
                 None => (w.sqrt(), 0.5 / w.sqrt()),
                 Some(depth) => (2.0 * depth * w, 2.0 * depth),

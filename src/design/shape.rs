@@ -1,4 +1,4 @@
-//! The shape of the hot wall: a function of x, independent of the resolution.
+//! The shape of the hot wall: a function of x that does not depend on the resolution.
 //!
 //! ```text
 //!            0                                       x <= hot_from or x >= hot_to
@@ -9,25 +9,26 @@
 
 use std::path::Path;
 
+use crate::config::scene::Config;
 use crate::error::BadInput;
 
-/// Neighbouring nodes may differ by this times their distance: the walls of neighbouring columns, one spacing
-/// apart, then differ by at most two spacings, so that their three rows of dummy particles overlap.
+/// Largest slope between nodes. The walls of adjacent columns, one spacing apart, then differ by at most two spacings,
+/// so that their three rows of dummy particles overlap.
 pub const MAX_SLOPE: f64 = 2.0;
 
-/// Section ends within this of a column's edge, in spacings, count as on the edge: no slivers from rounding.
+/// Ends of the hot section within this distance of a column's edge, in spacings, count as on the edge.
 const EDGE: f64 = 1e-9;
 
 /// Wall height above y = 0 at nodes, linear between them; zero outside `hot_from < x < hot_to`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
-    /// Positions, strictly increasing, in `hot_from ..= hot_to`.
+    /// x of the nodes, strictly increasing, in `hot_from ..= hot_to`.
     pub nodes: Vec<f64>,
-    /// z of each node, of a wall over x and z at points: then nodes are in no order, and there are no heights between them.
+    /// z of the nodes of a wall over x and z, which is given at points in any order, without interpolation.
     pub across: Option<Vec<f64>>,
-    /// Heights; positive narrows the channel.
+    /// Heights of the nodes; positive ones narrow the channel.
     pub offsets: Vec<f64>,
-    /// Those of the top wall below y = H, if that is shaped too; positive narrows the channel.
+    /// Depths of the top wall below y = H, if it is shaped too; positive ones narrow the channel.
     pub top: Option<Vec<f64>>,
     pub hot_from: f64,
     pub hot_to: f64,
@@ -42,7 +43,7 @@ impl Shape {
         Self::of("design.offsets", nodes, offsets, hot_from, hot_to)
     }
 
-    /// [`Self::new`] of offsets of this key.
+    /// [`Self::new`] with the offsets of the configuration key `key`.
     fn of(key: &str, nodes: Vec<f64>, offsets: Vec<f64>, hot_from: f64, hot_to: f64) -> Result<Self, BadInput> {
         finite("design.nodes", &nodes)?;
         finite(key, &offsets)?;
@@ -87,7 +88,7 @@ impl Shape {
         Ok(Self { nodes, across: None, offsets, top: None, hot_from, hot_to })
     }
 
-    /// With a top wall, checked like the other.
+    /// Adds a top wall, with the same checks.
     ///
     /// # Errors
     /// As for [`Self::new`], of `design.top_offsets`.
@@ -97,18 +98,18 @@ impl Shape {
         Ok(Self { top: Some(top.offsets), ..self })
     }
 
-    /// The top wall as a shape of its own: its heights are depths.
+    /// The top wall as a shape, whose heights are depths below y = H.
     pub fn top_wall(&self) -> Self {
         let offsets = self.top.clone().unwrap_or_else(|| vec![0.0; self.nodes.len()]);
         Self { offsets, top: None, ..self.clone() }
     }
 
-    /// What files call its heights.
+    /// The name of the heights' column in files.
     pub fn column(&self) -> &'static str {
         if self.across.is_some() { SURFACE } else { PROFILE }.1
     }
 
-    /// The same without heights.
+    /// The same shape without heights.
     pub fn flat(&self) -> Self {
         let top = self.top.as_ref().map(|top| vec![0.0; top.len()]);
         Self { offsets: vec![0.0; self.nodes.len()], top, ..self.clone() }
@@ -145,9 +146,9 @@ impl Shape {
         }
     }
 
-    /// The height of a wall without steps: as [`Self::height`], but rising from 0 as far in front of the hot section as the
-    /// first node is behind its beginning (at least half the distance of two nodes), and likewise at its end. The area is the
-    /// same.
+    /// The height of a wall without steps. It equals [`Self::height`], but rises from 0 before the hot section, over
+    /// the same distance as from its beginning to the first node (at least half the distance of two nodes), and falls
+    /// in the same way behind it. The area is the same.
     pub fn surface(&self, x: f64) -> f64 {
         let last = self.nodes.len() - 1;
         let half = |a: usize, b: usize| 0.5 * (self.nodes[b] - self.nodes[a]);
@@ -174,13 +175,13 @@ impl Shape {
         }
     }
 
-    /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the
-    /// average of y(x) over the column: pairs (node, weight), exact, see [`HotSection::weights`].
+    /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the average
+    /// of y(x) over the column as pairs (node, weight). It is exact, see [`HotSection::weights`].
     pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {
         self.section(dx, length).weights(|from, to| self.integrals(from, to, dx))
     }
 
-    /// The share (0 ... 1) of each column's width that lies in the hot section.
+    /// The fraction (0 ... 1) of each column's width in the hot section.
     pub fn hot_share(&self, dx: f64, length: f64) -> Vec<f64> {
         self.section(dx, length).share()
     }
@@ -201,7 +202,7 @@ impl Shape {
         let mut right = self.nodes.partition_point(|node| *node <= from);
         let mut start = from;
         while start < to {
-            // Here nodes[right - 1] <= start < nodes[right], where they exist.
+            // The nodes satisfy nodes[right - 1] <= start < nodes[right], where they exist.
             let end = self.nodes.get(right).map_or(to, |node| node.min(to));
             let width = (end - start) / dx;
             if right == 0 || right > last {
@@ -229,15 +230,21 @@ pub struct HotSection {
 }
 
 impl HotSection {
-    /// Columns of the whole wall.
+    /// The hot section of the bottom wall.
+    pub fn of(config: &Config) -> Self {
+        let channel = &config.channel;
+        Self { from: channel.hot_from, to: channel.hot_to, dx: config.resolution.dx, length: channel.length }
+    }
+
+    /// Number of columns over the whole wall.
     pub fn columns(&self) -> usize {
         (self.length / self.dx).round() as usize
     }
 
-    /// For each column, pairs (variable, weight) that give the average over the column of a wall that is linear in its
-    /// variables, zero outside the section, and one where all variables are. `integrals` gives the integrals over
-    /// `from ..= to` of what each variable adds to the wall, up to a factor: a column's weights sum to its hot share. So
-    /// the fluid area is the same at every resolution.
+    /// For each column, pairs (variable, weight) that give the column average of a wall. The wall is linear in its
+    /// variables, zero outside the section, and one if all variables are one. `integrals` gives, for each variable, the
+    /// integral of its contribution over `from ..= to`, up to a common factor: a column's weights sum to its hot
+    /// fraction. So the fluid's area is the same at every resolution.
     pub fn weights(&self, integrals: impl Fn(f64, f64) -> Vec<(usize, f64)>) -> Vec<Vec<(usize, f64)>> {
         let share = self.share();
         (0..self.columns())
@@ -246,8 +253,8 @@ impl HotSection {
                     return vec![];
                 };
                 let mut weights = integrals(from, to);
-                // Column edges c dx are rounded, which costs 1e-14 of a narrow column: a uniform shape would
-                // come out slightly rough.
+                // Rounding of the column edges c dx costs 1e-14 of a narrow column, which would make a uniform shape
+                // slightly rough.
                 let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
                 weights.iter_mut().for_each(|(_, weight)| *weight *= share[column] / sum);
                 weights
@@ -255,7 +262,7 @@ impl HotSection {
             .collect()
     }
 
-    /// The share (0 ... 1) of each column's width that lies in the section.
+    /// The fraction (0 ... 1) of each column's width in the section.
     pub fn share(&self) -> Vec<f64> {
         let dx = self.dx;
         (0..self.columns())
@@ -268,13 +275,13 @@ impl HotSection {
             .collect()
     }
 
-    /// The wall's vertices: two per spacing, at 0, dx/2, dx, ...
+    /// x of the wall's vertices, two per spacing: 0, dx/2, dx, ...
     pub fn vertices(&self) -> Vec<f64> {
         (0..2 * self.columns()).map(|k| k as f64 * 0.5 * self.length / self.columns() as f64).collect()
     }
 
-    /// Points about dx apart at which the wall's temperature is known, and such at which no heat flows: evenly from dx/8
-    /// behind the beginning of the hot section to dx/8 before its end, and from 7/8 dx behind its end on; in 0 ... length.
+    /// x in 0 ... length of points about dx apart with the wall's temperature, evenly from dx/8 inside the hot section
+    /// to dx/8 before its end, and of points with a no-flux condition, from 7/8 dx behind its end on.
     pub fn heat_points(&self) -> (Vec<f64>, Vec<f64>) {
         const INSIDE: f64 = 0.125;
         const OUTSIDE: f64 = 0.875;
@@ -304,9 +311,9 @@ impl HotSection {
     }
 }
 
-/// One node per spacing in the hot section: hot_from + (k + 1/2) dx.
+/// x of the default nodes, one per spacing in the hot section: hot_from + (k + 1/2) dx.
 pub fn default_nodes(hot_from: f64, hot_to: f64, dx: f64) -> Vec<f64> {
-    // The small term keeps a node from landing on hot_to by rounding.
+    // The small term keeps rounding from placing a node on hot_to.
     let count = ((hot_to - hot_from) / dx + 0.5 - 1e-9).floor() as usize;
     (0..count).map(|k| hot_from + (k as f64 + 0.5) * dx).collect()
 }
@@ -320,19 +327,19 @@ fn finite(key: &str, numbers: &[f64]) -> Result<(), BadInput> {
     }
 }
 
-/// The column of a shape file that holds the top wall.
+/// The name of the column of the top wall in a shape file.
 pub const TOP: &str = "top";
 
 /// The columns of a shape file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Columns {
     pub nodes: Vec<f64>,
-    /// z of each node, in the file of a wall over x and z.
+    /// z of each node, for a wall over x and z.
     pub across: Option<Vec<f64>>,
     pub offsets: Vec<f64>,
 }
 
-/// Names of the columns with the places and with the heights of a wall over x, and of one over x and z.
+/// Names of the columns of positions and heights, for a wall over x and for one over x and z.
 const PROFILE: (&[&str], &str) = (&["x"], "offset");
 const SURFACE: (&[&str], &str) = (&["x", "z"], "height");
 
@@ -342,13 +349,13 @@ pub fn read_columns(path: &Path) -> Result<Columns, BadInput> {
     read(path, PROFILE.0, PROFILE.1)
 }
 
-/// [`read_columns`] of a wall over x and z: columns `x`, `z` and `height`.
+/// As [`read_columns`], for a wall over x and z: columns `x`, `z` and `height`.
 pub fn read_surface(path: &Path) -> Result<Columns, BadInput> {
     read(path, SURFACE.0, SURFACE.1)
 }
 
-/// [`read_columns`], or [`read_surface`], with another column in place of the heights, such as a run's `first`; none if the file
-/// has no such column.
+/// As [`read_columns`] or [`read_surface`], with the column `name` in place of the heights, such as a run's `first`;
+/// none if the file lacks it.
 ///
 /// # Errors
 /// As for [`read_columns`].
@@ -359,7 +366,7 @@ pub fn read_column(path: &Path, name: &str, is_surface: bool) -> Result<Option<C
     has_it.then(|| read(path, if is_surface { SURFACE } else { PROFILE }.0, name)).transpose()
 }
 
-/// Reads the columns of places and the column `name`.
+/// Reads the columns of positions and the column `name`.
 fn read(path: &Path, places: &[&str], name: &str) -> Result<Columns, BadInput> {
     let form = match places.len() {
         1 => "a CSV file with the header x,offset and one line of two finite numbers per node",

@@ -1,17 +1,17 @@
-//! From the numbers of shapes (a radius, a corner, a point of a line) to the initial state of a scene of one's own.
+//! The map from the numbers of shapes (a radius, a corner, a point of a line) to the initial state of a custom scene.
 //!
-//! A point on the surface stays the same part of its shape: at the same angle on a disc, at the same share of an edge. With the
-//! shape's numbers it moves by d, and an edge's normal turns from m to n. Then
+//! A point on the surface keeps its relative place on its shape: the same angle on a disc, the same fraction of an
+//! edge. When the numbers change it moves by d, and the normal of an edge turns from m to n. Then
 //!
 //! ```text
 //!   points on the surface   move by d, and those that carry the normal get n
-//!   dummy particles         move with their foot: by d - a (n - m), a their depth; their mirror image by d + a (n - m)
+//!   dummy particles         move with their foot, by d - a (n - m) at depth a; their mirror image by d + a (n - m)
 //!   fluid                   moves by sum_k w_k d_k / sum_k w_k over the points k, w_k = 1 / r_k^4 at the first numbers
 //! ```
 //!
-//! so that fluid beside a wall moves as the wall does, and far from those that move hardly (inverse distance weighting, as
-//! meshes are deformed: Witteveen and Bijl, AIAA 2009-3996). Which particles there are does not change: the state is a smooth
-//! function of the numbers.
+//! so that fluid beside a wall moves with the wall, and fluid far from moving walls hardly moves (inverse distance
+//! weighting, as in mesh deformation: Witteveen and Bijl, AIAA 2009-3996). The particles stay the same, so the state is
+//! a smooth function of the numbers.
 
 use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber};
 use crate::numerics::lanes::Real;
@@ -20,17 +20,16 @@ use crate::particles::Domain;
 /// A vector; in two dimensions the last component is 0.
 type Vector = [f64; 3];
 
-/// Everything that moves with the shapes.
+/// The particles that move with the shapes.
 #[derive(Debug, Clone)]
 pub struct Shapes {
-    /// At the first numbers.
+    /// The shapes with their initial numbers.
     pub entries: Vec<ShapeEntry>,
-    /// What the variables are.
+    /// The numbers that are variables.
     pub numbers: Vec<ShapeNumber>,
     pub domain: Domain,
-    /// Where normals and mirror images stand in the state: the first of as many rows as there are dimensions.
+    /// The first of the D rows of the state that hold normals and mirror images.
     pub vector: usize,
-    /// On the surface.
     pub points: Vec<Point>,
     pub dummies: Vec<Dummy>,
     pub fluid: Vec<usize>,
@@ -43,56 +42,54 @@ pub struct On {
     pub at: At,
 }
 
-/// Where on the surface.
+/// The relative place on a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum At {
-    /// Of a disc, a ball or a cylinder: seen from the centre in this direction.
+    /// On a disc, ball or cylinder: the direction from the centre.
     Round(Vector),
-    /// Of a box: at these shares of its sides.
+    /// On a box: the fractions along its sides.
     Box(Vector),
-    /// Of a line: beside the edge that ends at point `to`, at a share of its length. `away`: on which side of a thick line,
-    /// 1 or -1; `faces`: on which side of the edge the fluid is.
+    /// On a line: on the edge that ends at point `to`, at a fraction of its length. `away` is the side of a thick line,
+    /// 1 or -1; `faces` is the side of the edge on which the fluid is.
     Edge { to: usize, share: f64, away: f64, faces: f64 },
-    /// At the end or the corner of a line, in this direction from the point.
+    /// At an end or a corner of a line, in this direction from the point.
     Corner(usize, Vector),
 }
 
-/// A point on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     pub particle: usize,
-    /// None: on what never moves.
+    /// The place on a shape; none on a shape that never moves.
     pub on: Option<On>,
-    /// Whether its vector is the normal.
+    /// Whether the point carries a normal.
     pub leans: bool,
-    /// Whether it moves the fluid. (Of points at the same place one does.)
+    /// Whether the point moves the fluid. Of several points at one place only one does.
     pub leads: bool,
 }
 
-/// A dummy particle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dummy {
     pub particle: usize,
     pub foot: On,
-    /// Behind the surface.
+    /// Depth behind the surface.
     pub depth: f64,
 }
 
-/// How a place and the normal there change with a variable.
+/// The derivative of a place and its normal by a variable.
 struct Slope {
     variable: usize,
     place: Vector,
     normal: Vector,
 }
 
-/// What a place does when the numbers change.
+/// The change of a place when the numbers change.
 #[derive(Default)]
 struct Moved {
-    /// d.
+    /// Displacement d.
     by: Vector,
-    /// n - m.
+    /// Change of the normal, n - m.
     turned: Vector,
-    /// n.
+    /// New normal n.
     normal: Option<Vector>,
 }
 
@@ -116,7 +113,7 @@ fn dot(a: Vector, b: Vector) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// An edge's ends, its length, and the directions along it and to its left.
+/// The ends of an edge, its length, and the unit vectors along it and to its left.
 struct Edge {
     ends: [Vector; 2],
     length: f64,
@@ -135,16 +132,16 @@ impl Edge {
     }
 }
 
-/// Half the thickness of a line; 0 of a polygon's edges.
+/// Half the thickness of a line; 0 for the edges of a polygon.
 fn half(entry: &ShapeEntry) -> f64 {
     0.5 * entry.thickness.unwrap_or(0.0)
 }
 
-/// Shares nearer than this to an edge's ends count as the ends.
+/// Fractions within this distance of an edge's ends count as the ends.
 const END: f64 = 1e-9;
 
 impl On {
-    /// A place on a shape's surface where the normal into the fluid is this; none on a shape that is given by a formula.
+    /// The place on a shape's surface with this normal into the fluid; none on a shape that is given by a formula.
     pub fn of(shape: usize, entry: &ShapeEntry, place: Vector, normal: Vector) -> Option<Self> {
         let vector = |numbers: &Option<Vec<f64>>| {
             let numbers = numbers.as_deref().unwrap_or_default();
@@ -199,7 +196,7 @@ impl On {
         Some(Self { shape, at })
     }
 
-    /// What it does from one shape to another.
+    /// The change from one shape to another.
     fn moved(&self, from: &ShapeEntry, to: &ShapeEntry) -> Moved {
         let of = |numbers: &Option<Vec<f64>>| numbers.clone().unwrap_or_default();
         let change = |from: &Option<Vec<f64>>, to: &Option<Vec<f64>>| -> Vector {
@@ -239,7 +236,7 @@ impl On {
         }
     }
 
-    /// How place and normal change with a number of its shape, if they do.
+    /// The derivatives of place and normal by a number of the shape, if they depend on it.
     fn slope(&self, entry: &ShapeEntry, part: Part) -> Option<(Vector, Vector)> {
         let still = [0.0; 3];
         match (self.at, part) {
@@ -256,7 +253,7 @@ impl On {
                     _ => return None,
                 };
                 let edge = Edge::of(entry, to);
-                // The direction to the left turns by -along (left . change of the edge) / length.
+                // The vector to the left turns by -along (left . change of the edge) / length.
                 let turn = scaled(-sign * edge.left[d] / edge.length, edge.along);
                 Some((sum(scaled(end, unit(d)), scaled(half(entry) * away, turn)), scaled(faces, turn)))
             }
@@ -268,7 +265,7 @@ impl On {
 }
 
 impl Shapes {
-    /// With changes of the variables.
+    /// The shapes after changes of the variables.
     pub fn changed(&self, changes: &[f64]) -> Vec<ShapeEntry> {
         let mut entries = self.entries.clone();
         for (number, change) in self.numbers.iter().zip(changes) {
@@ -291,7 +288,7 @@ impl Shapes {
         })
     }
 
-    /// The weight of each point that moves the fluid, at a place of the first state, and their sum.
+    /// The weight of each point that moves the fluid for a particle of the initial state, and the sum of weights.
     fn weights(&self, n: usize, base: &[f64], particle: usize) -> (Vec<f64>, f64) {
         let dimension = self.domain.dimension;
         let weight = |point: &Point| {
@@ -304,9 +301,9 @@ impl Shapes {
         (weights, sum)
     }
 
-    /// Moves the particles of the first state `[F, N]`.
+    /// Moves the particles of the initial state `[F, N]`.
     pub(super) fn deform(&self, n: usize, changes: &[f64], state: &mut [f64]) {
-        // Nothing to the bit where nothing changes.
+        // Without changes the state stays the same to the bit.
         if changes.iter().all(|&change| change == 0.0) {
             return;
         }
@@ -465,7 +462,7 @@ mod tests {
             let changes: Vec<f64> = (0..shapes.numbers.len()).map(|k| 0.02 * ((k * k + 1) as f64).sin()).collect();
             let state = deformed(&shapes, &base, &changes);
             let at = |i: usize, row: usize| [state[row * 5 + i], state[(row + 1) * 5 + i], 0.0];
-            // The same place of the changed shape: and so it has no further to go.
+            // The place on the changed shape is the same, so it does not move further.
             let entries = shapes.changed(&changes);
             let (found, before) = (On::of(0, &entries[0], at(0, 0), at(0, 2)).unwrap(), shapes.points[0].on.unwrap());
             let same = found.moved(&entries[0], &entries[0]).by == [0.0; 3];
@@ -487,13 +484,13 @@ mod tests {
                 }
                 other => panic!("{other:?}"),
             }
-            // The dummy particle is as deep as before, and its mirror image as far in front, along the normal.
+            // The dummy particle keeps its depth, and its mirror image the same distance in front, along the normal.
             let (dummy, mirror) = (at(2, 0), at(2, 2));
             let middle = scaled(0.5, sum(dummy, mirror));
             assert!((0..2).all(|d| close(middle[d], at(0, 0)[d])));
             let across = scaled(0.5 / 0.03, minus(mirror, dummy));
             assert!(close(dot(across, across), 1.0) && (0..2).all(|d| close(across[d], at(0, 2)[d])), "{kind:?}");
-            // What is near moves more than what is far, and the wall at rest stays.
+            // Near fluid moves more than distant fluid, and the wall at rest stays.
             let step = |i: usize| (state[i] - base[i]).hypot(state[5 + i] - base[5 + i]);
             assert!(step(1) == 0.0 && step(3) > 5.0 * step(4), "{} {}", step(3), step(4));
         }

@@ -1,4 +1,4 @@
-//! The wall shape that a configuration asks for: an array, a file, or a named shape.
+//! The wall shape that a configuration specifies: an array, a file or a named shape.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -12,13 +12,13 @@ use crate::design::shape::{default_nodes, read_columns, read_surface, Shape};
 use crate::error::BadInput;
 use crate::numerics::random::uniform;
 
-/// The random shape's own stream of the run's generator: the jitter and others do not move it.
+/// The random shape has its own stream of the run's generator, which is independent of the jitter and others.
 pub const RANDOM_SHAPE_STREAM: u64 = 1;
 
 impl Shape {
-    /// The start shape of a configuration, checked against `design.bound` as well.
+    /// The initial shape of a configuration, checked against `design.bound` as well.
     ///
-    /// `design.offsets` or `design.file` win over `design.shape`. Named shapes are functions of
+    /// `design.offsets` and `design.file` take precedence over `design.shape`. Named shapes are functions of
     /// s = (x - hot_from) / (hot_to - hot_from): A, A sin(2 pi k s), A cos(2 pi k s), A (2 s - 1), or for
     /// `random` A times a number uniform in -1 ... 1 at each node, from `run.seed`.
     pub fn from_config(config: &Config) -> Result<Self, BadInput> {
@@ -41,7 +41,7 @@ impl Shape {
             shape.check_bound(design.bound)?;
             Ok(shape)
         });
-        // The offsets of a named shape were not written by the user: its name was.
+        // The user wrote the name of the shape, not its offsets.
         shape.map_err(|bad| match is_named && bad.is_about("design.offsets") {
             true => bad.key("design.shape"),
             false => bad,
@@ -49,9 +49,9 @@ impl Shape {
     }
 }
 
-/// The control points that a wall over x and z begins with: those of `design.offsets`, those whose wall is nearest to the heights
-/// of `design.file`, or the values of `design.shape` there, times cos(2 pi q z/span) with q = `design.periods_across` but for
-/// `random`.
+/// The initial control points of a wall over x and z: those of `design.offsets`, those whose wall is nearest to the
+/// heights of `design.file`, or the values of `design.shape` there, times cos(2 pi q z/span) with q =
+/// `design.periods_across` except for `random`.
 ///
 /// # Errors
 /// Numbers that are too many or too few, not finite or out of bounds; a file that can not be read.
@@ -97,7 +97,7 @@ pub fn control_points(config: &Config, surface: &SplineSurface) -> Result<Vec<f6
     Ok(offsets)
 }
 
-/// Offsets of `design.shape` at the nodes.
+/// The offsets of `design.shape` at the nodes.
 fn named(config: &Config, nodes: &[f64]) -> Vec<f64> {
     let (design, channel) = (&config.design, &config.channel);
     let amplitude = design.amplitude;

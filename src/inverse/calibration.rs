@@ -1,14 +1,14 @@
-//! Viscosity and conductivity from a trajectory that was seen.
+//! Calibration of viscosity and conductivity by an observed trajectory.
 //!
-//! The unknowns are logarithms of the parameters over what is assumed at first. The loss is [`super::matching`]'s. Its derivative
-//! by a parameter is the sum over the steps of
+//! The unknowns are logarithms of the parameters over their assumed values. The loss is that of [`super::matching`].
+//! Its derivative by a parameter is the sum over the steps of
 //!
 //! ```text
 //!   (cotangent of the state behind the step) . (derivative of the step by the parameter),
 //! ```
 //!
-//! with all that is on the right at the same state. A step is a polynomial of first or second degree in viscosity and
-//! conductivity, so the central difference of two steps with the parameter a little up and down is that derivative, to rounding.
+//! all at the same state. A step is a polynomial of first or second degree in viscosity and conductivity, so the
+//! central difference of two steps with a slightly larger and smaller parameter is this derivative to rounding.
 
 use super::matching::{Matching, Seen};
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
@@ -16,7 +16,7 @@ use crate::adjoint::gradient::{gradient, value, Progress};
 use crate::adjoint::run::run;
 use crate::adjoint::schedule::Schedule;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, Kernels, Motion, Start};
+use crate::config::scene::{Config, Kernels, Start};
 use crate::dataset::extent::Extent;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::{BadInput, Error};
@@ -26,8 +26,8 @@ use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::{KeptState, Sph};
-use crate::sph::model::Model;
 use crate::sph::solver::{Snapshot, Solver, TensorSolver};
+use crate::sph::Model;
 use crate::sph::Sweeps;
 use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor, Var};
 use std::collections::BTreeMap;
@@ -41,7 +41,7 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    /// Its key.
+    /// Key of the parameter.
     pub fn key(self) -> &'static str {
         match self {
             Self::Viscosity => "fluid.viscosity",
@@ -57,18 +57,18 @@ impl Parameter {
     }
 }
 
-/// How far a parameter is moved for its difference, as a share of it: a step is a polynomial, so this need not be small.
+/// Relative change of a parameter in its difference. As a step is a polynomial, it need not be small.
 const MOVE: f64 = 1e-3;
 
-/// A trajectory that was seen, the scene that it is of, and what is to be found.
+/// An observed trajectory, its scene, and the parameters to be found.
 pub struct Calibration<R> {
     loaded: Loaded,
     pub parameters: Vec<Parameter>,
-    /// What is assumed at first.
+    /// Initially assumed values.
     pub assumed: Vec<f64>,
-    /// Steps of the run.
+    /// Number of steps of the run.
     pub steps: usize,
-    /// As long as it was when the trajectory was made, whatever the parameters.
+    /// Time step of the trajectory, which does not depend on the parameters.
     time_step: f64,
     objective: Matching,
     schedule: Schedule,
@@ -76,10 +76,10 @@ pub struct Calibration<R> {
 }
 
 impl<R: Sweeps> Calibration<R> {
-    /// `loaded`: the trajectory's scene with what is assumed of the parameters. `frames` of it are looked at.
+    /// `loaded` is the trajectory's scene with assumed parameters; `frames` of the trajectory are used.
     ///
     /// # Errors
-    /// A trajectory that is not one of the heated channel from rest, or has too few frames.
+    /// A trajectory that is not of the heated channel from rest, or has too few frames.
     pub fn new(
         loaded: Loaded,
         metadata: &Metadata,
@@ -88,7 +88,7 @@ impl<R: Sweeps> Calibration<R> {
         parameters: Vec<Parameter>,
     ) -> anyhow::Result<Self> {
         let config = &loaded.config;
-        if !config.scene.has_design() || config.time.start != Start::Rest || config.fluid.motion != Motion::Moving {
+        if !config.scene.has_design() || config.time.start != Start::Rest || !config.method.facts().moves {
             return Err(BadInput::new("a trajectory whose start depends on what is to be found")
                 .place(format!("trajectory {}", trajectory.name))
                 .allowed("one of the heated channel from rest, with particles that move")
@@ -114,8 +114,8 @@ impl<R: Sweeps> Calibration<R> {
         let steps = step_of(frames - 1);
         let scene = scene_with::<R>(&loaded, dt, &[])?;
         let model = scene.model.clone();
-        let (n, d) = (model.particles(), model.layout.dimension);
-        // The data have the particles that are none of a wall's surface, in their order, in their own coordinates.
+        let (n, d) = (model.particles(), model.dimension());
+        // The data have all particles except those on a wall's surface, in order, in their own coordinates.
         let kept: Vec<usize> = (0..n).filter(|&i| !tag::is_on_surface(model.tags[i])).collect();
         let origin = metadata.origin().filter(|origin| origin.len() == d && kept.len() == trajectory.particles);
         let Some(origin) = origin else {
@@ -150,12 +150,12 @@ impl<R: Sweeps> Calibration<R> {
         Ok(Self { parameters, assumed, steps, time_step: dt, objective, schedule, start: scene.start, loaded })
     }
 
-    /// The parameters that logarithms stand for.
+    /// The parameters for given logarithms.
     pub fn values(&self, logarithms: &[f64]) -> Vec<f64> {
         self.assumed.iter().zip(logarithms).map(|(assumed, x)| assumed * x.exp()).collect()
     }
 
-    fn model(&self, values: &[f64]) -> Result<Arc<Model<R>>, Error> {
+    fn model(&self, values: &[f64]) -> Result<Model<R>, Error> {
         let set = |(parameter, value): (&Parameter, &f64)| (parameter.key(), *value);
         let settings: Vec<(&str, f64)> = self.parameters.iter().zip(values).map(set).collect();
         Ok(scene_with::<R>(&self.loaded, self.time_step, &settings)?.model)
@@ -204,27 +204,24 @@ impl<R: Sweeps> Calibration<R> {
     }
 }
 
-/// The scene with some parameters, and the time step that it had.
+/// The scene with other parameters and its previous time step.
 fn scene_with<R: Sweeps>(loaded: &Loaded, dt: f64, settings: &[(&str, f64)]) -> Result<Scene<R>, Error> {
     let settings: Vec<Setting> =
         settings.iter().map(|(key, value)| Setting::option("calibration", key, format!("{value:?}"))).collect();
     let mut scene = Scene::<R>::from_config(&loaded.with(&settings)?.config)?;
-    // Others hold the model of a design.
+    // Its design holds a model with other parameters.
     scene.design = None;
-    match Arc::get_mut(&mut scene.model) {
-        Some(model) => model.dt = dt,
-        None => return Err(Error::run("a new scene is shared", "report this")),
-    }
+    scene.model = scene.model.with(|flow| flow.dt = dt);
     Ok(scene)
 }
 
-/// Models with each parameter a little up and down, and the sums of what they say.
+/// Models with each parameter slightly larger and smaller, and the derivatives by the parameters.
 struct Taps<R> {
-    moved: Vec<[Arc<Model<R>>; 2]>,
+    moved: Vec<[Model<R>; 2]>,
     sums: Mutex<Vec<f64>>,
 }
 
-/// Leaves a step's end as it is; its adjoint adds to the parameters' derivatives what the step's cotangent says of them.
+/// An identity at the end of a step, whose adjoint adds the step's contribution to the derivatives by the parameters.
 struct Tap<R> {
     taps: Arc<Taps<R>>,
     /// The state before the step.
@@ -232,7 +229,7 @@ struct Tap<R> {
 }
 
 impl<R: Sweeps> Tap<R> {
-    fn after(&self, model: &Arc<Model<R>>) -> candle_core::Result<Vec<R>> {
+    fn after(&self, model: &Model<R>) -> candle_core::Result<Vec<R>> {
         let go = || -> Result<Vec<R>, RunError> {
             let mut solver = Solver::restore(model.clone(), &self.before)?;
             solver.advance()?;
@@ -272,7 +269,7 @@ impl<R: Sweeps> CustomOp1 for Tap<R> {
     }
 }
 
-/// The solver, whose steps tell the parameters' derivatives on their way back.
+/// The solver with a tap at each step, which computes the derivatives by the parameters.
 struct WithParameters<R> {
     base: Sph<R>,
     taps: Arc<Taps<R>>,
@@ -316,7 +313,7 @@ impl<R: Sweeps> Dynamics for WithParameters<R> {
         });
         held.map_err(RunError::tensor(step))?;
         let next = self.base.advance_taped(tape, state, after)?;
-        // The neighbours that the step had: they may be of an older list.
+        // The neighbour list of the step, which may be an older one.
         let before = Snapshot {
             step,
             parts: 1,

@@ -1,7 +1,7 @@
-//! What a flow began with, from where its particles were n steps later.
+//! Finds the initial state of a flow from the positions of its particles n steps later.
 //!
-//! Unknown is a part of the first state, all else of it is known. With x_i(0), u_i(0) the fluid's places and velocities at the
-//! start, in units of the scene, and g_i(0) the places that are assumed at first:
+//! A part of the initial state is unknown, the rest is known. With the fluid's initial positions x_i(0) and velocities
+//! u_i(0) in units of the scene, and the assumed positions g_i(0):
 //!
 //! | unknown | variables | | derivative of the loss |
 //! |---|---|---|---|
@@ -9,8 +9,8 @@
 //! | [`Unknown::Places`] | `[D, N_fluid]` | x_i(0) | by x_i(0) |
 //! | [`Unknown::Offset`] | `[D]` | s with x_i(0) = g_i(0) + s | sum over i of that by x_i(0) |
 //!
-//! The loss is the mean over particles of |x - x*|^2 at the end, in spacings. (JAX-SPH's notebook on inverse problems has the
-//! places of a falling block: <https://github.com/tumaer/jax-sph>, notebooks/iclr24_inverse.ipynb.)
+//! The loss is the mean over particles of |x - x*|^2 at the end, in spacings. (JAX-SPH's notebook on inverse problems
+//! finds the positions of a falling block: <https://github.com/tumaer/jax-sph>, notebooks/iclr24_inverse.ipynb.)
 
 use super::matching::{Matching, Seen};
 use crate::adjoint::gradient::{gradient, Progress};
@@ -41,47 +41,48 @@ pub enum Unknown {
 }
 
 impl Unknown {
-    /// The first row of the state that it is in.
+    /// The first row of the unknown quantity in the state.
     fn row<R: Sweeps>(self, scene: &Scene<R>) -> usize {
         match self {
             Self::Places | Self::Offset => 0,
-            Self::Velocities => scene.model.layout.velocity(),
+            Self::Velocities => scene.model.rows.velocity(),
         }
     }
 }
 
-/// The end that is to be reached.
+/// The observed end of the run.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Target {
-    /// `[D, N]`.
+    /// Positions, `[D, N]`.
     pub position: Vec<f64>,
-    /// See [`crate::particles::tag`], `[N]`; none: as in the scene.
+    /// Kinds of particles, `[N]`, see [`crate::particles::tag`]; none if they are those of the scene.
     pub tags: Option<Vec<u8>>,
 }
 
-/// What a start that is assumed may differ in: nothing that the run behind it depends on.
+/// Keys in which an assumed start may differ from the scene: those that change nothing else of the run.
 pub const OF_A_START: [&str; 5] = ["water.x", "water.y", "water.speed", "time.jitter", "run.seed"];
 
-/// A scene, a part of whose start is to be found.
+/// The problem of finding a part of a scene's initial state.
 pub struct InitialState<R> {
-    /// As it was.
+    /// The true scene.
     pub scene: Scene<R>,
     pub unknown: Unknown,
     dynamics: Sph<R>,
-    /// Fluid particles.
+    /// Indices of fluid particles.
     fluid: Vec<usize>,
-    /// The start with what is assumed of it at first, `[F, N]`.
+    /// The initial state with the assumed values, `[F, N]`.
     assumed: Vec<R>,
     matching: Matching,
     schedule: Schedule,
 }
 
 impl<R: Sweeps> InitialState<R> {
-    /// `assumed`: the scene with another start; none: at rest, and no other place. `target`: none: where the scene's own run ends.
+    /// `assumed`: the scene with another start; none: its positions, at rest. `target`: none: the end of the scene's
+    /// own run.
     ///
     /// # Errors
-    /// Particles whose velocities stand elsewhere, an assumed start of another run, a target of another size, a budget that is too
-    /// small.
+    /// Velocities that are not in the state's rows, an assumed start of another run, a target of another size, a budget
+    /// that is too small.
     pub fn new(
         config: &Config,
         unknown: Unknown,
@@ -90,11 +91,11 @@ impl<R: Sweeps> InitialState<R> {
     ) -> anyhow::Result<Self> {
         let scene = Scene::<R>::from_config(config)?;
         let model = scene.model.clone();
-        let (n, d) = (model.particles(), model.layout.dimension);
-        if model.fixed.is_some() {
-            return Err(BadInput::new("fluid.motion = fixed: the start of particles that do not move")
-                .key("fluid.motion")
-                .allowed("moving: places at the end say nothing of fixed particles")
+        let (n, d) = (model.particles(), model.dimension());
+        if model.steady().is_some() {
+            return Err(BadInput::new("method.name = fixed: the start of particles that do not move")
+                .key("method.name")
+                .allowed("a method whose particles move: places at the end say nothing of fixed particles")
                 .into());
         }
         let dynamics = Sph::new(model.clone(), Kernels::Fused);
@@ -123,27 +124,27 @@ impl<R: Sweeps> InitialState<R> {
         Ok(Self { scene, unknown, dynamics, fluid, assumed: state, matching, schedule })
     }
 
-    /// Places or velocities of the fluid, whichever are unknown, in a state `[F, N]`; `[D, N_fluid]`.
+    /// Positions or velocities of the fluid, whichever are unknown, in a state `[F, N]`; `[D, N_fluid]`.
     fn of(&self, state: &[R]) -> Vec<f64> {
-        let (n, d) = (self.scene.model.particles(), self.scene.model.layout.dimension);
+        let (n, d) = (self.scene.model.particles(), self.scene.model.dimension());
         let first = self.unknown.row(&self.scene);
         (first..first + d).flat_map(|row| self.fluid.iter().map(move |&i| state[row * n + i].f64())).collect()
     }
 
-    /// The unknowns as they are assumed at first.
+    /// The assumed values of the unknowns.
     pub fn first(&self) -> Vec<f64> {
         match self.unknown {
-            Unknown::Offset => vec![0.0; self.scene.model.layout.dimension],
+            Unknown::Offset => vec![0.0; self.scene.model.dimension()],
             Unknown::Places | Unknown::Velocities => self.of(&self.assumed),
         }
     }
 
-    /// Places or velocities of the fluid that the scene begins with, `[D, N_fluid]`.
+    /// True initial positions or velocities of the fluid, `[D, N_fluid]`.
     pub fn truth(&self) -> Vec<f64> {
         self.of(&self.scene.start.state)
     }
 
-    /// The scene's start with these unknowns.
+    /// The initial state for values of the unknowns.
     pub fn start(&self, x: &[f64]) -> Snapshot<R> {
         let (n, domain) = (self.scene.model.particles(), &self.scene.model.domain);
         let (count, first) = (self.fluid.len(), self.unknown.row(&self.scene));
@@ -153,7 +154,7 @@ impl<R: Sweeps> InitialState<R> {
                 let at = (first + d) * n + i;
                 let place = |x: f64| {
                     let x = R::of(domain.wrapped(d, x));
-                    // Rounded, a place just below the box's end may be the end itself, which is the beginning.
+                    // A position just below the end of the box may be rounded to the end, which is the beginning.
                     match domain.periodic[d] && x >= R::of(domain.size[d]) {
                         true => R::default(),
                         false => x,
@@ -169,7 +170,7 @@ impl<R: Sweeps> InitialState<R> {
         Snapshot::first(&self.scene.model, state)
     }
 
-    /// The run's end with these unknowns.
+    /// The end of the run for values of the unknowns.
     ///
     /// # Errors
     /// A run that diverges.
@@ -177,7 +178,7 @@ impl<R: Sweeps> InitialState<R> {
         self.end_of(&self.start(x))
     }
 
-    /// The end of a run from some start.
+    /// The end of a run from a start.
     ///
     /// # Errors
     /// A run that diverges.
@@ -185,12 +186,12 @@ impl<R: Sweeps> InitialState<R> {
         run(&self.dynamics, start, self.scene.steps, &mut [])
     }
 
-    /// Places `[D, N]` that are to be reached.
+    /// The target positions, `[D, N]`.
     pub fn target(&self) -> &[f64] {
         &self.matching.seen[&self.scene.steps].position
     }
 
-    /// Where the unknowns may be: the fluid between the walls.
+    /// Limits of the unknowns: the fluid must be between the walls.
     pub fn limits(&self) -> Limits {
         let domain = &self.scene.model.domain;
         let inside = |d: usize| match domain.periodic[d] {
@@ -221,9 +222,9 @@ impl<R: Sweeps> InitialState<R> {
         Limits::within(lower, upper)
     }
 
-    /// What searches for it. Places: L-BFGS-B, whose first step is as far as the fluid as a whole missed the target, which is right
-    /// for water in free fall: it is moved at the end as at the start. Velocities: Barzilai and Borwein's steps, which find the same
-    /// in as many epochs (20 x 20 particles, 40 steps: 0.00126 and 0.00127 away).
+    /// The optimiser. For positions it is L-BFGS-B, whose first step is the mean distance from the target, which is
+    /// exact for water in free fall. For velocities it is Barzilai and Borwein's method, which finds the same in as
+    /// many epochs (20 x 20 particles, 40 steps: 0.00126 and 0.00127 away).
     ///
     /// # Errors
     /// A run that diverges.
@@ -235,24 +236,24 @@ impl<R: Sweeps> InitialState<R> {
         let count = self.fluid.len();
         let missed = self.missed(&self.end(&first)?);
         let whole = missed.chunks(count).map(|row| (row.iter().sum::<f64>() / count as f64).abs());
-        // One that missed by nothing as a whole may still differ by a share of a spacing.
+        // With a mean distance of zero, particles may still be a fraction of a spacing away.
         let most = whole.fold(0.1 * self.scene.spacing, f64::max);
         Ok(Box::new(LBfgsB::new(most, &first)))
     }
 
-    /// How far an end is from the target, `[D, N_fluid]`.
+    /// The distance of an end from the target, `[D, N_fluid]`.
     fn missed(&self, end: &Solver<R>) -> Vec<f64> {
         self.apart(&end.state, |at| self.target()[at])
     }
 
-    /// Places of a state `[F, N]` less others `[D, N]`, by the nearest image, `[D, N_fluid]`.
+    /// Positions of a state `[F, N]` minus others `[D, N]`, to the nearest image, `[D, N_fluid]`.
     fn apart(&self, state: &[R], others: impl Fn(usize) -> f64) -> Vec<f64> {
         let (n, domain) = (self.scene.model.particles(), &self.scene.model.domain);
         let all = (0..domain.dimension).flat_map(|d| self.fluid.iter().map(move |&i| (d, d * n + i)));
         all.map(|(d, at)| domain.nearest(d, state[at].f64() - others(at))).collect()
     }
 
-    /// Loss and its derivative by the unknowns.
+    /// The loss and its derivative by the unknowns.
     ///
     /// # Errors
     /// A run that diverges.
@@ -272,18 +273,18 @@ impl<R: Sweeps> InitialState<R> {
         ))
     }
 
-    /// The root of the mean square of a coordinate's error that a loss stands for, in units of length.
+    /// The root mean square error of a coordinate for a loss, in units of length.
     pub fn distance(&self, loss: f64) -> f64 {
-        (loss / self.scene.model.layout.dimension as f64).sqrt() * self.scene.spacing
+        (loss / self.scene.model.dimension() as f64).sqrt() * self.scene.spacing
     }
 
-    /// The same of an end.
+    /// The root mean square error of a coordinate at an end.
     pub fn distance_of(&self, end: &Solver<R>) -> f64 {
         root_mean_square(&self.missed(end))
     }
 
-    /// How far these unknowns are from the truth: of velocities |u - u*| / |u*|, of places the root of the mean square of a
-    /// coordinate's error, in units of length.
+    /// The error of the unknowns: |u - u*| / |u*| for velocities, the root mean square error of a coordinate for
+    /// positions.
     pub fn error(&self, x: &[f64]) -> f64 {
         if self.unknown == Unknown::Velocities {
             let truth = self.truth();
@@ -294,13 +295,13 @@ impl<R: Sweeps> InitialState<R> {
         root_mean_square(&self.apart(&self.start(x).state, |at| truth[at].f64()))
     }
 
-    /// An objective of runs whose step `step` is this one's end.
+    /// An objective for runs in which this problem's end is at `step`.
     pub fn matching_at(&self, step: usize) -> Matching {
         matching(&self.scene, step, self.target().to_vec())
     }
 }
 
-/// Places `[D, N]` that a scene's fluid is to be at.
+/// The objective for positions `[D, N]` of a scene's fluid.
 fn matching<R: Sweeps>(scene: &Scene<R>, step: usize, position: Vec<f64>) -> Matching {
     let model = &scene.model;
     Matching {
@@ -312,10 +313,10 @@ fn matching<R: Sweeps>(scene: &Scene<R>, step: usize, position: Vec<f64>) -> Mat
     }
 }
 
-/// Places `[D, N]` of a target, numbered as the scene's particles are: a lattice is numbered row by row, so that fluid that began
-/// elsewhere has other numbers, in the same order.
+/// Target positions `[D, N]` in the order of the scene's particles. Fluid that started elsewhere on the lattice has
+/// other indices in the same order.
 fn target_of<R: Sweeps>(target: Target, scene: &Scene<R>, fluid: &[usize]) -> Result<Vec<f64>, BadInput> {
-    let (n, d) = (scene.model.particles(), scene.model.layout.dimension);
+    let (n, d) = (scene.model.particles(), scene.model.dimension());
     if target.position.len() != d * n {
         let problem = format!("the target has {} coordinates", target.position.len());
         return Err(
@@ -335,7 +336,7 @@ fn target_of<R: Sweeps>(target: Target, scene: &Scene<R>, fluid: &[usize]) -> Re
     Ok(position)
 }
 
-/// The start `[F, N]` that is assumed at first of the same particles, and which of them are fluid (numbered in their own order, too).
+/// The assumed initial state `[F, N]` of the same particles, and the indices of its fluid particles.
 fn start_of<R: Sweeps>(config: &Config, assumed: &Config) -> Result<(Vec<R>, Vec<usize>), Error> {
     if let Some(other) = differences(config, assumed, &OF_A_START).first() {
         let problem =

@@ -1,18 +1,18 @@
-//! How far a run is from what was seen.
+//! The distance of a run from observations, as an objective.
 //!
 //! ```text
 //!   sum over frames  w_f mean_i ( |x_i - x*_i|^2 / length^2 + (T_i - T*_i)^2 / warmth^2 ),     i over the fluid
 //! ```
 //!
-//! |x - x*|^2 by the nearest image, summed over directions. Particles are compared one by one: a run and what was seen must
-//! have begun with the same ones.
+//! The difference x - x* is to the nearest image. Particles are compared one by one, so the run and the observations
+//! must start with the same ones.
 
 use crate::adjoint::{Fields, Objective};
 use crate::particles::Domain;
 use candle_core::{Device, Result, Tensor};
 use std::collections::BTreeMap;
 
-/// What was seen after some step: places `[D, N]`, temperatures `[N]` above the reference.
+/// Observations after a step: positions `[D, N]`, temperatures `[N]` relative to the reference.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Seen {
     pub position: Vec<f64>,
@@ -20,13 +20,13 @@ pub struct Seen {
     pub weight: f64,
 }
 
-/// The objective; less is better.
+/// The objective, which is minimised.
 pub struct Matching {
     pub seen: BTreeMap<usize, Seen>,
     pub domain: Domain,
-    /// Who counts, `[N]`.
+    /// Whether each particle counts, `[N]`.
     pub fluid: Vec<bool>,
-    /// What a difference of places, and of temperatures, is measured in.
+    /// Scales of differences of positions and of temperatures.
     pub length: f64,
     pub warmth: f64,
 }

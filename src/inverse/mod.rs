@@ -1,8 +1,8 @@
-//! Inverse problems: what a flow must have begun with, or be made of, to end as it was seen to end.
+//! Inverse problems: finds the initial state or the materials of a flow from its observed end or course.
 //!
-//! [`initial_state`] finds places or velocities at the start from the places at the end, [`calibration`] viscosity and conductivity
-//! from a trajectory. Both go through the gradient of [`crate::adjoint`], in the memory that is allowed, and are [`search`]ed for
-//! alike. With a learned model in the place of the solver: [`crate::surrogate::initial_velocity`].
+//! [`initial_state`] finds initial positions or velocities from the positions at the end, [`calibration`] viscosity and
+//! conductivity from a trajectory. Both use the gradient of [`crate::adjoint`] within the memory budget, and the same
+//! [`search`]. [`crate::surrogate::initial_velocity`] uses a learned model instead of the solver.
 pub mod calibration;
 pub mod initial_state;
 pub mod matching;

@@ -1,36 +1,35 @@
-//! The search for what was: an optimiser's epochs, each a run with its gradient.
+//! The search for unknowns: epochs of an optimiser, each a run with its gradient.
 
 use crate::design::limits::Limits;
 use crate::design::optimisers::Optimiser;
 use crate::error::Error;
 
-/// What an epoch found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Epoch<'a> {
     pub number: usize,
-    /// The unknowns that were tried.
+    /// The values of the unknowns.
     pub at: &'a [f64],
-    /// Infinite where the run diverged.
+    /// The loss; infinite if the run diverged.
     pub loss: f64,
 }
 
-/// Loss and gradient of unknowns in an epoch.
+/// Computes loss and gradient for values of the unknowns in an epoch.
 pub type Evaluate<'a> = dyn FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> + 'a;
 
-/// The best that was found.
+/// The best result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
     pub at: Vec<f64>,
     pub loss: f64,
-    /// Epochs that it took to search.
+    /// Number of epochs of the search.
     pub epochs: usize,
 }
 
-/// Up to `epochs` epochs, fewer where the optimiser has nothing left to try or the gradient is zero. A run that diverges is one that
-/// went too far, but for the first. `evaluate` gives loss and gradient of an epoch, `see` is told what came of it.
+/// Searches for up to `epochs` epochs, fewer if the optimiser is done or the gradient is zero. A run that diverges
+/// after the first epoch had too long a step. `evaluate` gives loss and gradient of an epoch; `see` gets its result.
 ///
 /// # Errors
-/// What `evaluate` says, but for a divergence behind the first epoch.
+/// Those of `evaluate`, except for a divergence after the first epoch.
 pub fn search(
     optimiser: &mut dyn Optimiser,
     limits: &Limits,
@@ -63,7 +62,7 @@ mod tests {
     use super::*;
     use crate::design::optimisers::BarzilaiBorwein;
 
-    /// (x - 3)^2, which can not be had beyond `edge`.
+    /// (x - 3)^2, which diverges beyond `edge`.
     fn parabola(edge: f64) -> impl FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> {
         move |_, x| match x[0] <= edge {
             true => Ok(((x[0] - 3.0).powi(2), vec![2.0 * (x[0] - 3.0)])),
@@ -84,7 +83,7 @@ mod tests {
     fn a_run_that_diverges_is_a_step_too_far() {
         let (best, losses) = found(0.0, 5.0, 30);
         let best = best.unwrap();
-        // From 0 by 8, then by 2 and to the minimum.
+        // The first step is by 8, then 2, and to the minimum.
         assert_eq!(losses[..3], [9.0, f64::INFINITY, 1.0]);
         assert_eq!((best.at, best.loss), (vec![3.0], 0.0));
         assert!(best.epochs == losses.len() && best.epochs < 30, "{losses:?}");

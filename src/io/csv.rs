@@ -1,4 +1,7 @@
 //! Tables as comma-separated text: one header line, then rows; numbers survive the round trip bit for bit.
+//!
+//! Lines are split here and not by the crate `csv` (1.4), because an error names its line: behind blank lines that crate
+//! gives the number of another line, and a quote that is not closed takes all lines behind it into one cell.
 
 use super::atomic::write_atomically;
 use super::FileError;

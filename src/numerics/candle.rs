@@ -78,21 +78,34 @@ impl<O> Node<O> {
     where
         O: Operator<N>,
     {
-        let bar = bar.contiguous()?;
-        let guards = inputs.map(Tensor::storage_and_layout);
-        let mut numbers: [&[O::Real]; N] = [&[]; N];
-        for (numbers, (storage, layout)) in numbers.iter_mut().zip(&guards) {
-            *numbers = slice(on_cpu(storage)?, layout)?;
-        }
-        let found = read(output, |output| {
-            read(&bar, |bar| self.0.adjoint(numbers, output, bar, inputs.map(Tensor::track_op)))
-        })?;
-        let mut bars = [const { None }; N];
-        for ((to, found), input) in bars.iter_mut().zip(found).zip(inputs) {
-            *to = found.map(|bar| Tensor::from_vec(bar, input.shape(), &Device::Cpu)).transpose()?;
-        }
-        Ok(bars)
+        back(inputs, output, bar, &|numbers, output, bar| {
+            self.0.adjoint(numbers, output, bar, inputs.map(Tensor::track_op))
+        })
     }
+}
+
+/// From numbers of the inputs, the output and its cotangent to cotangents of the inputs.
+type Adjoint<'a, R, const N: usize> = &'a dyn Fn([&[R]; N], &[R], &[R]) -> Result<[Option<Vec<R>>; N]>;
+
+/// [`Node::back`], compiled once for all operators of so many inputs.
+fn back<R: Real, const N: usize>(
+    inputs: [&Tensor; N],
+    output: &Tensor,
+    bar: &Tensor,
+    adjoint: Adjoint<R, N>,
+) -> Result<[Option<Tensor>; N]> {
+    let bar = bar.contiguous()?;
+    let guards = inputs.map(Tensor::storage_and_layout);
+    let mut numbers: [&[R]; N] = [&[]; N];
+    for (numbers, (storage, layout)) in numbers.iter_mut().zip(&guards) {
+        *numbers = slice(on_cpu(storage)?, layout)?;
+    }
+    let found = read(output, |output| read(&bar, |bar| adjoint(numbers, output, bar)))?;
+    let mut bars = [const { None }; N];
+    for ((to, found), input) in bars.iter_mut().zip(found).zip(inputs) {
+        *to = found.map(|bar| Tensor::from_vec(bar, input.shape(), &Device::Cpu)).transpose()?;
+    }
+    Ok(bars)
 }
 
 impl<O: Operator<1>> CustomOp1 for Node<O> {

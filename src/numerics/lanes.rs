@@ -19,6 +19,7 @@ pub trait Real:
     + Sync
     + Send
     + std::iter::Sum
+    + std::fmt::Debug
 {
     type Portable: Lanes<Real = Self>;
     /// One lane, for [`super::sweep::RowKernel::LARGE`].

@@ -51,7 +51,11 @@ pub trait RowKernel<R: Real>: Sync {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>);
 }
 
-#[cfg(target_arch = "x86_64")]
+// Never inlined: so a program that uses this library calls the library's own and compiles no kernel again. The unit tests, which are
+// compiled with a library of their own, do with the portable kernels: tests/ has the others.
+
+#[cfg(all(target_arch = "x86_64", not(test)))]
+#[inline(never)]
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
 fn rows_avx512<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     if K::SHORT {
@@ -61,7 +65,8 @@ fn rows_avx512<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(test)))]
+#[inline(never)]
 #[target_feature(enable = "avx2,fma")]
 fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     kernel.rows::<R::Avx2>(rows);
@@ -69,6 +74,7 @@ fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
 
 /// One number at a time for large kernels, and on x86-64 for all of them: what has no AVX2 there is older than 2013, and a third
 /// of the time to compile this crate went into turning arrays into its vectors.
+#[inline(never)]
 fn rows_portable<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     if K::LARGE || cfg!(target_arch = "x86_64") {
         kernel.rows::<R::Single>(rows);
@@ -82,9 +88,9 @@ fn rows_portable<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
 pub fn run_rows_alone<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
     match InstructionSet::detect() {
         // SAFETY: `detect` found these features on this CPU.
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(test)))]
         InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", not(test)))]
         InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
         _ => rows_portable::<R, K>(kernel, rows),
     }
@@ -105,7 +111,11 @@ struct Cursor(AtomicUsize);
 /// core's cache; who is done takes pieces of the others' shares. (The pool's own `execute_chunked` gives rows to whoever
 /// comes first: in a step of 950 particles the second thread then gains nothing.)
 pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
-    let run = |rows: Range<usize>| run_rows_alone(kernel, rows);
+    deal(count, &|rows| run_rows_alone(kernel, rows));
+}
+
+/// [`run_rows`], compiled once for all kernels.
+fn deal(count: usize, run: &(dyn Fn(Range<usize>) + Sync)) {
     let pool = candle_core::utils::barrier_pool();
     let threads = (pool.n_workers() + 1).min(MOST_THREADS);
     if threads == 1 {

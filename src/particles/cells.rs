@@ -2,9 +2,12 @@
 
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::particles::neighbour_list::{NeighbourError, ROW_MULTIPLE};
+use crate::particles::error::NeighbourError;
 use crate::particles::Domain;
 use std::ops::Range;
+
+/// Rows are padded to a multiple of the widest lane count.
+pub const ROW_MULTIPLE: usize = 16;
 
 /// The cells of a box, and how they hang together over its periodic edges.
 #[derive(Debug, Clone)]

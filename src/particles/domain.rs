@@ -98,3 +98,19 @@ impl<L: Lanes, const D: usize> Images<L, D> {
         difference - self.size[d] * (difference * self.inverse[d]).round()
     }
 }
+
+/// A coordinate in direction `d` after a step: back into the box, where it is periodic.
+#[inline(always)]
+pub fn wrapped<R: Real>(domain: &Domain, d: usize, x: R) -> R {
+    if !domain.periodic[d] {
+        return x;
+    }
+    let size = R::of(domain.size[d]);
+    let up = if x < R::default() { x + size } else { x };
+    // Not `else`: a tiny negative x plus the size rounds to the size itself.
+    if up >= size {
+        up - size
+    } else {
+        up
+    }
+}

@@ -12,17 +12,15 @@
 use crate::numerics::gather::{sums_by_place, Gather};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::particles::cells::{Cells, Geometry, Runs};
+use crate::particles::cells::{Cells, Geometry, Runs, ROW_MULTIPLE};
+use crate::particles::error::MOST_NEIGHBOURS;
 use crate::particles::{tag, Domain};
 use candle_core::{DType, Device, Tensor};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 use std::thread::ThreadId;
 
-/// Rows are padded to a multiple of the widest lane count.
-pub const ROW_MULTIPLE: usize = 16;
-/// More neighbours than this means that particles have clumped: no flow of this kind has them.
-const MOST_NEIGHBOURS: usize = 1024;
+pub use crate::particles::error::NeighbourError;
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct NeighbourList {
@@ -66,21 +64,6 @@ impl PartialEq for Made {
     fn eq(&self, _: &Self) -> bool {
         true
     }
-}
-
-/// The list could not be built.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NeighbourError {
-    #[error("particle {particle} is at a position that is not a number or far outside the box (component {component}: {value}): the run has diverged")]
-    LostParticle { particle: usize, component: usize, value: f64 },
-    #[error("particle {particle} has {count} neighbours, more than {MOST_NEIGHBOURS}: particles have clumped, the run has diverged")]
-    Clumped { particle: usize, count: usize },
-    #[error(
-        "particle {particle} moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged"
-    )]
-    TooFast { particle: usize, distance: f64, cutoff: f64 },
-    #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]
-    BoxTooSmall { direction: usize, size: f64, reach: f64 },
 }
 
 /// What building a list needs besides the list; kept between builds so that none of it is allocated anew.

@@ -5,7 +5,7 @@
 //! operators through [`crate::sph::Sweeps`].
 
 use super::neighbour_list::{NeighbourError, NeighbourList, Workspace};
-use super::neighbourhood::{self, Reach};
+use super::reach::{self, Reach};
 use super::Domain;
 use crate::numerics::lanes::Real;
 
@@ -24,7 +24,7 @@ pub trait Search: Real {
         workspace: &mut Workspace<Self>,
     ) -> Result<(), NeighbourError>;
 
-    /// [`neighbourhood::largest_move`].
+    /// [`reach::largest_move`].
     ///
     /// # Errors
     /// As there.
@@ -45,7 +45,7 @@ macro_rules! search {
                 list.rebuild(position, tags, domain, reach, workspace)
             }
             fn largest_move(reach: &Reach, position: &[Self], reference: &[Self]) -> Result<f64, NeighbourError> {
-                neighbourhood::largest_move(reach, position, reference)
+                reach::largest_move(reach, position, reference)
             }
         })*
     };

@@ -5,6 +5,7 @@
 
 mod arrays;
 mod errors;
+mod parts;
 mod rollout;
 mod scene;
 mod simulate;

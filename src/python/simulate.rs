@@ -1,20 +1,20 @@
 //! One run forward, and what is kept of it.
 
 use super::arrays::{columns, frames_of_columns, vector};
-use super::scene::Parts;
+use super::parts::Parts;
 use super::watch::{Teller, Told};
 use crate::adjoint::run::{run, Observer};
 use crate::adjoint::RunError;
 use crate::design::diagnostics::Measurement;
 use crate::scene::observers::{EvenSteps, LastGood};
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::record::Record;
 use crate::sph::divergence;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use serde_json::{json, Map, Value};
 use std::time::Instant;
 
 /// Rows of the history.
@@ -67,7 +67,7 @@ pub fn simulate<R: Sweeps>(
             history.push(scene.history_row(dynamics, solver)?);
         }
         if kept.contains(solver.step) {
-            let fields = ParticleFields::of(solver);
+            let fields = ParticleFields::of(solver)?;
             times.push(fields.time);
             position.extend(fields.position);
             velocity.extend(fields.velocity);
@@ -86,20 +86,16 @@ pub fn simulate<R: Sweeps>(
     })?;
     let seconds = clock.elapsed().as_secs_f64();
     teller.always(Told::Steps(steps, steps));
-    let found = match &measurement {
-        Some(measured) => serde_json::to_value(measured.diagnostics())?,
-        None => serde_json::to_value(scene.figures(&solver.state, steps as f64 * model.dt))?,
+    let mut figures = match &measurement {
+        Some(measured) => Record::of(&measured.diagnostics()),
+        None => Record::of(&scene.figures(&solver.state, steps as f64 * model.dt)),
     };
-    let mut figures = Map::new();
-    if let Value::Object(found) = found {
-        figures.extend(found);
-    }
-    figures.insert("steps".into(), json!(steps));
-    figures.insert("time_step".into(), json!(config.time_step()));
-    figures.insert("seconds".into(), json!(seconds));
+    figures.put("steps", steps);
+    figures.put("time_step", config.time_step());
+    figures.put("seconds", seconds);
     Ok(Simulated {
-        end: ParticleFields::of(&mut solver),
-        figures: Value::Object(figures).to_string(),
+        end: ParticleFields::of(&mut solver)?,
+        figures: serde_json::to_string(&figures)?,
         columns: scene.history_columns(),
         history,
         times,

@@ -1,4 +1,7 @@
 //! Small tables as text: aligned for the terminal, or as markdown.
+//!
+//! Crates such as `comfy-table` would only take over the padding of cells, twenty lines: which columns are numbers, what
+//! may be shown on a terminal, and the table as JSON would stay here.
 
 use super::text::shown;
 

@@ -1,4 +1,4 @@
-//! Text that a file may have put into a message or a page: as it may be shown.
+//! Text for people: sizes of memory, and what a file may have put into a message or a page.
 
 /// Characters of a line of a message at most.
 const LONGEST_LINE: usize = 2000;
@@ -20,6 +20,16 @@ pub fn shown_within(text: &str, longest: usize) -> String {
     text.split('\n').map(line).collect::<Vec<_>>().join("\n")
 }
 
+/// A number of bytes in the unit that suits it: `12.3 MB`.
+pub fn bytes(count: usize) -> String {
+    match count as f64 {
+        b if b < 1e4 => format!("{b} B"),
+        b if b < 1e6 => format!("{:.1} kB", b / 1e3),
+        b if b < 1e10 => format!("{:.1} MB", b / 1e6),
+        b => format!("{:.1} GB", b / 1e9),
+    }
+}
+
 /// Neither a control character nor one that turns the direction of the text around it.
 fn is_safe(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
@@ -38,5 +48,11 @@ mod tests {
         let long = "x".repeat(9000) + "\nnext";
         assert_eq!(shown(&long), "x".repeat(LONGEST_LINE) + " ...\nnext");
         assert_eq!(shown_within("abcd", 3), "abc ...");
+    }
+
+    #[test]
+    fn sizes_have_their_unit() {
+        let sizes = [0, 9_999, 10_000, 164_904_960, 12_300_000_000].map(bytes);
+        assert_eq!(sizes, ["0 B", "9999 B", "10.0 kB", "164.9 MB", "12.3 GB"]);
     }
 }

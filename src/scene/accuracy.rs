@@ -1,4 +1,4 @@
-//! Run time against error: scenes with a known answer over spacing, time step and precision.
+//! Measures run time against error: scenes with a known solution, over spacing, time step and precision.
 
 use super::Scene;
 use crate::adjoint::run::run;
@@ -11,48 +11,48 @@ use serde::Serialize;
 use std::f64::consts::{LN_2, PI};
 use std::time::Instant;
 
-/// Outflowing heat of the heated channel with a flat wall, by finite elements (data/reference/README.md).
+/// Outflowing heat of the heated channel with a flat wall by finite elements (data/reference/README.md).
 const HEATED_CHANNEL_Q: f64 = 0.0234764;
-/// When the channel is steady.
+/// The time at which the channel is steady.
 const HEATED_CHANNEL_END: f64 = 2.5;
-/// Of the viscous time height^2/nu: the centre line has 86 % of its final velocity.
+/// End time over the viscous time height^2/nu. The centre line then has 86 % of its final velocity.
 const POISEUILLE_END: f64 = 0.2;
 
-/// One run.
+/// The result of one run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AccuracyPoint {
-    /// The program and the formulation.
+    /// Name of the program and the method.
     pub code: String,
     pub scene: &'static str,
     /// Particle spacing.
     pub dx: f64,
-    /// The time step as an acoustic number, dt (c + U)/dx. Far below 1 where diffusion limits it (Poiseuille).
+    /// The time step as an acoustic number, dt (c + U)/dx. It is far below 1 where diffusion limits it (Poiseuille).
     pub cfl: f64,
     pub precision: Precision,
     pub particles: usize,
     pub steps: usize,
     pub time_step: f64,
-    /// Wall time of the steps.
+    /// Wall-clock time of the steps.
     pub seconds: f64,
-    /// Flows: root mean square of the particles' velocity errors over the exact amplitude, at the time when the
-    /// vortices have half of theirs, the channel at a fifth of its viscous time. Heated channel: |Q / Q_FEM - 1|.
-    /// None if the run did not get to its end.
+    /// The error; none if the run did not reach its end. For flows it is the root mean square of the particles'
+    /// velocity errors over the exact amplitude, for the vortices at their half-life, for the channel at a fifth of its
+    /// viscous time. For the heated channel it is |Q / Q_FEM - 1|.
     pub error: Option<f64>,
-    /// Whether it did, with an error below 1.
+    /// Whether the run reached its end with an error below 1.
     pub stable: bool,
 }
 
-/// One run to do.
+/// A run to be done.
 struct Run {
-    /// Whose it is.
+    /// Name of the program and the method.
     code: String,
     config: Config,
 }
 
-/// Runs everything; `progress` is told the share done, by predicted work.
+/// Runs all cases. `progress` is called with the completed fraction of the predicted work.
 ///
 /// Taylor-Green 2D over particles per side and CFL, Poiseuille over rows and diffusion number, the heated channel over
-/// spacing and CFL, each in both formulations (the channel with fixed particles too), in f64 and f32. `quick`: coarse ones only.
+/// spacing and CFL, each with every method that can solve it, in f64 and f32. With `quick` only coarse ones run.
 pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<AccuracyPoint>> {
     let runs = runs(quick)?;
     let total: f64 = runs.iter().map(|run| 2.0 * run.work()).sum();
@@ -74,11 +74,11 @@ pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<
 fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
     let mut runs = Vec::new();
     let mut add = |scene: &str, how: &str, sets: &[String]| -> anyhow::Result<()> {
-        // The way to solve, and what it sets.
+        // The method, and its settings.
         let own: &[&str] = match how {
-            "fixed" => &["fluid.motion=fixed"],
-            "standard" => &["fluid.formulation=standard"],
-            _ => &["fluid.formulation=consistent"],
+            "fixed" => &["method.name=fixed"],
+            "standard" => &["method.name=standard"],
+            _ => &["method.name=consistent"],
         };
         let sets: Vec<String> = own.iter().map(|set| set.to_string()).chain(sets.iter().cloned()).collect();
         let config = Config::load(Some(scene), None, &sets)?.config;
@@ -130,13 +130,13 @@ fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
     Ok(runs)
 }
 
-/// When the exact amplitude of the plane vortices is half of what it was.
+/// The time at which the exact amplitude of the plane vortices is half the initial one.
 pub fn half_life(reynolds: f64) -> f64 {
     LN_2 * reynolds / (8.0 * PI * PI)
 }
 
 impl Run {
-    /// Particles times steps, about.
+    /// Estimated work: particles times steps.
     fn work(&self) -> f64 {
         let config = &self.config;
         let particles = match config.scene.has_design() {
@@ -169,7 +169,7 @@ impl Run {
     }
 }
 
-/// Runs a scene: the velocity error of a flow at its end, or the error of a channel's Q.
+/// Runs a scene and returns the velocity error of a flow at its end, or the error of a channel's Q.
 fn error<R: Sweeps>(scene: &Scene<R>) -> anyhow::Result<Option<f64>> {
     let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
     match &scene.design {
@@ -185,7 +185,7 @@ fn error<R: Sweeps>(scene: &Scene<R>) -> anyhow::Result<Option<f64>> {
     }
 }
 
-/// A run that diverged is a result; anything else that went wrong is not.
+/// Divergence is a result of a run; other errors are returned.
 fn diverged(error: anyhow::Error) -> anyhow::Result<Option<f64>> {
     match error.downcast::<RunError>()? {
         error if error.is_divergence() => Ok(None),
@@ -206,7 +206,7 @@ mod tests {
             Run { code: "ours".into(), config }.point::<f64>(Precision::F64).unwrap()
         };
         let end = format!("time.end={}", half_life(100.0));
-        let point = run(&[&end, "fluid.formulation=standard", "time.cfl=4", "fluid.sound_speed_factor=1"]);
+        let point = run(&[&end, "method.name=standard", "time.cfl=4", "fluid.sound_speed_factor=1"]);
         assert!(!point.stable, "{point:?}");
         assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
         let stable = run(&[&end]);
@@ -219,10 +219,10 @@ mod tests {
         let sets = ["time.end=0.3".to_string(), "objective.window=0.05".into()];
         let config = Config::load(None, None, &sets).unwrap().config;
         let point = Run { code: "ours".into(), config }.point::<f32>(Precision::F32).unwrap();
-        // Far from steady: the outflow has just begun to warm.
+        // The state is far from steady: the outflow has just begun to warm up.
         assert!(point.stable && point.error.unwrap() > 0.1, "{point:?}");
-        // Fluid and two rows of dummy particles in each wall; on the walls' surfaces vertices, hot points and such without a
-        // heat flux.
+        // Fluid and two rows of dummy particles in each wall; on the walls' surfaces vertices, hot points and no-flux
+        // points.
         assert_eq!(point.particles, 50 * (10 + 4) + 100 + 26 + 24 + 50 + 50);
     }
 }

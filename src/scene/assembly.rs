@@ -1,14 +1,16 @@
-//! The one place where models and start states are put together, from what a scene family says.
+//! Assembles models and initial states from the description of a scene family.
 
+use super::lattice::{Lattice, WallHeat};
 use super::surface::{Settings, Surface};
 use super::{Exact, Scene};
+use crate::config::method;
 use crate::config::scene::{
     Config, DensityEquation, DensityGradientName, FluxName, KernelName, SlipName, ViscousPairs,
 };
-use crate::numerics::lanes::Real;
-use crate::numerics::random::{stream, Normal};
-use crate::particles::{tag, Domain};
+use crate::particles::tag;
+use crate::sph::consistent::Consistent;
 use crate::sph::division::Division;
+use crate::sph::flow::{Flow, Heat, Materials, Scratch};
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
@@ -16,48 +18,48 @@ use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::laws::{
     ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
 };
-use crate::sph::model::{Heat, Layout, Materials, Model, Scratch, Standard};
 use crate::sph::solver::Snapshot;
-use std::sync::Arc;
+use crate::sph::standard::{Laws, Layout, Standard};
+use crate::sph::{Model, Sweeps};
 
-/// Numbers of the method rather than of the flow.
+/// Numerical parameters of the method.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Numerics {
     pub kernel: KernelName,
-    /// In spacings.
+    /// Smoothing length in spacings.
     pub smoothing_length: f64,
-    /// Rows of dummy particles per wall: at least the kernel's support.
+    /// Number of rows of dummy particles per wall, which cover the kernel's support.
     pub wall_rows: usize,
     /// Acoustic limit of the time step: dt <= cfl dx / (c + U).
     pub cfl: f64,
-    /// Whether steps are divided where the flow is faster than that.
+    /// Whether a step is divided where the flow requires it.
     pub adaptive: bool,
     /// Diffusive limit: dt <= diffusion_number dx^2 / nu.
     pub diffusion_number: f64,
-    /// The time step itself, instead of the limits.
+    /// A given time step, which replaces the limits.
     pub time_step: Option<f64>,
-    /// Of the run.
+    /// Number of steps of the run.
     pub steps: usize,
     /// Sound speed c over reference velocity U.
     pub sound_speed_factor: f64,
     /// Background pressure over density c^2.
     pub background_pressure_factor: f64,
-    /// 0 (off) ... 1 (Adami, Hu and Adams 2013, at the strength that it has at CFL 0.25).
+    /// Strength of the transport velocity, 0 (off) ... 1 (Adami, Hu and Adams 2013, as at CFL 0.25).
     pub transport_velocity: f64,
     /// alpha of [`ArtificialViscosity`]; 0 switches it off.
     pub artificial_viscosity: f64,
-    /// Of the standard formulation.
+    /// Choices of the standard method.
     pub method: Method,
-    /// Of the consistent formulation; none: the standard one.
+    /// Settings of the consistent method; none for the standard one.
     pub consistent: Option<Settings>,
-    /// Random displacement of the fluid particles at the start, standard deviation in spacings.
+    /// Random displacement of the fluid particles at the start, as a standard deviation in spacings.
     pub jitter: f64,
     /// Extra reach of the neighbour list, in spacings.
     pub skin: f64,
     pub seed: u64,
 }
 
-/// Choices of the standard formulation.
+/// Choices of the standard method.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Method {
     pub density: DensityEquation,
@@ -66,12 +68,20 @@ pub struct Method {
     /// delta and alpha of delta-SPH.
     pub diffusion: [f64; 2],
     pub gradient: DensityGradientName,
-    /// eta of the Riemann problem's limiter.
+    /// eta of the limiter of the Riemann problem.
     pub limiter: f64,
     pub slip: SlipName,
-    /// Tait's.
+    /// Exponent of Tait's equation of state.
     pub exponent: i32,
     pub viscous: ViscousPairs,
+}
+
+/// The keys of the standard method; for other methods, values without an effect on them.
+fn standard(config: &Config) -> method::standard::Standard {
+    match config.method {
+        method::Method::Standard(own) => own,
+        _ => method::standard::Standard { background_pressure_factor: 0.0, ..Default::default() },
+    }
 }
 
 impl Default for Method {
@@ -82,17 +92,17 @@ impl Default for Method {
 
 impl Method {
     fn from_config(config: &Config) -> Self {
-        let fluid = &config.fluid;
+        let own = standard(config);
         Self {
-            density: fluid.density_equation,
-            renormalises: fluid.density_renormalisation,
-            flux: fluid.flux,
-            diffusion: [fluid.density_diffusion, fluid.velocity_diffusion],
-            gradient: fluid.density_gradient,
-            limiter: fluid.riemann_limiter,
+            density: own.density_equation,
+            renormalises: own.density_renormalisation,
+            flux: own.flux,
+            diffusion: [own.density_diffusion, own.velocity_diffusion],
+            gradient: own.density_gradient,
+            limiter: own.riemann_limiter,
             slip: config.wall.slip,
-            exponent: fluid.equation_of_state_exponent as i32,
-            viscous: fluid.artificial_viscosity_pairs,
+            exponent: own.equation_of_state_exponent as i32,
+            viscous: own.artificial_viscosity_pairs,
         }
     }
 
@@ -138,8 +148,9 @@ impl Default for Numerics {
 }
 
 impl Numerics {
-    /// Those of a configuration, for a family whose walls are as thick as the kernel needs.
+    /// The parameters of a configuration, with walls as thick as the kernel needs.
     pub fn from_config(config: &Config) -> Self {
+        let own = standard(config);
         Self {
             kernel: config.resolution.kernel,
             smoothing_length: config.resolution.smoothing_length,
@@ -150,9 +161,9 @@ impl Numerics {
             time_step: Some(config.time_step()),
             steps: config.steps(),
             sound_speed_factor: config.fluid.sound_speed_factor,
-            background_pressure_factor: config.fluid.background_pressure_factor,
-            transport_velocity: config.fluid.transport_velocity,
-            artificial_viscosity: config.fluid.artificial_viscosity,
+            background_pressure_factor: own.background_pressure_factor,
+            transport_velocity: own.transport_velocity,
+            artificial_viscosity: own.artificial_viscosity,
             method: Method::from_config(config),
             consistent: Settings::from_config(config),
             jitter: config.time.jitter,
@@ -169,164 +180,12 @@ impl Numerics {
     }
 }
 
-/// Particles along a side of a box of this size, as counted by the configuration's check: the spacing that divides the box
-/// exactly.
+/// Number of particles along a side of the box, as in the configuration's check; the spacing divides the box exactly.
 pub(super) fn count(config: &Config, size: f64) -> usize {
     (size / config.resolution.dx).round() as usize
 }
 
-/// A lattice of particles in a box, x fastest, with walls of dummy particles at its ends.
-#[derive(Debug, Clone)]
-pub(super) struct Lattice {
-    pub dimension: usize,
-    pub spacing: f64,
-    /// Particles along each direction, walls included.
-    pub cells: [usize; 3],
-    /// Rows of dummy particles at both ends of each direction.
-    pub wall_rows: [usize; 3],
-    pub periodic: [bool; 3],
-    /// The box, if it is not cells times the spacing to the bit.
-    pub size: Option<[f64; 3]>,
-    /// Cells that have a particle, where not all do: numbered as if all had.
-    pub occupied: Option<Vec<usize>>,
-    /// Coordinate of a row's first particle: (row + 1/2 - before) spacing + corner.
-    pub before: [f64; 3],
-    pub corner: [f64; 3],
-}
-
-impl Lattice {
-    /// Without walls, periodic everywhere, its corner at 0.
-    pub fn new(dimension: usize, spacing: f64, cells: [usize; 3]) -> Self {
-        let (wall_rows, periodic, before, corner) = ([0; 3], [true; 3], [0.0; 3], [0.0; 3]);
-        Self { dimension, spacing, cells, wall_rows, periodic, size: None, occupied: None, before, corner }
-    }
-
-    /// A plane channel of height 1: periodic in x, the lower wall's surface at y = 0.
-    pub fn channel(columns: usize, rows: usize, walls: usize) -> Self {
-        Self {
-            wall_rows: [0, walls, 0],
-            periodic: [true, false, false],
-            corner: [0.0, -(walls as f64) / rows as f64, 0.0],
-            ..Self::new(2, 1.0 / rows as f64, [columns, rows + 2 * walls, 1])
-        }
-    }
-
-    pub fn particles(&self) -> usize {
-        let cells = || self.cells[..self.dimension].iter().product();
-        self.occupied.as_ref().map_or_else(cells, Vec::len)
-    }
-
-    /// Leaves only the particles of walls, and of fluid whose cell's first row behind the walls is in a block.
-    pub fn with_block(mut self, first: [usize; 3], behind: [usize; 3]) -> Self {
-        let is_in = |rows: [usize; 3]| {
-            (0..self.dimension).all(|d| (first[d]..behind[d]).contains(&rows[d].wrapping_sub(self.wall_rows[d])))
-        };
-        let occupied = (0..self.particles()).filter(|&i| self.is_wall(i) || is_in(self.rows(i))).collect();
-        self.occupied = Some(occupied);
-        self
-    }
-
-    /// Unit normals of the walls at their particles, into the fluid, `[D, N]`, 0 for fluid: from a particle to the nearest
-    /// place of the box between the walls. A `lid`'s are its plane's, wherever it has moved.
-    fn normals(&self, lid: bool) -> Vec<f64> {
-        let (n, half) = (self.particles(), 0.5);
-        let mut normals = vec![0.0; self.dimension * n];
-        for i in (0..n).filter(|&i| self.is_wall(i)) {
-            let rows = self.rows(i);
-            let mut normal: [f64; 3] = std::array::from_fn(|d| {
-                if d >= self.dimension || self.wall_rows[d] == 0 {
-                    return 0.0;
-                }
-                let (low, high) = (self.wall_rows[d] as f64, (self.cells[d] - self.wall_rows[d]) as f64);
-                let at = rows[d] as f64 + half;
-                at.clamp(low, high) - at
-            });
-            if lid && self.is_above(i, 1) {
-                normal = [0.0, -1.0, 0.0];
-            }
-            let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
-            (0..self.dimension).for_each(|d| normals[d * n + i] = normal[d] / length);
-        }
-        normals
-    }
-
-    /// Its row along each direction.
-    pub fn rows(&self, i: usize) -> [usize; 3] {
-        let cells = self.cells;
-        let i = self.occupied.as_ref().map_or(i, |occupied| occupied[i]);
-        [i % cells[0], i / cells[0] % cells[1], i / (cells[0] * cells[1])]
-    }
-
-    /// Whether a particle is in the wall at the lower or at the upper end of direction `d`.
-    pub fn is_below(&self, i: usize, d: usize) -> bool {
-        self.rows(i)[d] < self.wall_rows[d]
-    }
-    pub fn is_above(&self, i: usize, d: usize) -> bool {
-        self.rows(i)[d] + self.wall_rows[d] >= self.cells[d]
-    }
-
-    pub fn is_wall(&self, i: usize) -> bool {
-        (0..self.dimension).any(|d| self.is_below(i, d) || self.is_above(i, d))
-    }
-
-    /// Where a particle of the lattice stands.
-    pub fn place(&self, i: usize) -> [f64; 3] {
-        let rows = self.rows(i);
-        let place = |d: usize| (rows[d] as f64 + 0.5 - self.before[d]) * self.spacing + self.corner[d];
-        std::array::from_fn(|d| if d < self.dimension { place(d) } else { 0.0 })
-    }
-
-    /// The box; lengths of directions that there are not are 1.
-    fn domain(&self) -> Domain {
-        let dimension = self.dimension;
-        let of_cells =
-            || std::array::from_fn(|d| if d < dimension { self.cells[d] as f64 * self.spacing } else { 1.0 });
-        let periodic = std::array::from_fn(|d| d < dimension && self.periodic[d]);
-        Domain { dimension, size: self.size.unwrap_or_else(of_cells), periodic }
-    }
-
-    /// Positions `[D, N]`, the fluid's moved at random with a standard deviation of `jitter` spacings.
-    fn positions(&self, domain: &Domain, jitter: f64, seed: u64) -> Vec<f64> {
-        let n = self.particles();
-        let mut positions = vec![0.0; self.dimension * n];
-        let mut normal = Normal::new(stream(seed, "jitter"));
-        for i in 0..n {
-            let place = self.place(i);
-            for d in 0..self.dimension {
-                let mut x = place[d];
-                if !self.is_wall(i) {
-                    x += jitter * self.spacing * normal.next();
-                }
-                positions[d * n + i] = if domain.periodic[d] { x.rem_euclid(domain.size[d]) } else { x };
-            }
-        }
-        positions
-    }
-}
-
-/// What a plane wall is to heat: it has a temperature (above the reference) where from < x < to, and lets no heat through
-/// elsewhere.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct WallHeat {
-    pub temperature: f64,
-    pub from: f64,
-    pub to: f64,
-}
-
-impl WallHeat {
-    pub const ADIABATIC: Self = Self { temperature: 0.0, from: 0.0, to: 0.0 };
-
-    pub fn isothermal(temperature: f64) -> Self {
-        Self { temperature, from: f64::NEG_INFINITY, to: f64::INFINITY }
-    }
-
-    /// The temperature at a place, where it has one.
-    pub fn at(&self, x: f64) -> Option<f64> {
-        (x > self.from && x < self.to).then_some(self.temperature)
-    }
-}
-
-/// What a scene is made of: what a family says of it.
+/// The parts of a scene, as described by its family.
 pub(super) struct Parts<R> {
     pub name: &'static str,
     pub lattice: Lattice,
@@ -334,31 +193,46 @@ pub(super) struct Parts<R> {
     pub density: f64,
     /// Reference velocity U.
     pub velocity: f64,
-    /// Dynamic.
+    /// Dynamic viscosity.
     pub viscosity: f64,
     pub body_force: BodyForce,
-    /// What drives the flow besides.
+    /// Drive that holds the flow rate or the power, if one is given.
     pub drive: Option<Drive>,
-    /// Velocity along x of the wall above; 0: it is like the others.
+    /// Velocity along x of the upper wall; 0 if it does not move.
     pub lid: f64,
-    /// Whether each particle has a mass of its own.
+    /// Whether each particle has its own mass.
     pub own_mass: bool,
     pub heat: Option<Heat<R>>,
-    /// The lower and the upper wall, where lattice and heat are those of [`Self::warm`].
+    /// The thermal conditions of the lower and the upper wall, set by [`Self::warm`].
     pub heat_walls: Option<[WallHeat; 2]>,
     pub exact: Exact,
 }
 
-/// A model, and the start's positions and velocities in f64: the other rows of the state are 0.
+/// A scene in the standard method. Its initial state has positions and velocities in f64; the other rows are 0.
 pub(super) struct Assembled<R> {
-    pub model: Model<R>,
-    /// `[F, N]`, see [`Layout`].
+    pub model: Standard<R>,
+    /// Initial state, `[F, N]`, see [`Layout`].
     pub base: Vec<f64>,
 }
 
-impl<R: Real> Parts<R> {
-    /// The same with heat of unit capacity, conducting where `ends[0]` < x < `ends[1]` (fluid before that has the reference
-    /// temperature 0), between two walls whose surfaces have their temperatures.
+impl<R: Sweeps> Assembled<R> {
+    /// The same scene in the consistent method, and its initial state, `[F, N]`.
+    pub fn with_surface(
+        self,
+        surface: &Surface,
+        numerics: &Numerics,
+        spacing: f64,
+        velocity: f64,
+        settings: Settings,
+    ) -> (Consistent<R>, Vec<f64>) {
+        let speeds = [velocity, numerics.sound_speed_factor * velocity];
+        surface.added(self.model, &self.base, spacing, speeds, settings)
+    }
+}
+
+impl<R: Sweeps> Parts<R> {
+    /// Adds heat of unit capacity, which is conducted where `ends[0]` < x < `ends[1]` (fluid before that has the
+    /// reference temperature 0), between two walls with surface temperatures.
     pub fn warm(
         mut self,
         diffusivity: f64,
@@ -382,7 +256,7 @@ impl<R: Real> Parts<R> {
             reference: 0.0,
             inlet_below: ends[0],
             outlet_above: ends[1],
-            // T = 2 T_wall - <T>: the surface half way between has T_wall.
+            // With T = 2 T_wall - <T>, the surface half way between has T_wall.
             wall_constant: given.iter().map(|t| R::of(t.map_or(0.0, |t| 2.0 * t))).collect(),
             wall_factor: given.iter().map(|t| R::of(if t.is_some() { -1.0 } else { 1.0 })).collect(),
             materials,
@@ -391,7 +265,7 @@ impl<R: Real> Parts<R> {
         self
     }
 
-    /// The model, and the start with the fluid's velocity as a function of the place.
+    /// The model and the initial state; `velocity` gives the fluid's velocity by position.
     pub fn assemble(&mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Assembled<R> {
         let model = self.model();
         let (n, l) = (model.particles(), model.layout);
@@ -413,7 +287,7 @@ impl<R: Real> Parts<R> {
         Assembled { model, base }
     }
 
-    fn model(&mut self) -> Model<R> {
+    fn model(&mut self) -> Standard<R> {
         let Self { lattice, numerics, density, .. } = self;
         let (dx, density) = (lattice.spacing, *density);
         let layout = Layout {
@@ -422,8 +296,6 @@ impl<R: Real> Parts<R> {
             heat: self.heat.is_some(),
             mass: self.own_mass,
             density: numerics.method.density == DensityEquation::Evolution,
-            consistent: false,
-            rates: false,
         };
         let lid = self.lid != 0.0;
         let tag_of = |i: usize| match lattice.is_wall(i) {
@@ -450,10 +322,19 @@ impl<R: Real> Parts<R> {
         };
         let flux = method.flux(sound_speed, smoothing_length, density);
         let normals =
-            Standard::<R>::asks_for_normals(&flux, slip).then(|| lattice.normals(lid).into_iter().map(R::of).collect());
-        Model {
+            Laws::<R>::asks_for_normals(&flux, slip).then(|| lattice.normals(lid).into_iter().map(R::of).collect());
+        let laws = Laws {
+            // The strength at CFL 0.25, whatever the time step.
+            transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
+            artificial_viscosity: (alpha > 0.0).then_some(artificial),
+            renormalises: method.renormalises,
+            flux,
+            slip,
+            normals,
+        };
+        let flow = Flow {
             domain: lattice.domain(),
-            layout,
+            rows: layout.rows(),
             kernel: Kernel::new(numerics.kernel, lattice.dimension, smoothing_length),
             tags: (0..lattice.particles()).map(tag_of).collect(),
             skin: numerics.skin * dx,
@@ -467,49 +348,49 @@ impl<R: Real> Parts<R> {
                 gamma: method.exponent,
             },
             viscosity: self.viscosity,
-            artificial_viscosity: (alpha > 0.0).then_some(artificial),
-            // Independent of the time step: the strength that dt at CFL 0.25 gives.
-            transport: numerics.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
             body_force: self.body_force,
-            walls_slide: false,
             drive: self.drive,
+            walls_slide: false,
             heat: self.heat.take(),
             wall_heat_until: None,
-            consistent: None,
-            fixed: None,
-            standard: Standard { renormalises: method.renormalises, flux, slip, normals },
             scratch: Scratch::default(),
-        }
+        };
+        Standard::new(flow, layout, laws)
     }
 
-    /// The scene without a design.
+    /// The scene, without a design.
     pub fn build(self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Scene<R> {
         self.build_with_pressure(velocity, |_| 0.0)
     }
 
-    /// The same with a pressure at the start, which the standard formulation has no use for.
+    /// As [`Self::build`], with an initial pressure, which the standard method does not use.
     pub fn build_with_pressure(
         mut self,
         velocity: impl Fn([f64; 3]) -> [f64; 3],
         pressure: impl Fn([f64; 3]) -> f64,
     ) -> Scene<R> {
-        let mut assembled = self.assemble(velocity);
+        let assembled = self.assemble(velocity);
         if let Some(settings) = self.numerics.consistent {
             let surface = Surface::of_lattice(&self.lattice, self.lid, self.heat_walls);
-            assembled = assembled.with_surface(&surface, &self.numerics, self.lattice.spacing, self.velocity, settings);
-            let Assembled { model, base } = &mut assembled;
+            let (model, mut base) =
+                assembled.with_surface(&surface, &self.numerics, self.lattice.spacing, self.velocity, settings);
             let (n, l) = (model.particles(), model.layout);
             for i in (0..n).filter(|&i| model.is_fluid(i)) {
                 let place = std::array::from_fn(|d| if d < l.dimension { base[d * n + i] } else { 0.0 });
                 base[l.pressure() * n + i] = pressure(place);
             }
+            return self.started(Model::new(model), &base);
         }
         let Assembled { model, base } = assembled;
-        let start = Snapshot::first(&model, rounded(&model, &base));
-        self.scene(Arc::new(model), start)
+        self.started(Model::new(model), &base)
     }
 
-    pub fn scene(self, model: Arc<Model<R>>, start: Snapshot<R>) -> Scene<R> {
+    fn started(self, model: Model<R>, base: &[f64]) -> Scene<R> {
+        let start = Snapshot::first(&model, rounded(&model, base));
+        self.scene(model, start)
+    }
+
+    pub fn scene(self, model: Model<R>, start: Snapshot<R>) -> Scene<R> {
         let lattice = &self.lattice;
         let behind = |d: usize| lattice.corner[d] - lattice.before[d] * lattice.spacing;
         let row = |d: usize, rows: usize| behind(d) + rows as f64 * lattice.spacing;
@@ -531,9 +412,9 @@ impl<R: Real> Parts<R> {
     }
 }
 
-/// A state in R. Rounded to f32, a place just below the box's end is the end itself: it becomes the beginning.
-pub(super) fn rounded<R: Real>(model: &Model<R>, base: &[f64]) -> Vec<R> {
-    let (n, domain) = (model.particles(), &model.domain);
+/// Converts a state to R. A position just below the end of the box may be rounded to the end; it then becomes 0.
+pub(super) fn rounded<R: Sweeps>(flow: &Flow<R>, base: &[f64]) -> Vec<R> {
+    let (n, domain) = (flow.particles(), &flow.domain);
     let place = |(k, &x): (usize, &f64)| {
         let (d, x) = (k / n, R::of(x));
         let at_end = d < domain.dimension && domain.periodic[d] && x >= R::of(domain.size[d]);
@@ -557,22 +438,26 @@ mod tests {
         Scene::from_config(&loaded.config).unwrap()
     }
 
-    /// Other formulations have no artificial viscosity.
-    const STANDARD: &str = "fluid.formulation=standard";
+    /// The method for this test, because other methods have no artificial viscosity.
+    const STANDARD: &str = "method.name=standard";
+
+    fn of(model: &Model<f64>) -> Option<ArtificialViscosity> {
+        model.of_type::<Standard<f64>>().unwrap().laws.artificial_viscosity
+    }
 
     #[test]
     fn configured_kernels_and_laws_reach_every_scene() {
-        // What is at rest has no artificial viscosity, and one scene is not solved with the standard formulation.
+        // The slab is at rest, without artificial viscosity, and one scene does not support the standard method.
         for built_in in SCENES.iter().filter(|built_in| !["slab", "heated-channel-3d"].contains(&built_in.name)) {
             let usual = scene(built_in.name, &[STANDARD]);
             assert_eq!(usual.name, built_in.name);
-            assert_eq!(usual.model.artificial_viscosity.is_some(), built_in.name.starts_with("dam-break"));
+            assert_eq!(of(&usual.model).is_some(), built_in.name.starts_with("dam-break"));
             assert_eq!(usual.model.kernel.smoothing_length, usual.spacing);
             let sets = ["resolution.kernel=\"wendland-c2\"", "resolution.smoothing_length=1.5"];
-            let other = scene(built_in.name, &[STANDARD, sets[0], sets[1], "fluid.artificial_viscosity=0.1"]);
-            let kernel = Kernel::new(KernelName::WendlandC2, other.model.layout.dimension, 1.5 * other.spacing);
+            let other = scene(built_in.name, &[STANDARD, sets[0], sets[1], "method.artificial_viscosity=0.1"]);
+            let kernel = Kernel::new(KernelName::WendlandC2, other.model.dimension(), 1.5 * other.spacing);
             assert_eq!(other.model.kernel, kernel);
-            let artificial = other.model.artificial_viscosity.unwrap();
+            let artificial = of(&other.model).unwrap();
             assert_eq!((artificial.alpha, artificial.smoothing_length), (0.1, 1.5 * other.spacing));
             assert!((artificial.sound_speed - other.sound_speed()).abs() < 1e-12 * artificial.sound_speed);
             assert_eq!(other.model.tags, usual.model.tags);
@@ -588,7 +473,7 @@ mod tests {
             (12 * (40 + 8) + 2 * 12, 58 * 58 + 4 * 50)
         );
         assert_eq!(scene("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
-        // A particle half a spacing from the wall sees four rows too; and there are 250 points on the walls' surfaces.
+        // A particle half a spacing from the wall has four rows in reach; 250 points are on the walls' surfaces.
         assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);
         assert_eq!(scene("poiseuille", &wide).corner, [0.0, -0.1, 0.0]);
     }

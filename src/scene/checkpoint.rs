@@ -1,12 +1,12 @@
-//! The checkpoint of a simulation: one safetensors file, from which it goes on to the bit.
+//! The checkpoint of a simulation: a safetensors file from which the simulation continues to the bit.
 //!
 //! ```text
-//!   state [F, N]                as the solver has it
-//!   list_positions [D, N]       what the neighbour list was built from
+//!   state [F, N]                the solver's state
+//!   list_positions [D, N]       positions from which the neighbour list was built
 //! ```
 //!
-//! and in the metadata the kind of file, `step`, in how many `parts` the last one was made, the fewest that the next ones are made in
-//! (`least_parts`), the configuration, and the program's version. [`open`] reads checkpoints of other kinds too.
+//! The metadata have the kind of file, `step`, the number of `parts` of the last step and the smallest one of later
+//! steps (`least_parts`), the configuration and the program's version. [`open`] reads checkpoints of other kinds too.
 
 use crate::config::difference::difference;
 use crate::config::scene::Config;
@@ -14,19 +14,19 @@ use crate::error::BadInput;
 use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::io::FileError;
 use crate::numerics::lanes::Real;
-use crate::sph::model::Model;
 use crate::sph::solver::Snapshot;
+use crate::sph::Model;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What the metadata call it.
+/// The kind of file in the metadata.
 pub const KIND: &str = "hydrograd simulation";
 
-/// Keys that may change between a simulation and its continuation: it may be longer, but not of other steps.
+/// Keys that may change when a simulation is continued. The run may be longer, but its time step stays the same.
 const FREE: [&str; 6] = ["output", "run.threads", "optimise", "time.end", "time.steps", "time.step"];
 
-/// Writes a state of a run, with the text of its configuration.
+/// Writes a state of a run with the text of its configuration.
 ///
 /// # Errors
 /// System errors.
@@ -36,10 +36,10 @@ pub fn write<R: Real>(
     state: &Snapshot<R>,
     configuration: &str,
 ) -> Result<(), FileError> {
-    let (n, l) = (model.particles(), model.layout);
+    let (n, l) = (model.particles(), model.rows);
     let data = |values: &[R]| Data::F64(values.iter().map(|x| x.f64()).collect());
     let tensors: Tensors = BTreeMap::from([
-        ("state".to_string(), (vec![l.state_rows(), n], data(&state.state))),
+        ("state".to_string(), (vec![l.count(), n], data(&state.state))),
         ("list_positions".to_string(), (vec![l.dimension, n], data(&state.reference))),
     ]);
     let metadata = [
@@ -53,10 +53,10 @@ pub fn write<R: Real>(
     write_tensors(path, &tensors, &metadata.map(|(key, text)| (key.to_string(), text)).into())
 }
 
-/// The state that a simulation of this configuration left.
+/// The state of a simulation with this configuration.
 ///
 /// # Errors
-/// No such file, one of another kind or of another scene, and numbers that no run could have written.
+/// A missing file, one of another kind or of another scene, and values that no run could have written.
 pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<Snapshot<R>, BadInput> {
     let file = open(path, KIND, config, &FREE)?;
     let unreadable = |error: FileError| BadInput::new(error.to_string());
@@ -69,26 +69,26 @@ pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<S
             .allowed("the time step that it began with")
             .advice(format!("time.step={before:?}")));
     }
-    let (n, l) = (model.particles(), model.layout);
+    let (n, l) = (model.particles(), model.rows);
     let rows = |name: &str, rows: usize| -> Result<Vec<R>, BadInput> {
         Ok(file.f64(name, &[rows, n]).map_err(unreadable)?.iter().map(|&x| R::of(x)).collect())
     };
-    let (state, reference) = (rows("state", l.state_rows())?, Arc::new(rows("list_positions", l.dimension)?));
+    let (state, reference) = (rows("state", l.count())?, Arc::new(rows("list_positions", l.dimension)?));
     let number = |name: &str| -> Result<usize, BadInput> {
         let text = file.text(name).map_err(unreadable)?;
         text.parse().map_err(|_| {
             BadInput::new(format!("{}: {name} = `{text}` in its metadata", path.display())).allowed("a whole number")
         })
     };
-    // Checkpoints from before there was recovery have none.
+    // Checkpoints of versions without recovery lack this entry.
     let least_parts = if file.metadata.contains_key("least_parts") { number("least_parts")? } else { 1 };
     Ok(Snapshot { step: number("step")?, parts: number("parts")?, least_parts, state, reference })
 }
 
-/// A checkpoint of a kind whose configuration is this one, keys and sections in `free` apart.
+/// Opens a checkpoint of a kind whose configuration equals this one except for the keys and sections in `free`.
 ///
 /// # Errors
-/// No such file, one of another kind, and one of another scene.
+/// A missing file, one of another kind, and one of another scene.
 pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<TensorFile, BadInput> {
     let file = TensorFile::read(path).map_err(|e| BadInput::new(e.to_string()))?;
     let found = file.metadata.get("kind").map_or("nothing of ours", String::as_str);
@@ -120,7 +120,7 @@ mod tests {
     use crate::sph::solver::Solver;
     use crate::sph::Sweeps;
 
-    /// Resumed where the averages begin, so that they are the same too.
+    /// Continues a run where the averages begin, so that they must be the same too.
     fn resumes<R: Sweeps>(precision: &str) {
         let sets =
             ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
@@ -146,13 +146,13 @@ mod tests {
         let bits = |state: &[R]| state.iter().map(|x| x.f64().to_bits()).collect::<Vec<u64>>();
         assert!(bits(&whole.solver.state) == bits(&rest.solver.state));
         assert_eq!(whole.diagnostics, rest.diagnostics);
-        // It is not that of another scene, and not of another kind.
+        // A checkpoint of another scene or another kind is rejected.
         let other = Config { scene: config.scene, ..Config::default() };
         let error = read(&path, &other, &scene.model).map(|_| ()).unwrap_err().to_string();
         assert!(error.contains("checkpoint of another scene: it has"), "{error}");
         let error = open(&path, "hydrograd optimisation", &config, &[]).unwrap_err().to_string();
         assert!(error.contains("holds hydrograd simulation, not a hydrograd optimisation"), "{error}");
-        // A run that ends where it begins has its start.
+        // A run that ends where it begins returns its start.
         let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
         assert!(bits(&run(&dynamics, &from, 30, &mut []).unwrap().state) == bits(&from.state));
     }

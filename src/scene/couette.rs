@@ -1,15 +1,16 @@
-//! Plane Couette flow: between two walls, started from rest by the upper one, which moves (Morris, Fox and Zhu 1997).
+//! Plane Couette flow between two walls, started from rest by the moving upper wall (Morris, Fox and Zhu 1997).
 //!
 //! Velocity of the upper wall, density and height are 1, so the Reynolds number is 1/viscosity. Coordinates as in
 //! [`super::poiseuille`].
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::{Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// The channel and how it is resolved.
+/// The channel and its resolution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Couette {
     /// Fluid particles across the channel.
@@ -28,7 +29,7 @@ impl Couette {
         Self { rows, columns: 12, reynolds, numerics }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
             name: "couette",

@@ -1,15 +1,18 @@
-//! A scene of one's own: a box, shapes in it, and what moves and heats the fluid, all from the configuration.
+//! Custom scenes: a box, shapes in it, and forces and temperatures, all from the configuration.
 //!
-//! The corner of the fluid's box is at 0; sides that are not periodic are closed by as many rows of dummy particles as the
-//! kernel reaches. Every particle stands in the middle of a lattice cell, and is fluid or wall by the last shape that holds it.
-//! Walls with a velocity stay where they are ([`crate::sph::model::Model::walls_slide`]).
+//! The fluid's box has its corner at 0. Sides that are not periodic are closed by as many rows of dummy particles as
+//! the kernel reaches. Every particle is in the centre of a lattice cell, and is fluid or wall by the last shape that
+//! contains it. Moving walls stay in place ([`crate::sph::flow::Flow::walls_slide`]).
 
-use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::assembly::{Assembled, Numerics, Parts};
+use super::custom_shape::{functions, Shape};
 use super::distance::{images, Foot, Walls};
+use super::exact::Stated;
+use super::lattice::Lattice;
 use super::surface::{Dummy, Knows, Point, Settings, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Fill, Kind, ShapeEntry, VariableEntry};
-use crate::config::formula::{Formula, Function};
+use crate::config::custom::{Fill, Kind, VariableEntry};
+use crate::config::formula::Function;
 use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, ObjectiveKind};
 use crate::design::deformation::Map;
 use crate::design::objectives::{self, Figure, Outlet, Samples};
@@ -17,87 +20,15 @@ use crate::design::parametrisations::Numbers;
 use crate::design::shapes::{self, Shapes};
 use crate::design::{Deformation, Problem};
 use crate::error::BadInput;
-use crate::numerics::lanes::Real;
 use crate::particles::{tag, Domain};
+use crate::sph::flow::Heat;
+use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::model::{Heat, Model};
-use crate::sph::operators::interpolation::Interpolation;
 use crate::sph::solver::Snapshot;
+use crate::sph::{Model, Sweeps};
 use std::sync::Arc;
 
-/// A shape with its formulas read.
-pub(super) struct Shape<'a> {
-    pub entry: &'a ShapeEntry,
-    pub positive: Option<Function>,
-    velocity: Vec<Function>,
-    temperature: Option<Function>,
-}
-
-impl<'a> Shape<'a> {
-    pub fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
-        let key = |name: &str| format!("shapes[{place}].{name}");
-        let one = |name: &str, formula: &Option<Formula>| {
-            formula.as_ref().map(|formula| formula.function(&key(name), dimension)).transpose()
-        };
-        Ok(Self {
-            entry,
-            positive: one("positive", &entry.positive)?,
-            velocity: functions(&key("velocity"), entry.velocity.as_deref().unwrap_or_default(), dimension)?,
-            temperature: one("temperature", &entry.temperature)?,
-        })
-    }
-
-    /// Whether a place is inside, without periodic images.
-    fn contains(&self, p: [f64; 3], dimension: usize) -> bool {
-        let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = self.entry;
-        // Checked configurations have what their kind needs.
-        let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
-        let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
-        let points = points.as_deref().unwrap_or_default();
-        match kind {
-            Kind::Box => (0..dimension).all(|d| lower[d] <= p[d] && p[d] < upper[d]),
-            Kind::Disc => (0..dimension).map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius,
-            Kind::Cylinder => {
-                let along = axis.unwrap_or_default().direction();
-                let across = (0..dimension).filter(|&d| d != along);
-                across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius
-            }
-            Kind::Polyline => {
-                let half = 0.5 * thickness.unwrap_or_default();
-                points.windows(2).any(|ends| distance([p[0], p[1]], ends[0], ends[1]) < half)
-            }
-            Kind::Polygon => is_inside([p[0], p[1]], points),
-            Kind::Where => self.positive.as_ref().is_some_and(|positive| positive.at(p) > 0.0),
-        }
-    }
-}
-
-/// From a point to the line between two others.
-pub(super) fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let (along, to) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
-    let square = along[0] * along[0] + along[1] * along[1];
-    let part = if square > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
-    (to[0] - part * along[0]).hypot(to[1] - part * along[1])
-}
-
-/// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
-pub(super) fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
-    let mut inside = false;
-    let mut from = points[points.len() - 1];
-    for &to in points {
-        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
-            inside = !inside;
-        }
-        from = to;
-    }
-    inside
-}
-
-fn functions(key: &str, formulas: &[Formula], dimension: usize) -> Result<Vec<Function>, BadInput> {
-    formulas.iter().enumerate().map(|(d, formula)| formula.function(&format!("{key}[{d}]"), dimension)).collect()
-}
-
-/// The value of a formula at a particle, which must be a number.
+/// The value of a formula at a position, which must be finite.
 fn value(function: &Function, key: impl Fn() -> String, p: [f64; 3]) -> Result<f64, BadInput> {
     let value = function.at(p);
     if value.is_finite() {
@@ -109,19 +40,19 @@ fn value(function: &Function, key: impl Fn() -> String, p: [f64; 3]) -> Result<f
         .allowed("a formula that is a finite number at every particle that it is for"))
 }
 
-/// Which particles of the lattice are what.
+/// The kind of each particle of the lattice.
 pub(super) struct Geometry {
     pub lattice: Lattice,
-    /// Of each particle the shape that it belongs to, if it is in one.
+    /// Index of the shape to which each particle belongs, if any.
     pub shape: Vec<Option<usize>>,
     pub is_wall: Vec<bool>,
 }
 
 impl Geometry {
-    /// Of a checked configuration.
+    /// The geometry of a checked configuration.
     ///
     /// # Errors
-    /// Shapes that leave no fluid, or that no particle is in.
+    /// Shapes that leave no fluid or contain no particle.
     pub fn of(config: &Config) -> Result<Self, BadInput> {
         let shapes = shapes(config)?;
         let lattice = lattice(config);
@@ -153,7 +84,7 @@ impl Geometry {
     }
 }
 
-/// Finds the shape that a place belongs to.
+/// Finds the shape to which a position belongs.
 struct Holder<'a> {
     shapes: &'a [Shape<'a>],
     dimension: usize,
@@ -165,7 +96,7 @@ impl<'a> Holder<'a> {
         Self { shapes, dimension: config.dimension(), images: images(&box_of(config)) }
     }
 
-    /// The last of those that hold it.
+    /// The last shape that contains a position.
     fn of(&self, p: [f64; 3]) -> Option<usize> {
         self.shapes.iter().rposition(|shape| {
             let has_images = shape.entry.kind != Kind::Where;
@@ -196,23 +127,23 @@ fn lattice(config: &Config) -> Lattice {
 /// The scene of a checked configuration.
 ///
 /// # Errors
-/// Formulas that are no number somewhere, shapes that hold nothing.
-pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, BadInput> {
+/// Formulas that are not finite somewhere, and shapes that contain nothing.
+pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
     let Built { parts, model, base, .. } = assemble(config)?;
     let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
-    Ok(parts.scene(Arc::new(model), start))
+    Ok(parts.scene(model, start))
 }
 
-/// What is optimised in a checked configuration with `variables`.
+/// The design problem of a checked configuration with `variables`.
 ///
 /// # Errors
 /// As for [`build`].
-pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> {
-    // A run that nothing is optimised in has no use for the window, and may be shorter.
+pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput> {
+    // Only optimised runs use the window, so others may be shorter.
     config.check_window()?;
     let Built { parts, mut model, base, points, dummies } = assemble::<R>(config)?;
     if config.objective.kind == ObjectiveKind::WallHeat {
-        model.wall_heat_until = Some(config.objective.target_x);
+        model = model.with(|flow| flow.wall_heat_until = Some(config.objective.target_x));
     }
     let (numbers, mut entries) = (config.shape_numbers(), config.shapes.clone());
     let first = numbers.iter().filter_map(|number| number.of(&mut entries).copied()).collect();
@@ -221,7 +152,7 @@ pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> 
     let shapes = Shapes {
         entries,
         domain: model.domain,
-        vector: model.layout.velocity(),
+        vector: model.rows.velocity(),
         points,
         dummies,
         fluid: (0..model.particles()).filter(|&i| model.is_fluid(i)).collect(),
@@ -232,7 +163,7 @@ pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> 
     let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), parts.numerics.steps);
     let samples = Samples::window(steps, window, config.objective.samples);
     Ok(Problem {
-        model: Arc::new(model),
+        model,
         compute: config.run.compute()?,
         deformation: Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) }),
         first: parametrisation.start(),
@@ -249,8 +180,8 @@ pub(super) fn problem<R: Real>(config: &Config) -> Result<Problem<R>, BadInput> 
     })
 }
 
-/// Targets all across the box, and three spacings beyond its walls: each particle counts with its whole kernel.
-fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
+/// Targets across the box and three spacings beyond its walls, so that each particle counts with its whole kernel.
+fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
     let across = |e: usize| -> Vec<f64> {
         if e >= d {
@@ -267,17 +198,17 @@ fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
     Outlet { interpolation, mode: Mode::Flux, spacing }
 }
 
-/// Particles of a configuration, and what of them moves with its shapes.
+/// The particles of a configuration, and those that move with its shapes.
 struct Built<R> {
     parts: Parts<R>,
     model: Model<R>,
-    /// The first state.
+    /// The initial state.
     base: Vec<f64>,
     points: Vec<shapes::Point>,
     dummies: Vec<shapes::Dummy>,
 }
 
-fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
+fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
     let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
@@ -287,7 +218,7 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
     let reference = fluid.inlet_temperature;
     let settings = Settings::from_config(config);
     let surroundings = surroundings(config, &shapes);
-    // Walls: their velocity, and T_wall = constant + factor <T>.
+    // Walls have a velocity, and T_wall = constant + factor <T>.
     let mut of_wall = vec![[0.0; 3]; n];
     let (mut constant, mut factor) = (vec![R::default(); n], vec![R::of(1.0); n]);
     let mut tags = vec![tag::FLUID; n];
@@ -314,7 +245,7 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
         conductivity: fluid.conductivity,
         capacity: fluid.heat_capacity,
         reference,
-        // No particle is outside of the box.
+        // No particle is outside of the box, so these limits switch inlet and outlet off.
         inlet_below: region.inlet_until.unwrap_or(-region.size[0]),
         outlet_above: region.outlet_from.unwrap_or(2.0 * region.size[0]),
         wall_constant: constant,
@@ -336,15 +267,15 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
         own_mass: false,
         heat,
         heat_walls: None,
-        exact: Exact::Unknown,
+        exact: stated(config)?,
     };
     let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);
-    (model.tags, model.walls_slide) = (tags, true);
+    (model.flow.tags, model.flow.walls_slide) = (tags, true);
     let l = model.layout;
     for i in 0..n {
         let place = parts.lattice.place(i);
         if is_wall[i] {
-            // Not where a fluid particle would have been put at random.
+            // Restores a wall particle's position, whose cell may have been displaced as fluid.
             for e in 0..d {
                 base[e * n + i] = place[e];
                 base[(l.velocity() + e) * n + i] = of_wall[i][e];
@@ -371,14 +302,13 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
         })?;
         let old = base.clone();
         let assembled = Assembled { model, base };
-        let assembled = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
-        (model, base) = (assembled.model, assembled.base);
+        let (fitted, mut base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
         if warmth.is_some() {
-            let more = model.particles();
+            let more = fitted.particles();
             let fluid = (0..n).filter(|&i| !is_wall[i]);
-            fluid.for_each(|i| base[model.layout.temperature() * more + i] = old[l.temperature() * n + i]);
+            fluid.for_each(|i| base[fitted.layout.temperature() * more + i] = old[l.temperature() * n + i]);
         }
-        // A scene in which nothing varies needs to know no more of its feet.
+        // A scene without variables does not need the feet.
         let feet = if config.variables.is_empty() { Feet::default() } else { feet };
         for (k, (point, foot)) in surface.points.iter().zip(&feet.points).enumerate() {
             let (leans, leads) = (point.knows == Knows::NoHeatFlux, matches!(point.knows, Knows::Velocity(_)));
@@ -389,8 +319,19 @@ fn assemble<R: Real>(config: &Config) -> Result<Built<R>, BadInput> {
             let depth = -surroundings.distance(parts.lattice.place(dummy.particle));
             dummies.extend(on.map(|foot| shapes::Dummy { particle: dummy.particle, foot, depth }));
         }
+        return Ok(Built { parts, model: Model::new(fitted), base, points, dummies });
     }
-    Ok(Built { parts, model, base, points, dummies })
+    Ok(Built { parts, model: Model::new(model), base, points, dummies })
+}
+
+/// The exact solution that a configuration states, if it states one.
+fn stated(config: &Config) -> Result<Exact, BadInput> {
+    let (velocity, temperature) = config.exact.of_time(config.dimension())?;
+    if velocity.is_empty() && temperature.is_none() {
+        return Ok(Exact::Unknown);
+    }
+    let temperature = temperature.map(|of| (of, config.fluid.inlet_temperature));
+    Ok(Exact::Stated(Arc::new(Stated { velocity, temperature, reference_velocity: config.fluid.reference_velocity })))
 }
 
 /// The walls as surfaces.
@@ -399,7 +340,7 @@ fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
     Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
 }
 
-/// The box between the walls that close it.
+/// The box without the walls that close it.
 fn box_of(config: &Config) -> Domain {
     let (dimension, region) = (config.dimension(), &config.region);
     Domain {
@@ -409,7 +350,7 @@ fn box_of(config: &Config) -> Domain {
     }
 }
 
-/// What the wall behind a point of its surface tells the fluid there.
+/// The conditions at a surface point by the wall behind it.
 fn knows_at(
     config: &Config,
     shapes: &[Shape],
@@ -417,7 +358,7 @@ fn knows_at(
     foot: &Foot,
     has_heat: bool,
 ) -> Result<Vec<Knows>, BadInput> {
-    // A quarter of a spacing into the wall.
+    // A position a quarter of a spacing inside the wall.
     let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
     let wall = holder.of(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
     let mut moves = [0.0; 3];
@@ -434,7 +375,7 @@ fn knows_at(
     Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
 }
 
-/// Points on the walls' surface and the particles of the lattice behind it.
+/// Points on the walls' surface, and the dummy particles behind it.
 fn surface_of(
     walls: &Walls,
     lattice: &Lattice,
@@ -444,7 +385,7 @@ fn surface_of(
     let dx = walls.spacing;
     let near = |i: usize| walls.distance(lattice.place(i)).abs() <= dx;
     let all = 0..lattice.particles();
-    // Those in front of particles first: along a plane wall none are left for those behind it.
+    // Points of fluid particles come first; along a plane wall they leave no room for points of wall particles.
     let beside = all.clone().filter(|&i| !is_wall[i] && near(i)).chain(all.clone().filter(|&i| is_wall[i] && near(i)));
     let feet = walls.points(beside.map(|i| lattice.place(i)));
     let (mut surface, mut found) = (Surface::default(), Feet::default());
@@ -468,7 +409,7 @@ fn surface_of(
     Ok((surface, found))
 }
 
-/// Feet of a surface's points and of its dummy particles.
+/// Feet of the surface points and of the dummy particles.
 #[derive(Default)]
 struct Feet {
     points: Vec<Foot>,

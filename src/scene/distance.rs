@@ -1,16 +1,16 @@
-//! The surface of walls of any shape: signed distances of shapes, points on the surface, normals.
+//! The surface of walls of any shape: signed distances, points on the surface, and normals.
 //!
-//! s(p) is the distance of a place from the nearest wall, negative within walls: the smaller of two walls', and where fluid is
-//! cut out of them the larger of s and minus the fluid's. Of a shape given by a formula f it is -f / |grad f|, right to first
-//! order beside its surface. A place p has its foot on the surface at p - s grad s.
+//! s(p) is the distance of a position from the nearest wall, negative inside walls: the smallest of all walls, and
+//! where fluid is cut out the larger of s and minus that of the fluid's shape. For a shape given by a formula f it is
+//! -f / |grad f|, which is accurate to first order near the surface. The foot of p on the surface is p - s grad s.
 
-use super::custom::Shape;
+use super::custom_shape::{self, Shape};
 use crate::config::custom::{Fill, Kind, ShapeEntry};
 use crate::design::shapes::On;
 use crate::particles::Domain;
 use std::collections::HashMap;
 
-/// Walls in a box whose corner is at 0.
+/// Walls in a box with its corner at 0.
 pub(super) struct Walls<'a> {
     pub shapes: &'a [Shape<'a>],
     pub domain: Domain,
@@ -19,8 +19,7 @@ pub(super) struct Walls<'a> {
     pub spacing: f64,
 }
 
-/// How far the periodic images of a shape in a box, itself among them, are from it: what reaches through a periodic side is seen
-/// from the other one.
+/// Offsets of the periodic images of a shape in a box, including the shape itself.
 pub(super) fn images(domain: &Domain) -> Vec<[f64; 3]> {
     let has = |d: usize| d < domain.dimension && domain.periodic[d];
     (0..27)
@@ -30,19 +29,19 @@ pub(super) fn images(domain: &Domain) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// Over which a slope is taken, in spacings.
+/// The step of a difference quotient, in spacings.
 const STEP: f64 = 1e-3;
-/// A foot is looked for so many times: on plane and round walls it is there at once.
+/// Number of iterations that find a foot; on plane and round walls the first is exact.
 const TURNS: usize = 4;
-/// A foot is on the surface within this, in spacings.
+/// Largest distance of a foot from the surface, in spacings.
 const CLOSE: f64 = 0.05;
-/// Points on the surface are at least so far apart, in spacings.
+/// Smallest distance between surface points, in spacings.
 const APART: f64 = 0.45;
 
-/// No particle begins nearer to a wall than this, in spacings.
+/// Smallest initial distance of a particle from a wall, in spacings.
 const BESIDE: f64 = 0.35;
 
-/// A place on the surface, and the unit normal there, into the fluid.
+/// A point on the surface, and the unit normal there into the fluid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Foot {
     pub place: [f64; 3],
@@ -50,7 +49,7 @@ pub(super) struct Foot {
 }
 
 impl Walls<'_> {
-    /// s: the distance from the nearest wall.
+    /// The distance s from the nearest wall.
     pub fn distance(&self, p: [f64; 3]) -> f64 {
         let mut walls = f64::INFINITY;
         for shape in self.shapes {
@@ -60,11 +59,11 @@ impl Walls<'_> {
                 Fill::Fluid => walls.max(-s),
             };
         }
-        // What closes the box is a wall whatever fluid is cut out of it.
+        // The sides of the box remain walls where fluid is cut out.
         walls.min(self.of_sides(p))
     }
 
-    /// The distance from the sides of the box.
+    /// The distance from the closed sides of the box.
     fn of_sides(&self, p: [f64; 3]) -> f64 {
         let sides = (0..self.domain.dimension)
             .filter(|&d| !self.domain.periodic[d])
@@ -77,7 +76,7 @@ impl Walls<'_> {
         }
     }
 
-    /// Where on which shape a foot is; none on a side of the box, or on what is given by a formula.
+    /// The place of a foot on its shape; none on a side of the box, or on a shape given by a formula.
     pub fn on(&self, foot: &Foot) -> Option<On> {
         let mut nearest = (self.of_sides(foot.place).abs(), None);
         for (k, shape) in self.shapes.iter().enumerate() {
@@ -98,7 +97,7 @@ impl Walls<'_> {
         On::of(k, self.shapes[k].entry, place, foot.normal)
     }
 
-    /// The distance from one shape or the nearest of its periodic images.
+    /// The distance from a shape or the nearest of its periodic images.
     fn of_shape(&self, shape: &Shape, p: [f64; 3]) -> f64 {
         if shape.entry.kind == Kind::Where {
             return self.of_formula(shape, p);
@@ -113,18 +112,18 @@ impl Walls<'_> {
         -positive.at(p) / steep.max(f64::MIN_POSITIVE)
     }
 
-    /// grad s, of length 1; none where s has no slope, half way between two walls.
+    /// grad s, normalised; none where it vanishes, half way between two walls.
     pub fn normal(&self, p: [f64; 3]) -> Option<[f64; 3]> {
         let (slope, length) = self.slope(p);
         (length.is_finite() && length > 0.1).then(|| slope.map(|x| x / length))
     }
 
-    /// grad s, and how long it is: 1 but where several walls are as near.
+    /// grad s and its length, which is 1 except where several walls are equally near.
     fn slope(&self, p: [f64; 3]) -> ([f64; 3], f64) {
         self.slope_of(|p| self.distance(p), p)
     }
 
-    /// The gradient of a function, and how long it is.
+    /// The gradient of a function, and its length.
     fn slope_of(&self, f: impl Fn([f64; 3]) -> f64, p: [f64; 3]) -> ([f64; 3], f64) {
         let h = STEP * self.spacing;
         let slope: [f64; 3] = std::array::from_fn(|d| {
@@ -137,7 +136,7 @@ impl Walls<'_> {
         (slope, slope.iter().map(|x| x * x).sum::<f64>().sqrt())
     }
 
-    /// The foot of a place; none where there is no wall near enough to have one, and deep between two walls that touch.
+    /// The foot of a position; none if no wall is near enough, and deep between two walls that touch.
     pub fn foot(&self, p: [f64; 3]) -> Option<Foot> {
         let mut place = p;
         for _ in 0..TURNS {
@@ -147,7 +146,7 @@ impl Walls<'_> {
         if self.distance(place).abs() > CLOSE * self.spacing {
             return None;
         }
-        // On the surface itself s may have a bend; at the place it came from the normal points to it.
+        // s may have a kink on the surface; the normal towards the original position is well-defined.
         let along: [f64; 3] = std::array::from_fn(|d| p[d] - place[d]);
         let length = along.iter().map(|x| x * x).sum::<f64>().sqrt();
         let normal = match length > STEP * self.spacing {
@@ -155,16 +154,15 @@ impl Walls<'_> {
             false => self.normal(place)?,
         };
         let foot = Foot { place, normal };
-        // Where two walls touch, s is 0 within them too.
+        // Where two walls touch, s is 0 inside them too.
         (self.distance(self.in_front(&foot)) > 0.0).then_some(foot)
     }
 
-    /// A place in front of a foot.
     fn in_front(&self, foot: &Foot) -> [f64; 3] {
         std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
     }
 
-    /// A place in the fluid, or if it is nearer to a wall than [`BESIDE`] the place that is so far in front of it.
+    /// The position, or if it is nearer to a wall than [`BESIDE`], the one at that distance from the wall.
     pub fn away_from_walls(&self, p: [f64; 3]) -> [f64; 3] {
         let least = BESIDE * self.spacing;
         let s = self.distance(p);
@@ -174,8 +172,8 @@ impl Walls<'_> {
         }
     }
 
-    /// Feet of places, each at least [`APART`] from all before it. None in a corner that walls meet in: they would tell it
-    /// different things.
+    /// The feet of positions, each at least [`APART`] from all before it. There are none in a corner between walls,
+    /// which may have different conditions.
     pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
         let mut feet: Vec<Foot> = Vec::new();
         let mut cells = Cells::new(self);
@@ -189,7 +187,7 @@ impl Walls<'_> {
         feet
     }
 
-    /// The nearest of some feet to a place, among those less than a spacing away.
+    /// The nearest foot of a position, if one is less than a spacing away.
     pub fn finder<'b>(&'b self, feet: &'b [Foot]) -> impl Fn([f64; 3]) -> Option<usize> + 'b {
         let mut cells = Cells::new(self);
         feet.iter().enumerate().for_each(|(k, foot)| cells.add(foot.place, k));
@@ -200,17 +198,17 @@ impl Walls<'_> {
         }
     }
 
-    /// The distance of two places, or of the nearest periodic images.
+    /// The distance between two positions or their nearest periodic images.
     fn apart(&self, a: [f64; 3], b: [f64; 3]) -> f64 {
         let along = |d: usize| self.domain.nearest(d, b[d] - a[d]);
         (0..self.domain.dimension).map(|d| along(d).powi(2)).sum::<f64>().sqrt()
     }
 }
 
-/// Numbers of places by cells about a spacing wide.
+/// Indices of positions by cells about a spacing wide.
 struct Cells {
     dimension: usize,
-    /// Of a period; 0 where there is none.
+    /// Number of cells in a period; 0 in directions that are not periodic.
     counts: [i64; 3],
     widths: [f64; 3],
     members: HashMap<[i64; 3], Vec<usize>>,
@@ -247,7 +245,7 @@ impl Cells {
         self.members.entry(self.cell(place, [0; 3])).or_default().push(number);
     }
 
-    /// Everything in a place's cell and those beside it.
+    /// The members of a position's cell and the adjacent ones.
     fn around(&self, place: [f64; 3]) -> impl Iterator<Item = &usize> {
         let depth = if self.dimension == 3 { 3 } else { 1 };
         let steps = (0..9 * depth).map(move |k| [k % 3 - 1, k / 3 % 3 - 1, if depth == 3 { k / 9 - 1 } else { 0 }]);
@@ -255,11 +253,11 @@ impl Cells {
     }
 }
 
-/// The distance from a shape itself. A box that stands on a closed side of the domain has no surface there.
+/// The distance from a shape. A box that touches a closed side of the domain has no surface there.
 fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
     let dimension = domain.dimension;
     let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = entry;
-    // Checked configurations have what their kind needs.
+    // A checked configuration has the keys that its kind needs.
     let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
     let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
     let points = points.as_deref().unwrap_or_default();
@@ -268,7 +266,7 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
         across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>().sqrt() - radius
     };
     let from_lines = |ends: &mut dyn Iterator<Item = ([f64; 2], [f64; 2])>| {
-        ends.map(|(a, b)| super::custom::distance([p[0], p[1]], a, b)).fold(f64::INFINITY, f64::min)
+        ends.map(|(a, b)| custom_shape::distance([p[0], p[1]], a, b)).fold(f64::INFINITY, f64::min)
     };
     match kind {
         Kind::Box => {
@@ -294,10 +292,10 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
         }
         Kind::Polygon => {
             let ends = (0..points.len()).map(|k| (points[k], points[(k + 1) % points.len()]));
-            let inside = super::custom::is_inside([p[0], p[1]], points);
+            let inside = custom_shape::is_inside([p[0], p[1]], points);
             from_lines(&mut ends.into_iter()) * if inside { -1.0 } else { 1.0 }
         }
-        // Handled with the formula.
+        // See `of_formula`.
         Kind::Where => f64::INFINITY,
     }
 }
@@ -350,12 +348,12 @@ mod tests {
             let found = with(std::slice::from_ref(shape), all, 2, |walls| walls.distance([place[0], place[1], 0.0]));
             assert!((found - expected).abs() < 1e-9, "{shape:?} at {place:?}: {found} is not {expected}");
         }
-        // What stands on a side reaches into it.
+        // A box at a side of the domain extends into it.
         let standing = ShapeEntry { lower: Some(vec![0.2, 0.0]), ..boxed.clone() };
         let inside =
             |periodic| with(std::slice::from_ref(&standing), periodic, 2, |walls| walls.distance([0.4, 0.05, 0.0]));
         assert!((inside([true, false, true]) + 0.2).abs() < 1e-12 && (inside([true; 3]) + 0.05).abs() < 1e-12);
-        // Through a periodic side; beside a side that is closed; fluid cut out of a wall.
+        // Through a periodic side; beside a closed side; fluid cut out of a wall.
         let near = [0.05, 0.5, 0.0];
         let at_edge = ShapeEntry { centre: Some(vec![0.95, 0.5]), ..disc(0.02, Fill::Wall) };
         assert!((with(&[at_edge], all, 2, |walls| walls.distance(near)) - 0.08).abs() < 1e-12);
@@ -380,7 +378,7 @@ mod tests {
                 let normal = [away[0] / 0.2, away[1] / 0.2];
                 assert!((0..2).all(|d| (normal[d] - foot.normal[d]).abs() < 1e-6), "{foot:?}");
             }
-            // No gap wider than a spacing and a half, none narrower than asked.
+            // Gaps are at most a spacing and a half, and at least the given distance.
             let mut angles: Vec<f64> =
                 feet.iter().map(|foot| (foot.place[1] - 0.5).atan2(foot.place[0] - 0.5)).collect();
             angles.sort_by(f64::total_cmp);

@@ -1,7 +1,8 @@
-//! Exact solutions that verification flows are measured against.
+//! Exact solutions for verification flows.
 
-use super::isothermal_channel::{parabola, Developed};
-use super::slab::Series;
+use super::composite_slab::Series;
+use super::developed::{parabola, Developed};
+use crate::config::formula::Function;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -11,19 +12,39 @@ pub enum Exact {
     /// The plane vortices of Taylor and Green (1937) in the unit box:
     /// u = -U exp(-8 pi^2 nu t) cos(2 pi x) sin(2 pi y), v = U exp(-8 pi^2 nu t) sin(2 pi x) cos(2 pi y).
     TaylorGreen { velocity: f64, kinematic_viscosity: f64 },
-    /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force
-    /// (Morris, Fox and Zhu 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
+    /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force (Morris, Fox and Zhu
+    /// 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
     Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
-    /// Two such channels, at 0 < y < height and with the opposite sign at height < y < 2 height.
+    /// Two Poiseuille flows, at 0 < y < height and with the opposite sign at height < y < 2 height.
     ReversePoiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
-    /// Flow between such walls, started from rest by the upper one, which moves with `velocity` (their eq. 22).
+    /// Flow between plane walls, started from rest by the upper one, which moves with `velocity` (their eq. 22).
     Couette { velocity: f64, kinematic_viscosity: f64, height: f64 },
-    /// A slab at rest that becomes warm.
+    /// A slab at rest that is heated.
     Slab(Arc<Series>),
-    /// Developed flow between plane walls that are warm: its velocity, and how fast heat goes over.
+    /// Developed flow between warm plane walls: its velocity and its rate of heat transfer.
     IsothermalChannel(Developed),
-    /// No closed form.
+    /// The formulas that the configuration of a custom scene states.
+    Stated(Arc<Stated>),
+    /// No exact solution.
     Unknown,
+}
+
+/// An exact solution by formulas of the place and of the time.
+#[derive(Debug, Clone)]
+pub struct Stated {
+    /// Components of the velocity; empty: unknown.
+    pub velocity: Vec<Function>,
+    /// Temperature, and the reference that states count it from.
+    pub temperature: Option<(Function, f64)>,
+    /// `fluid.reference_velocity`, which errors of the velocity are measured against.
+    pub reference_velocity: f64,
+}
+
+impl PartialEq for Stated {
+    /// Whether both are one and the same: formulas that were read can not be compared.
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::eq(self, other)
+    }
 }
 
 impl Exact {
@@ -37,7 +58,7 @@ impl Exact {
                 Some([-amplitude * cos_x * sin_y, amplitude * sin_x * cos_y, 0.0])
             }
             Self::Poiseuille { velocity, kinematic_viscosity, height } => {
-                // In terms of the steady centre line U: 4 U y (H - y)/H^2 - sum over odd k of 32 U/(pi k)^3 ...
+                // In terms of the steady centre line U, u = 4 U y (H - y)/H^2 - sum over odd k of 32 U/(pi k)^3 ...
                 let s = y / height;
                 let mut u = 4.0 * velocity * s * (1.0 - s);
                 for k in (1..200).step_by(2).map(|k| PI * k as f64) {
@@ -65,33 +86,40 @@ impl Exact {
                 }
                 Some([u, 0.0, 0.0])
             }
-            // The series of the start does not converge.
+            // The series does not converge at the start.
             Self::Couette { .. } | Self::Slab(_) => Some([0.0; 3]),
             Self::IsothermalChannel(_) => Some([parabola(y), 0.0, 0.0]),
+            Self::Stated(ref stated) => {
+                let component = |d: usize| stated.velocity.get(d).map_or(0.0, |u| u.at_time(position, time));
+                (!stated.velocity.is_empty()).then(|| std::array::from_fn(component))
+            }
             Self::Unknown => None,
         }
     }
 
     /// The temperature at a point above the reference, if it is known.
-    pub fn temperature(&self, [_, y, _]: [f64; 3], time: f64) -> Option<f64> {
+    pub fn temperature(&self, position: [f64; 3], time: f64) -> Option<f64> {
         match self {
-            Self::Slab(series) => Some(if time > 0.0 { series.temperature(y, time) } else { 0.0 }),
+            Self::Slab(series) => Some(if time > 0.0 { series.temperature(position[1], time) } else { 0.0 }),
+            Self::Stated(stated) => {
+                stated.temperature.as_ref().map(|(of, reference)| of.at_time(position, time) - reference)
+            }
             _ => None,
         }
     }
 
-    /// The height of the profile, if what is known depends on y alone.
+    /// The height of the profile, if the solution depends only on y.
     pub fn profile_height(&self) -> Option<f64> {
         match *self {
             Self::Poiseuille { height, .. } | Self::Couette { height, .. } => Some(height),
             Self::ReversePoiseuille { height, .. } => Some(2.0 * height),
             Self::Slab(_) | Self::IsothermalChannel(_) => Some(1.0),
-            Self::TaylorGreen { .. } | Self::Unknown => None,
+            Self::TaylorGreen { .. } | Self::Stated(_) | Self::Unknown => None,
         }
     }
 
-    /// What velocity errors are measured against: the vortices' present amplitude, the channel's steady centre line
-    /// (the flow there begins with zero), or the moving wall. None for what is at rest.
+    /// The scale of velocity errors: the vortices' present amplitude, the channel's steady centre line (the flow starts
+    /// from zero), the moving wall, or the reference velocity. None for scenes at rest.
     pub fn amplitude(&self, time: f64) -> Option<f64> {
         match *self {
             Self::TaylorGreen { velocity, kinematic_viscosity } => {
@@ -101,17 +129,19 @@ impl Exact {
             | Self::ReversePoiseuille { velocity, .. }
             | Self::Couette { velocity, .. } => Some(velocity),
             Self::IsothermalChannel(_) => Some(1.0),
+            Self::Stated(ref stated) => Some(stated.reference_velocity),
             Self::Slab(_) | Self::Unknown => None,
         }
     }
 
-    /// What that is, in words.
+    /// What the amplitude is, in words.
     pub fn amplitude_name(&self) -> &'static str {
         match self {
             Self::Couette { .. } => "the moving wall's velocity",
             Self::Poiseuille { .. } | Self::ReversePoiseuille { .. } | Self::IsothermalChannel(_) => {
                 "the steady centre line"
             }
+            Self::Stated(_) => "fluid.reference_velocity",
             Self::TaylorGreen { .. } | Self::Slab(_) | Self::Unknown => "the exact amplitude",
         }
     }

@@ -2,9 +2,9 @@
 
 use super::{tank, Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
+use crate::sph::Sweeps;
 
-pub(super) fn build<R: Real>(config: &Config) -> Scene<R> {
+pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
     let water = &config.water;
     let to = [water.x + water.length, water.y + water.height];
     tank::parts(config, [water.x, water.y], to, Exact::Unknown).build(|_| [0.0, -water.speed, 0.0])

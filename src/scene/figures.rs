@@ -1,6 +1,6 @@
-//! What a state of a scene is like, in numbers beside those of the exact solution.
+//! Figures of a state, compared with the exact solution.
 
-use super::isothermal_channel::Developed;
+use super::developed::Developed;
 use super::{Exact, Scene};
 use crate::adjoint::Dynamics;
 use crate::numerics::lanes::Real;
@@ -9,30 +9,31 @@ use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use serde::Serialize;
 
-/// What the flow is like after a number of steps.
+/// Figures of the flow at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlowFigures {
     pub time: f64,
-    /// Of all fluid particles, sum m u^2 / 2.
+    /// sum m u^2 / 2 over the fluid particles.
     pub kinetic_energy: f64,
-    /// The same sum with the exact velocity at the particles' places.
+    /// The same sum with the exact velocity at the particles' positions.
     pub exact_kinetic_energy: Option<f64>,
-    /// Of the fastest fluid particle.
+    /// Speed of the fastest fluid particle.
     pub largest_velocity: f64,
-    /// Root mean square over the fluid particles of |u - u_exact| at their places, over [`Exact::amplitude`].
+    /// Root mean square of |u - u_exact| at the fluid particles, over [`Exact::amplitude`].
     pub velocity_error: Option<f64>,
-    /// Slab: root mean square of T - T_exact at the particles' places, over the walls' difference.
+    /// Root mean square of T - T_exact at the particles' places: over the walls' difference in the slab, else in units of
+    /// temperature.
     pub temperature_error: Option<f64>,
-    /// Slab: heat flux through the lower and the upper wall, and the exact one.
+    /// Slab: heat flux through the lower and the upper wall, and the exact ones.
     pub wall_flux: Option<[f64; 2]>,
     pub exact_wall_flux: Option<[f64; 2]>,
-    /// Isothermal channel: Nusselt number of the section where the profile is developed, and the exact one.
+    /// Isothermal channel: Nusselt number of the section with a developed profile, and the exact one.
     pub nusselt: Option<f64>,
     pub exact_nusselt: Option<f64>,
 }
 
-/// Slab: particles between this many spacings of a wall tell the flux through it. (Those beside it are where a wall condition's
-/// own error is.)
+/// Slab: range of the distance from a wall, in spacings, in which particles determine the flux through it. (The nearest
+/// ones contain the error of the wall condition.)
 const NEAR: [f64; 2] = [1.0, 10.0];
 
 /// The first of three unknowns of a linear system, by Cramer's rule.
@@ -45,21 +46,21 @@ fn first_unknown(m: [[f64; 3]; 3], right: [f64; 3]) -> f64 {
 }
 
 impl<R: Real> Scene<R> {
-    /// Figures of a state of this flow at a time.
+    /// The figures of a state at a time.
     pub fn figures(&self, state: &[R], time: f64) -> FlowFigures {
         let (model, n) = (&self.model, self.model.particles());
         let vector = |row: usize, i: usize| -> [f64; 3] {
-            std::array::from_fn(|d| if d < model.layout.dimension { state[(row + d) * n + i].f64() } else { 0.0 })
+            std::array::from_fn(|d| if d < model.dimension() { state[(row + d) * n + i].f64() } else { 0.0 })
         };
         let square = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>();
         let (mut fluid, mut energy, mut exact_energy, mut error, mut largest) = (0, 0.0, 0.0, 0.0, 0.0_f64);
         let mut known = true;
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
-            let u = vector(model.layout.velocity(), i);
+            let u = vector(model.rows.velocity(), i);
             let r = vector(0, i);
             fluid += 1;
             energy += 0.5 * model.mass * square(u);
-            // Not `max`: it would hide what is not a number.
+            // `max` would ignore a NaN.
             largest = if square(u).sqrt() <= largest { largest } else { square(u).sqrt() };
             match self.exact.velocity(r, time) {
                 Some(exact) => {
@@ -92,15 +93,15 @@ impl<R: Real> Scene<R> {
         }
     }
 
-    /// Place and temperature of every fluid particle of a scene with heat.
+    /// Index, position and temperature of every fluid particle, for a scene with heat.
     fn temperatures<'a>(&'a self, state: &'a [R]) -> impl Iterator<Item = (usize, [f64; 3], f64)> + 'a {
         let (model, n) = (&self.model, self.model.particles());
         let place = move |i: usize| -> [f64; 3] {
-            std::array::from_fn(|d| if d < model.layout.dimension { state[d * n + i].f64() } else { 0.0 })
+            std::array::from_fn(|d| if d < model.dimension() { state[d * n + i].f64() } else { 0.0 })
         };
-        let row = model.layout.temperature() * n;
-        let fluid = (0..n).filter(move |&i| model.layout.heat && model.is_fluid(i));
-        fluid.map(move |i| (i, place(i), state[row + i].f64()))
+        let row = model.rows.temperature();
+        let fluid = (0..n).filter(move |&i| row.is_some() && model.is_fluid(i));
+        fluid.map(move |i| (i, place(i), state[row.unwrap_or(0) * n + i].f64()))
     }
 
     fn temperature_error(&self, state: &[R], time: f64) -> Option<f64> {
@@ -112,8 +113,8 @@ impl<R: Real> Scene<R> {
         (count > 0).then(|| (sum / count as f64).sqrt())
     }
 
-    /// The heat flux along y through the walls of a slab: that of the cubic through the wall's temperature (1 below, 0 above)
-    /// that fits the particles [`NEAR`] it best.
+    /// The heat flux along y through the walls of a slab, by the least-squares cubic through the wall's temperature (1
+    /// below, 0 above) and the particles [`NEAR`] it.
     fn wall_flux(&self, state: &[R], conductivity: [f64; 2]) -> [f64; 2] {
         let near = NEAR.map(|spacings| (spacings * self.spacing).min(0.5));
         [0, 1].map(|wall| {
@@ -138,7 +139,7 @@ impl<R: Real> Scene<R> {
     fn nusselt(&self, state: &[R], developed: &Developed) -> Option<f64> {
         let (model, n) = (&self.model, self.model.particles());
         let volume = model.mass / model.equation_of_state.reference_density;
-        let along = |i: usize| state[model.layout.velocity() * n + i].f64();
+        let along = |i: usize| state[model.rows.velocity() * n + i].f64();
         let of =
             |(i, [x, _, _], temperature): (usize, [f64; 3], f64)| [x, volume * along(i), volume, 1.0 - temperature];
         developed.measured(self.temperatures(state).map(of))
@@ -146,18 +147,32 @@ impl<R: Real> Scene<R> {
 }
 
 impl<R: Sweeps> Scene<R> {
-    /// What [`Self::history_row`] has.
+    /// Names of the columns of [`Self::history_row`].
     pub fn history_columns(&self) -> &'static [&'static str] {
         match (&self.design, &self.exact) {
             (Some(_), _) => &["time", "q", "flow_rate"],
             (None, Exact::Unknown) => &["time", "kinetic_energy", "largest_velocity"],
+            (None, Exact::Stated(stated)) => match (stated.velocity.is_empty(), &stated.temperature) {
+                (true, _) => &["time", "kinetic_energy", "largest_velocity", "temperature_error"],
+                (false, None) => {
+                    &["time", "kinetic_energy", "largest_velocity", "exact_kinetic_energy", "velocity_error"]
+                }
+                (false, Some(_)) => &[
+                    "time",
+                    "kinetic_energy",
+                    "largest_velocity",
+                    "exact_kinetic_energy",
+                    "velocity_error",
+                    "temperature_error",
+                ],
+            },
             (None, Exact::Slab(_)) => &["time", "lower_wall_flux", "upper_wall_flux", "temperature_error"],
             (None, _) => &["time", "kinetic_energy", "largest_velocity", "exact_kinetic_energy", "velocity_error"],
         }
     }
 
-    /// Figures of a run's present state: heat and volume that flow out (sums of rho u (T - T_in) and u over the targets,
-    /// times their spacing) where there is a design, else [`FlowFigures`].
+    /// Figures of the present state of a run: for a design the heat and the volume that flow out (sums of rho u (T -
+    /// T_in) and u over the targets, times their spacing), otherwise [`FlowFigures`].
     ///
     /// # Errors
     /// Tensor errors.
@@ -171,7 +186,7 @@ impl<R: Sweeps> Scene<R> {
         if let Some(flux) = found.wall_flux {
             return Ok([time].into_iter().chain(flux).chain(found.temperature_error).collect());
         }
-        let known = [found.exact_kinetic_energy, found.velocity_error].into_iter().flatten();
+        let known = [found.exact_kinetic_energy, found.velocity_error, found.temperature_error].into_iter().flatten();
         Ok([time, found.kinetic_energy, found.largest_velocity].into_iter().chain(known).collect())
     }
 }

@@ -1,16 +1,17 @@
 //! The heated channel: a periodic channel driven by a body force, with a hot section in its bottom wall.
 //!
-//! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three
-//! rows of dummy particles below and above; in three dimensions z across the flow, where the channel is periodic too. Particles
-//! stand on a lattice in rows from the bottom, x fastest, and layers along z.
+//! Coordinates: x along the channel, y = 0 on the surface of the undeformed bottom wall, fluid in 0 < y < H, three rows
+//! of dummy particles below and above; in three dimensions z across the flow, with periodicity. Particles are on a
+//! lattice in rows from the bottom, x fastest, and in layers along z.
 
-use super::assembly::{Assembled, Lattice, Numerics, Parts};
+use super::assembly::{Assembled, Numerics, Parts};
 use super::heated_channel_3d;
+use super::lattice::Lattice;
 use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
 use super::{Exact, Scene};
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, Formulation, GradientMode, HotIsotherm, Interpolation as Mode,
-    KernelName, MassConvention, Motion, ObjectiveKind, Start,
+    BodyForceRegion, Config, DesignWalls, DriveName, GradientMode, HotIsotherm, Interpolation as Mode, KernelName,
+    MassConvention, Method, ObjectiveKind, Start,
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
@@ -18,23 +19,25 @@ use crate::design::parametrisations::{first_column, SplineSurface};
 use crate::design::shape::{HotSection, Shape};
 use crate::design::{parametrisations, start_shape, Deformation, Parametrisation, Problem};
 use crate::error::Error;
-use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::sph::fixed::{Channel, Fixed};
+use crate::sph::consistent::Consistent;
+use crate::sph::fixed::{Channel, Fixed, FixedParticles};
+use crate::sph::flow::Heat;
+use crate::sph::interpolation::Interpolation;
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
-use crate::sph::model::{Heat, Layout, Model};
-use crate::sph::operators::interpolation::Interpolation;
+use crate::sph::standard::Standard;
+use crate::sph::{Model, Sweeps};
 use std::sync::Arc;
 
-/// The channel of a checked configuration, with its start shape.
+/// The channel of a checked configuration, with its initial shape.
 ///
 /// # Errors
-/// A wall shape that its file or its numbers do not allow.
-pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
+/// A wall shape that is not allowed.
+pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let lattice = lattice(config);
-    let share = hot_section(config).share();
+    let share = HotSection::of(config).share();
     let hot = |i: usize| if lattice.is_below(i, 1) { share[lattice.rows(i)[0]] } else { 0.0 };
     let hot: Vec<f64> = (0..lattice.particles()).map(hot).collect();
     let mut parts = Parts {
@@ -47,31 +50,40 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
         body_force: body_force(config),
         drive: drive(config),
         lid: 0.0,
-        own_mass: config.wall.mass == MassConvention::ColumnArea && config.fluid.formulation == Formulation::Standard,
+        own_mass: config.wall.mass == MassConvention::ColumnArea && config.method.facts().wall_cells,
         heat: Some(heat(config, &hot)),
         heat_walls: None,
         exact: Exact::Unknown,
     };
     let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
     if config.objective.kind == ObjectiveKind::WallHeat {
-        model.wall_heat_until = Some(config.objective.target_x);
+        model.flow.wall_heat_until = Some(config.objective.target_x);
     }
     let (n, l) = (model.particles(), model.layout);
     for i in (0..n).filter(|&i| hot[i] > 0.0) {
-        model.tags[i] = tag::HOT_WALL;
+        model.flow.tags[i] = tag::HOT_WALL;
         base[l.temperature() * n + i] = config.wall.hot_temperature - config.fluid.inlet_temperature;
     }
     if l.mass {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
-    let (model, deformation) = match config.fluid.formulation {
-        _ if model.layout.dimension == 3 => heated_channel_3d::consistent(config, &parts, Assembled { model, base }),
-        Formulation::Standard => {
-            let deformation = deformation(config, &parts.lattice, &model, base);
-            (model, deformation)
+    let (model, deformation) = match config.method {
+        _ if model.dimension() == 3 => {
+            let (model, deformation) = heated_channel_3d::consistent(config, &parts, Assembled { model, base });
+            (Model::new(model), deformation)
         }
-        Formulation::Consistent if config.fluid.motion == Motion::Fixed => fixed(config, &parts, model)?,
-        Formulation::Consistent => consistent(config, &parts, Assembled { model, base }),
+        Method::Standard(_) => {
+            let deformation = deformation(config, &parts.lattice, &model, base);
+            (Model::new(model), deformation)
+        }
+        Method::Fixed(own) => {
+            let (model, deformation) = fixed(config, &parts, model, own.pressure_diffusion)?;
+            (Model::new(model), deformation)
+        }
+        Method::Consistent(_) => {
+            let (model, deformation) = consistent(config, &parts, Assembled { model, base });
+            (Model::new(model), deformation)
+        }
     };
     let deformation = Arc::new(deformation);
     let (parametrisation, first): (Arc<dyn Parametrisation>, _) = match &deformation.map {
@@ -85,7 +97,7 @@ pub(super) fn build<R: Real>(config: &Config) -> Result<Scene<R>, Error> {
     let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
     let samples = Samples::window(steps, window, config.objective.samples);
     let design = Problem {
-        model: Arc::new(model),
+        model,
         compute: config.run.compute()?,
         deformation,
         parametrisation,
@@ -117,13 +129,7 @@ fn lattice(config: &Config) -> Lattice {
     }
 }
 
-/// The hot section of the bottom wall.
-pub(super) fn hot_section(config: &Config) -> HotSection {
-    let channel = &config.channel;
-    HotSection { from: channel.hot_from, to: channel.hot_to, dx: config.resolution.dx, length: channel.length }
-}
-
-/// What holds the flow rate or the power, over the whole depth.
+/// The drive that holds the flow rate or the power, for the whole depth.
 fn drive(config: &Config) -> Option<Drive> {
     let depth = config.depth();
     match config.fluid.drive {
@@ -146,7 +152,7 @@ fn body_force(config: &Config) -> BodyForce {
     }
 }
 
-/// At rest, or the plane channel's steady parabola, of its flow rate.
+/// Zero, or the steady parabola of the plane channel with its flow rate.
 fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
     if config.time.start == Start::Rest {
         return [0.0; 3];
@@ -155,9 +161,9 @@ fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
     [(0.5 * config.plane_force() / kinematic * y * (config.channel.height - y)).max(0.0), 0.0, 0.0]
 }
 
-/// Conduction, and walls of a share `hot` of the hot temperature: T_wall = constant + factor <T>, adiabatic for the share of
-/// a column outside the hot section.
-fn heat<R: Real>(config: &Config, hot: &[f64]) -> Heat<R> {
+/// Heat conduction with T_wall = constant + factor <T>. The fraction `hot` of a wall cell has the hot temperature; the
+/// rest is adiabatic.
+fn heat<R: Sweeps>(config: &Config, hot: &[f64]) -> Heat<R> {
     let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
     let (constant, factor) = match config.wall.hot_isotherm {
         HotIsotherm::Surface => (2.0 * excess, -1.0),
@@ -175,8 +181,8 @@ fn heat<R: Real>(config: &Config, hot: &[f64]) -> Heat<R> {
     }
 }
 
-/// How the heights of columns move the particles of `base`: see [`Deformation`].
-fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, base: Vec<f64>) -> Deformation {
+/// The [`Deformation`] of `base` by the heights of columns.
+fn deformation<R: Sweeps>(config: &Config, lattice: &Lattice, model: &Standard<R>, base: Vec<f64>) -> Deformation {
     let (n, l, height) = (model.particles(), model.layout, config.channel.height);
     let by_height = |i: usize| match model.is_fluid(i) {
         true => 1.0 - base[n + i] / height,
@@ -191,11 +197,15 @@ fn deformation<R: Real>(config: &Config, lattice: &Lattice, model: &Model<R>, ba
     Deformation { columns: config.columns(), particles: n, map, base }
 }
 
-/// The channel in the consistent formulation, and how the heights of the lower surface's points move its particles.
-fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembled<R>) -> (Model<R>, Deformation) {
+/// The channel in the consistent method, and its deformation by the heights of the lower surface's points.
+fn consistent<R: Sweeps>(
+    config: &Config,
+    parts: &Parts<R>,
+    mut assembled: Assembled<R>,
+) -> (Consistent<R>, Deformation) {
     let (channel, lattice) = (&config.channel, &parts.lattice);
     let (dx, length, height, columns) = (config.resolution.dx, channel.length, channel.height, config.columns());
-    let section = hot_section(config);
+    let section = HotSection::of(config);
     let vertices = section.vertices();
     let (hot, cold) = section.heat_points();
     let n = assembled.model.particles();
@@ -206,7 +216,7 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     points.extend(hot.iter().map(|&x| at(x, 0.0, 1.0, Knows::Temperature(excess))));
     points.extend(cold.iter().map(|&x| at(x, 0.0, 1.0, Knows::NoHeatFlux)));
     let lower = points.len();
-    // A top wall that stays flat needs a point for each column; one that is shaped has the bottom's.
+    // A flat top wall needs a point for each column; a shaped one has the points of the bottom wall.
     let shaped = config.design.walls == DesignWalls::Both;
     let centres: Vec<f64> = (0..columns).map(|c| (c as f64 + 0.5) * dx).collect();
     let above = if shaped { vertices.clone() } else { centres.clone() };
@@ -218,13 +228,13 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     for i in 0..n {
         let column = lattice.rows(i)[0];
         if lattice.is_below(i, 1) {
-            // Behind every second vertex, not behind the columns of fluid.
+            // Dummy particles are behind every second vertex, not in the columns of fluid.
             let x = vertices[2 * column];
             assembled.base[i] = x;
             dummies.push(Dummy { particle: i, point: 2 * column, mirror: [x, -assembled.base[n + i], 0.0] });
             below.push((i, 2 * column));
             let is_hot = x > channel.hot_from && x < channel.hot_to;
-            assembled.model.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
+            assembled.model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
         } else if lattice.is_above(i, 1) {
             if shaped {
                 assembled.base[i] = above[stride * column];
@@ -242,7 +252,7 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     };
     let surface = surface::Surface { points, dummies, rows: Some(rows) };
     let settings = Settings::from_config(config).unwrap_or_default();
-    let Assembled { model, base } = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+    let (model, base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
     let first = n + vertices.len();
     let bottom = deformation::Surface {
         points: (n..first).collect(),
@@ -255,7 +265,7 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
         slope_over: 0.5 * dx,
         fluid,
         dummies: below,
-        vector: model.layout.velocity(),
+        vector: model.rows.velocity(),
     };
     let mut walls = vec![bottom];
     if shaped {
@@ -274,11 +284,16 @@ fn consistent<R: Real>(config: &Config, parts: &Parts<R>, mut assembled: Assembl
     (model, deformation)
 }
 
-/// Above this spacing, in channel heights, the flux along an adiabatic wall is left out: it smears the edge of the hot one.
+/// Above this spacing, in channel heights, the flux along an adiabatic wall is left out; it smears the hot edge.
 const CONORMAL_UP_TO: f64 = 1.0 / 16.0;
 
-/// The channel with fixed particles, and how the heights of the lower wall's points move them.
-fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<(Model<R>, Deformation), Error> {
+/// The channel with fixed particles, and its deformation by the heights of the lower wall's points.
+fn fixed<R: Sweeps>(
+    config: &Config,
+    parts: &Parts<R>,
+    model: Standard<R>,
+    delta: f64,
+) -> Result<(FixedParticles<R>, Deformation), Error> {
     let (channel, fluid) = (&config.channel, &config.fluid);
     let (dx, columns) = (config.resolution.dx, config.columns());
     let dt = model.dt;
@@ -287,7 +302,7 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
         rows: config.rows(),
         spacing: dx,
         first_column_x: first_column(config),
-        // The lattice's stencil has two neighbours in each direction.
+        // The stencil of the lattice has two neighbours in each direction.
         kernel: Kernel::new(KernelName::QuinticSpline, 2, dx),
         density: fluid.density,
         sound_speed: config.sound_speed(),
@@ -295,7 +310,7 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
         diffusivity: config.thermal_diffusivity(),
         body_force: model.body_force.strength(),
         drive: model.drive,
-        delta: fluid.pressure_diffusion,
+        delta,
         dt,
         hot: [channel.hot_from, channel.hot_to],
         hot_excess: config.wall.hot_temperature - fluid.inlet_temperature,
@@ -308,22 +323,6 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
     let (n, inner) = (fixed.particles(), fixed.fluid_particles());
     let flat = vec![0.0; columns];
     let base = fixed.state(&flat, &flat, &|y| start_velocity(config, [0.0, y, 0.0])[0]);
-    let layout = Layout {
-        dimension: 2,
-        transport: false,
-        heat: true,
-        mass: false,
-        density: false,
-        consistent: true,
-        rates: false,
-    };
-    let mut tags = vec![tag::FLUID; inner];
-    tags.extend((0..2 * columns).map(|k| match fixed.channel.hot_share()[k % columns] {
-        share if k < columns && share > 0.5 => tag::HOT_SURFACE,
-        _ => tag::SURFACE,
-    }));
-    let mut equation_of_state = model.equation_of_state;
-    equation_of_state.background_pressure = 0.0;
     let bottom = deformation::Surface {
         points: (inner..inner + columns).collect(),
         hot: vec![],
@@ -335,7 +334,7 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
         slope_over: dx,
         fluid: (0..inner).collect(),
         dummies: vec![],
-        vector: layout.velocity(),
+        vector: 2,
     };
     let mut walls = vec![bottom];
     if config.design.walls == DesignWalls::Both {
@@ -343,45 +342,44 @@ fn fixed<R: Real>(config: &Config, parts: &Parts<R>, model: Model<R>) -> Result<
         walls.push(deformation::Surface { points, is_top: true, ..walls[0].clone() });
     }
     let base = base.iter().map(|x| x.f64()).collect();
-    let model = Model { layout, tags, equation_of_state, fixed: Some(Arc::new(fixed)), transport: 0.0, ..model };
     let columns = walls.len() * columns;
-    Ok((model, Deformation { columns, particles: n, map: Map::Surfaces(walls), base }))
+    let deformation = Deformation { columns, particles: n, map: Map::Surfaces(walls), base };
+    Ok((FixedParticles::new(model.flow, fixed), deformation))
 }
 
-/// Steps of the objective's window.
+/// Number of steps in the objective's window.
 pub(super) fn window(config: &Config) -> usize {
     ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
 }
 
-/// A column of targets across the flow; in three dimensions one in front of each layer.
-fn outlet<R>(config: &Config, model: &Model<R>) -> Outlet {
+/// A column of targets across the flow; in three dimensions one in each layer.
+fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
     let dx = config.resolution.dx;
-    // Fluxes: more targets beyond each wall, so that every particle counts with its whole kernel.
+    // Fluxes need targets beyond each wall, so that every particle counts with its whole kernel.
     let beyond = if config.objective.interpolation == Mode::Flux { config.least_wall_rows().max(3) } else { 0 };
     let height_of = |k: usize| (k as f64 - beyond as f64 + 0.5) * dx;
     let rows = config.rows() + 2 * beyond;
-    let depth_of = |layer: usize| if model.layout.dimension == 3 { (layer as f64 + 0.5) * dx } else { 0.0 };
+    let depth_of = |layer: usize| if model.dimension() == 3 { (layer as f64 + 0.5) * dx } else { 0.0 };
     let places = (0..config.layers()).flat_map(|layer| (0..rows).map(move |k| (layer, k)));
     let targets = places.map(|(layer, k)| [config.objective.target_x, height_of(k), depth_of(layer)]).collect();
     let (kernel, domain, kernels) = (model.kernel, model.domain, config.run.kernels);
     let interpolation = Interpolation { kernel, domain, targets: Arc::new(targets), kernels };
     let mut outlet = Outlet { interpolation, mode: config.objective.interpolation, spacing: dx };
-    if model.layout.dimension == 3 {
+    if model.dimension() == 3 {
         outlet.spacing *= dx / config.channel.span;
     }
-    if config.fluid.motion == Motion::Fixed && config.objective.interpolation == Mode::Flux {
-        // Particles that stand still see the kernel at the same few places: its sum over them is not quite its integral.
+    if !config.method.facts().moves && config.objective.interpolation == Mode::Flux {
+        // Fixed particles sample the kernel at few points, so its sum differs slightly from its integral.
         outlet.spacing /= section_sum(config, &outlet);
     }
     outlet
 }
 
-/// What the targets make of a flux of 1 through a section of fixed particles: the sum of the kernel over targets and columns,
-/// times dx^2.
+/// The sum of the kernel over targets and columns times dx^2: the value that the targets give for a flux of 1.
 fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
     let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
     let x = |column: usize| first_column(config) + column as f64 * dx;
-    // Rows and targets stand dx apart, so every row counts the same.
+    // Rows and targets are dx apart, so every row counts the same.
     let rows = (kernel.cutoff() / dx).ceil() as i64;
     let mut sum = 0.0;
     for column in 0..config.columns() {

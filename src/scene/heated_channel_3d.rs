@@ -1,35 +1,35 @@
-//! The heated channel in three dimensions, in the consistent formulation: the points on its walls, its dummy particles, and how
-//! the height of the lower wall over x and z moves its particles.
+//! The heated channel in three dimensions in the consistent method: the points on its walls, its dummy particles, and
+//! its deformation by the height of the lower wall over x and z.
 
 use super::assembly::{Assembled, Parts};
-use super::heated_channel::hot_section;
 use super::surface::{Dummy, Knows, Point, Settings, Surface};
 use crate::config::scene::Config;
 use crate::design::deformation::Map;
 use crate::design::relief::Relief;
+use crate::design::shape::HotSection;
 use crate::design::Deformation;
-use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::sph::model::Model;
+use crate::sph::consistent::Consistent;
+use crate::sph::Sweeps;
 
-/// Points along x at each layer of particles, all at one height.
+/// Points along x at one height, repeated in each layer of particles.
 struct Line<'a> {
     x: &'a [f64],
     y: f64,
     knows: Knows,
 }
 
-/// The channel, and how the heights of its lower wall move its particles. In each layer of particles along z the walls have the
-/// points that the channel in two dimensions has: two per spacing on the lower wall, and one on the upper one, with the wall's
-/// velocity, and those for the heat.
-pub(super) fn consistent<R: Real>(
+/// The channel, and its deformation by the heights of its lower wall. Each layer of particles along z has the wall
+/// points of the channel in two dimensions: two per spacing on the lower wall and one on the upper one with the wall's
+/// velocity, and those with thermal conditions.
+pub(super) fn consistent<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
     mut assembled: Assembled<R>,
-) -> (Model<R>, Deformation) {
+) -> (Consistent<R>, Deformation) {
     let (channel, lattice) = (&config.channel, &parts.lattice);
     let (dx, height, columns, layers) = (config.resolution.dx, channel.height, config.columns(), config.layers());
-    let section = hot_section(config);
+    let section = HotSection::of(config);
     let vertices = section.vertices();
     let (hot, cold) = section.heat_points();
     let centres: Vec<f64> = (0..columns).map(|c| (c as f64 + 0.5) * dx).collect();
@@ -43,7 +43,7 @@ pub(super) fn consistent<R: Real>(
         Line { x: &centres, y: height, knows: Knows::NoHeatFlux },
     ];
     let mut points = Vec::new();
-    // The number of each line's first point.
+    // Index of each line's first point.
     let mut first = [0; 5];
     for (line, first) in lines.iter().zip(&mut first) {
         *first = points.len();
@@ -60,14 +60,14 @@ pub(super) fn consistent<R: Real>(
         let [column, _, layer] = lattice.rows(i);
         let (y, z) = (assembled.base[n + i], assembled.base[2 * n + i]);
         if lattice.is_below(i, 1) {
-            // Behind every second vertex, not behind the columns of fluid.
+            // Dummy particles are behind every second vertex, not in the columns of fluid.
             let x = vertices[2 * column];
             assembled.base[i] = x;
             let point = first[0] + layer * vertices.len() + 2 * column;
             dummies.push(Dummy { particle: i, point, mirror: [x, -y, z] });
             below.push(i);
             let is_hot = x > channel.hot_from && x < channel.hot_to;
-            assembled.model.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
+            assembled.model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
         } else if lattice.is_above(i, 1) {
             let mirror = [assembled.base[i], 2.0 * height - y, z];
             dummies.push(Dummy { particle: i, point: first[3] + layer * columns + column, mirror });
@@ -75,10 +75,10 @@ pub(super) fn consistent<R: Real>(
     }
     let surface = Surface { points, dummies, rows: None };
     let settings = Settings::from_config(config).unwrap_or_default();
-    let Assembled { model, base } = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+    let (model, base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
     let particles = model.particles();
     let place = |i: usize| [base[i], base[2 * particles + i]];
-    let mut relief = Relief::new(0.5 * dx, model.layout.velocity());
+    let mut relief = Relief::new(0.5 * dx, model.rows.velocity());
     for i in n..n + first[3] {
         relief.moves(i, place(i), 1.0);
     }

@@ -1,32 +1,34 @@
-//! Heat transfer to the developed flow between parallel plates, both at one temperature or one of them adiabatic (Shah and
-//! London 1978, chapter VI).
+//! Heat transfer to developed flow between parallel plates, both with one temperature or one adiabatic (Shah and London
+//! 1978, chapter VI).
 //!
-//! Height, velocity of the centre line and density are 1, as is the walls' temperature; fluid enters with temperature 0.
-//! Coordinates as in [`super::poiseuille`]: periodic in x, so that fluid which leaves comes in again, cold. Behind
-//! `hot_from` the walls are warm; there the temperature profile develops, and then keeps its shape while what is left of the
-//! difference to the walls falls as exp(-b x). How fast heat goes over is the Nusselt number, by the hydraulic diameter 2.
+//! Height, centre-line velocity, density and the walls' temperature are 1; fluid enters with temperature 0. Coordinates
+//! as in [`super::poiseuille`]. The channel is periodic in x, and fluid that leaves enters again, cold. Behind
+//! `hot_from` the walls are warm. There the temperature profile develops, and then keeps its shape while the difference
+//! to the walls decays as exp(-b x). The rate of heat transfer is the Nusselt number by the hydraulic diameter 2.
 
-use super::assembly::{count, Lattice, Numerics, Parts, WallHeat};
+use super::assembly::{count, Numerics, Parts};
+use super::developed::{parabola, Developed};
+use super::lattice::{Lattice, WallHeat};
 use super::{Exact, Scene};
 use crate::config::scene::{Config, UpperWall};
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// The channel and how it is resolved.
+/// The channel and its resolution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IsothermalChannel {
     /// Fluid particles across the channel.
     pub rows: usize,
-    /// Particles along it.
+    /// Particles along the channel.
     pub columns: usize,
     /// Velocity of the centre line * height / kinematic viscosity.
     pub reynolds: f64,
     /// Kinematic viscosity over thermal diffusivity.
     pub prandtl: f64,
     pub upper_wall: UpperWall,
-    /// Where the walls become warm.
+    /// x at which the warm walls begin.
     pub hot_from: f64,
-    /// Fluid before this is cold; fluid behind that keeps its temperature.
+    /// Fluid with x below `inlet` is cold; fluid with x above `outlet` keeps its temperature.
     pub inlet: f64,
     pub outlet: f64,
     pub numerics: Numerics,
@@ -49,7 +51,7 @@ impl IsothermalChannel {
         }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         let viscosity = 1.0 / self.reynolds;
         let diffusivity = viscosity / self.prandtl;
         let warm = WallHeat { temperature: 1.0, from: self.hot_from, to: self.outlet };
@@ -75,169 +77,5 @@ impl IsothermalChannel {
         }
         .warm(diffusivity, [self.inlet, self.outlet], [warm, upper], None)
         .build(|[_, y, _]| [parabola(y), 0.0, 0.0])
-    }
-}
-
-/// The developed flow.
-pub(super) fn parabola(y: f64) -> f64 {
-    (4.0 * y * (1.0 - y)).max(0.0)
-}
-/// Its mean.
-const MEAN_VELOCITY: f64 = 2.0 / 3.0;
-/// Twice the height.
-const HYDRAULIC_DIAMETER: f64 = 2.0;
-
-/// The developed profile of the temperature: T_wall - T = f(y) exp(-b x) with
-///
-/// alpha (f'' + b^2 f) + b u f = 0, f = 0 on a warm wall and f' = 0 on an adiabatic one,
-///
-/// conduction along the channel (b^2) included; without it, for large Peclet numbers, the Nusselt number is 7.5407, and with
-/// one wall adiabatic 4.8608 (Shah and London 1978, tables 33 and 48).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Developed {
-    diffusivity: f64,
-    upper_wall: UpperWall,
-    /// Nusselt number by the hydraulic diameter.
-    pub nusselt: f64,
-    /// Where along the channel the profile is developed; none if the warm walls end before.
-    pub section: Option<[f64; 2]>,
-}
-
-/// Points across the channel of a solution.
-const POINTS: usize = 1000;
-
-impl Developed {
-    /// Between walls that are warm from `hot[0]` to `hot[1]`. The profile is developed from where the next mode has fallen to
-    /// 1 % of what it was, to half a height before the end.
-    pub fn new(diffusivity: f64, upper_wall: UpperWall, hot: [f64; 2]) -> Self {
-        let mut developed = Self { diffusivity, upper_wall, nusselt: f64::NAN, section: None };
-        let first = developed.decay(0);
-        // With like walls the one between is odd about the centre line: nothing begins it.
-        let next = developed.decay(if upper_wall == UpperWall::Isothermal { 2 } else { 1 });
-        // D f'(0) over the mixed temperature.
-        developed.nusselt = HYDRAULIC_DIAMETER / developed.across(first).1;
-        let section = [hot[0] + 100_f64.ln() / (next - first), hot[1] - 0.5];
-        developed.section = (section[1] - section[0] >= 0.5).then_some(section);
-        developed
-    }
-
-    /// f and its slope at the upper wall for a b, from f = 0 and f' = 1 at the lower one, and the mean of u f over that of u:
-    /// Runge and Kutta's method of fourth order, Simpson's rule.
-    fn across(&self, b: f64) -> ([f64; 2], f64) {
-        let h = 1.0 / POINTS as f64;
-        let bend = |y: f64, f: f64| -(b * b + b * parabola(y) / self.diffusivity) * f;
-        let (mut f, mut slope, mut sum) = (0.0, 1.0, 0.0);
-        for k in 0..POINTS {
-            let y = k as f64 * h;
-            let (f1, s1) = (slope, bend(y, f));
-            let (f2, s2) = (slope + 0.5 * h * s1, bend(y + 0.5 * h, f + 0.5 * h * f1));
-            let (f3, s3) = (slope + 0.5 * h * s2, bend(y + 0.5 * h, f + 0.5 * h * f2));
-            let (f4, s4) = (slope + h * s3, bend(y + h, f + h * f3));
-            let half = f + 0.5 * h * f2;
-            let next = f + h / 6.0 * (f1 + 2.0 * f2 + 2.0 * f3 + f4);
-            sum += h / 6.0 * (parabola(y) * f + 4.0 * parabola(y + 0.5 * h) * half + parabola(y + h) * next);
-            (f, slope) = (next, slope + h / 6.0 * (s1 + 2.0 * s2 + 2.0 * s3 + s4));
-        }
-        ([f, slope], sum / MEAN_VELOCITY)
-    }
-
-    /// How fast the temperature approaches the walls': the least b, or the next ones.
-    fn decay(&self, number: usize) -> f64 {
-        let end = |b: f64| self.across(b).0[(self.upper_wall == UpperWall::Adiabatic) as usize];
-        let step = 0.2 * self.diffusivity.min(1.0);
-        let (mut low, mut left) = (0.0, number);
-        loop {
-            let high = low + step;
-            if (end(low) > 0.0) != (end(high) > 0.0) {
-                if left == 0 {
-                    break;
-                }
-                left -= 1;
-            }
-            low = high;
-        }
-        let (below, mut high) = (end(low) > 0.0, low + step);
-        for _ in 0..60 {
-            let half = 0.5 * (low + high);
-            if (end(half) > 0.0) == below {
-                low = half;
-            } else {
-                high = half;
-            }
-        }
-        0.5 * (low + high)
-    }
-
-    /// What particles with (x, V u, V, T_wall - T) say of the Nusselt number, from the balance of heat of a piece of the
-    /// channel: b U H + alpha b^2 H mean / mixed, times D / (alpha walls), with b from a line through the logarithm of what
-    /// slices carry. None where nothing is developed.
-    pub fn measured(&self, particles: impl Iterator<Item = [f64; 4]>) -> Option<f64> {
-        let [from, to] = self.section?;
-        let slices = (4.0 * (to - from)).floor().max(2.0) as usize;
-        let width = (to - from) / slices as f64;
-        // Of each slice: sums of V u, V u x, V u f, V f, V.
-        let mut sums = vec![[0.0; 5]; slices];
-        for [x, flow, volume, rest] in particles.filter(|[x, ..]| *x >= from && *x < to) {
-            let slice = &mut sums[(((x - from) / width) as usize).min(slices - 1)];
-            let terms = [flow, flow * x, flow * rest, volume * rest, volume];
-            slice.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-        }
-        let points: Vec<[f64; 2]> = sums.iter().map(|s| [s[1] / s[0], (s[2] / s[0]).ln()]).collect();
-        let mean = |k: usize| points.iter().map(|point| point[k]).sum::<f64>() / slices as f64;
-        let (x, y) = (mean(0), mean(1));
-        let (mut up, mut down) = (0.0, 0.0);
-        for point in &points {
-            up += (point[0] - x) * (point[1] - y);
-            down += (point[0] - x).powi(2);
-        }
-        let b = -up / down;
-        let shape = sums.iter().map(|s| s[3] / s[4] / (s[2] / s[0])).sum::<f64>() / slices as f64;
-        let walls = if self.upper_wall == UpperWall::Isothermal { 2.0 } else { 1.0 };
-        let per_height = b * MEAN_VELOCITY + self.diffusivity * b * b * shape;
-        let nusselt = per_height * HYDRAULIC_DIAMETER / (self.diffusivity * walls);
-        nusselt.is_finite().then_some(nusselt)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nusselt_numbers_are_those_of_the_literature() {
-        let of = |diffusivity, upper_wall| Developed::new(diffusivity, upper_wall, [0.0, 10.0]);
-        // Peclet number 4/3 / diffusivity.
-        let both = of(1e-4, UpperWall::Isothermal).nusselt;
-        assert!((both - 7.5407).abs() < 1e-4, "{both}");
-        let one = of(1e-4, UpperWall::Adiabatic).nusselt;
-        assert!((one - 4.8608).abs() < 1e-4, "{one}");
-        // Conduction alone: 8.1174 (Shah and London 1978, eq. 308).
-        let slow = of(1e4, UpperWall::Isothermal).nusselt;
-        assert!((slow - 8.1174).abs() < 1e-3, "{slow}");
-    }
-
-    #[test]
-    fn the_balance_of_an_exact_profile_is_its_nusselt_number() {
-        for upper_wall in [UpperWall::Isothermal, UpperWall::Adiabatic] {
-            let developed = Developed::new(1.0 / 60.0, upper_wall, [1.0, 20.0]);
-            let b = developed.decay(0);
-            // The profile itself, at the places of particles.
-            let profile = |y: f64| {
-                let (steps, mut f, mut slope) = (4000, 0.0, 1.0);
-                let h = y / steps as f64;
-                for k in 0..steps {
-                    let middle = (k as f64 + 0.5) * h;
-                    let half = f + 0.5 * h * slope;
-                    slope -= h * (b * b + b * parabola(middle) / developed.diffusivity) * half;
-                    f = half + 0.5 * h * slope;
-                }
-                f
-            };
-            let rows: Vec<(f64, f64)> = (0..100).map(|k| (k as f64 + 0.5) / 100.0).map(|y| (y, profile(y))).collect();
-            let all = (0..2000).flat_map(|c| rows.iter().map(move |&(y, f)| (0.01 * (c as f64 + 0.5), y, f)));
-            let particles = all.map(|(x, y, f)| [x, 1e-4 * parabola(y), 1e-4, f * (-b * x).exp()]);
-            let (found, exact) = (developed.measured(particles).unwrap(), developed.nusselt);
-            assert!((found / exact - 1.0).abs() < 3e-4, "{found} {exact}");
-        }
     }
 }

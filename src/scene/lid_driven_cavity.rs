@@ -1,16 +1,17 @@
 //! Lid-driven cavity: a square (Ghia, Ghia and Shin 1982) or cubic box of fluid whose upper wall moves along x.
 //!
-//! Side, density and velocity of the lid are 1. The box has its corner at 0, 0 and three rows of dummy particles all
-//! around (more where the kernel is wider); it is periodic in x, so that the lid's particles come in again (no fluid sees
-//! across: the rows of two walls are between).
+//! Side, density and velocity of the lid are 1. The box has its corner at 0, 0 and three rows of dummy particles on all
+//! sides (more for a wider kernel). It is periodic in x for the lid's particles; walls separate the fluid from its
+//! images.
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::{Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// The cavity and how it is resolved. Defaults: LagrangeBench's 2D data set (50 x 50 fluid particles, Re = 100).
+/// The cavity and its resolution. Defaults: LagrangeBench's 2D data set (50 x 50 fluid particles, Re = 100).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LidDrivenCavity {
     /// 2, or 3: a cube with walls in front and behind.
@@ -37,7 +38,7 @@ impl LidDrivenCavity {
         Self { dimension: config.dimension(), per_side: count(config, 1.0), reynolds, numerics }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         let walls = self.numerics.wall_rows;
         let cells = self.per_side + 2 * walls;
         Parts {

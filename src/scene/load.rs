@@ -1,25 +1,26 @@
-//! From a scene's name or file, a preset and settings to a checked configuration.
+//! Loads a checked configuration from a scene's name or file, a preset and settings.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use toml_edit::{Array, Value};
 
+use crate::config::before;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
+use crate::config::difference::differences;
 use crate::config::layers::{Layer, Merged, Setting};
-use crate::config::provenance;
-use crate::config::scene::{
-    Config, DesignWalls, DynamicsName, Family, Formulation, GradientMode, IntegratorName, Motion, Search, Start, Trust,
-};
-use crate::config::schema::Schema;
+use crate::config::method::kind::Given;
+use crate::config::method::Method;
+use crate::config::scene::{Config, DesignWalls, DynamicsName, Family, GradientMode, Search, Start, Trust};
+use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::start_shape;
 use crate::error::{BadInput, Error};
 
-/// Where a configuration began.
+/// The origin of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     BuiltIn(&'static str),
@@ -27,7 +28,7 @@ pub enum Source {
 }
 
 impl Source {
-    /// A short name for folders: the scene's, or the file's without folder and extension.
+    /// A short name for folders: that of the scene, or that of the file without folder and extension.
     pub fn name(&self) -> String {
         match self {
             Self::BuiltIn(name) => name.to_string(),
@@ -49,19 +50,19 @@ impl std::fmt::Display for Source {
 #[derive(Debug, Clone)]
 pub struct Loaded {
     pub config: Config,
-    /// The resolved TOML: every key, with the built-in scene's comments; reads back to `config`, also when
-    /// the files that it came from are gone (a `design.file` is copied into `nodes` and `offsets`).
+    /// The resolved TOML: every key, with the built-in scene's comments. It reads back to `config` even when the files
+    /// that it came from are gone (a `design.file` is copied into `nodes` and `offsets`).
     pub text: String,
     pub source: Source,
     places: BTreeMap<String, String>,
-    /// What was given, before any default gave way to it.
+    /// The given values, before defaults were adapted to them.
     given: Merged,
 }
 
 impl Config {
     /// Loads and checks a configuration.
     ///
-    /// Layers, later ones win: the built-in scene, the preset, the user's file, each of `sets`
+    /// Later layers take precedence: the built-in scene, the preset, the user's file, each of `sets`
     /// (`section.key=value`). Within `{time.end, time.steps}` and `{design.shape, design.offsets, design.file}`
     /// the last layer that gives one of them replaces the others.
     ///
@@ -74,7 +75,7 @@ impl Config {
         Ok(load(scene_or_file, preset, &settings)?)
     }
 
-    /// [`Config::load`] with the options' own names in error messages.
+    /// [`Config::load`] for settings that carry the names of command-line options for error messages.
     pub fn load_settings(
         scene_or_file: Option<&str>,
         preset: Option<&str>,
@@ -83,10 +84,18 @@ impl Config {
         Ok(load(scene_or_file, preset, settings)?)
     }
 
-    /// Checks every number, how they fit together, and the wall's shape; the first thing wrong is the error.
+    /// Checks every number, their consistency and the wall's shape; the first problem is the error.
     pub fn validate(&self) -> Result<(), Error> {
         self.check()?;
         Ok(check_shape(self)?)
+    }
+
+    /// The settings that make this configuration from its built-in scene, except for the keys and sections in `free`.
+    pub fn over_its_scene(&self, label: &str, free: &[&str]) -> Vec<Setting> {
+        let usual = self.scene.defaults_with(self.method.name());
+        let found = differences(&usual, self, &[free, &["scene"]].concat());
+        let method = Setting::option(label, "method.name", self.method.name());
+        std::iter::once(method).chain(found.into_iter().map(|d| Setting::option(label, &d.key, d.now))).collect()
     }
 }
 
@@ -96,11 +105,24 @@ impl Loaded {
         self.places.get(key).map(String::as_str)
     }
 
-    /// The same configuration with more settings on top, e.g. each start of `--start all`; defaults that follow from
-    /// others follow from these.
+    /// Adds the place where the key of an error was set.
+    pub fn located(&self, bad: BadInput) -> BadInput {
+        bad.located(|key| self.place(key).map(str::to_owned))
+    }
+
+    /// [`Self::located`] for any error; only those about input change.
+    pub fn located_error(&self, error: Error) -> Error {
+        match error {
+            Error::Input(bad) => self.located(*bad).into(),
+            other => other,
+        }
+    }
+
+    /// The same configuration with further settings, such as those of each start of `--start all`. Defaults are derived
+    /// anew. If the settings choose another method, keys that it lacks are dropped.
     ///
     /// # Errors
-    /// A setting that can not be read, and values that do not fit together.
+    /// A setting that cannot be read, and inconsistent values.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = self.given.clone();
         for setting in settings {
@@ -108,10 +130,11 @@ impl Loaded {
             self.config.scene.built_in().accepts(&layer)?;
             merged.apply::<Config>(&layer);
         }
+        merged.free_method();
         Ok(finish(merged, self.source.clone())?)
     }
 
-    /// As TOML, no more than what was given: what settings on top of it make of the rest is still open.
+    /// The given values as TOML, without defaults, which later settings may change.
     pub fn given_text(&self) -> String {
         let mut given = self.given.clone();
         let all: toml::Table = given.text().parse().expect("a configuration's text is TOML");
@@ -126,38 +149,36 @@ impl Loaded {
         given.text()
     }
 
-    /// What another time step needs besides: a number of steps is another time with other steps.
+    /// The setting that keeps the end time when the time step changes, for a run with a given number of steps.
     pub fn same_time(&self) -> Option<Setting> {
         let config = &self.config;
         config.time.steps.map(|_| Setting::set(&format!("time.end={}", config.duration())))
     }
 
-    /// The configuration that an optimiser searches with: see [`Search`].
+    /// The configuration with which an optimiser searches, see [`Search`].
     ///
     /// # Errors
     /// As for [`Self::with`].
     pub fn for_search(&self) -> Result<Self, Error> {
-        let fluid = &self.config.fluid;
-        let has_both = fluid.formulation == Formulation::Consistent
-            && self.config.scene.has_design()
-            && self.config.dimension() == 2;
-        match self.config.optimise.search {
-            Search::Fixed if has_both && fluid.motion != Motion::Fixed => {
-                let mut settings = vec![Setting::set("fluid.motion=fixed")];
+        let (facts, methods) = (self.config.method.facts(), self.config.scene.built_in().methods());
+        let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
+        match (self.config.optimise.search, fixed) {
+            (Search::Fixed, Some(fixed)) => {
+                let mut settings = vec![Setting::set(&format!("method.name={fixed}"))];
                 settings.extend(self.same_time());
-                // What a run comes to is known without it, unless its schedule was chosen. (By values: the configuration of
-                // a run gives every key.)
+                // The steady state does not need a schedule, so a chosen schedule decides for segments. (Chosen is what
+                // differs from the default, because the configuration of a run gives every key.)
                 let (optimise, usual) = (&self.config.optimise, Config::default().optimise);
                 let chosen =
                     optimise.segment != usual.segment || optimise.store != usual.store || optimise.clip != usual.clip;
-                // A run that ends before its flow is steady is optimised for what it ends with.
+                // A run that ends before its flow is steady is optimised for its end.
                 let (flow, time) = (&self.config.fluid.reference_velocity, &self.config.time);
                 let passages = self.config.duration() * flow / self.config.channel.length;
                 let settles = passages >= if time.start == Start::Rest { 4.0 } else { 2.0 };
                 if optimise.gradient == GradientMode::Segments && !chosen && settles {
                     settings.push(Setting::set("optimise.gradient=steady"));
                 }
-                // The same window and samples, as far as the other steps allow: not what would be chosen anew.
+                // Keeps window and samples, as far as the other time step allows, instead of their defaults for it.
                 let (objective, step) = (&self.config.objective, self.with(&settings)?.config.time_step());
                 let steps = (objective.window / step).round().max(1.0) as usize;
                 settings.push(Setting::set(&format!("objective.window={}", objective.window)));
@@ -171,18 +192,22 @@ impl Loaded {
 
 fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting]) -> Result<Loaded, BadInput> {
     let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
-    let mut merged = Merged::new(base.text, BTreeMap::new());
+    let mut merged = base.merged();
     if let Some(name) = preset {
         let preset = builtin::preset(name)?;
-        let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text)?;
+        let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text())?;
         base.accepts(&layer)?;
         merged.apply::<Config>(&layer);
     }
     if let Some(layer) = file {
         base.accepts(&layer)?;
         if base.name == SCENES[0].name && is_from_before(&layer) {
-            for text in provenance::BEFORE {
-                merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::set(text))?);
+            for (key, value) in before::FIRST {
+                merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::option(
+                    "a file of before,",
+                    key,
+                    value,
+                ))?);
             }
         }
         merged.apply::<Config>(&layer);
@@ -195,15 +220,15 @@ fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting])
     finish(merged, source)
 }
 
-/// Keys of the shortest complete configuration of the heated channel.
+/// Number of keys of the shortest complete configuration of the heated channel.
 const COMPLETE: usize = 40;
 
-/// Whether a file has every key that there was before there was a choice of equations: the configuration of an old run.
+/// Whether a file is the complete configuration of an old run, from before methods could be chosen.
 fn is_from_before(layer: &Layer) -> bool {
-    layer.keys().count() >= COMPLETE && !layer.keys().any(|(key, _)| key == "fluid.formulation")
+    layer.keys().count() >= COMPLETE && !layer.keys().any(|(key, _)| key == "method.name")
 }
 
-/// The built-in scene to begin with, and the user's file as a layer if it is one.
+/// The built-in scene of a name or file, and the user's file as a layer.
 fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInput> {
     if let Some(scene) = builtin::scene(name) {
         return Ok((scene, None, Source::BuiltIn(scene.name)));
@@ -244,6 +269,7 @@ fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {
 }
 
 fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
+    merged.check_method()?;
     let mut config: Config = merged.read();
     if let Some(file) = config.design.file.clone().filter(|_| config.scene == Family::HeatedChannel) {
         if config.design.offsets.is_none() && config.design.nodes.is_none() {
@@ -256,7 +282,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             let array = |numbers: Vec<f64>| Value::Array(Array::from_iter(numbers));
             merged.set("design.nodes", array(columns.nodes), &file);
             merged.set("design.offsets", array(columns.offsets), &file);
-            // Where nobody has said which walls, the file does.
+            // If no layer chooses the walls, the file does.
             let says = |key: &str| merged.places().contains_key(key);
             let (walls, offsets) = (says("design.walls"), says("design.top_offsets"));
             let takes = config.design.walls == DesignWalls::Both || !walls;
@@ -267,7 +293,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
-    // A run's configuration is read from another folder than it was given in.
+    // The configuration of a run is later read from another folder.
     if let Some(model) = config.surrogate.model.clone().filter(|model| Path::new(model).is_relative()) {
         let place = merged.places().get("surrogate.model").cloned().unwrap_or_default();
         if let Ok(absolute) = std::path::absolute(&model) {
@@ -275,21 +301,22 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
     }
-    // Two materials are for the standard formulation.
-    if config.scene == Family::Slab && !merged.places().contains_key("fluid.formulation") {
+    // Not every method supports two materials.
+    if config.scene == Family::Slab && !merged.places().contains_key("method.name") {
         let place = ["heat.conductivity_ratio", "heat.capacity_ratio"]
             .into_iter()
             .zip([config.heat.conductivity_ratio, config.heat.capacity_ratio]);
         if let Some((key, _)) = place.into_iter().find(|(_, ratio)| *ratio != 1.0) {
-            merged.set("fluid.formulation", Value::from("standard"), key);
-            config = merged.read();
+            if let Some(able) = Method::that(|can| can.two_materials).first() {
+                merged.choose(able, key);
+                config = merged.read();
+            }
         }
     }
     let mut given = merged.clone();
-    // Scenes whose own formulation it is have its defaults already.
-    let chosen = config.usual().0.fluid.formulation != config.fluid.formulation;
-    if chosen && config.fluid.formulation == Formulation::Standard {
-        standard_defaults(&mut merged, &config);
+    // A scene's default method already has its defaults.
+    if config.scene.built_in().methods()[0] != config.method.name() {
+        method_defaults(&mut merged, &config);
         config = merged.read();
     }
     if merged.is_text("time.cfl", AUTO) {
@@ -297,17 +324,13 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         config = merged.read();
     }
     if config.scene.has_design() {
-        if config.fluid.motion == Motion::Fixed && config.time.cfl == Config::default().time.cfl {
-            merged.set("time.cfl", Value::from(1.2), "fluid.motion = fixed");
-            config = merged.read();
-        }
-        // A surrogate is easily wrong about rough walls, and an optimiser of many nodes finds where.
+        // Surrogates err for rough walls, which an optimiser of many nodes exploits.
         let says = merged.places().contains_key("design.parametrisation");
         if config.optimise.dynamics != DynamicsName::Solver && !says {
             merged.set("design.parametrisation", Value::from("b-spline"), "optimise.dynamics");
             config = merged.read();
         }
-        // Where the solver corrects each proposal, early and given frames do, and cost it a tenth of the steps.
+        // If the solver corrects each proposal, early and given frames are accurate enough, for a tenth of the steps.
         if config.surrogate.trust == Trust::Region {
             for (key, value) in [("settle", Value::from(300)), ("first_frames", Value::from("detached"))] {
                 let key = format!("surrogate.{key}");
@@ -323,7 +346,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         fit_window(&mut merged, &config);
     }
     let mut config = merged.checked(check_shape)?;
-    // A wall over x and z is fitted to its file, which takes numbers that are in their ranges.
+    // The fit of a wall over x and z to its file needs checked values.
     if let Some(file) = config.design.file.clone().filter(|_| config.scene == Family::HeatedChannel3d) {
         let points = start_shape::control_points(&config, &SplineSurface::of_config(&config, &[]))?;
         for all in [&mut merged, &mut given] {
@@ -335,10 +358,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     Ok(Loaded { config, text: merged.text(), source, places: merged.places().clone(), given })
 }
 
-/// What configurations know nothing of: the wall's shape, and what shapes and formulas come to at every particle.
+/// Checks the wall's shape, and the values of shapes and formulas at every particle. `Config` cannot check these.
 ///
 /// # Errors
-/// A wall or shapes that can not be built.
+/// A wall or shapes that cannot be built.
 pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     match config.scene {
         Family::HeatedChannel => Shape::from_config(config).map(|_| ()),
@@ -350,39 +373,33 @@ pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     }
 }
 
-/// The standard formulation's own defaults, for keys that nobody gave.
-fn standard_defaults(merged: &mut Merged, config: &Config) {
-    let (usual, _) = config.usual();
-    let place = "fluid.formulation = standard";
-    let mut set = |key: &str, is_usual: bool, value: Value| {
-        // A preset's value, or a run's own, may be the other formulation's default.
-        if is_usual && !merged.places().contains_key(key) {
-            merged.set(key, value, place);
+/// Applies the defaults of the chosen method for keys outside of its section.
+fn method_defaults(merged: &mut Merged, config: &Config) {
+    let place = format!("method.name = {}", config.method.name());
+    let of = |config: &Config| -> BTreeMap<String, Value> { values(config).into_iter().collect() };
+    let (now, usual) = (of(config), of(&config.scene.defaults()));
+    let text = |of: &BTreeMap<String, Value>, key: &str| of.get(key).map(Value::to_string);
+    for default in config.method.usual(config.scene.has_design()) {
+        // A value in a preset or in a run's configuration may be the default of another method.
+        let given = default.unless == Given::AtAll && merged.places().contains_key(default.key);
+        if !given && text(&now, default.key) == text(&usual, default.key) {
+            merged.set(default.key, Value::from(default.value), &place);
         }
-    };
-    let smoothing = config.resolution.smoothing_length;
-    set("resolution.smoothing_length", smoothing == usual.resolution.smoothing_length, Value::from(1.0));
-    if usual.time.integrator != IntegratorName::SymplecticEuler {
-        set("time.integrator", config.time.integrator == usual.time.integrator, Value::from("symplectic-euler"));
-    }
-    if config.scene.has_design() {
-        set("time.cfl", config.time.cfl == usual.time.cfl, Value::from(2.0));
-        set("optimise.smoothing", config.optimise.smoothing == usual.optimise.smoothing, Value::from(5.0));
     }
 }
 
-/// Whether a layer gave a key another value than the built-in one: `hydrograd scenes NAME > my.toml` writes all of them, and an
-/// equal one is no wish.
+/// Whether a layer gave a key a value that differs from the built-in one. (`hydrograd scenes NAME > my.toml` writes all
+/// keys, so equal values are not choices.)
 fn is_wish(merged: &Merged, key: &str, differs: bool) -> bool {
     differs && merged.places().contains_key(key)
 }
 
-/// A window that nobody gave gives way to a short run, and its samples to a short window.
+/// Shortens a default window to fit a short run, and reduces its default samples to fit the window.
 fn fit_window(merged: &mut Merged, config: &Config) {
     let usual = config.usual().0.objective;
     let (dx, dt, end) = (config.resolution.dx, config.time_step(), config.duration());
     if !(dx > 0.0 && dx.is_finite() && dt > 0.0 && end.is_finite()) {
-        return; // `check` has something to say about these.
+        return; // `check` reports these.
     }
     let mut window = config.objective.window;
     if window > end && !is_wish(merged, "objective.window", window != usual.window) {
@@ -395,14 +412,13 @@ fn fit_window(merged: &mut Merged, config: &Config) {
     }
 }
 
-/// Rows of dummy particles that nobody gave give way to a deep wall or a wide kernel.
+/// Adds default rows of dummy particles for a deep wall or a wide kernel.
 fn fit_rows(merged: &mut Merged, config: &Config) {
     let (dx, given) = (config.resolution.dx, config.channel.wall_rows);
     if !(dx > 0.0 && dx.is_finite()) {
         return;
     }
-    let standard = config.fluid.formulation == Formulation::Standard;
-    let deep = if standard { (config.design.bound / dx - 1e-9).ceil() } else { 0.0 };
+    let deep = if config.method.facts().wall_cells { (config.design.bound / dx - 1e-9).ceil() } else { 0.0 };
     let wide = config.least_wall_rows() as f64;
     let rows = deep.max(wide);
     let differs = given != config.usual().0.channel.wall_rows;

@@ -1,13 +1,16 @@
-//! Scenes: geometry, start states, wall shapes.
+//! Scenes: geometries, initial states and wall shapes.
 //!
-//! A scene family is a file here that says what differs (lattice, walls, forces, start, exact solution); [`assembly`] makes
-//! a [`Scene`] of it. A new one is such a file and an arm in [`Scene::from_config`].
+//! A scene family is a file here with what distinguishes it (lattice, walls, forces, start, exact solution), from which
+//! [`assembly`] makes a [`Scene`]. A new one needs such a file and an arm in [`Scene::from_config`].
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
+pub mod composite_slab;
 pub mod couette;
 pub mod custom;
+mod custom_shape;
 pub mod dam_break;
+pub mod developed;
 mod distance;
 pub mod exact;
 pub mod falling_block;
@@ -16,13 +19,16 @@ pub mod heated_channel;
 mod heated_channel_3d;
 pub mod hydrostatic_tank;
 pub mod isothermal_channel;
+mod lattice;
 pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
 pub mod plausible;
 pub mod poiseuille;
+pub mod record;
 pub mod reverse_poiseuille;
+pub mod search;
 pub mod slab;
 mod surface;
 mod tank;
@@ -37,38 +43,35 @@ use crate::config::scene::{Config, Family};
 use crate::design::shape::Shape;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::model::Model;
 use crate::sph::solver::Snapshot;
-use std::sync::Arc;
+use crate::sph::{Model, Sweeps};
 
 /// A scene ready to run.
 #[derive(Debug, Clone)]
 pub struct Scene<R> {
     pub name: &'static str,
-    pub model: Arc<Model<R>>,
-    /// The first state.
+    pub model: Model<R>,
+    /// The initial state.
     pub start: Snapshot<R>,
-    /// Of the run.
+    /// Number of steps of the run.
     pub steps: usize,
-    /// Particle spacing.
     pub spacing: f64,
-    /// The lower corner of the box, in front of the walls.
+    /// The lower corner of the box that includes the walls.
     pub corner: [f64; 3],
-    /// Where its fluid is along each direction: between the walls at the box's ends, before one is shaped.
+    /// The range of the fluid along each direction, between undeformed walls at the ends of the box.
     pub inside: [[f64; 2]; 3],
     pub reference_velocity: f64,
     pub exact: Exact,
-    /// What only a scene with a design has.
+    /// The design problem of scenes with a design.
     pub design: Option<Problem<R>>,
 }
 
-impl<R: Real> Scene<R> {
+impl<R: Sweeps> Scene<R> {
     /// The scene of a checked configuration.
     ///
     /// # Errors
-    /// A wall shape that its file or its numbers do not allow.
+    /// A wall shape that is not allowed.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
         let scene = Self::built(config)?;
         log::info!(
@@ -102,7 +105,7 @@ impl<R: Real> Scene<R> {
         })
     }
 
-    /// What is optimised in the scene of a checked configuration; none without a design.
+    /// The design problem of a checked configuration; none without a design.
     ///
     /// # Errors
     /// As for [`Self::from_config`].
@@ -114,30 +117,28 @@ impl<R: Real> Scene<R> {
         })
     }
 
-    /// The same particles with nothing that moves them but their disorder.
+    /// The same particles with their initial disorder, without velocity and driving forces.
     ///
     /// # Errors
     /// As for [`Self::from_config`].
     pub fn at_rest(config: &Config) -> Result<Self, Error> {
         let mut scene = Self::from_config(config)?;
-        // Others hold the model of a design.
+        // Its design holds a model with the driving forces.
         scene.design = None;
-        let (n, d) = (scene.model.particles(), scene.model.layout.dimension);
+        let (n, d) = (scene.model.particles(), scene.model.dimension());
         scene.start.state[d * n..2 * d * n].fill(R::default());
-        let model = Arc::get_mut(&mut scene.model);
-        let model = model.ok_or_else(|| Error::run("a new scene is shared", "report this"))?;
-        (model.body_force, model.drive) = (BodyForce::None, None);
+        scene.model = scene.model.with(|flow| (flow.body_force, flow.drive) = (BodyForce::None, None));
         Ok(scene)
     }
 
-    /// c = sqrt(dp/drho).
+    /// Speed of sound, c = sqrt(dp/drho).
     pub fn sound_speed(&self) -> f64 {
         let state = &self.model.equation_of_state;
         state.slope(state.reference_density).sqrt()
     }
 }
 
-/// An error for scenes without a design.
+/// Returns an error for a scene without a design.
 pub fn require_design(config: &Config) -> Result<(), BadInput> {
     if config.has_design() {
         return Ok(());
@@ -156,8 +157,8 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
         .advice(format!("hydrograd simulate {name}")))
 }
 
-/// Builds a scene with a design, and its start shape.
-pub fn build_design<R: Real>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
+/// The design problem of a configuration, and its initial shape.
+pub fn build_design<R: Sweeps>(config: &Config) -> Result<(Problem<R>, Shape), Error> {
     require_design(config)?;
     let design = Scene::problem(config)?;
     let design = design.ok_or_else(|| Error::run("a scene with a design has none", "report this"))?;

@@ -1,4 +1,4 @@
-//! Observers of a simulation that keep what it leaves behind: its history, ParaView frames, checkpoints.
+//! Observers that write the files of a simulation: its history, ParaView frames and checkpoints.
 
 use super::particle_fields::ParticleFields;
 use super::{checkpoint, Scene};
@@ -12,7 +12,7 @@ use crate::sph::solver::{Snapshot, Solver};
 use crate::sph::Sweeps;
 use std::path::{Path, PathBuf};
 
-/// Some steps of a run: about `count` that are evenly spaced, and the last.
+/// About `count` evenly spaced steps of a run, and the last one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EvenSteps {
     every: usize,
@@ -20,12 +20,12 @@ pub struct EvenSteps {
 }
 
 impl EvenSteps {
-    /// Of a run of `steps` steps; none if `count` is 0.
+    /// The selection for a run of `steps` steps; empty if `count` is 0.
     pub fn new(steps: usize, count: usize) -> Self {
         Self { every: if count == 0 { 0 } else { steps.div_ceil(count) }, last: steps }
     }
 
-    /// Whether a step is one of them.
+    /// Whether a step is selected.
     pub fn contains(&self, step: usize) -> bool {
         self.every > 0 && (step.is_multiple_of(self.every) || step == self.last)
     }
@@ -38,7 +38,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Into a folder; none if no frames are asked for.
+    /// Frames in a folder; none if `count` is 0.
     ///
     /// # Errors
     /// System errors.
@@ -47,7 +47,7 @@ impl Frames {
         (count > 0).then(new).transpose()
     }
 
-    /// Forgets what is not before `time`.
+    /// Discards the frames from `time` on.
     pub fn go_back(&mut self, time: f64) {
         self.series.go_back(time);
     }
@@ -56,13 +56,13 @@ impl Frames {
 impl<R: Sweeps> Observer<Sph<R>> for Frames {
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.steps.contains(solver.step) {
-            ParticleFields::of(solver).with_frame(|frame| self.series.write(frame))?;
+            ParticleFields::of(solver)?.with_frame(|frame| self.series.write(frame))?;
         }
         Ok(())
     }
 }
 
-/// Keeps rows of a scene's figures, and `history.csv` up to date with them.
+/// Collects rows of a scene's figures, and updates `history.csv`.
 pub struct History<'a, R> {
     scene: &'a Scene<R>,
     path: PathBuf,
@@ -72,14 +72,13 @@ pub struct History<'a, R> {
 }
 
 impl<'a, R: Sweeps> History<'a, R> {
-    /// About `count` rows, in a folder; `tell` is called with the step and the row.
+    /// About `count` rows, written to a folder. `tell` is called with the step and the row.
     pub fn new(scene: &'a Scene<R>, folder: &Path, count: usize, tell: &'a mut dyn FnMut(usize, &[f64])) -> Self {
         let steps = EvenSteps::new(scene.steps, count);
         Self { scene, path: folder.join("history.csv"), steps, tell, rows: Vec::new() }
     }
 
-    /// Begins with the rows of a run that was interrupted, in its folder, as far as they are before `step`; none if it left
-    /// no readable ones.
+    /// Starts with the rows of an interrupted run in its folder up to `step`, if they are readable.
     pub fn continued(mut self, from: &Path, step: usize) -> Self {
         let columns = read_columns(&from.join("history.csv"), self.scene.history_columns()).unwrap_or_default();
         let count = columns.first().map_or(0, Vec::len);
@@ -88,7 +87,7 @@ impl<'a, R: Sweeps> History<'a, R> {
         self
     }
 
-    /// Forgets what is not before `step`.
+    /// Discards the rows from `step` on.
     pub fn go_back(&mut self, step: usize) {
         let time = step as f64 * self.scene.model.dt;
         self.rows.retain(|row| row[0] < time);
@@ -107,11 +106,11 @@ impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
     }
 }
 
-/// Keeps the last state of a run that was good: it was checked, and what the steps behind it led to was checked as well, so that
-/// nothing had begun to go wrong. The run's first state until there is one.
+/// Keeps the last good state of a run, which is a checked state from which the run reached another checked state. Until
+/// then it is the initial state.
 pub struct LastGood<R> {
     state: Snapshot<R>,
-    /// It was checked, but who knows what it leads to.
+    /// The newest checked state, whose further course is unknown.
     newest: Snapshot<R>,
 }
 
@@ -134,15 +133,15 @@ impl<R: Sweeps> Observer<Sph<R>> for LastGood<R> {
     }
 }
 
-/// Writes [`checkpoint`]s, but not that of the end; another one when the run is asked to stop.
+/// Writes [`checkpoint`]s, except at the end, and one when a stop is requested.
 pub struct Checkpoints<'a> {
     pub path: PathBuf,
     /// The text of the configuration.
     pub configuration: &'a str,
     pub steps: EvenSteps,
-    /// Where the run began: it has that checkpoint already.
+    /// The step at which the run began, which needs no checkpoint.
     pub began: usize,
-    /// Steps at the run's end whose averages are not part of a checkpoint, so that there is none among them.
+    /// Number of steps at the end without checkpoints, because their averages are not part of a checkpoint.
     pub window: usize,
 }
 

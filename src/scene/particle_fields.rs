@@ -1,6 +1,7 @@
-//! A state in plain numbers, for files and pictures.
+//! A state as plain numbers, for files and plots.
 
 use super::load::Loaded;
+use crate::adjoint::RunError;
 use crate::io::state_file::{write_state, State};
 use crate::io::vtk::ParticleFrame;
 use crate::io::FileError;
@@ -8,13 +9,13 @@ use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use std::path::Path;
 
-/// A state as plain f64 fields, walls included.
+/// The fields of a state in f64, including those of wall particles.
 pub struct ParticleFields {
     pub dimension: usize,
     pub box_size: Vec<f64>,
     pub position: Vec<f64>,
     pub velocity: Vec<f64>,
-    /// None where the scene has no heat.
+    /// None without heat.
     pub temperature: Option<Vec<f64>>,
     pub density: Vec<f64>,
     pub pressure: Vec<f64>,
@@ -25,31 +26,27 @@ pub struct ParticleFields {
 }
 
 impl ParticleFields {
-    /// A run's present state; fills its primitives for that.
-    pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Self {
-        solver.look();
+    /// The fields of a run's present state.
+    ///
+    /// # Errors
+    /// Tensor errors.
+    pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Result<Self, RunError> {
+        solver.look()?;
         let model = solver.model.clone();
-        let (n, l) = (model.particles(), model.layout);
+        let (n, l) = (model.particles(), model.rows);
         let rows = |from: usize, count: usize| -> Vec<f64> {
             solver.state[from * n..(from + count) * n].iter().map(|x| x.f64()).collect()
         };
-        let shown = |from: usize, count: usize| -> Vec<f64> {
-            solver.primitives[from * n..(from + count) * n].iter().map(|x| x.f64()).collect()
-        };
-        let density: Vec<f64> = solver.primitives[..n].iter().map(|x| x.f64()).collect();
-        Self {
+        let plain = |numbers: &[R]| -> Vec<f64> { numbers.iter().map(|x| x.f64()).collect() };
+        let (looked, kept) = (&solver.looked, model.has_wall_values());
+        let density = plain(&looked.density);
+        Ok(Self {
             dimension: l.dimension,
             box_size: model.domain.size[..l.dimension].to_vec(),
             position: rows(0, l.dimension),
-            velocity: match model.consistent {
-                Some(_) => shown(l.primitive_velocity(), l.dimension),
-                None => rows(l.velocity(), l.dimension),
-            },
-            temperature: model.heat.as_ref().map(|heat| {
-                let found = match model.consistent {
-                    Some(_) => shown(l.primitive_temperature(), 1),
-                    None => rows(l.temperature(), 1),
-                };
+            velocity: if kept { rows(l.velocity(), l.dimension) } else { plain(&looked.velocity) },
+            temperature: model.heat.as_ref().zip(l.temperature()).map(|(heat, row)| {
+                let found = if kept { rows(row, 1) } else { plain(&looked.temperature) };
                 found.into_iter().map(|t| t + heat.reference).collect()
             }),
             pressure: density.iter().map(|&rho| model.equation_of_state.pressure(rho)).collect(),
@@ -58,10 +55,10 @@ impl ParticleFields {
             tag: model.tags.clone(),
             time: solver.step as f64 * model.dt,
             step: solver.step,
-        }
+        })
     }
 
-    /// As a ParaView frame.
+    /// Calls `f` with these fields as a ParaView frame.
     pub fn with_frame<T>(&self, f: impl FnOnce(&ParticleFrame) -> T) -> T {
         let mut scalars: Vec<(&str, &[f64])> = Vec::new();
         scalars.extend(self.temperature.as_deref().map(|temperature| ("temperature", temperature)));
@@ -76,7 +73,7 @@ impl ParticleFields {
         })
     }
 
-    /// `state.h5`.
+    /// Writes `state.h5`.
     ///
     /// # Errors
     /// System errors.

@@ -1,52 +1,51 @@
-//! What a configuration would build, and what looks implausible about it: estimates from its numbers and its lattice, before
-//! anything is run.
+//! Estimates for a scene before it runs: what a configuration builds, and warnings about implausible values.
 
 use super::custom::Geometry;
 use super::Scene;
 use crate::config::custom::Kind;
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, Family, Method};
 use crate::error::BadInput;
-use crate::numerics::lanes::Real;
 use crate::particles::tag;
+use crate::sph::Sweeps;
 
 /// A limit of the time step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Criterion {
     pub name: &'static str,
-    /// As in the configuration's comments.
+    /// The formula as in the comments of the configuration.
     pub formula: &'static str,
     pub dt: f64,
 }
 
-/// What would be built.
+/// The estimates for a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Findings {
-    /// Kinds of particles that there are, and how many.
+    /// Kinds of particles, and their numbers.
     pub particles: Vec<(&'static str, usize)>,
-    /// The smallest rules.
+    /// The criteria of the time step; the smallest one determines it.
     pub criteria: Vec<Criterion>,
-    /// Fastest flow that is to be expected, as far as numbers and geometry tell.
+    /// Largest expected speed, by the parameters and the geometry.
     pub speed: f64,
-    /// Particles across the narrowest passage between walls.
+    /// Number of particles across the narrowest passage between walls.
     pub narrowest: Option<usize>,
-    /// Particles across the thinnest wall with fluid on both sides.
+    /// Number of particles across the thinnest wall with fluid on both sides.
     pub thinnest: Option<usize>,
     pub warnings: Vec<String>,
 }
 
-/// More viscous or thermal diffusion lengths per spacing than this are not resolved.
+/// Largest resolved number of viscous or thermal diffusion lengths per spacing.
 const CELL_NUMBER: f64 = 10.0;
-/// The fluid's own weight may compress it by this.
+/// Largest relative compression of the fluid by its own weight.
 const COMPRESSION: f64 = 0.02;
-/// A reference velocity that is so many times the expected one makes the steps that many times too small.
+/// Largest ratio of the reference velocity to the expected speed; larger ones make steps needlessly short.
 const TOO_CAREFUL: f64 = 10.0;
 
 impl Findings {
-    /// Of a scene and the configuration that it was built from.
+    /// The estimates for a scene and the configuration that it was built from.
     ///
     /// # Errors
     /// As for [`Scene::from_config`].
-    pub fn of<R: Real>(config: &Config, scene: &Scene<R>) -> Result<Self, BadInput> {
+    pub fn of<R: Sweeps>(config: &Config, scene: &Scene<R>) -> Result<Self, BadInput> {
         let grid = match config.scene {
             Family::Custom => Some(Grid::of(config)?),
             _ => None,
@@ -64,7 +63,7 @@ impl Findings {
         Ok(findings)
     }
 
-    /// The criterion with the smallest time step.
+    /// The name of the criterion with the smallest time step.
     pub fn rules(&self) -> &'static str {
         let smallest = self.criteria.iter().min_by(|a, b| a.dt.total_cmp(&b.dt));
         smallest.map_or("none", |criterion| criterion.name)
@@ -136,10 +135,11 @@ impl Findings {
                     ));
                 }
             }
-            if fluid.background_pressure_factor == 0.0 && config.has_walls() {
+            let bare = matches!(config.method, Method::Standard(own) if own.background_pressure_factor == 0.0);
+            if bare && config.has_walls() {
                 all.push(
                     "without a background pressure particles behind obstacles may leave holes; try \
-                     fluid.background_pressure_factor=0.05"
+                     method.background_pressure_factor=0.05"
                         .into(),
                 );
             }
@@ -158,12 +158,12 @@ impl Findings {
     }
 }
 
-/// nu of a scene.
+/// The kinematic viscosity nu of a scene.
 fn kinematic(config: &Config) -> f64 {
     match config.scene {
         Family::HeatedChannel | Family::HeatedChannel3d | Family::Custom => config.kinematic_viscosity(),
         _ if config.scene.has_surface() => config.kinematic_viscosity(),
-        // At rest; its model has this one.
+        // The slab is at rest; its model has this value.
         Family::Slab => 1.0,
         _ => 1.0 / config.flow.reynolds,
     }
@@ -199,11 +199,11 @@ fn criteria(config: &Config, has_heat: bool) -> Vec<Criterion> {
     all
 }
 
-/// The fastest of what moves at the start and what the body force may come to.
-fn speed<R: Real>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64 {
+/// The largest of the initial speed and the speed that the body force may cause.
+fn speed<R: Sweeps>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64 {
     let (model, n) = (&scene.model, scene.model.particles());
-    let l = model.layout;
-    let is_velocity = |i: usize| !l.consistent || model.is_fluid(i);
+    let l = model.rows;
+    let is_velocity = |i: usize| model.has_velocity(i);
     let square = |i: usize| (0..l.dimension).map(|d| scene.start.state[(l.velocity() + d) * n + i].f64().powi(2)).sum();
     let start = (0..n).filter(|&i| is_velocity(i)).map(square).fold(0.0, f64::max).sqrt();
     let driven = match config.scene {
@@ -214,7 +214,7 @@ fn speed<R: Real>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64
     start.max(driven)
 }
 
-/// What is fluid and what is wall in a scene of one's own.
+/// The fluid and wall cells of a custom scene.
 struct Grid {
     cells: [usize; 3],
     periodic: [bool; 3],
@@ -230,7 +230,7 @@ impl Grid {
         Ok(Self { cells, periodic: lattice.periodic, dimension: lattice.dimension, is_wall })
     }
 
-    /// The number of the cell `by` further along direction `d`, if there is one.
+    /// Index of the cell `by` steps along direction `d`, if there is one.
     fn step(&self, i: usize, d: usize, by: isize) -> Option<usize> {
         let stride: usize = self.cells[..d].iter().product();
         let (count, row) = (self.cells[d], i / stride % self.cells[d]);
@@ -243,11 +243,11 @@ impl Grid {
         Some(i + to as usize * stride - row * stride)
     }
 
-    /// Runs of cells of one kind along direction `d` with the other kind at both ends.
+    /// Runs of cells of one kind along direction `d`, bounded by the other kind at both ends.
     fn runs(&self, d: usize, walls: bool) -> Vec<Vec<usize>> {
         let mut all = Vec::new();
         for i in (0..self.is_wall.len()).filter(|&i| self.is_wall[i] == walls) {
-            // Begins behind a cell of the other kind.
+            // A run begins behind a cell of the other kind.
             if self.step(i, d, -1).is_none_or(|before| self.is_wall[before] == walls) {
                 continue;
             }
@@ -266,8 +266,8 @@ impl Grid {
         all
     }
 
-    /// Cells across the narrowest passage, or the thinnest wall. Runs beside whose cells the other kind begins are left out:
-    /// the caps of round shapes.
+    /// Number of cells across the narrowest passage or the thinnest wall. Runs with the other kind beside them, as at
+    /// the caps of round shapes, do not count.
     fn narrowest(&self, walls: bool) -> Option<usize> {
         let is_through = |run: &Vec<usize>, d: usize| {
             let others = (0..self.dimension).filter(|&e| e != d);
@@ -280,8 +280,8 @@ impl Grid {
             .min()
     }
 
-    /// What the body force may drive the flow to: by the resistance of plane channels as wide as the passages, one section after
-    /// the other (lubrication), and never more than it accelerates free fluid to. Sides that are closed stop it.
+    /// Estimate of the speed that the body force causes: by plane channels as wide as the passages, in series
+    /// (lubrication), and at most that of freely accelerated fluid. A closed side stops the flow.
     fn driven(&self, config: &Config) -> f64 {
         let (nu, dx, time) = (kinematic(config), config.resolution.dx, config.duration());
         let mut fastest: f64 = 0.0;
@@ -289,8 +289,8 @@ impl Grid {
             let free = g.abs() * time;
             let stride: usize = self.cells[..d].iter().product();
             let section = |i: usize| i / stride % self.cells[d];
-            // Sums of width^3 over the passages of each section, and its widest passage. In three dimensions a passage is as
-            // wide as it is in its narrower direction.
+            // Sums of width^3 over the passages of each section, and its widest passage. In three dimensions the width
+            // is that in the narrower direction.
             let (mut cubes, mut widest) = (vec![0.0; self.cells[d]], vec![0.0_f64; self.cells[d]]);
             let across = |e: usize| {
                 let mut width = vec![f64::INFINITY; self.is_wall.len()];
@@ -303,11 +303,11 @@ impl Grid {
             let widths: Vec<Vec<f64>> = (0..self.dimension).filter(|&e| e != d).map(across).collect();
             for i in (0..self.is_wall.len()).filter(|&i| !self.is_wall[i]) {
                 let width = widths.iter().map(|width| width[i]).fold(f64::INFINITY, f64::min);
-                // A cell's share of its passage.
+                // The part of a cell in its passage.
                 cubes[section(i)] += width.powi(2) * dx;
                 widest[section(i)] = widest[section(i)].max(width);
             }
-            // Some section is closed.
+            // A section without a passage stops the flow.
             if cubes.contains(&0.0) {
                 continue;
             }
@@ -315,7 +315,7 @@ impl Grid {
             let length = self.cells[d] as f64 * dx;
             let rate = g.abs() * length / resistance;
             let found = cubes.iter().zip(&widest).map(|(cube, width)| 1.5 * rate * width * width / cube);
-            // Infinitely wide: nothing holds it.
+            // An infinitely wide passage has no resistance.
             let found = found.fold(0.0, |most: f64, u| if u.is_finite() { most.max(u) } else { free });
             fastest = fastest.max(if resistance > 0.0 { found.min(free) } else { free });
         }
@@ -327,7 +327,7 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// The findings of a custom scene with these shapes and settings.
+    /// The findings of a custom scene with this text.
     fn findings(text: &str) -> Findings {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), format!("scene = \"custom\"\n{text}")).unwrap();
@@ -373,23 +373,26 @@ mod tests {
         assert!(!warns(&findings("[fluid]\nconductivity = 1e-5\n"), "Peclet"), "without heat");
         assert!(warns(&findings("[region]\nacceleration = [0.64, -10]\n"), "compresses the fluid by 5 %"));
         assert!(warns(&findings("[time]\nend = 0.5\n"), "before the flow has crossed"));
-        assert!(warns(&findings("[fluid]\nbackground_pressure_factor = 0\n"), "background pressure"));
+        assert!(warns(
+            &findings("[method]\nname = \"standard\"\nbackground_pressure_factor = 0\n"),
+            "background pressure"
+        ));
     }
 
     #[test]
     fn passages_and_walls_are_measured() {
-        // A plate of two particles, and four particles of fluid above it.
+        // A plate of two particles, with four particles of fluid above it.
         let plate = findings("[[shapes]]\nkind = \"box\"\nlower = [0.2, 0.35]\nupper = [0.8, 0.4]\n");
         assert_eq!((plate.narrowest, plate.thinnest), (Some(4), Some(2)));
         assert!(warns(&plate, "4 particles wide") && warns(&plate, "2.0 particles thick"));
-        // A disc is as thick as its diameter, whatever its caps are.
+        // The thickness of a disc is its diameter, not that of its caps.
         let disc = findings("[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n");
         assert_eq!((disc.narrowest, disc.thinnest), (Some(6), Some(8)));
         assert!(disc.warnings.is_empty(), "{:?}", disc.warnings);
         assert!(disc.speed < 1.0 && disc.speed > 0.3, "narrow gaps hold the flow: {}", disc.speed);
         let line = "[[shapes]]\nkind = \"polyline\"\npoints = [[0.2, 0.1], [0.8, 0.4]]\nthickness = 0.05\n";
         assert!(warns(&findings(line), "2.0 particles thick"));
-        // A wall across the channel stops the flow; a fluid without walls is accelerated for all of the time.
+        // A wall across the channel stops the flow; fluid without walls is accelerated during the whole run.
         let closed = findings("[[shapes]]\nkind = \"box\"\nlower = [0.4, -1.0]\nupper = [0.5, 1.0]\n");
         assert_eq!(closed.speed, 0.0);
         let open = findings("[region]\nperiodic = [true, true]\n[time]\nend = 2\n");

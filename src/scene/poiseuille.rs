@@ -1,15 +1,16 @@
-//! Plane Poiseuille flow: between two walls at rest, started from rest by a constant force (Morris, Fox and Zhu 1997).
+//! Plane Poiseuille flow between two walls, started from rest by a constant force (Morris, Fox and Zhu 1997).
 //!
-//! Reference velocity (the steady centre line), density and height are 1, so the Reynolds number is 1/viscosity and
-//! the force 8/Re. Coordinates as in the heated channel: y = 0 on the bottom wall's surface, periodic in x.
+//! The steady centre-line velocity, density and height are 1, so the Reynolds number is 1/viscosity and the force 8/Re.
+//! Coordinates as in the heated channel: y = 0 on the bottom wall's surface, periodic in x.
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::{Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// The channel and how it is resolved. Defaults: JAX-SPH's case (height 30 spacings, length 12, Re = 0.0125).
+/// The channel and its resolution. Defaults: JAX-SPH's case (height 30 spacings, length 12, Re = 0.0125).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Poiseuille {
     /// Fluid particles across the channel.
@@ -39,7 +40,7 @@ impl Poiseuille {
         Self { rows, reynolds, numerics, ..Default::default() }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         Parts {
             name: "poiseuille",

@@ -1,16 +1,17 @@
 //! Reverse Poiseuille flow (Backer et al. 2005): opposite forces in the two halves of a periodic box.
 //!
-//! Length, height of a half, density and reference velocity are 1. The streams hold each other: at y = 0, 1, 2 the fluid
-//! is at rest, and each half is plane Poiseuille flow with a steady centre line of force Re / 8. In three dimensions the box
-//! is half as deep as long, and periodic in z too (LagrangeBench's data set); the exact solution is the same.
+//! Length, height of a half, density and reference velocity are 1. The fluid is at rest at y = 0, 1, 2, and each half
+//! is plane Poiseuille flow with a steady centre line of force Re / 8. In three dimensions the box is half as deep as
+//! long, and periodic in z too (LagrangeBench's data set), with the same exact solution.
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::{Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// The flow and how it is resolved. Defaults: LagrangeBench's 2D data set (3200 particles, viscosity 0.1).
+/// The flow and its resolution. Defaults: LagrangeBench's 2D data set (3200 particles, viscosity 0.1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReversePoiseuille {
     /// 2 or 3.
@@ -19,7 +20,7 @@ pub struct ReversePoiseuille {
     pub per_height: usize,
     /// Reference velocity * length 1 / kinematic viscosity.
     pub reynolds: f64,
-    /// Acceleration along x in the lower half, against it in the upper one.
+    /// Acceleration along x in the lower half, and along -x in the upper one.
     pub force: f64,
     pub numerics: Numerics,
 }
@@ -44,7 +45,7 @@ impl ReversePoiseuille {
         }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         let kinematic_viscosity = 1.0 / self.reynolds;
         let velocity = self.force * self.reynolds / 8.0;
         let cells = [self.per_height, 2 * self.per_height, self.per_height / 2];

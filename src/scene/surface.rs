@@ -1,40 +1,43 @@
-//! From a scene of the standard formulation to one of the consistent one: points on the walls' surface join the dummy
-//! particles behind it, and the state gets a pressure.
+//! Converts a scene of the standard method to the consistent one: adds points on the walls' surface in front of the
+//! dummy particles, and a pressure to the state.
 
-use super::assembly::{Assembled, Lattice, Numerics, WallHeat};
-use crate::config::scene::{Config, Formulation, IntegratorName, ShiftName};
+use super::lattice::{Lattice, WallHeat};
+use crate::config::scene::{Config, IntegratorName, Method, ShiftName};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::sph::consistent::derivatives::{NO_FLUX, PRESSURE, TEMPERATURE, VELOCITY};
-use crate::sph::consistent::shift::{Chain, Isotropic};
-use crate::sph::consistent::{Consistent, Shift};
-use crate::sph::model::{Layout, Model};
+use crate::sph::consistent::arrangement::Shift;
+use crate::sph::consistent::arrangement::{Chain, Isotropic};
+use crate::sph::consistent::kinds::{NO_FLUX, PRESSURE, TEMPERATURE, VELOCITY};
+use crate::sph::consistent::layout::Layout;
+use crate::sph::consistent::{Consistent, Fits};
+use crate::sph::flow::Flow;
+use crate::sph::standard::Standard;
 use std::collections::BTreeMap;
 
-/// A point on a wall's surface, and what is known there.
+/// A point on a wall's surface, and its condition.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Point {
     pub position: [f64; 3],
-    /// Into the fluid.
+    /// Unit normal into the fluid.
     pub normal: [f64; 3],
     pub knows: Knows,
 }
 
-/// What a point of the surface tells the fluid.
+/// The condition at a surface point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Knows {
     Velocity([f64; 3]),
-    /// Above the reference.
+    /// Temperature relative to the reference.
     Temperature(f64),
     NoHeatFlux,
 }
 
-/// What the condition that no heat flows counts in a fit, beside values.
+/// Weight of the no-flux condition in a fit, relative to values.
 const NO_HEAT_FLUX: f64 = 0.25;
 
-/// Where a lid that moves meets walls at rest the velocity jumps. A fit sees the jump where it is if the last points of both
-/// stand this far from the edge, in spacings; half a spacing each would make the lid's pull too short by what is beside its ends.
-/// Fitted to the cavity's extrema at dx = 1/25, and right at others too (src/sph/README.md).
+/// Distances in spacings of the last points of a moving lid and of a wall at rest from the edge between them, where the
+/// velocity jumps. With them a fit sees the jump in the right place; half a spacing each would make the lid's drag too
+/// small. They were fitted to the cavity's extrema at dx = 1/25, and hold at others (src/sph/README.md).
 const END_OF_LID: f64 = 0.125;
 const BESIDE_LID: f64 = 0.3;
 
@@ -42,9 +45,9 @@ const BESIDE_LID: f64 = 0.3;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Dummy {
     pub particle: usize,
-    /// The point whose fit gives it its values.
+    /// Index of the point whose fit determines the values of the dummy particle.
     pub point: usize,
-    /// Its mirror image.
+    /// Position of its mirror image.
     pub mirror: [f64; 3],
 }
 
@@ -53,20 +56,20 @@ pub(super) struct Dummy {
 pub(super) struct Surface {
     pub points: Vec<Point>,
     pub dummies: Vec<Dummy>,
-    /// Rows of fluid particles from the lower wall to the upper one, and the points of both, where there is such an order.
+    /// Rows of fluid particles from the lower to the upper wall with the points of both, if there is such an order.
     pub rows: Option<Rows>,
 }
 
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Rows {
-    /// Numbers of points.
+    /// Indices of points.
     pub lower: Vec<usize>,
     pub upper: Vec<usize>,
-    /// Numbers of particles, each row in the order of x.
+    /// Indices of the particles of each row, sorted by x.
     pub fluid: Vec<Vec<u32>>,
 }
 
-/// What the consistent formulation is told besides the standard one's numbers.
+/// Settings of the consistent method beyond those of the standard one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Settings {
     pub shift: ShiftName,
@@ -76,19 +79,24 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Those of a configuration; none in the standard formulation.
+    /// The settings of a configuration; none for the standard method.
     pub(super) fn from_config(config: &Config) -> Option<Self> {
-        (config.fluid.formulation == Formulation::Consistent).then_some(Self {
-            shift: config.fluid.shift,
-            strength: config.fluid.shift_strength,
-            delta: config.fluid.pressure_diffusion,
-            integrator: config.time.integrator,
+        let own = match config.method {
+            Method::Standard(_) => return None,
+            Method::Consistent(own) => own,
+            Method::Fixed(own) => return Some(Self { delta: own.pressure_diffusion, ..Self::default() }),
+        };
+        Some(Self {
+            shift: own.shift,
+            strength: own.shift_strength,
+            delta: own.pressure_diffusion,
+            integrator: own.integrator,
         })
     }
 }
 
 impl Surface {
-    /// The plane walls of a lattice, whose upper one moves along x with velocity `lid`; those across y as `heat` has them.
+    /// The plane walls of a lattice. The upper one moves along x with velocity `lid`; `heat` is for those across y.
     pub(super) fn of_lattice(lattice: &Lattice, lid: f64, heat: Option<[WallHeat; 2]>) -> Self {
         let (dimension, dx) = (lattice.dimension, lattice.spacing);
         let walled = |d: usize| lattice.wall_rows[d] > 0;
@@ -103,7 +111,7 @@ impl Surface {
         for d in (0..dimension).filter(|&d| walled(d)) {
             for i in 0..lattice.particles() {
                 let rows = lattice.rows(i);
-                // Points in front of each particle next to a wall.
+                // Points are in front of each fluid particle next to a wall.
                 if (0..dimension).any(|e| !inner(e).contains(&rows[e])) {
                     continue;
                 }
@@ -146,7 +154,7 @@ impl Surface {
             let outside: Vec<usize> = (0..dimension).filter(|&d| !inner(d).contains(&rows[d])).collect();
             let Some(&d) = outside.first() else { continue };
             let is_above = |d: usize| rows[d] >= inner(d).end;
-            // The fluid particle of the lattice that is nearest.
+            // The nearest fluid particle of the lattice.
             let nearest: [usize; 3] = std::array::from_fn(|e| match e < dimension {
                 true => rows[e].clamp(inner(e).start, inner(e).end - 1),
                 false => 0,
@@ -167,30 +175,24 @@ impl Surface {
     }
 }
 
-/// Most that the isotropic shift moves particles with, in units of the reference velocity.
+/// Largest velocity of the isotropic shift, in units of the reference velocity.
 const LIMIT: f64 = 1.0;
 
-impl<R: Real> Assembled<R> {
-    /// The same scene in the consistent formulation.
-    pub fn with_surface(
-        self,
-        surface: &Surface,
-        numerics: &Numerics,
+impl Surface {
+    /// Converts a model and initial state of the standard method to the consistent one, with the points of these walls.
+    pub(super) fn added<R: Real>(
+        &self,
+        mut model: Standard<R>,
+        base: &[f64],
         spacing: f64,
-        velocity: f64,
+        [velocity, sound_speed]: [f64; 2],
         settings: Settings,
-    ) -> Self {
-        let Assembled { mut model, base } = self;
+    ) -> (Consistent<R>, Vec<f64>) {
         let (old, l) = (model.particles(), model.layout);
         let d = l.dimension;
-        let layout = Layout {
-            transport: false,
-            mass: false,
-            consistent: true,
-            rates: settings.integrator == IntegratorName::Verlet,
-            ..l
-        };
-        let n = old + surface.points.len();
+        let rates = settings.integrator == IntegratorName::Verlet;
+        let layout = Layout { dimension: d, heat: l.heat, rates };
+        let n = old + self.points.len();
         let mut state = vec![0.0; layout.state_rows() * n];
         for i in 0..old {
             for k in 0..d {
@@ -204,12 +206,12 @@ impl<R: Real> Assembled<R> {
         for i in (0..old).filter(|&i| model.is_fluid(i)) {
             weights[4 * i..4 * i + 3].fill(one);
         }
-        for dummy in &surface.dummies {
+        for dummy in &self.dummies {
             let i = dummy.particle;
             weights[4 * i + PRESSURE] = one;
             (0..d).for_each(|k| state[(layout.velocity() + k) * n + i] = dummy.mirror[k]);
         }
-        for (k, point) in surface.points.iter().enumerate() {
+        for (k, point) in self.points.iter().enumerate() {
             let i = old + k;
             (0..d).for_each(|k| state[k * n + i] = point.position[k]);
             let mut vector = |vector: [f64; 3]| {
@@ -230,16 +232,16 @@ impl<R: Real> Assembled<R> {
                 }
             }
             let hot = matches!(point.knows, Knows::Temperature(_));
-            model.tags.push(if hot { tag::HOT_SURFACE } else { tag::SURFACE });
+            model.flow.tags.push(if hot { tag::HOT_SURFACE } else { tag::SURFACE });
         }
         let numbers: Vec<u32> = (old..n).map(|i| i as u32).collect();
         // Only points with dummy particles behind them have a fit.
-        let mut fitted: Vec<usize> = surface.dummies.iter().map(|dummy| dummy.point).collect();
+        let mut fitted: Vec<usize> = self.dummies.iter().map(|dummy| dummy.point).collect();
         fitted.sort_unstable();
         fitted.dedup();
         let place = |point: usize| fitted.partition_point(|&k| k < point) as u32;
         let mut quadrature = vec![one; n];
-        let shift = match (settings.shift, &surface.rows) {
+        let shift = match (settings.shift, &self.rows) {
             (ShiftName::None, _) => Shift::None,
             (ShiftName::Chain | ShiftName::Rows, Some(rows)) => {
                 let points = |points: &[usize]| points.iter().map(|&k| numbers[k]).collect::<Vec<u32>>();
@@ -250,18 +252,18 @@ impl<R: Real> Assembled<R> {
             _ => Shift::Isotropic(Isotropic {
                 strength: settings.strength,
                 limit: LIMIT,
-                normals: fitted.iter().map(|&k| (numbers[k], surface.points[k].normal)).collect(),
+                normals: fitted.iter().map(|&k| (numbers[k], self.points[k].normal)).collect(),
             }),
         };
-        if let (Some(rows), Shift::Chain(_)) = (&surface.rows, &shift) {
+        if let (Some(rows), Shift::Chain(_)) = (&self.rows, &shift) {
             let beside = [rows.fluid.first(), rows.fluid.last()].into_iter().flatten().flatten();
             beside.for_each(|&i| quadrature[i as usize] = R::of(11.0 / 12.0));
         }
         let density = model.equation_of_state.reference_density;
         let diffusivity = model.heat.as_ref().map_or(0.0, |heat| heat.conductivity / (density * heat.capacity));
-        let consistent = Consistent {
+        let fits = Fits {
             spacing,
-            sound_speed: numerics.sound_speed_factor * velocity,
+            sound_speed,
             velocity,
             viscosity: model.viscosity / density,
             diffusivity,
@@ -269,12 +271,11 @@ impl<R: Real> Assembled<R> {
             shift,
             weights,
             surface: fitted.iter().map(|&k| numbers[k]).collect(),
-            dummies: surface.dummies.iter().map(|dummy| (dummy.particle as u32, place(dummy.point))).collect(),
+            dummies: self.dummies.iter().map(|dummy| (dummy.particle as u32, place(dummy.point))).collect(),
             quadrature,
         };
-        let mut eos = model.equation_of_state;
-        eos.background_pressure = 0.0;
-        let model = Model { layout, consistent: Some(consistent), equation_of_state: eos, transport: 0.0, ..model };
-        Assembled { model, base: state }
+        let mut flow: Flow<R> = model.flow;
+        flow.equation_of_state.background_pressure = 0.0;
+        (Consistent::new(flow, layout, fits), state)
     }
 }

@@ -1,15 +1,16 @@
-//! Water in a tank with walls all around and gravity: what dam break, falling block and still water have in common.
+//! Water in a tank with walls on all sides and gravity: the common part of dam break, falling block and still water.
 //!
 //! The lower corner of the tank's inside is at 0, 0; in 3D it is periodic along z. Above the water there is nothing.
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::Exact;
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 
-/// A scene with a block of water from its lower corner to the upper one.
-pub(super) fn parts<R: Real>(config: &Config, from: [f64; 2], to: [f64; 2], exact: Exact) -> Parts<R> {
+/// The parts of a scene with a block of water between two corners.
+pub(super) fn parts<R: Sweeps>(config: &Config, from: [f64; 2], to: [f64; 2], exact: Exact) -> Parts<R> {
     let (tank, spacing, numerics) = (&config.tank, config.resolution.dx, Numerics::from_config(config));
     let (dimension, walls) = (config.dimension(), numerics.wall_rows);
     let inside = [count(config, tank.length), count(config, tank.height), count(config, tank.depth)];

@@ -1,18 +1,19 @@
 //! Taylor and Green's decaying vortices (Taylor and Green 1937), in a periodic box without walls.
 //!
-//! Reference velocity, density and (in two dimensions) box length are 1, so the Reynolds number is 1/viscosity. Two
-//! dimensions: the unit box, an exact solution. Three: a box of 2 pi with u = sin x cos y cos z, v = -cos x sin y cos z
-//! (Brachet et al. 1983); no closed form, but its energy starts to decay as exp(-6 nu t).
+//! Reference velocity, density and (in two dimensions) box length are 1, so the Reynolds number is 1/viscosity. In two
+//! dimensions the unit box has an exact solution. In three dimensions, a box of 2 pi with u = sin x cos y cos z, v =
+//! -cos x sin y cos z (Brachet et al. 1983) has none, but its energy starts to decay as exp(-6 nu t).
 
-use super::assembly::{count, Lattice, Numerics, Parts};
+use super::assembly::{count, Numerics, Parts};
+use super::lattice::Lattice;
 use super::{Exact, Scene};
 use crate::config::scene::Config;
-use crate::numerics::lanes::Real;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::Sweeps;
 use std::f64::consts::PI;
 
-/// The vortices and how they are resolved. Defaults: LagrangeBench's 2D data set (2500 particles, Re = 100), and the
-/// tenth of a spacing of disorder of JAX-SPH's case: a perfect lattice is stretched into strings of particles before it
+/// The vortices and their resolution. Defaults: LagrangeBench's 2D data set (2500 particles, Re = 100) with the
+/// disorder of JAX-SPH's case, a tenth of a spacing. A perfect lattice is stretched into strings of particles before it
 /// breaks up, which costs half of the energy (50 x 50 particles at t = 0.9: 0.32 of the exact energy is left, with
 /// disorder 0.90).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,8 +33,8 @@ impl Default for TaylorGreen {
     }
 }
 
-/// Least displacement at the start in the consistent formulation: of an exact lattice that is stretched each particle is drawn
-/// alike from both sides, nothing shifts it, and it stays in strings until the fit fails.
+/// Smallest initial displacement in the consistent method. In an exact lattice that is stretched, each particle is
+/// drawn equally from both sides, so no shift acts, and the particles stay in strings until the fit fails.
 const LEAST_JITTER: f64 = 0.02;
 
 impl TaylorGreen {
@@ -58,7 +59,7 @@ impl TaylorGreen {
         Self { per_side: count(config, scene.size()), ..scene }
     }
 
-    pub fn build<R: Real>(&self) -> Scene<R> {
+    pub fn build<R: Sweeps>(&self) -> Scene<R> {
         assert!((2..=3).contains(&self.dimension), "Taylor and Green's vortices have 2 or 3 dimensions");
         let kinematic_viscosity = 1.0 / self.reynolds;
         let spacing = self.size() / self.per_side as f64;
@@ -87,7 +88,7 @@ impl TaylorGreen {
         .build_with_pressure(|place| self.start(place), |place| self.start_pressure(place))
     }
 
-    /// The pressure at the start, that of the incompressible flow.
+    /// The initial pressure, which is that of the incompressible flow.
     pub fn start_pressure(&self, [x, y, z]: [f64; 3]) -> f64 {
         match self.dimension {
             2 => -0.25 * ((4.0 * PI * x).cos() + (4.0 * PI * y).cos()),
@@ -95,7 +96,7 @@ impl TaylorGreen {
         }
     }
 
-    /// The velocity at the start.
+    /// The initial velocity.
     pub fn start(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self.dimension {
             2 => {

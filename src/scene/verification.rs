@@ -1,37 +1,37 @@
-//! Whether what a design gained is a property of its wall: the gain again, with what it must not depend on changed.
+//! Checks whether the gain of a design is a property of its wall, by changing conditions that it must not depend on.
 //!
-//! A wall is handed over as nodes and offsets, so that it is the same at every spacing, and both walls are run under each
-//! [`Check`]: the gain is Q of the best over Q of the reference, less one. What survives is the least of the gains. A gain
-//! of a few tenths of a percent that was found at one spacing, or until the end of one run, may be an error of the solver
-//! that the optimiser has learned to use.
+//! A wall is given by nodes and offsets, so it is the same at every spacing. Both the best and the reference wall are
+//! run under each [`Check`]; the gain is Q of the best over Q of the reference, minus one. The surviving gain is the
+//! smallest one. A gain of a few tenths of a percent that was found at one spacing, or at the end of one run, may be an
+//! error of the solver that the optimiser has exploited.
 
 use super::load::Loaded;
+use super::record::Record;
 use super::Scene;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, DesignWalls, Family, Formulation, GradientMode, Motion, Precision};
+use crate::config::scene::{Config, DesignWalls, Family, GradientMode, Method, Precision};
 use crate::config::schema::values;
 use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
-use crate::numerics::lanes::Real;
 use crate::sph::Sweeps;
 use std::time::Instant;
 
-/// What is changed.
+/// The condition that a check changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Check {
-    /// Nothing: as it was optimised.
+    /// Nothing changes.
     AsOptimised,
-    /// Half of `resolution.dx`; in three dimensions, where that is 16 times the work, the largest that fits up to four fifths.
+    /// Half of `resolution.dx`; in three dimensions, where that is 16 times the work, the largest fit up to 4/5 of it.
     FinerSpacing,
     /// Fixed particles instead of moving ones, or the reverse.
     OtherMotion,
-    /// A run of twice the time, measured over a window of the same length at its end.
+    /// Twice the end time, with a window of the same length at the end.
     TwiceTime,
-    /// The next `run.seed`, with moving particles: fixed ones draw no random numbers.
+    /// The next `run.seed`, with moving particles; fixed ones use no random numbers.
     OtherSeed,
 }
 
@@ -39,8 +39,8 @@ impl Check {
     pub const EACH: [Self; 5] =
         [Self::AsOptimised, Self::FinerSpacing, Self::OtherMotion, Self::TwiceTime, Self::OtherSeed];
 
-    /// Whether there is such a thing for a scene: fixed particles are for the channel in two dimensions, and a scene of one's own
-    /// that draws no random numbers is the same from another seed.
+    /// Whether the check applies to a scene: fixed particles exist only for the channel in two dimensions, and a custom
+    /// scene without random numbers does not depend on the seed.
     fn is_for(self, config: &Config) -> bool {
         match self {
             Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
@@ -50,67 +50,100 @@ impl Check {
     }
 }
 
-/// A configuration whose walls are compared, and what they are.
+/// A configuration and the walls that are compared.
 #[derive(Debug, Clone)]
 pub struct Verification {
-    /// The configuration that the best wall was found with.
+    /// The configuration with which the best wall was found.
     pub loaded: Loaded,
     pub reference: Shape,
     pub best: Shape,
-    /// What the reference is, in words: `the flat wall`.
+    /// The reference in words, such as `the flat wall`.
     pub reference_name: &'static str,
 }
 
-/// What was found of all checks.
+/// The results of all checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verified {
-    /// What the walls are judged by.
+    /// How the objective is reported.
     pub figure: Figure,
     pub reference_name: &'static str,
     pub checks: Vec<Finding>,
     pub seconds: f64,
 }
 
-/// What was found of one check.
+/// The result of a check.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
     /// What was changed, in words.
     pub check: String,
-    /// The reference's and the best wall's figure, or why there are none.
+    /// The figures of the reference and of the best wall, or the error.
     pub figures: Result<(f64, f64), String>,
 }
 
 impl Finding {
-    /// Best over reference, less one; none if the check failed.
+    /// Best over reference, minus one; none if the check failed.
     pub fn gain(&self) -> Option<f64> {
         self.figures.as_ref().ok().map(|(reference, best)| best / reference - 1.0)
     }
 }
 
 impl Verified {
-    /// The least gain of the checks that ran; none if none did.
+    /// The smallest gain of the checks that ran; none if none did.
     pub fn survives(&self) -> Option<f64> {
         self.checks.iter().filter_map(Finding::gain).reduce(f64::min)
     }
 
-    /// Checks that have no gain to show.
+    /// The results as in `summary.json` and `verification.json`.
+    pub fn record(&self) -> Record {
+        let name = self.figure.symbol.to_lowercase();
+        let of = |finding: &Finding| {
+            let figures = finding.figures.as_ref().ok();
+            let mut row = Record::default();
+            row.put("check", &finding.check);
+            row.put(&format!("{name}_reference"), figures.map(|(reference, _)| reference));
+            row.put(&format!("{name}_best"), figures.map(|(_, best)| best));
+            row.put("gain", finding.gain());
+            row.put("error", finding.figures.as_ref().err());
+            row
+        };
+        let mut record = Record::default();
+        record.put("verification", self.checks.iter().map(of).collect::<Vec<_>>());
+        record.put("verification_reference", self.reference_name);
+        record.put("verification_seconds", self.seconds);
+        record.put("gain_survives", self.survives());
+        record
+    }
+
     pub fn failed(&self) -> impl Iterator<Item = &Finding> {
         self.checks.iter().filter(|finding| finding.figures.is_err())
     }
 }
 
-/// A check's two configurations, the reference's and the best wall's.
+/// The configurations of a check, with the reference and with the best wall.
 pub type Pair = [Loaded; 2];
 
 impl Verification {
-    /// Runs both walls under every check; `progress` sees the share of the work that is done. A check that can not be run
-    /// is a finding too.
+    /// The checks of a best wall against the first one of its search, or else against the flat wall, with the particles
+    /// of the configuration's search.
     ///
     /// # Errors
-    /// Walls that the configuration does not allow.
+    /// As for [`Loaded::for_search`].
+    pub fn of_search(loaded: &Loaded, first: Option<Shape>, best: Shape) -> Result<Self, Error> {
+        let (reference, reference_name) = match first {
+            Some(first) => (first, "the first design"),
+            None => (best.flat(), "the flat wall"),
+        };
+        Ok(Self { loaded: loaded.for_search()?, reference, best, reference_name })
+    }
+
+    /// Runs both walls under every check. `progress` is called with the completed fraction of the work. A check that
+    /// cannot run is a result too.
+    ///
+    /// # Errors
+    /// Walls that are not allowed.
     pub fn run(&self, progress: &mut dyn FnMut(f64)) -> Result<Verified, Error> {
         let clock = Instant::now();
-        // A wall that is not allowed as it is fails here, and is no finding.
+        // A wall that is not allowed fails here and is not a result.
         for wall in [&self.reference, &self.best] {
             self.loaded.with(&self.wall(wall))?;
         }
@@ -125,7 +158,7 @@ impl Verification {
             let mut name = self.describe(check);
             let mut progress = |part: f64| progress((done + part * share).min(1.0));
             let found = pair.map_err(anyhow::Error::from).and_then(|pair| match figures(&pair, &mut progress) {
-                // Rough walls may need it, and it is no part of the check.
+                // Rough walls may need shorter steps, which the check does not concern.
                 Err(error) if error.is::<RunError>() => match slower(&pair).map(|pair| figures(&pair, &mut progress)) {
                     Ok(Ok(found)) => {
                         name.push_str(", half the time step");
@@ -142,10 +175,10 @@ impl Verification {
         Ok(Verified { figure, reference_name: self.reference_name, checks, seconds: clock.elapsed().as_secs_f64() })
     }
 
-    /// What a check runs.
+    /// The configurations of a check.
     ///
     /// # Errors
-    /// What the configuration does not allow.
+    /// Values that are not allowed.
     pub fn pair(&self, check: Check) -> Result<Pair, Error> {
         let settings = self.settings(check)?;
         let with = |wall: &Shape| self.loaded.with(&[&settings[..], &self.wall(wall)].concat());
@@ -156,7 +189,6 @@ impl Verification {
         wall_settings(wall, &self.loaded.config)
     }
 
-    /// The keys that a check changes.
     fn settings(&self, check: Check) -> Result<Vec<Setting>, Error> {
         let before = &self.loaded.config;
         let mut after = before.clone();
@@ -168,38 +200,39 @@ impl Verification {
                 let dx = before.finer_spacing();
                 after.resolution.dx = dx;
                 set("resolution.dx", &dx);
-                // The standard formulation's walls are as deep as its bound.
+                // Walls of cells must be as deep as the bound.
                 let rows = (before.design.bound / dx - 1e-9).ceil().max(0.0) as usize;
-                if before.fluid.formulation == Formulation::Standard && rows > before.channel.wall_rows {
+                if before.method.facts().wall_cells && rows > before.channel.wall_rows {
                     set("channel.wall_rows", &rows);
                 }
             }
             Check::OtherMotion => {
-                if before.fluid.formulation == Formulation::Standard {
-                    let problem = "the standard formulation has moving particles only";
-                    return Err(BadInput::new(problem).advice("fluid.formulation=consistent").into());
-                }
-                after.fluid.motion = before.fluid.motion.other();
-                set("fluid.motion", &after.fluid.motion.name());
+                let Some(other) = before.method.facts().counterpart else {
+                    let problem = format!("the {} method has moving particles only", before.method.name());
+                    return Err(BadInput::new(problem).advice("method.name=consistent").into());
+                };
+                after.method = Method::named(other).unwrap_or_default();
+                set("method.name", &other);
             }
             Check::TwiceTime => after.time.end = 2.0 * before.duration(),
             Check::OtherSeed => {
-                after.fluid.motion = Motion::Moving;
                 set("run.seed", &next_seed(before.run.seed));
-                if before.fluid.motion != Motion::Moving {
-                    set("fluid.motion", &Motion::Moving.name());
+                if let Some(other) = before.method.facts().counterpart.filter(|_| !before.method.facts().moves) {
+                    after.method = Method::named(other).unwrap_or_default();
+                    set("method.name", &other);
                 }
             }
         }
-        // Moving particles have no steady state to take a gradient of (none is taken here, but the key must fit).
-        if after.fluid.motion == Motion::Moving && before.optimise.gradient == GradientMode::Steady {
+        // Moving particles have no steady gradient. (No gradient is taken here, but the key must be valid.)
+        let moves = after.method.facts().moves;
+        if moves && before.optimise.gradient == GradientMode::Steady {
             set("optimise.gradient", &"segments");
         }
-        // Each motion has a time step of its own, which the loader knows; for the samples the longer one will do.
-        if after.fluid.motion == Motion::Moving {
+        // The loader sets the time step of each method. For the samples the longer one suffices.
+        if moves {
             after.time.cfl = after.time.cfl.max(Config::default().time.cfl);
         }
-        // A number of steps is another time with other steps.
+        // A number of steps would be another time with another time step.
         if check == Check::TwiceTime || before.time.steps.is_some() {
             if check != Check::TwiceTime {
                 after.time.end = before.duration();
@@ -207,7 +240,7 @@ impl Verification {
             after.time.steps = None;
             set("time.end", &after.time.end);
         }
-        // A window of the same length has a few steps more or less; as many samples as before, if it has so many.
+        // A window of the same length may have another number of steps, which limits the number of samples.
         let window = before.objective.window;
         let steps = (window / after.time_step() - 1e-9).ceil().max(1.0) as usize;
         if window > 0.0 {
@@ -226,17 +259,19 @@ impl Verification {
                 2 => format!("half the spacing ({})", rounded(config.finer_spacing())),
                 _ => format!("a finer spacing ({})", rounded(config.finer_spacing())),
             },
-            Check::OtherMotion => format!("{} particles", config.fluid.motion.other().name()),
+            Check::OtherMotion => {
+                if config.method.facts().moves { "fixed particles" } else { "moving particles" }.into()
+            }
             Check::TwiceTime => format!("twice the time ({})", rounded(2.0 * config.duration())),
-            Check::OtherSeed => match config.fluid.motion {
-                Motion::Moving => format!("another seed ({})", next_seed(config.run.seed)),
-                Motion::Fixed => format!("moving particles, another seed ({})", next_seed(config.run.seed)),
+            Check::OtherSeed => match config.method.facts().moves {
+                true => format!("another seed ({})", next_seed(config.run.seed)),
+                false => format!("moving particles, another seed ({})", next_seed(config.run.seed)),
             },
         }
     }
 }
 
-/// A seed that TOML can hold.
+/// The next seed that TOML can represent.
 fn next_seed(seed: u64) -> u64 {
     if seed < i64::MAX as u64 {
         seed + 1
@@ -245,13 +280,13 @@ fn next_seed(seed: u64) -> u64 {
     }
 }
 
-/// A length or a time without the digits of rounding.
+/// A length or a time without digits that are rounding.
 fn rounded(x: f64) -> String {
     let text = format!("{x:.6}");
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
 
-/// The keys of a wall, or of shapes.
+/// The settings of a wall, or of shapes.
 pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
     if config.scene == Family::Custom {
         let mut changed = config.clone();
@@ -273,14 +308,14 @@ pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
         "design.parametrisation=nodes".to_string(),
     ];
     if wall.top.is_some() || config.design.walls == DesignWalls::Both {
-        // A wall without a top has a flat one, whatever the scene's is.
+        // A wall without a top has a flat one, also where the scene's is shaped.
         settings.push(format!("design.top_offsets={:?}", wall.top_wall().offsets));
         settings.push("design.walls=both".to_string());
     }
     settings.iter().map(|text| Setting::set(text)).collect()
 }
 
-/// Particles times steps: what a run costs.
+/// The cost of a run: particles times steps.
 fn work(loaded: &Loaded) -> f64 {
     let config = &loaded.config;
     if config.scene == Family::Custom {
@@ -301,7 +336,7 @@ fn slower(pair: &Pair) -> Result<Pair, Error> {
     Ok([half(&pair[0])?, half(&pair[1])?])
 }
 
-/// The figures of a check's walls.
+/// The figures of both walls of a check.
 fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f64)> {
     let mut half = |loaded: &Loaded, first: f64| {
         let progress: &mut dyn FnMut(f64) = &mut |part| progress(first + 0.5 * part);
@@ -317,13 +352,13 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
     Ok((reference, best))
 }
 
-/// The figure of a configuration's own wall.
+/// The figure of the wall of a configuration.
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
     let problem = problem::<R>(loaded)?;
     Ok(problem.evaluate_watched(&problem.first, progress)? * problem.figure.factor)
 }
 
-fn problem<R: Real>(loaded: &Loaded) -> Result<Problem<R>, Error> {
+fn problem<R: Sweeps>(loaded: &Loaded) -> Result<Problem<R>, Error> {
     let design = Scene::problem(&loaded.config)?;
     design.ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))
 }

@@ -1,46 +1,47 @@
-//! What makes the numbers of a finished run doubtful, said beside them.
+//! Warnings about doubtful results of a finished run.
 //!
-//! Nothing here stops a run. Everything is read from what the run has measured anyway, and from its last state, once.
+//! They do not stop a run, and use only its measurements and its last state.
 
 use super::figures::FlowFigures;
 use super::particle_fields::ParticleFields;
-use crate::config::scene::{Config, Family, Formulation};
+use crate::config::scene::{Config, Family};
 use crate::design::diagnostics::Diagnostics;
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::particles::tag;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// What is doubtful, and what to try.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// A problem, and what to try.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Warning {
     pub problem: String,
     pub advice: String,
 }
 
-/// A flow may be this much faster than its reference velocity: the sound speed allows for it.
+/// Largest ratio of the flow's speed to the reference velocity, for which the sound speed allows.
 const FASTER: f64 = 1.5;
-/// Above this Mach number a flow is not weakly compressible any more: densities change by its square.
+/// Largest Mach number of a weakly compressible flow, whose density changes by its square.
 const MACH: f64 = 0.3;
-/// A mean density may be so far from the reference.
+/// Largest relative deviation of the mean density.
 const DENSER: f64 = 0.02;
-/// A heat balance may be so far open, of the walls' heat.
+/// Largest imbalance of heat relative to the walls' heat.
 const OPEN: f64 = 0.05;
-/// What is averaged may change so much over the window, of itself.
+/// Largest relative change of averages over the window.
 const DRIFT: f64 = 0.01;
 
-/// Particles nearer to each other than this, in spacings, are crowded: they come no nearer than 0.6 in runs that can be trusted.
+/// Particles nearer to each other than this, in spacings, are crowded; in reliable runs the smallest distance is 0.6.
 const CROWDED: f64 = 0.5;
-/// So many of them may be.
+/// Largest fraction of crowded particles.
 const CROWD: f64 = 0.01;
-/// A gradient may say that the objective changes so many times over between the variables' limits.
+/// Largest change of the objective between the limits by its gradient, relative to the objective.
 const EXPLODED: f64 = 10.0;
 
 fn warning(problem: String, advice: impl Into<String>) -> Warning {
     Warning { problem, advice: advice.into() }
 }
 
-/// A flow that is faster than was said.
+/// Warns about a flow that is faster than its reference velocity.
 fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
     let mach = fastest / sound;
@@ -58,7 +59,7 @@ fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     })
 }
 
-/// Of a verification flow or a scene of one's own: its largest velocity by the history's rows (time, energy, velocity) too.
+/// The warnings of a verification flow or a custom scene; rows of the history are (time, energy, velocity).
 pub fn of_flow(config: &Config, found: &FlowFigures, history: &[Vec<f64>]) -> Vec<Warning> {
     if found.wall_flux.is_some() {
         return Vec::new();
@@ -67,7 +68,7 @@ pub fn of_flow(config: &Config, found: &FlowFigures, history: &[Vec<f64>]) -> Ve
     speed(config, fastest).into_iter().collect()
 }
 
-/// Of a channel: its averages over the window, and the history's rows (time, Q).
+/// The warnings of a channel by its averages over the window and the rows of its history (time, Q).
 pub fn of_channel(config: &Config, found: &Diagnostics, history: &[Vec<f64>]) -> Vec<Warning> {
     let mut all: Vec<Warning> = speed(config, found.u_max).into_iter().collect();
     let density = found.mean_density / config.fluid.density - 1.0;
@@ -75,7 +76,7 @@ pub fn of_channel(config: &Config, found: &Diagnostics, history: &[Vec<f64>]) ->
         let problem = format!("the mean density is {:+.1} % off fluid.density", 100.0 * density);
         all.push(warning(
             problem,
-            "a larger fluid.sound_speed_factor, or wall.mass=column-area in the standard formulation",
+            "a larger fluid.sound_speed_factor, or wall.mass=column-area with the standard method",
         ));
     }
     if found.energy_imbalance.abs() > OPEN {
@@ -92,14 +93,14 @@ pub fn of_channel(config: &Config, found: &Diagnostics, history: &[Vec<f64>]) ->
     all
 }
 
-/// Of the particles of a run: how evenly they lie at its end, and how they began. A free surface is crowded where it breaks.
+/// The warnings about particles: their distribution at the end and their start. A breaking surface is crowded.
 pub fn of_particles(config: &Config, end: &ParticleFields) -> Vec<Warning> {
     let mut all = Vec::new();
-    let standard = config.fluid.formulation == Formulation::Standard;
-    if config.scene == Family::TaylorGreen && standard && config.time.jitter == 0.0 {
+    let facts = config.method.facts();
+    if config.scene == Family::TaylorGreen && facts.lines_up && config.time.jitter == 0.0 {
         all.push(warning(
             "particles began on an exact lattice, in which they line up: at t = 1 the error is five times that of a start with noise".into(),
-            "time.jitter=0.2, or fluid.formulation=consistent",
+            "time.jitter=0.2, or method.name=consistent",
         ));
     }
     let share = crowded(end, config.resolution.dx);
@@ -108,17 +109,12 @@ pub fn of_particles(config: &Config, end: &ParticleFields) -> Vec<Warning> {
             "{:.0} % of the particles have another one nearer than {CROWDED} spacings: sums over neighbours miss what lies between",
             100.0 * share
         );
-        let advice = if standard {
-            "fluid.transport_velocity=1, or fluid.formulation=consistent"
-        } else {
-            "fluid.shift_strength=3"
-        };
-        all.push(warning(problem, advice));
+        all.push(warning(problem, facts.against_crowds));
     }
     all
 }
 
-/// The share of the fluid particles that have another one near, but for pairs across a periodic side.
+/// The fraction of fluid particles with another one nearby, except across periodic sides.
 fn crowded(end: &ParticleFields, dx: f64) -> f64 {
     let (n, d) = (end.tag.len(), end.dimension);
     let near = CROWDED * dx;
@@ -137,7 +133,7 @@ fn crowded(end: &ParticleFields, dx: f64) -> f64 {
     fluid.iter().filter(|&&i| has_near(i)).count() as f64 / fluid.len().max(1) as f64
 }
 
-/// Of a search whose variables have limits so far apart: that it found nothing, and a gradient that follows no flow.
+/// The warnings of a search with limits `width` apart: no improvement, and a gradient that has exploded.
 pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
     let mut all = Vec::new();
     let history = &found.history;
@@ -162,7 +158,7 @@ pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
     all
 }
 
-/// Q that still changes: its means over both halves of the window.
+/// Warns if Q still changes, by its means over both halves of the window.
 fn drift(config: &Config, history: &[Vec<f64>]) -> Option<Warning> {
     let (end, window) = (history.last()?[0], config.objective.window);
     let inside: Vec<f64> = history.iter().filter(|row| row[0] > end - window).map(|row| row[1]).collect();
@@ -184,6 +180,7 @@ fn drift(config: &Config, history: &[Vec<f64>]) -> Option<Warning> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::method::Method;
 
     fn quiet(config: &Config) -> Diagnostics {
         Diagnostics {
@@ -202,7 +199,7 @@ mod tests {
         assert_eq!(of_channel(&config, &quiet(&config), &history), []);
     }
 
-    /// A row of fluid particles at these places.
+    /// A row of fluid particles at these positions.
     fn row(places: Vec<f64>) -> ParticleFields {
         let n = places.len();
         let zeros = vec![0.0; 2 * n];
@@ -232,7 +229,7 @@ mod tests {
         let found = of_particles(&config, &row(crowd));
         assert!(found.len() == 1 && found[0].problem.starts_with("6 % of the particles"), "{found:?}");
         config = Family::TaylorGreen.defaults();
-        config.fluid.formulation = Formulation::Standard;
+        config.method = Method::named("standard").unwrap();
         config.time.jitter = 0.0;
         let found = of_particles(&config, &row(vec![0.0]));
         assert!(found.len() == 1 && found[0].problem.contains("exact lattice"), "{found:?}");
@@ -271,7 +268,7 @@ mod tests {
             assert_eq!(found.len(), 1, "{found:?}");
             assert!(found[0].problem.contains(part) && !found[0].advice.is_empty(), "{found:?}");
         }
-        // Q that falls by 4 % within the window, and one that swings about a mean.
+        // Q that falls by 4 % within the window, and Q that oscillates about a mean.
         let end = 4.0;
         let history = |q: &dyn Fn(f64) -> f64| -> Vec<Vec<f64>> {
             (0..=400).map(|k| 0.01 * k as f64).map(|t| vec![t, q(t)]).collect()

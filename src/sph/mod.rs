@@ -1,17 +1,27 @@
-//! Smoothed particle hydrodynamics: one law, one file; [`step`] chains the operators.
-pub mod chain;
+//! Smoothed particle hydrodynamics (SPH): the parts that all methods share, and a folder for each method.
+//!
+//! A [`method::Method`] advances, differentiates and shows a state. [`solver`] runs any method and has no equation
+//! itself.
+pub mod composed;
 pub mod consistent;
 pub mod divergence;
 pub mod division;
 pub mod dynamics;
 pub mod fixed;
+pub mod flow;
+pub mod interpolation;
+pub mod inventory;
 pub mod kernels;
 pub mod laws;
-pub mod model;
-pub mod operators;
+pub mod masks;
+pub mod method;
+pub mod pace;
+pub mod pairs;
 pub mod plan;
+pub mod rows;
 pub mod solver;
-pub mod step;
+pub mod standard;
 pub mod sweeps;
 
+pub use method::Model;
 pub use sweeps::Sweeps;

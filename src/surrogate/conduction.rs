@@ -1,11 +1,11 @@
-//! The solver's heat conduction along a motion that somebody else made, such as a learned one.
+//! The solver's heat conduction along a given motion, such as that of a learned model.
 //!
-//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), as in [`crate::sph::laws::conduction`], over the time between two
-//! frames in explicit steps that are stable, with positions on the straight way from one frame to the next. Density by
-//! summation over fluid and walls, as the solver's; all particles have the mass rho dx^D of the flat channel. Walls
-//! with a set temperature are at it where the data say so, other walls take their fluid neighbours' mean (Adami, Hu and
-//! Adams 2012), so no heat flows through them. Fluid at x < `inlet_length` stays at the inlet's temperature, fluid behind
-//! the outlet's edge does not conduct.
+//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), as in [`crate::sph::laws::conduction`], over the time
+//! between two frames in stable explicit steps, with positions on straight lines between the frames. The density is a
+//! sum over fluid and walls, as in the solver; all particles have the mass rho dx^D of the flat channel. Walls have
+//! their set temperature according to the data; other walls take the mean of their fluid neighbours (Adami, Hu and
+//! Adams 2012), so they are adiabatic. Fluid at x < `inlet_length` keeps the inlet's temperature; fluid in the outlet
+//! does not conduct.
 
 use super::predictor::{Frame, Scenery};
 use crate::dataset::extent::Extent;
@@ -44,7 +44,7 @@ impl<'a> Conduction<'a> {
         })
     }
 
-    /// Temperatures `[N]` one frame later, when particles have come to `next` `[N, D]`.
+    /// Temperatures `[N]` one frame later, when the particles are at `next` `[N, D]`.
     ///
     /// # Errors
     /// Lost or clumped particles, a frame without temperature.
@@ -54,7 +54,7 @@ impl<'a> Conduction<'a> {
         let (steps, dt) = self.steps();
         let (d, n, extent) = (metadata.dim, temperature.len(), Extent::of(metadata));
         for step in 0..steps {
-            // The middle of the step's stretch of the way.
+            // The positions half way through the step.
             let part = (step as f64 + 0.5) / steps as f64;
             let mut position = vec![0.0; d * n];
             for i in 0..n {
@@ -74,7 +74,7 @@ impl<'a> Conduction<'a> {
         Ok(temperature)
     }
 
-    /// Steps between two frames, and their length.
+    /// Number of steps between two frames, and their length.
     fn steps(&self) -> (usize, f64) {
         let metadata = self.scenery.metadata;
         let time = metadata.dt * metadata.write_every as f64;
@@ -83,19 +83,19 @@ impl<'a> Conduction<'a> {
         (steps, time / steps as f64)
     }
 
-    /// Whether a particle at x from the box's corner is fluid at the inlet.
+    /// Whether a particle at x, relative to the box's corner, is fluid at the inlet.
     fn is_inlet(&self, i: usize, x: f64) -> bool {
         self.tags[i] == tag::FLUID && x < self.heat.inlet_length - self.scenery.metadata.bounds[0][0]
     }
 
-    /// Whether it is fluid that conducts.
+    /// Whether a particle at x is fluid that conducts.
     fn conducts(&self, i: usize, x: f64) -> bool {
         let (heat, [low, high]) = (self.heat, self.scenery.metadata.bounds[0]);
         self.tags[i] == tag::FLUID && x + low >= heat.inlet_length && x + low <= high - heat.outlet_length
     }
 
-    /// [`Self::advance`] on candle's graph, in f64: positions `[N, D]` and temperatures `[N]` of a frame, and the positions one
-    /// frame later. Who sees whom, and who is at the inlet, are constants.
+    /// [`Self::advance`] on candle's graph, in f64: positions `[N, D]` and temperatures `[N]` of a frame, and the
+    /// positions one frame later. Neighbours, and which particles are at the inlet, are constant.
     ///
     /// # Errors
     /// Lost or clumped particles, tensor errors.
@@ -126,7 +126,7 @@ impl<'a> Conduction<'a> {
         Ok(temperature.squeeze(0)?)
     }
 
-    /// [`Self::rate`] `[1, N]`, from positions `[D, N]` as tensors and as numbers and temperatures `[1, N]`.
+    /// [`Self::rate`] `[1, N]` for positions `[D, N]`, as a tensor and as numbers, and temperatures `[1, N]`.
     fn rate_on_graph(&self, position: &Tensor, numbers: &[f64], temperature: &Tensor) -> anyhow::Result<Tensor> {
         let n = self.tags.len();
         let pairs = self.pairs(numbers)?;
@@ -154,7 +154,7 @@ impl<'a> Conduction<'a> {
         let metadata = self.scenery.metadata;
         let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
         let volume = (weights.affine(1.0, itself)?.recip()?.mul(&fluid)? + walls.affine(lattice, 0.0)?)?;
-        // Walls that see fluid: the mean of what they see, or mirrored at a set temperature.
+        // Walls with fluid in reach have its mean, or are mirrored at a set temperature.
         let seen = weights.detach().flatten_all()?.to_vec1::<f64>()?;
         let sees = |i: usize| self.tags[i] != tag::FLUID && seen[i] != 0.0;
         let set = |i: usize| self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
@@ -172,7 +172,7 @@ impl<'a> Conduction<'a> {
         Ok(flows.div(&volume)?.mul(&conducting)?.affine(2.0 * self.heat.diffusivity, 0.0)?)
     }
 
-    /// dT/dt `[N]`. `position` is `[D, N]`, from the box's corner.
+    /// dT/dt `[N]`. `position` is `[D, N]` relative to the box's corner.
     fn rate(&self, position: &[f64], temperature: &[f64]) -> anyhow::Result<Vec<f64>> {
         let n = temperature.len();
         let pairs = self.pairs(position)?;
@@ -189,7 +189,7 @@ impl<'a> Conduction<'a> {
             let Pair { i, j, slope, .. } = *pair;
             conduction::flow([volume[i], volume[j]], slope, [now[i], now[j]])
         });
-        // Over m_i = rho_i V_i: with 2 alpha = 2 k/(c rho) at the reference density.
+        // Over m_i = rho_i V_i: 2 alpha = 2 k/(c rho) at the reference density.
         let rate = |i: usize| {
             if self.conducts(i, position[i]) {
                 2.0 * self.heat.diffusivity / volume[i] * flows[i]
@@ -217,8 +217,7 @@ impl<'a> Conduction<'a> {
         Ok(pairs)
     }
 
-    /// 1/sum_j W_ij, which is m/rho for equal masses, from the sums over the neighbours; walls have that of the lattice, as
-    /// in the solver.
+    /// 1/sum_j W_ij, which is m/rho for equal masses, from the sums over neighbours; walls have the lattice's volume.
     fn volumes(&self, weights: &[f64]) -> Vec<f64> {
         let metadata = self.scenery.metadata;
         let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
@@ -226,7 +225,7 @@ impl<'a> Conduction<'a> {
         self.tags.iter().zip(weights).map(volume).collect()
     }
 
-    /// Temperatures with those of the walls set, from the sums of their neighbours' temperatures by weight.
+    /// Temperatures with those of walls filled in, given the weighted sums of their neighbours' temperatures.
     fn with_walls(&self, temperature: &[f64], means: &[f64], weights: &[f64]) -> Vec<f64> {
         let wall = |i: usize| {
             let set = self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
@@ -243,14 +242,14 @@ impl<'a> Conduction<'a> {
     }
 }
 
-/// 1 where it is true, `[1, N]`.
+/// 1 where a condition holds, `[1, N]`.
 fn mask(of: impl Iterator<Item = bool>) -> Result<Tensor> {
     let values: Vec<f64> = of.map(|is| if is { 1.0 } else { 0.0 }).collect();
     let n = values.len();
     Tensor::from_vec(values, (1, n), &Device::Cpu)
 }
 
-/// Two particles that see each other.
+/// Two neighbouring particles.
 struct Pair {
     i: usize,
     j: usize,

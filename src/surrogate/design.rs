@@ -1,13 +1,14 @@
-//! A design judged by a surrogate: the solver runs until the flow has adapted to the wall, a learned model predicts the rest.
+//! Evaluation of designs by a surrogate: after the solver has adapted the flow to the wall, a learned model predicts
+//! the rest.
 //!
 //! ```text
 //!   variables --deformation--> first state --solver--> W frames --model, frame by frame--> fields --objective--> value
 //! ```
 //!
-//! The wall is known to the model by its particles, which stand in every frame. The gradient by the variables has two parts:
-//! through the wall's particles in the frames that the model sees and the fields that the objective sees, and through the solver
-//! that made the first frames ([`FirstFrames::Differentiable`]; without it the fluid's first frames are taken for given). Each
-//! part is a [`gradient`] of its own, with a schedule that keeps within the memory that is allowed.
+//! The model knows the wall by its particles in every frame. The gradient by the variables has two parts: through the
+//! wall's particles in the frames of the model and the fields of the objective, and through the solver that made the
+//! first frames ([`FirstFrames::Differentiable`]; otherwise the fluid's first frames are constant). Each part is a
+//! [`gradient`] with its own schedule, within the memory budget.
 
 use crate::adjoint::dynamics::{Dynamics, Fields, Objective};
 use crate::adjoint::gradient::{gradient, value, Progress};
@@ -16,7 +17,9 @@ use crate::adjoint::schedule::Schedule;
 use crate::adjoint::RunError;
 use crate::config::difference::differences;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, DesignWalls, FirstFrames, GradientMode, Optimise};
+use crate::config::scene::{
+    Config, DesignWalls, DynamicsName, FirstFrames, GradientMode, Kernels, Optimise, Precision,
+};
 use crate::config::training::HeatModel;
 use crate::dataset::recipe::Recipe;
 use crate::dataset::record::kind_of;
@@ -24,7 +27,7 @@ use crate::dataset::store::CONFIGURATION;
 use crate::dataset::Metadata;
 use crate::design::objectives::{self, Samples};
 use crate::design::problem::{check_gradient, Derivative, Evaluation, ADJOINT};
-use crate::design::Problem;
+use crate::design::{Judge, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
 use crate::particles::tag;
 use crate::scene::load::Loaded;
@@ -34,32 +37,58 @@ use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use crate::surrogate::dynamics::{Begin, LearnedFlow};
 use crate::surrogate::models::learned::Learned;
-use candle_core::{Device, Tensor};
+use crate::surrogate::{load_learned, HEATED_CHANNEL};
+use candle_core::{DType, Device, Tensor};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
-/// A wall to shape, judged by a learned model.
+/// A design problem that is evaluated by a learned model.
 pub struct SurrogateProblem<R> {
-    /// The solver's part: it ends with the last frame that the model is given.
+    /// The solver's part, which ends with the last frame that is given to the model.
     pub problem: Problem<R>,
     pub flow: LearnedFlow<R>,
-    /// Of the predicted frames.
+    /// Objective of the predicted frames.
     pub objective: Arc<dyn Objective + Send>,
-    /// Frames to predict.
+    /// Number of frames to predict.
     pub steps: usize,
-    /// Steps of the solver that the given frames stand behind.
+    /// Steps of the solver after which frames are given to the model.
     pub looks: Vec<usize>,
     pub first_frames: FirstFrames,
     solver_schedule: Schedule,
     model_schedule: Schedule,
 }
 
-/// What may differ between a scene and that of a model's data: where it does not change the flow.
+/// Keys in which a scene and that of a model's data may differ, because they do not change the flow.
 const FREE: [&str; 7] = ["design", "optimise", "surrogate", "objective", "output", "run", "time"];
 
+/// The path of a configuration's model; none for the built-in one.
+pub fn model_of(config: &Config) -> Option<&Path> {
+    config.surrogate.model.as_deref().map(Path::new)
+}
+
 impl<R: Sweeps> SurrogateProblem<R> {
+    /// The surrogate of a configuration, if it has one.
+    ///
     /// # Errors
-    /// A model that can not be optimised with, or of another flow; a schedule that does not fit into `optimise.memory`.
+    /// A model that cannot be read, and those of [`Self::new`].
+    pub fn of_config(loaded: &Loaded) -> anyhow::Result<Option<Self>> {
+        if loaded.config.optimise.dynamics == DynamicsName::Solver {
+            return Ok(None);
+        }
+        let dtype = match loaded.config.surrogate.precision {
+            Precision::F32 => DType::F32,
+            Precision::F64 => DType::F64,
+        };
+        let model = match model_of(&loaded.config) {
+            Some(path) => load_learned(path, Kernels::Fused, dtype)?,
+            None => HEATED_CHANNEL.load(Kernels::Fused, dtype)?,
+        };
+        Ok(Some(Self::new(loaded, model).map_err(|error| loaded.located_error(error))?))
+    }
+
+    /// # Errors
+    /// A model that cannot be used, or of another flow; a schedule that exceeds `optimise.memory`.
     pub fn new(loaded: &Loaded, model: Learned) -> Result<Self, Error> {
         let config = &loaded.config;
         let metadata = known_data(config, &model)?.clone();
@@ -67,7 +96,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
         let frames = model.setup.features.frames;
         let recipe = Recipe { every: metadata.write_every, skip: wanted.settle, frames, ..Recipe::of(config.scene) };
         let pace = recipe.pace(config);
-        // The time step that the data were made with, and a run that ends with the last frame to be given.
+        // The time step of the data, and a run that ends with the last given frame.
         let cfl = pace.dt / config.time_step_limits().acoustic * config.time.cfl;
         let set = |key: &str, value: String| Setting::option("the surrogate's first frames", key, value);
         let settings = [
@@ -94,26 +123,26 @@ impl<R: Sweeps> SurrogateProblem<R> {
         Ok(Self { problem, flow, objective, steps, looks, first_frames, solver_schedule, model_schedule })
     }
 
-    /// Steps of the solver that the frames take, without their gradient.
+    /// Number of solver steps for the frames, without their gradient.
     pub fn solver_steps(&self) -> usize {
         self.problem.steps
     }
 
-    /// The time that the last predicted frame is at.
+    /// The time of the last predicted frame.
     pub fn end(&self) -> f64 {
         self.flow.begin + self.steps as f64 * self.flow.frame_time()
     }
 
-    /// The model's first state over a design's wall: the frames that the solver makes.
+    /// The model's initial state over a design's wall: the frames that the solver makes.
     ///
     /// # Errors
-    /// A run that can not go on.
+    /// A run that diverges.
     pub fn begin(&self, variables: &[f64]) -> anyhow::Result<Begin> {
         let start = self.problem.start(variables);
         let first: Vec<f64> = start.state.iter().map(|x| x.f64()).collect();
         let (model, mut frames) = (&self.problem.model, Vec::new());
         let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
-        // What the data say of walls: their set temperature, and of others nothing that is looked at.
+        // As in the data, walls have their set temperature; that of others is not used.
         let mut walls = vec![reference; model.particles()];
         for (&i, &set) in self.flow.kept.iter().zip(&self.flow.wall_temperature) {
             if set.is_finite() {
@@ -135,10 +164,10 @@ impl<R: Sweeps> SurrogateProblem<R> {
         Ok(Begin { state: self.flow.state(&frames, &first)? })
     }
 
-    /// The objective that is predicted for a design.
+    /// The predicted objective of a design.
     ///
     /// # Errors
-    /// A run that can not go on, of the solver or of the model.
+    /// A run of the solver or the model that diverges.
     pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
         let mut sum = 0.0;
         let mut measure = |flow: &LearnedFlow<R>, at: &mut _| -> anyhow::Result<()> {
@@ -152,26 +181,13 @@ impl<R: Sweeps> SurrogateProblem<R> {
         Ok(sum)
     }
 
-    /// The loss of a design as the model has it, and its derivative by the variables.
-    ///
-    /// # Errors
-    /// [`Error::Diverged`] for a run that can not go on, and for a gradient that is not finite; others.
-    pub fn gradient(&self, variables: &[f64], progress: Progress<'_>) -> Result<Evaluation, Error> {
-        let found = self.problem.evaluation(variables, &self.differentiate(variables, progress)?);
-        Ok(Evaluation { predicted: Some(found.figure), ..found })
-    }
-
     /// The predicted objective of a design and its derivative by the variables.
     ///
     /// # Errors
-    /// As for [`Self::gradient`].
+    /// [`Error::Diverged`] for a run that diverges and for a gradient that is not finite; others.
     pub fn differentiate(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
-        let advice = "a gentler wall (a smaller design.amplitude or design.bound), or fewer surrogate.steps";
-        let failed = |error: RunError| error.advised(advice);
-        let begin = self.begin(variables).map_err(|error| match error.downcast::<RunError>() {
-            Ok(error) => failed(error),
-            Err(error) => Error::run(error.to_string(), "report this"),
-        })?;
+        let failed = |error: RunError| error.advised(ADVICE);
+        let begin = self.begin(variables).map_err(told)?;
         let mut own = |share: f64| progress(0.2 + 0.6 * share);
         let found = gradient(&self.flow, &begin, &self.model_schedule, &*self.objective, &mut own).map_err(&failed)?;
         let mut steps = self.problem.steps;
@@ -211,9 +227,42 @@ impl<R: Sweeps> SurrogateProblem<R> {
     }
 }
 
-/// What the frames' cotangents make of a run: sum over frames, particles and components of cotangent times value.
+/// Evaluates designs by the model; the results are predictions.
+impl<R: Sweeps> Judge for SurrogateProblem<R> {
+    fn gradient(&self, variables: &[f64], progress: Progress<'_>) -> Result<Evaluation, Error> {
+        let found = self.problem.evaluation(variables, &self.differentiate(variables, progress)?);
+        Ok(Evaluation { predicted: Some(found.figure), ..found })
+    }
+
+    fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
+        let (value, solver_steps) = (self.evaluate(variables).map_err(told)?, self.problem.steps);
+        let found = Derivative { value, solver_steps, ..Derivative::default() };
+        let found = self.problem.evaluation(variables, &found);
+        Ok(Evaluation { predicted: Some(found.figure), ..found })
+    }
+
+    fn figure(&self, variables: &[f64], loss: f64) -> f64 {
+        self.problem.figure_of(variables, loss)
+    }
+
+    fn parametrisation(&self) -> &dyn Parametrisation {
+        &*self.problem.parametrisation
+    }
+}
+
+const ADVICE: &str = "a gentler wall (a smaller design.amplitude or design.bound), or fewer surrogate.steps";
+
+/// The error for the user of a failed run, with advice.
+fn told(error: anyhow::Error) -> Error {
+    match error.downcast::<RunError>() {
+        Ok(error) => error.advised(ADVICE),
+        Err(error) => Error::run(error.to_string(), "report this"),
+    }
+}
+
+/// The scalar product of the frames' cotangents and the frames of a run, as an objective.
 struct GivenCotangents {
-    /// By step: positions `[D][N]`, temperatures `[N]`.
+    /// Cotangents by step: positions `[D][N]`, temperatures `[N]`.
     frames: BTreeMap<usize, Vec<Vec<f64>>>,
 }
 
@@ -242,7 +291,7 @@ impl Objective for GivenCotangents {
     }
 }
 
-/// The model among the particles of a scene.
+/// The model for the particles of a scene.
 fn flow<R: Sweeps>(
     config: &Config,
     model: Learned,
@@ -267,7 +316,7 @@ fn flow<R: Sweeps>(
     })
 }
 
-/// The schedule for a part of the gradient.
+/// The checkpointing schedule for a part of the gradient.
 fn schedule(wanted: &Optimise, steps: usize, costs: crate::adjoint::schedule::Costs) -> Result<Schedule, Error> {
     if wanted.gradient == GradientMode::Taped {
         return Ok(Schedule::taped(steps));
@@ -282,7 +331,7 @@ fn unknown(what: &str) -> BadInput {
         .advice("scripts/train_model.sh, which makes one")
 }
 
-/// The data that a model was trained on, if it can be optimised with.
+/// Metadata of the data on which a model was trained, if it can be used for optimisation.
 fn known_data<'a>(config: &Config, model: &'a Learned) -> Result<&'a Metadata, Error> {
     let Some(data) = &model.setup.data else { return Err(unknown("what data it was trained on").into()) };
     let bad = |problem: String| BadInput::new(problem).key("surrogate.model");

@@ -1,8 +1,8 @@
-//! A rollout on candle's graph: frames that a gradient by the first ones, by a force or by the parameters goes through.
+//! A rollout on candle's graph, for gradients by the first frames, a force or the parameters.
 //!
-//! As [`crate::surrogate::evaluation::rollout`] it wraps positions into the box, holds what the model does not move and sets the
-//! inlet's temperature; but there is no truth to take, so what others move stays where it is. Who is a neighbour of whom, which
-//! image is the nearest and who met the inlet are constants as far as derivatives go, as in the solver.
+//! Positions are wrapped, kinematic particles held and the inlet's temperature set as in
+//! [`crate::surrogate::evaluation::rollout`], but without a truth kinematic particles stay in place. Neighbours,
+//! nearest images and which particles passed the inlet are constant in derivatives, as in the solver.
 
 use crate::config::training::HeatModel;
 use crate::dataset::kind;
@@ -12,7 +12,7 @@ use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
 use candle_core::{Device, Result, Tensor};
 
-/// A learned model among particles that it moves and others that stay.
+/// A learned model for particles that it moves and others that stay in place.
 pub struct DifferentiableRollout<'a> {
     model: &'a Learned,
     scenery: Scenery<'a>,
@@ -21,7 +21,7 @@ pub struct DifferentiableRollout<'a> {
 }
 
 impl<'a> DifferentiableRollout<'a> {
-    /// The model's parameters are those that the caller wants tracked, or not.
+    /// A rollout of a model, whose parameters may be tracked.
     ///
     /// # Errors
     /// Tensor errors.
@@ -31,7 +31,7 @@ impl<'a> DifferentiableRollout<'a> {
         Ok(Self { model, scenery, moves })
     }
 
-    /// The window one frame later, positions `[N, D]` and temperatures `[N]` in f64. `force` `[N, D]`: an external one.
+    /// The window one frame later, with positions `[N, D]` and temperatures `[N]` in f64. `force` `[N, D]` is external.
     ///
     /// # Errors
     /// Lost or clumped particles, tensor errors.
@@ -53,7 +53,7 @@ impl<'a> DifferentiableRollout<'a> {
         Ok(next)
     }
 
-    /// Temperatures `[N, 1]` with the inlet's where a particle met it on its way from `before` to `now`.
+    /// Temperatures `[N, 1]` with that of the inlet for particles that passed it between `before` and `now`.
     fn at_inlet(&self, before: &Tensor, now: &Tensor, temperature: &Tensor) -> anyhow::Result<Tensor> {
         let metadata = self.scenery.metadata;
         let Some(heat) = &metadata.heat else { return Ok(temperature.clone()) };
@@ -78,7 +78,7 @@ fn column(values: Vec<f64>) -> Result<Tensor> {
     Tensor::from_vec(values, (rows, 1), &Device::Cpu)
 }
 
-/// Rows of `one` where `which` `[N, 1]` is 1, of `other` where it is 0; both finite.
+/// Rows of `one` where `which` `[N, 1]` is 1, else of `other`; both must be finite.
 fn choose(which: &Tensor, one: &Tensor, other: &Tensor) -> Result<Tensor> {
     one.broadcast_mul(which)? + other.broadcast_mul(&which.affine(-1.0, 1.0)?)?
 }

@@ -1,14 +1,14 @@
-//! A learned model as [`Dynamics`]: what the solver is to a gradient and to an objective, step by frame.
+//! A learned model as [`Dynamics`], with frames as steps, for gradients and objectives.
 //!
-//! The state `[W (D + 1) + F, N]` (f64; `[W D + F, N]` without heat) holds the W frames that the model sees, oldest first: their
-//! positions, in the data's coordinates, and behind those their temperatures. The last F rows are the solver's state of the walls, which nothing moves: their
-//! positions, mirror images and normals are how a design gets into the fields that an objective sees.
+//! The state `[W (D + 1) + F, N]` (f64; `[W D + F, N]` without heat) has the W input frames of the model, oldest first:
+//! their positions in the data's coordinates, then their temperatures. The last F rows are the solver's constant state
+//! of the walls, whose positions, mirror images and normals connect a design to the fields of an objective.
 //!
 //! ```text
 //!   x_{k+1}, T_{k+1} = model(x_{k-W+1} ... x_k, T_{k-W+1} ... T_k),     u_k = (x_k - x_{k-1}) / (time between frames)
 //! ```
 //!
-//! An objective sees the fields that the solver would show of these particles: the same volumes, the same interpolation.
+//! An objective gets the fields that the solver would show for these particles, by the same interpolation.
 
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
@@ -26,35 +26,35 @@ use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
 use candle_core::{DType, Device, Result, Tensor, Var};
 
-/// A learned model among the particles of a scene.
+/// A learned model for the particles of a scene.
 pub struct LearnedFlow<R> {
     pub model: Learned,
-    /// Of the data that the model knows.
+    /// Metadata of the model's data.
     pub metadata: Metadata,
-    /// The solver, which shows fields.
+    /// The solver, which computes fields.
     pub sph: Sph<R>,
-    /// The particles that the data have, among the solver's.
+    /// Indices of the solver's particles that the data have.
     pub kept: Vec<u32>,
-    /// Of the kept, `[n]`.
+    /// Kinds and wall temperatures of these particles, `[n]`.
     pub kind: Vec<i32>,
     pub wall_temperature: Vec<f32>,
-    /// Where the data's 0, 0 is in the scene.
+    /// Position of the data's origin in the scene.
     pub origin: Vec<f64>,
-    /// The time of the last frame that comes from the solver.
+    /// The time of the last frame of the solver.
     pub begin: f64,
 }
 
-/// A particle this many times the box's length outside of an open box has left it.
+/// A particle has left an open box if it is this many box lengths outside.
 const FAR: f64 = 0.5;
 
-/// Frames to begin with.
+/// The first frames of a model.
 #[derive(Debug, Clone)]
 pub struct Begin {
-    /// `[W (D + 1) + F, N]`, or `[W D + F, N]`.
+    /// State, `[W (D + 1) + F, N]` or `[W D + F, N]`.
     pub state: Tensor,
 }
 
-/// A run without a graph, and a state that a schedule keeps.
+/// The state of a run without a graph, which is also the kept state of a schedule.
 #[derive(Debug, Clone)]
 pub struct At {
     pub step: usize,
@@ -70,7 +70,7 @@ impl<R: Sweeps> LearnedFlow<R> {
         self.metadata.dim
     }
 
-    /// Time from frame to frame.
+    /// Time between frames.
     pub fn frame_time(&self) -> f64 {
         self.metadata.dt * self.metadata.write_every as f64
     }
@@ -80,23 +80,23 @@ impl<R: Sweeps> LearnedFlow<R> {
         self.metadata.heat.is_some()
     }
 
-    /// The first row of a frame's positions, and its row of temperatures, where there is heat.
+    /// The first row of a frame's positions, and the row of its temperatures, if there is heat.
     pub fn rows(&self, frame: usize) -> (usize, usize) {
         (frame * self.dimension(), self.frames() * self.dimension() + frame)
     }
 
-    /// The first of the solver's rows.
+    /// The first row of the solver's state.
     pub fn solver_row(&self) -> usize {
         self.frames() * (self.dimension() + usize::from(self.is_warm()))
     }
 
-    /// What does not change.
+    /// The constant inputs of the model.
     pub fn scenery(&self) -> Scenery<'_> {
         Scenery { metadata: &self.metadata, kind: &self.kind, wall_temperature: Some(&self.wall_temperature) }
     }
 
-    /// The state `[W (D + 1) + F, N]` of frames that the solver made, each its state `[F, N]` and temperatures `[N]` (as the data
-    /// have them), oldest first, and of the solver's first state.
+    /// The state `[W (D + 1) + F, N]` made from frames of the solver, oldest first, and the solver's initial state.
+    /// Each frame has a state `[F, N]` and temperatures `[N]` as in the data.
     pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> Result<Tensor> {
         let (d, n, extent) = (self.dimension(), self.sph.model.particles(), Extent::of(&self.metadata));
         let mut state = Vec::with_capacity((self.solver_row() * n) + first.len());
@@ -111,7 +111,7 @@ impl<R: Sweeps> LearnedFlow<R> {
         Tensor::from_vec(state, (self.solver_row() + first.len() / n, n), &Device::Cpu)
     }
 
-    /// What the model sees of a state.
+    /// The input window of the model.
     fn window(&self, state: &Tensor) -> Result<Window> {
         let kept = Tensor::from_slice(&self.kept, self.kept.len(), &Device::Cpu)?;
         let mut window = Window::default();
@@ -125,7 +125,7 @@ impl<R: Sweeps> LearnedFlow<R> {
         Ok(window)
     }
 
-    /// Rows of the kept particles, `[rows, n]`, as rows of all `[rows, N]`. The others get something finite that nobody reads.
+    /// Extends rows of the kept particles, `[rows, n]`, to all, `[rows, N]`. The others get finite, unused values.
     fn spread(&self, rows: &Tensor) -> Result<Tensor> {
         let mut place = vec![0_u32; self.sph.model.particles()];
         self.kept.iter().enumerate().for_each(|(k, &i)| place[i as usize] = k as u32);
@@ -153,17 +153,17 @@ impl<R: Sweeps> LearnedFlow<R> {
         go().map_err(failed)
     }
 
-    /// The solver's state `[F, N]` of the last frame, on the graph if the state is.
+    /// The solver's state `[F, N]` for the last frame, on the graph if the state is.
     fn shown(&self, state: &Tensor) -> Result<Tensor> {
         let (d, model) = (self.dimension(), &self.sph.model);
-        let l = model.layout;
+        let l = model.rows;
         let n = model.particles();
         let moves: Vec<f64> = (0..n).map(|i| if model.is_fluid(i) { 1.0 } else { 0.0 }).collect();
         let moves = Tensor::from_vec(moves, (1, n), &Device::Cpu)?;
         let stays = moves.affine(-1.0, 1.0)?;
         let (solver, last) = (self.solver_row(), self.frames() - 1);
         let frame = |k: usize| state.narrow(0, self.rows(k).0, d);
-        // By columns: what is told of the box is told of `[N, D]`.
+        // `displacement` needs `[N, D]`.
         let step =
             displacement(&frame(last)?.t()?.contiguous()?, &frame(last - 1)?.t()?.contiguous()?, &self.metadata)?;
         let velocity = step.t()?.contiguous()?.affine(1.0 / self.frame_time(), 0.0)?;
@@ -172,15 +172,15 @@ impl<R: Sweeps> LearnedFlow<R> {
             true => Some(state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?),
             false => None,
         };
-        let mut rows = Vec::with_capacity(l.state_rows());
-        for row in 0..l.state_rows() {
+        let mut rows = Vec::with_capacity(l.count());
+        for row in 0..l.count() {
             let still = state.narrow(0, solver + row, 1)?;
             let moved = match (row, &temperature) {
                 (row, _) if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
                 (row, _) if (l.velocity()..l.velocity() + d).contains(&row) => {
                     velocity.narrow(0, row - l.velocity(), 1)?
                 }
-                (row, Some(temperature)) if l.heat && row == l.temperature() => temperature.clone(),
+                (row, Some(temperature)) if Some(row) == l.temperature() => temperature.clone(),
                 _ => {
                     rows.push(still);
                     continue;
@@ -191,7 +191,7 @@ impl<R: Sweeps> LearnedFlow<R> {
         Tensor::cat(&rows, 0)?.to_dtype(R::DTYPE)
     }
 
-    /// Fields of a state, on the graph if it is.
+    /// The fields of a state, on the graph if it is.
     fn fields_at(&self, step: usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
         let failed = RunError::tensor(step);
         let shown = self.shown(state).and_then(|shown| shown.contiguous()).map_err(&failed)?;
@@ -210,12 +210,12 @@ impl<R: Sweeps> LearnedFlow<R> {
         Ok(Fields { step, time: self.begin + step as f64 * self.frame_time(), ..fields })
     }
 
-    /// What a schedule must know: a state, and what a step leaves on the tape, estimated from the network's sizes and `pairs`
-    /// of the graph (activations of each perceptron's layers, for nodes and edges, and features in double precision).
+    /// Memory of a state and of a taped step, estimated from the network's sizes and `pairs` of the graph (activations
+    /// of the layers of each perceptron for nodes and edges, and features in double precision).
     pub fn costs(&self, pairs: usize) -> Costs {
         let (n, sizes) = (self.sph.model.particles(), &self.model.setup.sizes);
         let kept = self.kept.len();
-        let state = (self.solver_row() + self.sph.model.layout.state_rows()) * n * 8;
+        let state = (self.solver_row() + self.sph.model.rows.count()) * n * 8;
         let width = match self.model.parameters.first().map(Tensor::dtype) {
             Some(DType::F64) => 8,
             _ => 4,
@@ -231,12 +231,12 @@ impl<R: Sweeps> LearnedFlow<R> {
             shared_steps: 1,
             tape_step,
             tape_shared: 0,
-            // The plain run's network, cotangents, and the fields that the objective sees.
+            // The network of the plain run, the cotangents, and the fields of the objective.
             working: network + 4 * state,
         }
     }
 
-    /// About how many pairs the model's graph has.
+    /// Approximate number of pairs in the model's graph.
     pub fn pairs(&self) -> usize {
         let reach = self.model.setup.normalisation.radius / (1.45 * self.metadata.dx);
         (PAIRS * reach.max(1.0).powi(self.dimension() as i32) * self.kept.len() as f64) as usize
@@ -332,5 +332,5 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
     }
 }
 
-/// Neighbours within 1.45 spacings, about, and a particle itself.
+/// Approximate number of neighbours within 1.45 spacings, including the particle itself.
 const PAIRS: f64 = 9.0;

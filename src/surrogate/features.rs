@@ -1,12 +1,12 @@
-//! What a model sees: features of nodes and edges from a window of frames.
+//! Input features of a model: features of nodes and edges from a window of frames.
 //!
-//! Node features in this order (reference: LagrangeBench, Toshev et al. 2023; ours after them):
-//! W - 1 velocities (v - mean)/s_v, oldest first; their norms if asked for; clip([p - lo, hi - p]/r_c, -1, 1) of the
-//! directions that are not periodic; the external force if any; with heat: W - 1 temperature changes (normalised), the
-//! temperature (normalised), both 0 for walls that no temperature is set for unless `unset_walls`, the set temperature of a
-//! wall (normalised, 0 where none is set) and whether one is set, and the clipped distances to inlet and outlet. The embedding of the particle's type follows in the model.
-//! Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it is 0).
-//! s = sqrt(std^2 + noise^2) for velocity and acceleration.
+//! Node features, in this order (those of LagrangeBench, Toshev et al. 2023, then ours): W - 1 velocities (v -
+//! mean)/s_v, oldest first; optionally their norms; clip([p - lo, hi - p]/r_c, -1, 1) in directions that are not
+//! periodic; the external force if any; with heat: W - 1 temperature changes and the temperature (normalised; 0 for
+//! walls without a set temperature unless `unset_walls`), the set temperature of a wall (normalised, 0 where none is
+//! set) and whether one is set, and the clipped distances to inlet and outlet. The model appends the embedding of the
+//! particle's type. Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it
+//! is 0). s = sqrt(std^2 + noise^2) for velocity and acceleration.
 
 use super::predictor::Scenery;
 pub use crate::config::training::Features;
@@ -17,21 +17,21 @@ use candle_core::{DType, Device, Result, Tensor};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Types of particles that have an embedding, as LagrangeBench: -1 (padding) takes the last one, as numpy's index does.
+/// Number of particle types with an embedding, as in LagrangeBench. Type -1 (padding) has the last one, as in numpy.
 pub const KINDS: usize = kind::COUNT as usize;
 
-/// Means and deviations that a model was trained with; stored in its checkpoint.
+/// Means and standard deviations with which a model was trained; stored in its checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Normalisation {
     /// `[D]`.
     pub velocity_mean: Vec<f64>,
-    /// `[D]`, noise included.
+    /// `[D]`, including noise.
     pub velocity_scale: Vec<f64>,
     pub acceleration_mean: Vec<f64>,
     pub acceleration_scale: Vec<f64>,
-    /// r_c.
+    /// Connectivity radius r_c.
     pub radius: f64,
-    /// With heat: (mean, deviation) of temperature and of its change per frame.
+    /// With heat: mean and standard deviation of the temperature and of its change per frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -39,7 +39,7 @@ pub struct Normalisation {
 }
 
 impl Normalisation {
-    /// Of a data set, for training with this noise. `radius` in units of length.
+    /// The normalisation of a data set, for training with this noise. `radius` is in units of length.
     pub fn new(metadata: &Metadata, noise: f64, radius: f64, heat: Option<&Heat>) -> Self {
         let scale = |std: &[f64]| std.iter().take(metadata.dim).map(|s| (s * s + noise * noise).sqrt()).collect();
         let first = |values: &[f64]| values[..metadata.dim].to_vec();
@@ -56,7 +56,7 @@ impl Normalisation {
 }
 
 impl Normalisation {
-    /// No means and one scale for all directions: a turned flow is then normalised to the turned numbers.
+    /// Removes the means and uses one scale for all directions, so that rotated flows have rotated normalised values.
     pub fn make_isotropic(&mut self) {
         for (mean, scale) in [
             (&mut self.velocity_mean, &mut self.velocity_scale),
@@ -74,13 +74,13 @@ impl Normalisation {
 #[derive(Debug, Clone)]
 pub struct Inputs {
     pub graph: Arc<Graph>,
-    /// `[N, F]` without the embedding.
+    /// Node features `[N, F]` without the embedding.
     pub nodes: Tensor,
-    /// `[E, D + 1]`.
+    /// Edge features `[E, D + 1]`.
     pub edges: Tensor,
-    /// `[N]` u32: rows of the embedding.
+    /// Indices into the embedding, `[N]` u32.
     pub kinds: Tensor,
-    /// The last velocities, `[N, D]`, in units of length per frame, not normalised.
+    /// Last velocities, `[N, D]`, in units of length per frame, not normalised.
     pub velocity: Tensor,
 }
 
@@ -102,8 +102,8 @@ impl Features {
             + if heat { steps + 5 } else { 0 }
     }
 
-    /// Features from a window; `force` `[N, D]` if there is one. Everything is computed in f64 and rounded to `dtype` at the
-    /// end: differences of f32 positions would lose half their digits.
+    /// The features of a window; `force` is `[N, D]`, if there is one. They are computed in f64 and rounded to `dtype`
+    /// at the end, because differences of f32 positions would lose half their digits.
     ///
     /// # Errors
     /// Lost or clumped particles, tensor errors.
@@ -146,7 +146,7 @@ impl Features {
         Ok(Inputs { graph, nodes, edges, kinds: Tensor::new(kinds, &Device::Cpu)?, velocity })
     }
 
-    /// The columns that are there with heat only.
+    /// The columns that exist only with heat.
     fn heat(
         &self,
         scenery: &Scenery,
@@ -179,14 +179,14 @@ impl Features {
             let n = column.len();
             columns.push(Tensor::from_vec(column, (n, 1), &Device::Cpu)?);
         }
-        // For heat the two ends of the channel are boundaries, though the flow is periodic there.
+        // For heat both ends of the channel are boundaries, although the flow is periodic there.
         let (bounds, radius) = (scenery.metadata.bounds[0], normalisation.radius);
         columns.extend([distance(last, 0, bounds, true, radius)?, distance(last, 0, bounds, false, radius)?]);
         Ok(columns)
     }
 }
 
-/// The graph of all pairs within the radius, from positions `[N, D]`.
+/// The graph of all pairs within the radius, for positions `[N, D]`.
 fn graph(position: &Tensor, metadata: &Metadata, radius: f64) -> anyhow::Result<Graph> {
     let mut corner = position.detach().flatten_all()?.to_vec1::<f64>()?;
     let extent = Extent::of(metadata);
@@ -194,7 +194,7 @@ fn graph(position: &Tensor, metadata: &Metadata, radius: f64) -> anyhow::Result<
     Ok(Graph::build(&corner, &metadata.domain(), radius)?)
 }
 
-/// Distances to the lower ends of the directions that are not periodic, and to the upper ones.
+/// Distances to the lower, then to the upper ends of the directions that are not periodic.
 fn ends_of_the_box(position: &Tensor, metadata: &Metadata, radius: f64) -> Result<Vec<Tensor>> {
     let open: Vec<usize> = (0..metadata.dim).filter(|&d| !metadata.periodic()[d]).collect();
     let all = [true, false].into_iter().flat_map(|low| open.iter().map(move |&d| (low, d)));
@@ -208,16 +208,16 @@ fn distance(position: &Tensor, d: usize, [lo, hi]: [f64; 2], low: bool, radius: 
     (distance / radius)?.clamp(-1.0, 1.0)
 }
 
-/// Norm of each row, `[rows, 1]`; its gradient at 0 is 0.
+/// Norm of each row, `[rows, 1]`, with gradient 0 at 0.
 fn length(x: &Tensor) -> Result<Tensor> {
     let square = x.sqr()?.sum_keepdim(1)?;
     let zero = square.eq(0.0)?;
-    // 1 under the root where the row is 0, so that its derivative is finite, and taken out again.
+    // Adds 1 under the root where the row is 0, so that its derivative is finite, and subtracts it again.
     let one = zero.to_dtype(square.dtype())?;
     ((square + &one)?.sqrt()? - one)?.contiguous()
 }
 
-/// a - b, the nearest image of it in periodic directions; `[N, D]`.
+/// a - b to the nearest image in periodic directions, `[N, D]`.
 ///
 /// # Errors
 /// Tensor errors.
@@ -226,7 +226,7 @@ pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tenso
     by_direction(&(a - b)?, metadata, |d, difference| domain.nearest_of(d, difference))
 }
 
-/// Positions wrapped into the box in periodic directions; `[N, D]`.
+/// Positions wrapped into the box in periodic directions, `[N, D]`.
 ///
 /// # Errors
 /// Tensor errors.
@@ -238,7 +238,7 @@ pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
     })
 }
 
-/// Changes the columns of `x` `[N, D]`, each that of a direction, where the box is periodic in any.
+/// Maps the columns of `x` `[N, D]` by direction, if any direction is periodic.
 fn by_direction(x: &Tensor, metadata: &Metadata, f: impl Fn(usize, &Tensor) -> Result<Tensor>) -> Result<Tensor> {
     if !metadata.periodic().contains(&true) {
         return Ok(x.clone());

@@ -1,18 +1,18 @@
-//! Which velocities a flow began with, from where its particles are n frames later, through a learned model.
+//! Finds the initial velocities of a flow from the positions of its particles n frames later, by a learned model.
 //!
-//! The frames that the model begins with follow from the places x_0, which are known, and the velocities u, which are not. With
-//! v = u times the time between frames, and an acceleration A per frame squared:
+//! The first frames of the model follow from the initial positions x_0, which are known, and the velocities u, which
+//! are not. With v = u times the time between frames, and an acceleration A per frame squared:
 //!
 //! ```text
 //!   x_{-k} = x_0 - k v + k^2/2 A,     k = 0 ... W - 1,     A = model(x_0 - (W - 1) v ... x_0) - x_0 - v
 //! ```
 //!
-//! A is what the model says of a past along straight lines. Without it the first displacement would be the velocity half a frame
-//! before the start: an error of A/2 in everything that is found. No step of the solver is needed; the better the fewer frames the
-//! model sees (`features.frames = 2`), for only then is any start one that it knows.
+//! A is the model's acceleration for straight paths. Without it the first displacement would correspond to the velocity
+//! half a frame before the start, an error of A/2 in all velocities. No step of the solver is needed. The fewer frames
+//! the model sees, the better (`features.frames = 2`), because only then does it know any initial state.
 //!
-//! Loss and derivative are those of [`crate::inverse::initial_state`], at the last frame. The derivative goes through the rollout by
-//! [`gradient`], and through the frames above on candle's graph.
+//! Loss and derivative are those of [`crate::inverse::initial_state`] at the last frame. The derivative goes through
+//! the rollout by [`gradient`], and through the first frames on candle's graph.
 
 use crate::adjoint::dynamics::Dynamics;
 use crate::adjoint::gradient::{gradient, value, Progress};
@@ -38,7 +38,7 @@ use crate::surrogate::features::{displacement, wrap, Window};
 use crate::surrogate::models::learned::Learned;
 use candle_core::{Device, Tensor, Var};
 
-/// Velocities to find by a learned model.
+/// The problem of finding initial velocities by a learned model.
 pub struct LearnedVelocities<R> {
     /// The solver's problem, whose run ends with the last frame.
     pub problem: InitialState<R>,
@@ -46,23 +46,21 @@ pub struct LearnedVelocities<R> {
     flow: LearnedFlow<R>,
     matching: Matching,
     schedule: Schedule,
-    /// Places at the start `[N, D]` in the data's coordinates, and the solver's state there `[F, N]`.
+    /// Initial positions `[N, D]` in the data's coordinates, and the solver's initial state `[F, N]`.
     place: Tensor,
     first: Tensor,
 }
 
-/// What may differ between a scene and that of a model's data: where it does not change the flow.
+/// Keys in which a scene and that of a model's data may differ, because they do not change the flow.
 const FREE: [&str; 5] = ["optimise", "surrogate", "output", "run", "time"];
 
-/// The settings of the scene whose flow a model knows, over those of its family.
+/// The scene family of a model's data, and its settings that differ from the family's defaults.
 ///
 /// # Errors
-/// A model that does not say.
+/// A model without this information.
 pub fn known_scene(model: &Learned) -> Result<(&'static str, Vec<Setting>), BadInput> {
     let known = known_config(model)?;
-    let own = differences(&known.scene.defaults(), &known, &["scene", "run", "output", "time"]);
-    let settings = own.into_iter().map(|d| Setting::option("the model's data", &d.key, d.now));
-    Ok((known.scene.name(), settings.collect()))
+    Ok((known.scene.name(), known.over_its_scene("the model's data", &["run", "output", "time"])))
 }
 
 fn unknown(what: &str) -> BadInput {
@@ -81,10 +79,10 @@ fn known_config(model: &Learned) -> Result<Config, BadInput> {
 }
 
 impl<R: Sweeps> LearnedVelocities<R> {
-    /// The velocities of a scene from its places `frames` frames of the model later.
+    /// The problem for a scene, given the positions `frames` frames of the model later.
     ///
     /// # Errors
-    /// A model of another flow, or of one with walls or heat; a schedule that does not fit into the memory that is allowed.
+    /// A model of another flow, or of one with walls or heat; a schedule that exceeds the memory budget.
     pub fn new(loaded: &Loaded, model: Learned, frames: usize) -> anyhow::Result<Self> {
         let (config, metadata) = (&loaded.config, known_data(&model)?.clone());
         if let Some(other) = differences(&known_config(&model)?, config, &FREE).first() {
@@ -98,13 +96,13 @@ impl<R: Sweeps> LearnedVelocities<R> {
         }
         let recipe = Recipe { every: metadata.write_every, skip: 0, frames: frames + 1, ..Recipe::of(config.scene) };
         let pace = recipe.pace(config);
-        // The time step that the data were made with, and a run that ends with the last frame.
+        // The time step of the data, and a run that ends with the last frame.
         let cfl = pace.dt / config.time_step_limits().acoustic * config.time.cfl;
         let set = |key: &str, value: String| Setting::option("the model's frames", key, value);
         let own = [set("time.cfl", format!("{cfl:?}")), set("time.steps", pace.total.to_string())];
         let problem = InitialState::<R>::new(&loaded.with(&own)?.config, Unknown::Velocities, None, None)?;
         let scene = &problem.scene;
-        if scene.model.has_walls() || scene.model.layout.heat || metadata.heat.is_some() {
+        if scene.model.has_walls() || scene.model.heat.is_some() || metadata.heat.is_some() {
             return Err(BadInput::new("velocities are found by a learned model without walls and heat only")
                 .place(scene.name)
                 .allowed("taylor-green, taylor-green-3d, reverse-poiseuille, reverse-poiseuille-3d")
@@ -131,7 +129,7 @@ impl<R: Sweeps> LearnedVelocities<R> {
         Ok(Self { frames, flow, matching, schedule, place, first, problem })
     }
 
-    /// The model's first state of velocities `[D, N]`, on the graph if they are.
+    /// The model's initial state for velocities `[D, N]`, on the graph if they are.
     fn begin(&self, velocity: &Tensor) -> anyhow::Result<Tensor> {
         let (flow, place) = (&self.flow, &self.place);
         let v = velocity.t()?.affine(flow.frame_time(), 0.0)?;
@@ -154,26 +152,26 @@ impl<R: Sweeps> LearnedVelocities<R> {
         Tensor::from_slice(velocity, (d, velocity.len() / d), &Device::Cpu)
     }
 
-    /// The loss of velocities `[D, N]` as the model has it.
+    /// The loss of velocities `[D, N]` by the model.
     ///
     /// # Errors
-    /// A rollout that can not go on.
+    /// A rollout that diverges.
     pub fn loss(&self, velocity: &[f64]) -> anyhow::Result<f64> {
         let begin = Begin { state: self.begin(&self.tensor(velocity)?)? };
         let mut end = run(&self.flow, &begin, self.frames, &mut [])?;
         Ok(value(&self.matching, &self.flow.look(&mut end)?)?)
     }
 
-    /// The same and its derivative by the velocities.
+    /// The loss and its derivative by the velocities.
     ///
     /// # Errors
-    /// [`Error::Diverged`] for a rollout that can not go on; others.
+    /// [`Error::Diverged`] for a rollout that diverges; others.
     pub fn evaluate(&self, velocity: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let broken = |error: String| Error::run(error, "report this");
         let failed = |error: RunError| error.advised("fewer frames");
         let variable = self.tensor(velocity).and_then(|tensor| Var::from_tensor(&tensor));
         let variable = variable.map_err(|error| broken(error.to_string()))?;
-        // A neighbour search that fails here is that of x_0: it is the same for all velocities.
+        // A neighbour search that fails here is that of x_0, which is the same for all velocities.
         let begin = self.begin(&variable).map_err(|error| broken(format!("{error:#}")))?;
         let start = Begin { state: begin.detach() };
         let found = gradient(&self.flow, &start, &self.schedule, &self.matching, progress).map_err(failed)?;

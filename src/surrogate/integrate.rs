@@ -1,4 +1,4 @@
-//! From a model's output to the next frame: v += a, p = (p + v) wrapped, T += dT.
+//! Computes the next frame from a model's output: v += a, p = (p + v) wrapped, T += dT.
 
 use super::features::{wrap, Inputs, Normalisation};
 use crate::dataset::Metadata;
@@ -21,7 +21,7 @@ pub fn position(
     wrap(&((last + &inputs.velocity)? + acceleration)?, metadata)
 }
 
-/// The next temperatures `[N]` (f64) from the output's column behind the acceleration.
+/// The next temperatures `[N]` (f64) from the output's column after the acceleration.
 pub fn temperature(
     last: &Tensor,
     output: &Tensor,

@@ -1,13 +1,13 @@
-//! Learned flow: models that advance particles by one (large) step, their training and evaluation.
+//! Learned models that advance a flow by large time steps, their training and their evaluation.
 //!
-//! A step of a learned model: [`features`] of a window of frames and their graph, a network of [`models`] made of what
-//! [`network`] has, and [`integrate`]: next frame. [`predictor`] hides all of it from [`evaluation`], which compares with the
-//! truth; [`training`] moves the parameters; [`differentiable_rollout`] has the steps on candle's graph,
-//! [`dynamics`] makes them what a gradient runs, [`design`] judges a wall by them, and
-//! [`initial_velocity`] finds what a flow began with. Networks compute with
-//! fused operators, or with candle-nn's layers ([`network::layers`]), on the same parameters.
+//! A step of a learned model computes [`features`] of a window of frames and its graph, applies a network of
+//! [`models`], which is built from the parts in [`network`], and [`integrate`]s to the next frame. [`predictor`] is its
+//! interface for [`evaluation`], which compares it with the truth. [`training`] fits the parameters.
+//! [`differentiable_rollout`] has steps on candle's graph, [`dynamics`] makes them available to gradients, [`design`]
+//! evaluates walls by them, and [`initial_velocity`] finds initial velocities. Networks use fused operators, or
+//! candle-nn's layers ([`network::layers`]) with the same parameters.
 //!
-//! Time is counted in frames here (dt = 1): a velocity is the displacement from one frame to the next.
+//! Time is counted in frames (dt = 1): a velocity is the displacement from one frame to the next.
 
 pub mod conduction;
 pub mod design;

@@ -140,7 +140,7 @@ impl Measure {
         };
         let mut curves = vec![];
         if let Some(height) = scene.exact.profile_height() {
-            let (n, l) = (scene.model.particles(), scene.model.layout);
+            let (n, l) = (scene.model.particles(), scene.model.rows);
             let mut points: Vec<(f64, f64)> = (0..n)
                 .filter(|&i| scene.model.is_fluid(i))
                 .map(|i| (solver.state[n + i].f64(), solver.state[l.velocity() * n + i].f64()))
@@ -165,7 +165,7 @@ impl Measure {
     ) -> anyhow::Result<Found> {
         let config = &loaded.config;
         let (height, gravity, density) = (config.water.height, -config.fluid.gravity[1], config.fluid.density);
-        let (n, l) = (scene.model.particles(), scene.model.layout);
+        let (n, l) = (scene.model.particles(), scene.model.rows);
         let fluid: Vec<usize> = (0..n).filter(|&i| scene.model.is_fluid(i)).collect();
         let mut speeds = Vec::new();
         let mut solver = watched(scene, progress, &mut |solver| {
@@ -185,11 +185,11 @@ impl Measure {
                 curves: vec![Curve { name: "hydrograd".into(), points: speeds }],
             });
         }
-        solver.look();
+        solver.look()?;
         let place = |&i: &usize| {
             let y = solver.state[n + i].f64();
             let pressure =
-                scene.model.equation_of_state.pressure(solver.primitives[i]).f64() / (density * gravity * height);
+                scene.model.equation_of_state.pressure(solver.looked.density[i]).f64() / (density * gravity * height);
             (pressure, y / height)
         };
         let points: Vec<(f64, f64)> = fluid.iter().map(place).collect();
@@ -250,7 +250,7 @@ fn watched<R: Sweeps>(
 fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
     let table = reference::taylor_green_3d();
     let (times, energies) = (table.column("time"), table.column("kinetic_energy"));
-    let volume: f64 = scene.model.domain.size[..scene.model.layout.dimension].iter().product();
+    let volume: f64 = scene.model.domain.size[..scene.model.dimension()].iter().product();
     let density = scene.model.equation_of_state.reference_density;
     let mut points = Vec::new();
     watched(scene, progress, &mut |solver| {
@@ -298,7 +298,7 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
     if missing > 0 || count == 0.0 {
         bail!("{missing} places of the centre lines have too few particles around");
     }
-    let table = match scene.model.layout.dimension {
+    let table = match scene.model.dimension() {
         2 => reference::lid_driven_cavity(),
         _ => reference::lid_driven_cavity_3d(),
     };
@@ -307,7 +307,7 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
     let (exact_u, exact_v) = (table.column("u"), table.column("v"));
     let (u, v): (Vec<f64>, Vec<f64>) = (u.iter().map(|x| x / count).collect(), v.iter().map(|x| x / count).collect());
     let places = || (0..PLACES).map(|k| (k + 1) as f64 / (PLACES + 1) as f64);
-    let pairs = match scene.model.layout.dimension {
+    let pairs = match scene.model.dimension() {
         2 => [(least(&u), least(&exact_u)), (most(&v), most(&exact_v)), (least(&v), least(&exact_v))],
         _ => {
             let (places, values) = (places().collect::<Vec<_>>(), reference::CUBIC_CAVITY);

@@ -1,8 +1,6 @@
 //! A velocity at any place of a flow, from the particles around it.
 
-use crate::numerics::lanes::Real;
-use crate::particles::tag;
-use crate::sph::model::Model;
+use crate::sph::{Model, Sweeps};
 
 /// Monomials 1, x_d and x_d x_e: 6 in two dimensions, 10 in three.
 const MOST_TERMS: usize = 10;
@@ -10,19 +8,14 @@ const MOST_TERMS: usize = 10;
 /// Velocity at a place of a flow: second-order moving least squares (Liu and Liu 2006) over the fluid's particles and, in the
 /// consistent formulation, the points on the walls' surfaces, weighted with the scene's kernel. None with too few particles
 /// around.
-pub fn velocity<R: Real>(model: &Model<R>, state: &[R], place: [f64; 3]) -> Option<[f64; 3]> {
-    let (n, l) = (model.particles(), model.layout);
+pub fn velocity<R: Sweeps>(model: &Model<R>, state: &[R], place: [f64; 3]) -> Option<[f64; 3]> {
+    let (n, l) = (model.particles(), model.rows);
     let dimension = l.dimension;
     let terms = (dimension + 1) * (dimension + 2) / 2;
     let (reach, unit) = (model.kernel.cutoff(), model.kernel.smoothing_length);
     let mut system = [[0.0; MOST_TERMS + 3]; MOST_TERMS];
     for i in 0..n {
-        let knows = match model.tags[i] {
-            tag::FLUID => true,
-            tag::SURFACE => model.consistent.as_ref().is_some_and(|consistent| !consistent.holds_no_velocity(i)),
-            _ => false,
-        };
-        if !knows {
+        if !model.knows_velocity(i) {
             continue;
         }
         let away = |d: usize| model.domain.nearest(d, state[d * n + i].f64() - place[d]);
@@ -85,7 +78,7 @@ mod tests {
         let flow = |x: f64, y: f64| [1.0 + x - 2.0 * x * y + y * y, 0.5 * x * x - y];
         for i in 0..n {
             let u = flow(state[i], state[n + i]);
-            (0..2).for_each(|d| state[(model.layout.velocity() + d) * n + i] = u[d]);
+            (0..2).for_each(|d| state[(model.rows.velocity() + d) * n + i] = u[d]);
         }
         for [x, y] in [[0.5, 0.5], [0.313, 0.671], [0.7, 0.25]] {
             let found = velocity(model, &state, [x, y, 0.0]).unwrap();
@@ -106,7 +99,7 @@ mod tests {
         let flow = |x: f64, y: f64, z: f64| [1.0 - 2.0 * x * z + y * y, z * z - y, x * y + 0.5 * z];
         for i in 0..n {
             let u = flow(state[i], state[n + i], state[2 * n + i]);
-            (0..3).for_each(|d| state[(model.layout.velocity() + d) * n + i] = u[d]);
+            (0..3).for_each(|d| state[(model.rows.velocity() + d) * n + i] = u[d]);
         }
         for [x, y, z] in [[0.9, 0.8, 0.9], [1.0, 0.6, 0.7]] {
             let found = velocity(model, &state, [x, y, z]).unwrap();

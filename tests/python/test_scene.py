@@ -194,9 +194,39 @@ def test_optimise_improves_the_wall(scene, tmp_path):
     subprocess.run([sys.executable, "-m", "hydrograd", *command], check=True, capture_output=True)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["offsets_best"] == found.design_best.tolist()
+    assert summary["q_per_epoch"] == found.q_per_epoch.tolist()
+    assert summary["loss_per_epoch"] == found.loss_per_epoch.tolist()
+    assert summary["gradient_norm_per_epoch"] == found.gradient_norm_per_epoch.tolist()
     # From another one.
     other = scene.optimise(found.design_best, epochs=1)
     np.testing.assert_array_equal(other.designs, [found.design_best])
+
+
+def test_optimise_by_a_learned_model_is_the_command_s(tmp_path):
+    settings = {"optimise.dynamics": "surrogate", "surrogate.trust": "check", "surrogate.check_every": 2, "surrogate.steps": 2}
+    found = hydrograd.Scene(settings=settings).optimise(epochs=2)
+    command = ["optimize", "--epochs=2", "--no-verify", f"--out={tmp_path}", *(f"--set={key}={value}" for key, value in settings.items())]
+    subprocess.run([sys.executable, "-m", "hydrograd", *command], check=True, capture_output=True)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["best_epoch"] == found.best and summary["q"] == found.q_best
+    for key, values in {
+        "q_per_epoch": found.q_per_epoch,
+        "q_predicted_per_epoch": found.q_predicted_per_epoch,
+        "q_solver_per_epoch": found.q_solver_per_epoch,
+    }.items():
+        assert summary[key] == [None if np.isnan(x) else x for x in values.tolist()], key
+
+
+def test_verify_finds_what_is_left_of_a_gain(moving):
+    best = moving.nearest(moving.design + 0.005)
+    shares = []
+    found = moving.verify(best, progress=lambda share, of: shares.append(share / of))
+    gains = [check["gain"] for check in found["verification"]]
+    assert len(gains) == 5 and found["gain_survives"] == min(gain for gain in gains if gain is not None)
+    assert shares == sorted(shares) and found["verification_reference"] == "the first design"
+    assert found["verification"][0]["q_best"] == pytest.approx(moving.objective(best), rel=1e-6)
+    with pytest.raises(ValueError, match="a design of 2 numbers"):
+        moving.verify([0.0, 0.0])
 
 
 def test_scipy_improves_the_wall(scene):
@@ -211,7 +241,7 @@ def test_scipy_improves_the_wall(scene):
 
 
 def test_divergence_says_where():
-    settings = {"time.cfl": 4.0, "time.end": 2.0, "resolution.dx": 0.025, "fluid.motion": "moving"}
+    settings = {"time.cfl": 4.0, "time.end": 2.0, "resolution.dx": 0.025, "method.name": "consistent"}
     scene = hydrograd.Scene(settings=settings)
     with pytest.raises(hydrograd.Diverged) as error:
         scene.simulate()

@@ -7,12 +7,12 @@ use hydrograd::design::Problem;
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::{tag, Domain};
 use hydrograd::scene::Scene;
-use hydrograd::sph::consistent::shift::Isotropic;
-use hydrograd::sph::consistent::{Consistent, Shift};
+use hydrograd::sph::consistent::arrangement::{Isotropic, Shift};
+use hydrograd::sph::consistent::layout::Layout;
+use hydrograd::sph::consistent::{Consistent, Fits};
+use hydrograd::sph::flow::{Flow, Heat};
 use hydrograd::sph::kernels::{Kernel, KernelName};
-use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::Sweeps;
 use std::f64::consts::TAU;
@@ -26,7 +26,7 @@ const SHIFT: (f64, f64) = (0.4, 0.05);
 /// A model and a state of it in f64, whatever the model's precision.
 pub struct Case<R> {
     pub name: String,
-    pub model: Arc<Model<R>>,
+    pub model: Arc<Consistent<R>>,
     pub state: Vec<f64>,
 }
 
@@ -63,7 +63,7 @@ impl<R: Sweeps> Case<R> {
     /// Random numbers, row by row in units that fit what stands there: a spacing for places, 1 for everything else.
     pub fn random(&self, name: &str) -> Vec<f64> {
         let (n, l) = (self.model.particles(), self.model.layout);
-        let spacing = self.model.consistent.as_ref().unwrap().spacing;
+        let spacing = self.model.fits.spacing;
         let mut normal = Normal::new(stream(9, name));
         let mut random = Vec::with_capacity(self.state.len());
         for row in 0..l.state_rows() {
@@ -82,41 +82,22 @@ pub fn numbers<R: Sweeps>(tensor: &Tensor) -> Vec<f64> {
 }
 
 /// The wall-free model of a box with so many particles along each side.
-pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift: Shift) -> Arc<Model<R>> {
+pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift: Shift) -> Arc<Consistent<R>> {
     let n = per_side.pow(dimension as u32);
     let one = R::of(1.0);
     let (density, velocity, viscosity, diffusivity) = (1.2, 1.0, 0.02, 0.03);
     let sound_speed = 10.0 * velocity;
-    Arc::new(Model {
-        domain: Domain { dimension, size: [per_side as f64 * DX; 3], periodic: [true; 3] },
-        layout: Layout {
-            dimension,
-            transport: false,
-            heat,
-            mass: false,
-            density: false,
-            consistent: true,
-            rates: false,
-        },
+    let domain = Domain { dimension, size: [per_side as f64 * DX; 3], periodic: [true; 3] };
+    let equation_of_state = EquationOfState {
+        reference_density: density,
+        reference_pressure: density * sound_speed * sound_speed,
+        background_pressure: 0.0,
+        gamma: 1,
+    };
+    let dt = 0.5 * DX / (sound_speed + velocity);
+    let flow = Flow {
         kernel: Kernel::new(KernelName::QuinticSpline, dimension, 0.8 * DX),
-        tags: vec![tag::FLUID; n],
-        skin: 0.2 * DX,
-        dt: 0.5 * DX / (sound_speed + velocity),
-        division: None,
-        mass: density * DX.powi(dimension as i32),
-        equation_of_state: EquationOfState {
-            reference_density: density,
-            reference_pressure: density * sound_speed * sound_speed,
-            background_pressure: 0.0,
-            gamma: 1,
-        },
         viscosity: viscosity * density,
-        artificial_viscosity: None,
-        transport: 0.0,
-        body_force: BodyForce::None,
-        walls_slide: false,
-        drive: None,
-        wall_heat_until: None,
         heat: heat.then(|| Heat {
             conductivity: diffusivity * density,
             capacity: 1.0,
@@ -127,23 +108,22 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
             wall_factor: vec![R::default(); n],
             materials: None,
         }),
-        fixed: None,
-        consistent: Some(Consistent {
-            spacing: DX,
-            sound_speed,
-            velocity,
-            viscosity,
-            diffusivity: if heat { diffusivity } else { 0.0 },
-            delta: 0.1,
-            shift,
-            weights: [one, one, one, R::default()].repeat(n),
-            surface: vec![],
-            dummies: vec![],
-            quadrature: vec![one; n],
-        }),
-        standard: Standard::default(),
-        scratch: Scratch::default(),
-    })
+        ..Flow::new(domain, vec![tag::FLUID; n], DX, equation_of_state, dt)
+    };
+    let fits = Fits {
+        spacing: DX,
+        sound_speed,
+        velocity,
+        viscosity,
+        diffusivity: if heat { diffusivity } else { 0.0 },
+        delta: 0.1,
+        shift,
+        weights: [one, one, one, R::default()].repeat(n),
+        surface: vec![],
+        dummies: vec![],
+        quadrature: vec![one; n],
+    };
+    Arc::new(Consistent::new(flow, Layout { dimension, heat, rates: false }, fits))
 }
 
 pub fn isotropic() -> Shift {
@@ -183,8 +163,8 @@ pub fn vortices<R: Sweeps>(dimension: usize, heat: bool, shift: Shift) -> Case<R
 /// A box whose step is velocity Verlet's.
 pub fn verlet<R: Sweeps>(dimension: usize, heat: bool) -> Case<R> {
     let case = vortices::<R>(dimension, heat, isotropic());
-    let mut model = Arc::into_inner(case.model).unwrap();
-    model.layout.rates = true;
+    let Consistent { flow, layout, fits, .. } = Arc::into_inner(case.model).unwrap();
+    let model = Consistent::new(flow, Layout { rates: true, ..layout }, fits);
     let mut state = case.state;
     let mut normal = Normal::new(stream(dimension as u64, "rates"));
     state.resize_with(model.layout.state_rows() * model.particles(), || normal.next());
@@ -205,7 +185,8 @@ pub fn noisy_channel<R: Sweeps>(sets: &[&str]) -> Case<R> {
     let (config, problem) = channel::<R>(sets);
     let heights = problem.parametrisation.column_heights(&problem.first);
     let mut state = problem.deformation.state::<f64>(&heights);
-    let (n, l) = (problem.model.particles(), problem.model.layout);
+    let model = problem.model.of_type::<Consistent<R>>().unwrap().clone();
+    let (n, l) = (model.particles(), model.layout);
     let mut normal = Normal::new(stream(3, "channel"));
     for i in (0..n).filter(|&i| problem.model.is_fluid(i)) {
         for k in 0..2 {
@@ -217,5 +198,5 @@ pub fn noisy_channel<R: Sweeps>(sets: &[&str]) -> Case<R> {
         state[l.temperature() * n + i] = 0.1 * normal.next();
         (l.last_rates()..l.state_rows()).for_each(|row| state[row * n + i] = normal.next());
     }
-    Case { name: format!("channel {sets:?}"), model: problem.model.clone(), state }
+    Case { name: format!("channel {sets:?}"), model: Arc::new(model), state }
 }

@@ -2,13 +2,14 @@
 
 use hdf5::{Group, Location};
 use hydrograd::particles::{tag, Domain};
+use hydrograd::sph::flow::{Flow, Heat};
 use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::{
     ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
 };
-use hydrograd::sph::model::{Heat, Layout, Model, Scratch, Standard};
+use hydrograd::sph::standard::{Laws, Layout, Standard};
 use serde_json::Value;
 use std::path::PathBuf;
 
@@ -57,10 +58,10 @@ pub struct Case {
     pub heat: bool,
     pub reference_temperature: f64,
     pub size: Vec<f64>,
-    /// Of the walls, `[D, N]`, where the case has them.
-    normals: Option<Vec<f64>>,
+    /// Of the walls in the first state, `[D, N]`, where the case has them.
+    pub normals: Option<Vec<f64>>,
+    pub dx: f64,
     config: Value,
-    dx: f64,
     dt: f64,
     mass: f64,
     eta: f64,
@@ -95,6 +96,9 @@ impl Case {
             [("rho_ref", 1.0), ("c_ref_factor", 10.0)].iter().all(|&(key, one)| case[key].as_f64() == Some(one));
         refuse(name == "RIE" && !(linear && gamma == 1.0), "equation of state of the Riemann solver")?;
         let normals = field(group, "nw", tags.len(), case["dim"].as_u64().unwrap() as usize).map(|rows| rows.concat());
+        let turns = normals.is_some() && tags.contains(&tag::MOVING_WALL);
+        let is_cavity = family == "ldc" && case["dim"].as_u64() == Some(2);
+        refuse(turns && !is_cavity, &format!("normals of the moving wall of case {family}"))?;
         let size = group.attr("box_size").unwrap().read_raw::<f64>().unwrap();
         Ok(Self {
             dimension: case["dim"].as_u64().unwrap() as usize,
@@ -118,7 +122,7 @@ impl Case {
     fn body_force(&self) -> BodyForce {
         let case = &self.config["case"];
         let strength = case["g_ext_magnitude"].as_f64().unwrap();
-        let rows = self.config["solver"]["n_walls"].as_f64().unwrap() * self.dx;
+        let rows = self.wall_rows() * self.dx;
         match case["name"].as_str().unwrap() {
             _ if strength == 0.0 => BodyForce::None,
             "ht" => BodyForce::Band { strength, from: rows, to: self.size[1] - rows },
@@ -162,13 +166,23 @@ impl Case {
         }
     }
 
+    /// Rows of dummy particles of each wall.
+    pub fn wall_rows(&self) -> f64 {
+        self.config["solver"]["n_walls"].as_f64().unwrap()
+    }
+
+    /// Whether JAX-SPH computes the walls' normals anew in each step: where something reads them and a wall moves.
+    pub fn turns_normals(&self) -> bool {
+        self.normals.is_some() && self.tags.contains(&tag::MOVING_WALL)
+    }
+
     /// Whether the case sets the walls' pressure to 0 at the end of a step, when it has been used.
     pub fn forgets_wall_pressure(&self) -> bool {
         matches!(self.config["case"]["name"].as_str(), Some("cw" | "db"))
     }
 
     /// `everything`: compute the transport acceleration even where the scene does not use it, and carry the masses.
-    pub fn model(&self, everything: bool) -> Model<f64> {
+    pub fn model(&self, everything: bool) -> Standard<f64> {
         let (case, eos) = (&self.config["case"], &self.config["eos"]);
         let d = self.dimension;
         let mut domain = Domain { dimension: d, size: [1.0; 3], periodic: [false; 3] };
@@ -179,7 +193,7 @@ impl Case {
         let alpha = self.config["solver"]["artificial_alpha"].as_f64().unwrap();
         let h = self.dx * self.config["kernel"]["h_factor"].as_f64().unwrap();
         let heat = self.heat.then(|| {
-            let strip = self.config["solver"]["n_walls"].as_f64().unwrap() * self.dx;
+            let strip = self.wall_rows() * self.dx;
             let hot = case["special"]["hot_wall_temperature"].as_f64().unwrap_or(self.reference_temperature);
             Heat {
                 conductivity: self.kappa,
@@ -196,30 +210,29 @@ impl Case {
                 materials: None,
             }
         });
-        Model {
-            domain,
-            layout: Layout {
-                dimension: d,
-                transport: everything || self.transport != 0.0,
-                heat: self.heat,
-                mass: everything,
-                density: self.config["solver"]["density_evolution"].as_bool().unwrap(),
-                consistent: false,
-                rates: false,
-            },
+        let layout = Layout {
+            dimension: d,
+            transport: everything || self.transport != 0.0,
+            heat: self.heat,
+            mass: everything,
+            density: self.config["solver"]["density_evolution"].as_bool().unwrap(),
+        };
+        let equation_of_state = EquationOfState {
+            reference_density: case["rho_ref"].as_f64().unwrap(),
+            reference_pressure: case["p_ref"].as_f64().unwrap(),
+            background_pressure: case["p_bg"].as_f64().unwrap(),
+            gamma: eos["gamma"].as_f64().unwrap() as i32,
+        };
+        let flow = Flow {
             kernel: Kernel::new(self.kernel(), d, h),
-            tags: self.tags.clone(),
-            skin: 0.2 * self.dx,
-            dt: self.dt,
-            division: None,
             mass: self.mass,
-            equation_of_state: EquationOfState {
-                reference_density: case["rho_ref"].as_f64().unwrap(),
-                reference_pressure: case["p_ref"].as_f64().unwrap(),
-                background_pressure: case["p_bg"].as_f64().unwrap(),
-                gamma: eos["gamma"].as_f64().unwrap() as i32,
-            },
             viscosity: self.eta,
+            body_force: self.body_force(),
+            heat,
+            ..Flow::new(domain, self.tags.clone(), self.dx, equation_of_state, self.dt)
+        };
+        let laws = Laws {
+            transport: self.transport,
             artificial_viscosity: (alpha > 0.0).then_some(ArtificialViscosity {
                 alpha,
                 beta: 0.0,
@@ -228,22 +241,12 @@ impl Case {
                 smoothing_length: self.dx,
                 every_pair: true,
             }),
-            transport: self.transport,
-            body_force: self.body_force(),
-            walls_slide: false,
-            drive: None,
-            wall_heat_until: None,
-            heat,
-            consistent: None,
-            fixed: None,
-            standard: Standard {
-                renormalises: self.config["solver"]["density_renormalize"].as_bool().unwrap(),
-                flux: self.flux(h),
-                slip: if self.config["solver"]["free_slip"].as_bool().unwrap() { Slip::Free } else { Slip::None },
-                normals: self.normals.clone(),
-            },
-            scratch: Scratch::default(),
-        }
+            renormalises: self.config["solver"]["density_renormalize"].as_bool().unwrap(),
+            flux: self.flux(h),
+            slip: if self.config["solver"]["free_slip"].as_bool().unwrap() { Slip::Free } else { Slip::None },
+            normals: self.normals.clone(),
+        };
+        Standard::new(flow, layout, laws)
     }
 
     /// Our packed state from a group of fields.

@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 pub mod consistent;
 pub mod data_set;
+pub mod differences;
 pub mod final_sum;
 pub mod jax_sph;
 pub mod program;

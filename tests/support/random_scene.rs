@@ -3,12 +3,13 @@
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::Neighbourhood;
 use hydrograd::particles::{tag, Domain};
-use hydrograd::sph::chain::Step;
+use hydrograd::sph::flow::{Flow, Heat, Materials};
 use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
-use hydrograd::sph::model::{Heat, Layout, Materials, Model, Scratch, Standard};
+use hydrograd::sph::standard::chain::Step;
+use hydrograd::sph::standard::{Laws, Layout, Standard};
 use hydrograd::sph::Sweeps;
 use std::sync::Arc;
 
@@ -157,39 +158,24 @@ impl RandomScene {
         self.tags.len()
     }
 
-    pub fn model<R: Sweeps>(&self) -> Arc<Model<R>> {
+    pub fn model<R: Sweeps>(&self) -> Arc<Standard<R>> {
         let options = self.options;
         let convert = |x: &[f64]| x.iter().map(|&x| R::of(x)).collect::<Vec<R>>();
         let (density, sound_speed) = (1.2, 5.0);
         let pressure = density * sound_speed * sound_speed / options.gamma as f64;
-        Arc::new(Model {
-            domain: Domain { dimension: options.dimension, size: self.size, periodic: options.periodic },
-            layout: options.layout(),
+        let domain = Domain { dimension: options.dimension, size: self.size, periodic: options.periodic };
+        let equation_of_state = EquationOfState {
+            reference_density: density,
+            reference_pressure: pressure,
+            background_pressure: 0.05 * pressure,
+            gamma: options.gamma,
+        };
+        let flow = Flow {
             kernel: Kernel::new(options.kernel, options.dimension, options.smoothing * DX),
-            tags: self.tags.clone(),
-            skin: 0.2 * DX,
-            dt: 1e-3,
-            division: None,
             mass: options.typical_mass(),
-            equation_of_state: EquationOfState {
-                reference_density: density,
-                reference_pressure: pressure,
-                background_pressure: 0.05 * pressure,
-                gamma: options.gamma,
-            },
             viscosity: 0.3,
-            artificial_viscosity: options.artificial_viscosity.then_some(ArtificialViscosity {
-                alpha: 0.7,
-                beta: 1.1,
-                sound_speed,
-                smoothing_length: options.smoothing * DX,
-                every_pair: options.density,
-            }),
-            transport: if options.transport { 0.7 } else { 0.0 },
             body_force: self.body_force,
             walls_slide: self.walls_slide,
-            drive: None,
-            wall_heat_until: None,
             heat: options.heat.then(|| Heat {
                 conductivity: 7.313,
                 capacity: 30.527,
@@ -203,11 +189,20 @@ impl RandomScene {
                     capacity: convert(&self.capacity),
                 }),
             }),
-            consistent: None,
-            fixed: None,
-            standard: Standard::default(),
-            scratch: Scratch::default(),
-        })
+            ..Flow::new(domain, self.tags.clone(), DX, equation_of_state, 1e-3)
+        };
+        let laws = Laws {
+            transport: if options.transport { 0.7 } else { 0.0 },
+            artificial_viscosity: options.artificial_viscosity.then_some(ArtificialViscosity {
+                alpha: 0.7,
+                beta: 1.1,
+                sound_speed,
+                smoothing_length: options.smoothing * DX,
+                every_pair: options.density,
+            }),
+            ..Laws::default()
+        };
+        Arc::new(Standard::new(flow, options.layout(), laws))
     }
 
     pub fn state<R: Sweeps>(&self) -> Vec<R> {
@@ -215,7 +210,7 @@ impl RandomScene {
     }
 
     /// The operators' context with the list of these positions.
-    pub fn step<R: Sweeps>(&self, model: &Arc<Model<R>>, position: &[R]) -> Arc<Step<R>> {
+    pub fn step<R: Sweeps>(&self, model: &Arc<Standard<R>>, position: &[R]) -> Arc<Step<R>> {
         let neighbourhood = Neighbourhood::build(&model.reach(), position).unwrap();
         Arc::new(Step { model: model.clone(), list: neighbourhood.list })
     }
@@ -248,8 +243,6 @@ impl Options {
             heat: self.heat,
             mass: self.mass,
             density: self.density,
-            consistent: false,
-            rates: false,
         }
     }
     fn typical_mass(&self) -> f64 {

@@ -1,4 +1,4 @@
-//! Run time against error: a table, a picture per scene, and other codes' points beside ours.
+//! Run time against error: a table, a plot per scene, and points of other codes beside ours.
 
 use std::path::{Path, PathBuf};
 
@@ -12,18 +12,16 @@ use crate::report::plots::compare;
 use crate::report::table::Table;
 
 use super::case::precision_name;
+use super::plots::{add, Series};
 
-/// Values that differ by less than this share belong to one series: a time step is made to divide the run.
-const SAME: f64 = 0.05;
-
-/// One run, ours or of another code.
+/// A run of this or another code.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComparedRun {
     #[serde(default = "ours")]
     pub code: String,
     pub scene: String,
     pub dx: f64,
-    /// dt (c + U)/dx.
+    /// Acoustic number dt (c + U)/dx.
     pub cfl: f64,
     pub precision: Precision,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -33,7 +31,7 @@ pub struct ComparedRun {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
     pub seconds: f64,
-    /// None if the run did not get to its end.
+    /// None if the run did not reach its end.
     pub error: Option<f64>,
     pub stable: bool,
 }
@@ -43,20 +41,20 @@ fn ours() -> String {
 }
 
 impl ComparedRun {
-    /// What `--filter` looks into.
+    /// The text that `--filter` searches.
     pub fn label(&self) -> String {
         let count = |value: Option<usize>| value.map_or("?".into(), |count| count.to_string());
         let (particles, threads) = (count(self.particles), count(self.threads));
         format!("accuracy/{}/{particles}/{}/{threads}/forward", self.scene, precision_name(self.precision))
     }
 
-    /// Seconds and error, if the run has a place in the picture.
+    /// Seconds and error, if the run can be plotted.
     fn place(&self) -> Option<(f64, f64)> {
         self.error.filter(|_| self.stable).map(|error| (self.seconds, error))
     }
 }
 
-/// Reads other codes' points; every mistake names the file, and the point and field where there is one.
+/// Reads points of other codes. Errors name the file, and the point and field if there is one.
 pub fn read(path: &Path) -> Result<Vec<ComparedRun>, BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)
@@ -88,7 +86,7 @@ pub fn read(path: &Path) -> Result<Vec<ComparedRun>, BadInput> {
     points.collect()
 }
 
-/// Writes the points as a JSON array that `--peers` reads.
+/// Writes the points as a JSON array for `--peers`.
 pub fn write(path: &Path, points: &[ComparedRun]) -> anyhow::Result<()> {
     write_json(path, &serde_json::to_value(points)?)
 }
@@ -116,7 +114,7 @@ pub fn text(points: &[ComparedRun]) -> String {
     format!("accuracy\n\n{}", table.to_text())
 }
 
-/// Draws error over run time, a picture per scene; runs that were not stable have no place in it.
+/// Plots error over run time for each scene, without unstable runs.
 pub fn draw(folder: &Path, points: &[ComparedRun]) -> Result<Vec<PathBuf>, FileError> {
     let mut scenes: Vec<&str> = vec![];
     for point in points.iter().filter(|point| point.place().is_some_and(|(_, error)| error > 0.0)) {
@@ -126,58 +124,36 @@ pub fn draw(folder: &Path, points: &[ComparedRun]) -> Result<Vec<PathBuf>, FileE
     }
     let mut files = vec![];
     for scene in scenes {
-        let here: Vec<&ComparedRun> = points.iter().filter(|point| point.scene == scene).collect();
         let stem = folder.join(format!("accuracy-{scene}"));
-        let title = format!("Run time against error: {scene}");
-        files.extend(compare(&stem, &title, "seconds", "error", &series(&here), true, true)?);
+        let title = format!("Run time against error, best choices of spacing and time step: {scene}");
+        let error = match scene {
+            "heated-channel" => "error of the heat outflow Q, relative",
+            _ => "velocity error, relative (root mean square)",
+        };
+        let fronts = fronts(points.iter().filter(|point| point.scene == scene));
+        files.extend(compare(&stem, &title, "run time (s)", error, &fronts, true, true)?);
     }
     Ok(files)
 }
 
-/// Runs of one code and type whose time steps belong together, over the spacing: those of one CFL number, or, where
-/// the time step follows diffusion, of one dt/dx^2.
-fn series(points: &[&ComparedRun]) -> Vec<(String, Vec<(f64, f64)>)> {
-    let mut variants: Vec<(&str, Precision)> = vec![];
+/// For each code and type, the points that no other run beats in both time and error, the fastest first.
+fn fronts<'a>(points: impl Iterator<Item = &'a ComparedRun>) -> Series {
+    let mut fronts = vec![];
     for point in points {
-        if !variants.contains(&(&point.code, point.precision)) {
-            variants.push((&point.code, point.precision));
+        if let Some(place) = point.place() {
+            add(&mut fronts, format!("{} {}", point.code, precision_name(point.precision)), place);
         }
     }
-    let mut series = vec![];
-    for (code, precision) in variants {
-        let own: Vec<&ComparedRun> =
-            points.iter().copied().filter(|point| point.code == code && point.precision == precision).collect();
-        let by_sound = grouped(&own, |point| point.cfl);
-        let by_diffusion = grouped(&own, |point| point.cfl / point.dx);
-        let groups = if by_diffusion.len() < by_sound.len() { by_diffusion } else { by_sound };
-        for group in groups {
-            let (finest, coarsest) = (group[0], group[group.len() - 1]);
-            let name = match (coarsest.cfl / finest.cfl - 1.0).abs() < SAME {
-                true => format!("CFL {:.2}", coarsest.cfl),
-                false => format!("CFL {:.3} to {:.3}", finest.cfl, coarsest.cfl),
-            };
-            let places: Vec<(f64, f64)> = group.iter().filter_map(|point| point.place()).collect();
-            if !places.is_empty() {
-                series.push((format!("{code} {}, {name}", precision_name(precision)), places));
-            }
-        }
+    for (_, places) in &mut fronts {
+        places.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+        let mut least = f64::INFINITY;
+        places.retain(|&(_, error)| {
+            let is_less = error < least;
+            least = least.min(error);
+            is_less
+        });
     }
-    series
-}
-
-/// Points with the same value, each group from fine to coarse.
-fn grouped<'a>(points: &[&'a ComparedRun], value: impl Fn(&ComparedRun) -> f64) -> Vec<Vec<&'a ComparedRun>> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| value(a).total_cmp(&value(b)));
-    let mut groups: Vec<Vec<&ComparedRun>> = vec![];
-    for point in sorted {
-        match groups.last_mut() {
-            Some(group) if value(point) / value(group[0]) - 1.0 < SAME => group.push(point),
-            _ => groups.push(vec![point]),
-        }
-    }
-    groups.iter_mut().for_each(|group| group.sort_by(|a, b| a.dx.total_cmp(&b.dx)));
-    groups
+    fronts
 }
 
 #[cfg(test)]
@@ -201,17 +177,24 @@ mod tests {
     }
 
     #[test]
-    fn series_follow_the_law_of_the_time_step() {
-        // Two CFL numbers, one of them rounded to divide the run.
-        let sound = [point(0.1, 1.0, 1.0), point(0.05, 0.98, 2.0), point(0.1, 0.25, 4.0), point(0.05, 0.25, 8.0)];
-        let found = series(&sound.iter().collect::<Vec<_>>());
-        let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["hydrograd f64, CFL 0.25", "hydrograd f64, CFL 1.00"]);
-        assert_eq!(found[1].1, [(2.0, 1e-2), (1.0, 1e-2)]);
-        // dt ~ dx^2: the CFL number falls with dx.
-        let diffusion = [point(0.1, 0.4, 1.0), point(0.05, 0.2, 2.0), point(0.025, 0.1, 4.0)];
-        let found = series(&diffusion.iter().collect::<Vec<_>>());
-        assert_eq!(found.len(), 1);
-        assert_eq!(found[0].0, "hydrograd f64, CFL 0.100 to 0.400");
+    fn only_runs_that_none_beats_are_shown() {
+        let point =
+            |seconds, error, precision| ComparedRun { error: Some(error), precision, ..point(0.1, 1.0, seconds) };
+        let (f64, f32) = (Precision::F64, Precision::F32);
+        // 4 s for an error that takes 2 s, a run as slow as another with a larger error, and a separate run of another
+        // type.
+        let mut points = vec![
+            point(4.0, 1e-2, f64),
+            point(2.0, 1e-2, f64),
+            point(9.0, 1e-3, f64),
+            point(1.0, 0.1, f64),
+            point(1.0, 0.2, f64),
+            point(5.0, 0.5, f32),
+        ];
+        points.push(ComparedRun { stable: false, ..point(0.1, 1e-9, f64) });
+        let found = fronts(points.iter());
+        assert_eq!(found.len(), 2);
+        assert_eq!(found[0], ("hydrograd f64".to_string(), vec![(1.0, 0.1), (2.0, 1e-2), (9.0, 1e-3)]));
+        assert_eq!(found[1], ("hydrograd f32".to_string(), vec![(5.0, 0.5)]));
     }
 }

@@ -1,4 +1,4 @@
-//! The cases of each group: what to build, how to run it, how often.
+//! The cases of each group: their scenes, how they run, and how often.
 
 use super::arguments::BenchArguments;
 use super::case::{
@@ -9,7 +9,7 @@ use crate::config::device::DeviceName;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::Error;
 
-/// Steps of a Taylor-Green run before it is measured: the particles leave their lattice.
+/// Number of steps of a Taylor-Green run before the measurement, in which the particles leave their lattice.
 fn warm_up(particles: usize, quick: bool) -> usize {
     match particles {
         _ if quick => 10,
@@ -19,13 +19,13 @@ fn warm_up(particles: usize, quick: bool) -> usize {
     }
 }
 
-/// Cases that are compared with each other: their repeats take turns.
+/// Cases that are compared with each other, with alternating repeats.
 pub type Family = Vec<Case>;
 
-/// Makes cases with what is common to all of a run.
+/// Makes cases with the common settings of a run.
 pub struct Cases<'a> {
     arguments: &'a BenchArguments,
-    /// The scene of `step` and `gradient` where the user named one.
+    /// The scene of `step` and `gradient`, if the user named one.
     scene: Option<String>,
 }
 
@@ -34,7 +34,7 @@ impl<'a> Cases<'a> {
         Self { arguments, scene }
     }
 
-    /// The families of a group, without the rows that the filter drops.
+    /// The families of a group, without the rows that the filter excludes.
     pub fn of(&self, group: Group) -> Result<Vec<Family>, Error> {
         let mut families = match group {
             Group::Step => self.step()?,
@@ -52,7 +52,7 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
-    /// The heated channel(s) to measure, each with a name: what the user gave, or the report's and the default one.
+    /// The heated channels to measure with their names: the user's, or the report's and the default one.
     fn channels(&self) -> Vec<(String, Scene)> {
         let a = self.arguments;
         let scene = |preset: Option<&str>| Scene {
@@ -69,7 +69,7 @@ impl<'a> Cases<'a> {
         vec![("heated-channel-report".into(), scene(Some("report-jax-sph"))), ("heated-channel".into(), scene(None))]
     }
 
-    /// One case per floating-point type and number of threads.
+    /// A case for each floating-point type and number of threads.
     fn variants(&self, make: impl Fn(Precision, usize) -> Case) -> Family {
         let threads = self.arguments.threads();
         let precisions = self.arguments.precisions();
@@ -115,7 +115,7 @@ impl<'a> Cases<'a> {
     fn gradient(&self) -> Result<Vec<Family>, Error> {
         let quick = self.arguments.quick;
         let mut families = vec![];
-        // The report's channel alone, unless the user named a scene.
+        // Only the report's channel, unless the user named a scene.
         for (name, mut scene) in self.channels().into_iter().take(1) {
             if quick {
                 scene = scene.with_defaults(&["time.steps=400", "objective.window=0"]);
@@ -137,14 +137,14 @@ impl<'a> Cases<'a> {
             let base = Case {
                 kind: Kind::Gradient,
                 length: Length::Steps(steps),
-                // The first gradient of a process also pays for fresh pages of memory (on a virtual machine up to a
-                // quarter of its time); an optimisation does so once.
+                // The first gradient of a process also pays for new pages of memory (on a virtual machine up to a
+                // quarter of its time), which an optimisation does only once.
                 blocks: 2,
                 ..self.case(Group::Gradient, &name, n, Source::Channel(scene))
             };
             let modes = |precision, threads| {
                 let base = Case { precision, threads, ..base.clone() };
-                // In f32 a rounded state is the state.
+                // In f32 rounding a state does not change it.
                 let rounded = (precision == Precision::F64).then_some(Keeping::Rounded);
                 let keepings = keepings.iter().copied().chain(rounded);
                 keepings.map(move |k| Case { keeping: k, mode: Some(k.name()), ..base.clone() })
@@ -155,7 +155,7 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
-    /// The sizes of `scaling`: about 10^3 to 10^6 particles; 96^2 and 185^2 are JAX-SPH's 9 200 and 34 400 to within a
+    /// The sizes of `scaling`: about 10^3 to 10^6 particles. 96^2 and 185^2 equal JAX-SPH's 9 200 and 34 400 within a
     /// per cent, 50^2 is LagrangeBench's.
     fn sizes(&self) -> Vec<Size> {
         let given = &self.arguments.sizes;
@@ -199,9 +199,9 @@ impl<'a> Cases<'a> {
         let mut families = vec![];
         for lacking in Lacking::ALL {
             let scene = Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None };
-            // 3200 particles: enough that the work shows beside the threads' meetings.
+            // 3200 particles, so that the work is visible beside the threads' synchronisation.
             let dx = if quick { "resolution.dx=0.02" } else { "resolution.dx=0.01" };
-            let scene = scene.with_defaults(&[dx, "fluid.transport_velocity=1"]);
+            let scene = scene.with_defaults(&[dx, "method.transport_velocity=1"]);
             let n = lacking.particles(&scene.load()?.config);
             for kind in [Kind::Forward, Kind::Gradient] {
                 let seconds = if quick { 0.1 } else { 0.5 };
@@ -226,7 +226,7 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
-    /// The report's channel, vortices in a box and a network, each with fused and with composed operators, in turns.
+    /// The report's channel, vortices in a box and a network, with alternating fused and composed operators.
     fn kernels(&self) -> Result<Vec<Family>, Error> {
         let quick = self.arguments.quick;
         let steps = format!("time.steps={}", if quick { 10 } else { 100 });
@@ -264,7 +264,7 @@ impl<'a> Cases<'a> {
             let with = |kernels: Kernels, mode: &str, blocks: usize| Case {
                 kind,
                 kernels,
-                // Fused ones run on the CPU only.
+                // Fused operators run only on the CPU.
                 device: if kernels == Kernels::Fused { DeviceName::Cpu } else { base.device },
                 mode: Some(mode.into()),
                 blocks: if quick { 1 } else { blocks },
@@ -272,13 +272,13 @@ impl<'a> Cases<'a> {
                 threads: self.arguments.threads().last().copied().unwrap_or(1),
                 ..base.clone()
             };
-            // Fused runs are short: their best needs more of them.
+            // Fused runs are short, so their best needs more repeats.
             vec![with(Kernels::Fused, FUSED, 10), with(Kernels::Composed, COMPOSED, 2)]
         };
         Ok(flows.chain(networks).map(family).collect())
     }
 
-    /// Networks on one graph, in f32 alone: that is what they are trained in.
+    /// Networks on one graph, only in f32, in which they are trained.
     fn surrogate(&self) -> Vec<Family> {
         let quick = self.arguments.quick;
         let family = |network: Network| {

@@ -1,4 +1,4 @@
-//! One case, measured in a process of its own: its number of threads is fixed, its peak memory is its alone.
+//! Measures a case in its own process, with a fixed number of threads and its own peak memory.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -17,17 +17,19 @@ use crate::numerics::sweep::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
+use crate::report::text::bytes;
 use crate::scene::accuracy::points;
 use crate::scene::taylor_green::TaylorGreen;
 use crate::sph::dynamics::Sph;
-use crate::sph::model::Model;
 use crate::sph::solver::Snapshot;
+use crate::sph::standard::Standard;
+use crate::sph::Model;
 use crate::sph::Sweeps;
 
-/// Steps after which a scene with everything on is compared with its plan.
+/// Number of steps after which a scene with every field is compared with its plan.
 const COMPARED_STEPS: usize = 50;
 
-/// Does what is asked and prints the answer as one line of JSON.
+/// Executes a request and prints the answer as one line of JSON.
 pub fn run(request: &str) -> anyhow::Result<()> {
     let request: Request =
         serde_json::from_str(request).map_err(|error| BadInput::new(error.to_string()).place("--case"))?;
@@ -52,11 +54,11 @@ pub fn run(request: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A scene ready to be measured.
+/// A scene that is ready to be measured.
 struct Ready<R> {
     dynamics: Sph<R>,
     start: Snapshot<R>,
-    /// Of a channel: tied to the scene's steps.
+    /// The objective of a channel, which depends on the scene's number of steps.
     outflow: Option<Arc<dyn Objective + Send>>,
 }
 
@@ -70,29 +72,28 @@ impl<R: Sweeps> Ready<R> {
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);
-                (Arc::new(model), at_rest(state), None)
+                (Model::new(model), at_rest(state), None)
             }
             Source::Plan { scene, lacking, forced } => {
-                let (mut model, mut state) = match lacking.size() {
+                let (model, mut state) = match lacking.size() {
                     Some(size) => taylor_green(size),
                     None => {
                         let config = scene.load()?.config;
                         let (channel, _) = build::<R>(&config)?;
                         let state = channel.start(&channel.first).state;
-                        (needs::owned(channel.model), state)
+                        (needs::standard(&channel.model).clone(), state)
                     }
                 };
-                lacking.apply(&mut model, &mut state, *forced);
-                (Arc::new(model), at_rest(state), None)
+                (Model::new(lacking.apply(model, &mut state, *forced)), at_rest(state), None)
             }
             Source::Network(_) => unreachable!("networks are measured by `surrogate`"),
         };
-        let rows = model.layout.dimension * model.particles();
+        let rows = model.dimension() * model.particles();
         let start = Snapshot { reference: Arc::new(start.state[..rows].to_vec()), ..start };
         Ok(Self { dynamics: Sph::new(model, compute(case.kernels, case.device)?), start, outflow })
     }
 
-    /// The state after some steps, as a start.
+    /// The state after some steps as a new start.
     fn after(&self, steps: usize) -> Result<Snapshot<R>, RunError> {
         let mut solver = self.dynamics.start(&self.start)?;
         for _ in 0..steps {
@@ -102,7 +103,7 @@ impl<R: Sweeps> Ready<R> {
         Ok(Snapshot { step: 0, ..solver.snapshot() })
     }
 
-    /// What is differentiated: the channel's own objective, or the squared velocity after so many steps.
+    /// The differentiated objective: the channel's own, or the squared velocity after `steps` steps.
     fn goal(&self, steps: usize) -> Arc<dyn Objective + Send> {
         match &self.outflow {
             Some(outflow) => outflow.clone(),
@@ -110,28 +111,28 @@ impl<R: Sweeps> Ready<R> {
         }
     }
 
-    /// What states and taped steps take, from the first neighbour list.
+    /// Memory of states and taped steps, by the first neighbour list.
     fn costs(&self) -> Result<Costs, RunError> {
         self.dynamics.costs_from(&self.start.state).map_err(|source| RunError::Neighbours { step: 0, source })
     }
 }
 
-fn taylor_green<R: Sweeps>(size: Size) -> (Model<R>, Vec<R>) {
+fn taylor_green<R: Sweeps>(size: Size) -> (Standard<R>, Vec<R>) {
     let Size { dimension, per_side } = size;
-    // A tenth of a spacing of disorder: a lattice would stay one for a while.
+    // A disorder of a tenth of a spacing, because an exact lattice would persist for a while.
     let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
-    (needs::owned(flow.model), flow.start.state)
+    (needs::standard(&flow.model).clone(), flow.start.state)
 }
 
-/// A state at step 0 (its list's reference is filled in by [`Ready::new`]).
+/// A state at step 0, whose list's reference is filled in by [`Ready::new`].
 fn at_rest<R>(state: Vec<R>) -> Snapshot<R> {
     Snapshot { step: 0, parts: 1, least_parts: 1, state, reference: Arc::new(Vec::new()) }
 }
 
 impl Keeping {
-    /// The schedule for a run; an error if nothing is as small as asked for.
+    /// The schedule of a run; an error if none is small enough.
     fn schedule(self, steps: usize, costs: Costs) -> Result<Schedule, TooSmall> {
         let every = Schedule::every_state(steps, 0, false);
         Ok(match self {
@@ -179,15 +180,14 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
                 Length::Steps(steps) => steps,
                 Length::Seconds { least, .. } => least,
             };
-            let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
             match case.keeping.schedule(least, costs).map(|schedule| schedule.memory(costs)) {
-                Ok(bytes) if bytes <= case.memory_limit => {}
-                Ok(bytes) => {
-                    let reason = format!("predicted to take {}, above --memory-limit", megabytes(bytes));
+                Ok(needed) if needed <= case.memory_limit => {}
+                Ok(needed) => {
+                    let reason = format!("predicted to take {}, above --memory-limit", bytes(needed));
                     return Ok(Outcome::LeftOut(reason));
                 }
                 Err(TooSmall { least }) => {
-                    return Ok(Outcome::LeftOut(format!("no schedule takes less than {}", megabytes(least))));
+                    return Ok(Outcome::LeftOut(format!("no schedule takes less than {}", bytes(least))));
                 }
             }
             backward(case, &mut ready, &begin, costs, &mut measured).map_err(failed)?;
@@ -198,7 +198,7 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         let own = Source::Plan { scene: scene.clone(), lacking: *lacking, forced: false };
         let own = Ready::<R>::new(case, &own)?;
         let difference = difference(case.kind, own, ready).map_err(failed)?;
-        // JSON has no NaN: it would arrive as "not compared".
+        // JSON has no NaN, which would be read as "not compared".
         if !difference.is_finite() {
             let problem = format!("{}: the difference from the plan is {difference}", case.label());
             return Err(Error::run(problem, "a smaller time.cfl").into());
@@ -208,7 +208,7 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
     Ok(Outcome::Measured(measured))
 }
 
-/// Directed pairs (i, j), i fluid, j any other particle within the cut-off: what the force on the fluid sums.
+/// Number of directed pairs (i, j) within the cut-off, i fluid and j any, over which the force on the fluid sums.
 fn count_pairs<R: Sweeps>(model: &Model<R>, position: &[R]) -> Result<usize, NeighbourError> {
     let list = Neighbourhood::build(&model.reach(), position)?.list;
     let (n, domain, cutoff) = (model.particles(), &model.domain, model.reach().cutoff);
@@ -239,7 +239,7 @@ fn forward<R: Sweeps>(
         }
         Ok(clock.elapsed().as_secs_f64())
     };
-    // Pages, caches and threads warm up.
+    // Warms up pages, caches and threads.
     let least = match case.length {
         Length::Steps(steps) => steps.min(50),
         Length::Seconds { least, .. } => least,
@@ -276,8 +276,8 @@ fn backward<R: Sweeps>(
         Length::Steps(steps) => steps,
         Length::Seconds { seconds, least } => {
             let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
-            // A gradient's start (its first list, memory that is new to the process) takes as long as some steps: several times as many
-            // as are needed, where there is memory for them.
+            // The start of a gradient (its first list, new memory of the process) takes as long as some steps, so it
+            // runs several times the needed number, if memory suffices.
             let mut steps = (6 * least).max((seconds * least as f64 / first) as usize);
             let fits = |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
             while steps > least && !fits(steps) {
@@ -286,11 +286,11 @@ fn backward<R: Sweeps>(
             steps
         }
     };
-    // `measure` has made sure that there is one; more steps never need less.
+    // `measure` has checked that there is a schedule; more steps never need less memory.
     let schedule = case.keeping.schedule(steps, costs).unwrap_or(Schedule::every_state(steps, 0, false));
     measured.steps = steps;
     measured.predicted_bytes = Some(schedule.memory(costs));
-    // Pages, caches and threads warm up.
+    // Warms up pages, caches and threads.
     let few = steps.min(24);
     timed(few, &Schedule::every_state(few, 0, false))?;
     for _ in 0..case.blocks {
@@ -301,9 +301,9 @@ fn backward<R: Sweeps>(
     Ok(())
 }
 
-/// How far a scene with everything on is from its plan: states after some steps, or their gradients.
+/// The difference of a scene with every field from its plan, in states after some steps or in gradients.
 fn difference<R: Sweeps>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, RunError> {
-    let (a, b) = (own.dynamics.model.layout, forced.dynamics.model.layout);
+    let (a, b) = (needs::standard(&own.dynamics.model).layout, needs::standard(&forced.dynamics.model).layout);
     let n = own.dynamics.model.particles();
     let result = |ready: &mut Ready<R>| -> Result<Vec<R>, RunError> {
         if kind == Kind::Forward {
@@ -337,7 +337,7 @@ mod tests {
             };
             let near = |i: usize, j: usize| j != i && square(i, j) < model.reach().cutoff.powi(2);
             let expected: usize = (0..n).map(|i| (0..n).filter(|&j| near(i, j)).count()).sum();
-            assert_eq!(count_pairs(&model, &state).unwrap(), expected);
+            assert_eq!(count_pairs(&Model::new(model), &state).unwrap(), expected);
         }
     }
 }

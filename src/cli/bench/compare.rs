@@ -18,12 +18,12 @@ impl Earlier {
         Ok(Self { best: rows.iter().map(|row| (row.label(), row.ms_per_step)).collect() })
     }
 
-    /// New time over old; `None` if the earlier run does not have the row.
+    /// New time over old; `None` if the earlier run lacks the row.
     pub fn ratio(&self, row: &Row) -> Option<f64> {
         self.best.get(&row.label()).map(|old| row.ms_per_step / old)
     }
 
-    /// One line: how many rows both runs have, the geometric mean of their ratios and the worst of them.
+    /// One line with the number of common rows, the geometric mean of their ratios and the largest one.
     pub fn summary(&self, rows: &[Row]) -> String {
         let ratios: Vec<(f64, String)> = rows.iter().filter_map(|row| Some((self.ratio(row)?, row.label()))).collect();
         let (old, both) = (self.best.len(), ratios.len());

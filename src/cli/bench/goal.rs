@@ -1,4 +1,4 @@
-//! What the gradients of the bench differentiate where there is no heat to measure.
+//! The objective of the bench's gradients in scenes without heat.
 
 use crate::adjoint::{Fields, Objective};
 use crate::particles::tag;

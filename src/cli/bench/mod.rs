@@ -1,6 +1,6 @@
-//! `hydrograd bench`: how long steps and gradients take, and how much memory, in groups of comparable cases.
+//! `hydrograd bench`: measures time and memory of steps and gradients, in groups of comparable cases.
 //!
-//! Each row is measured in a process of its own, which answers in JSON. Who imports whom:
+//! Each row is measured in its own process, which answers in JSON. The modules depend on each other as follows:
 //!
 //! ```text
 //! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, compare, plots, runner  <-  tables  <-  run
@@ -39,7 +39,7 @@ use crate::report::progress::Progress;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Largest difference that the plan of a scene may make: what it computes must agree to rounding.
+/// Largest difference between a scene and its plan, which must agree to rounding.
 fn tolerance(precision: Precision) -> f64 {
     match precision {
         Precision::F64 => 1e-9,
@@ -102,7 +102,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
             left_out.extend(results.left_out);
         }
         all.extend(found.iter().cloned());
-        // After each group, so that what was measured is kept if a later one fails.
+        // Writes after each group, so that measurements are kept if a later group fails.
         rows::write(&file, &all)?;
         let plots = plots::draw(&arguments.out, *group, &found)?;
         if !found.is_empty() {
@@ -112,7 +112,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
             println!("left out: {label}: {reason}");
         }
         all_left_out.append(&mut left_out);
-        // Each as PNG and SVG.
+        // Each plot is a PNG and an SVG.
         for picture in plots.iter().step_by(2) {
             println!("picture: {}", picture.display());
         }
@@ -138,7 +138,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Measures run time against error, with as many threads as the last of `--threads`; the points, and pictures of them.
+/// Measures run time against error with the last number of `--threads`; returns the points and their plots.
 fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Result<(Vec<ComparedRun>, Vec<PathBuf>)> {
     let threads = arguments.threads().last().copied().unwrap_or(1);
     let mut points = runner::accuracy(arguments.quick, threads)?;
@@ -157,7 +157,7 @@ fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Re
     Ok((own, pictures))
 }
 
-/// A plan that changes what is computed is wrong, however fast.
+/// Returns an error if a plan changes the result.
 fn check_plans(rows: &[Row]) -> Result<(), Error> {
     for row in rows {
         let precision = if row.precision == "f32" { Precision::F32 } else { Precision::F64 };

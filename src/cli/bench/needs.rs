@@ -1,17 +1,18 @@
-//! Scenes that lack something, with their own plan and with every field forced on at zero effect.
-
-use std::sync::Arc;
+//! Scenes that lack something, with their own plan and with every field forced on without effect.
 
 use super::case::Lacking;
-use crate::sph::model::{Heat, Layout, Model};
+use crate::sph::flow::Heat;
+use crate::sph::standard::{Layout, Standard};
+use crate::sph::Model;
 use crate::sph::Sweeps;
 
-/// A viscosity that no rounding sees (and that does not underflow in f32): the viscous terms are computed, not felt.
+/// A viscosity below rounding (that does not underflow in f32), so that the viscous terms are computed without effect.
 const NO_VISCOSITY: f64 = 1e-20;
 
 impl Lacking {
-    /// The scene's own plan, or the one with everything on, from a scene as it was built.
-    pub fn apply<R: Sweeps>(self, model: &mut Model<R>, state: &mut Vec<R>, forced: bool) {
+    /// The scene with its own plan, or with every field, made from the scene as it was built.
+    pub fn apply<R: Sweeps>(self, model: Standard<R>, state: &mut Vec<R>, forced: bool) -> Standard<R> {
+        let Standard { mut flow, mut laws, .. } = model.clone();
         let has = model.layout;
         let own = match self {
             Self::Heat => Layout { heat: false, ..has },
@@ -21,33 +22,33 @@ impl Lacking {
             Self::Masses => Layout { mass: false, ..has },
         };
         let layout = if forced { Layout { transport: true, heat: true, mass: true, ..has } } else { own };
-        *state = repacked(model, state, layout);
-        if layout.heat && (!own.heat || model.heat.is_none()) {
-            model.heat = Some(no_heat(model));
+        *state = repacked(&model, state, layout);
+        if layout.heat && (!own.heat || flow.heat.is_none()) {
+            flow.heat = Some(no_heat(&model));
             let (row, n) = (layout.temperature(), model.particles());
             state[row * n..(row + 2) * n].fill(R::default());
         }
         if !layout.heat {
-            model.heat = None;
+            flow.heat = None;
         }
         if !own.transport {
-            model.transport = 0.0;
+            laws.transport = 0.0;
         }
         if self == Self::Viscosity {
-            model.viscosity = if forced { NO_VISCOSITY } else { 0.0 };
+            flow.viscosity = if forced { NO_VISCOSITY } else { 0.0 };
         }
-        model.layout = layout;
+        Standard::new(flow, layout, laws)
     }
 }
 
-/// Conduction without any difference to conduct: every temperature is the reference's.
-fn no_heat<R: Sweeps>(model: &Model<R>) -> Heat<R> {
+/// Conduction without temperature differences: every temperature is the reference.
+fn no_heat<R: Sweeps>(model: &Standard<R>) -> Heat<R> {
     let n = model.particles();
     Heat {
         conductivity: 1.0,
         capacity: 100.0,
         reference: 1.0,
-        // Nobody is in the strips at the ends.
+        // No particle is in the strips at the ends.
         inlet_below: f64::MIN,
         outlet_above: f64::MAX,
         wall_constant: vec![R::default(); n],
@@ -56,8 +57,8 @@ fn no_heat<R: Sweeps>(model: &Model<R>) -> Heat<R> {
     }
 }
 
-/// The state's rows in another layout: what it does not have begins with zero, masses with the model's.
-fn repacked<R: Sweeps>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
+/// The rows of a state in another layout. Missing rows are zero, masses are the model's.
+fn repacked<R: Sweeps>(model: &Standard<R>, state: &[R], to: Layout) -> Vec<R> {
     let (from, n) = (model.layout, model.particles());
     let mut packed = vec![R::default(); to.state_rows() * n];
     let mut copy = |target: usize, source: usize, rows: usize| {
@@ -79,7 +80,7 @@ fn repacked<R: Sweeps>(model: &Model<R>, state: &[R], to: Layout) -> Vec<R> {
     packed
 }
 
-/// Largest difference between two states in the rows that both layouts have, over each row's largest value.
+/// Largest difference between two states in the rows of both layouts, over the largest value of each row.
 pub fn difference<R: Sweeps>(n: usize, (a, from): (&[R], Layout), (b, to): (&[R], Layout)) -> f64 {
     let d = from.dimension;
     let mut fields = vec![(0, 0, d), (d, d, d)];
@@ -90,14 +91,14 @@ pub fn difference<R: Sweeps>(n: usize, (a, from): (&[R], Layout), (b, to): (&[R]
         let (x, y) = (&a[x * n..(x + rows) * n], &b[y * n..(y + rows) * n]);
         let largest = x.iter().chain(y).fold(0.0, |most: f64, v| most.max(v.f64().abs()));
         let apart = x.iter().zip(y).map(|(x, y)| (x.f64() - y.f64()).abs());
-        // `max` would hide NaN.
+        // `max` would ignore a NaN.
         let apart = apart.fold(0.0, |most: f64, v| if v <= most { most } else { v });
         apart / largest.max(f64::MIN_POSITIVE)
     };
     fields.iter().map(worst).fold(0.0, |most: f64, v| if v <= most { most } else { v })
 }
 
-/// A model of one's own: nobody else holds it yet.
-pub fn owned<R>(model: Arc<Model<R>>) -> Model<R> {
-    Arc::into_inner(model).expect("the scene has just been built")
+/// The standard method of a scene.
+pub fn standard<R: Sweeps>(model: &Model<R>) -> &Standard<R> {
+    model.of_type().expect("scenes that lack something are of the standard method")
 }

@@ -1,4 +1,4 @@
-//! The bench's pictures.
+//! Plots of the bench.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use super::rows::Row;
 use crate::io::FileError;
 use crate::report::plots::compare;
 
-/// Draws what a group has to show, and says where.
+/// Plots the results of a group and returns the paths.
 pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
     let mut files = vec![];
     let mut picture = |name: &str, title: &str, x: &str, y: &str, series: Series| -> Result<(), FileError> {
@@ -21,22 +21,22 @@ pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, F
             for kind in [Kind::Forward, Kind::Gradient] {
                 let title = format!("Taylor-Green vortices, {}: time over the number of particles", kind.name());
                 let name = format!("scaling-{}", kind.name());
-                picture(&name, &title, "particles", "ns per particle and step", scaling(rows, kind))?;
+                picture(&name, &title, "number of particles", "time per particle and step (ns)", scaling(rows, kind))?;
             }
         }
         Group::Gradient => {
-            let y = "ms per step, forward run included";
-            picture("gradient", "Gradient: time against memory", "peak memory, MB", y, gradient(rows))?;
+            let y = "time per step, forward run included (ms)";
+            picture("gradient", "Gradient: time against memory", "peak memory (MB)", y, gradient(rows))?;
         }
         _ => {}
     }
     Ok(files)
 }
 
-type Series = Vec<(String, Vec<(f64, f64)>)>;
+/// Names and points of series.
+pub type Series = Vec<(String, Vec<(f64, f64)>)>;
 
-/// Adds a point to the series of that name.
-fn add(series: &mut Series, name: String, point: (f64, f64)) {
+pub fn add(series: &mut Series, name: String, point: (f64, f64)) {
     match series.iter_mut().find(|(other, _)| *other == name) {
         Some((_, points)) => points.push(point),
         None => series.push((name, vec![point])),
@@ -60,7 +60,7 @@ fn scaling(rows: &[Row], kind: Kind) -> Series {
 fn gradient(rows: &[Row]) -> Series {
     let mut series = vec![];
     for row in rows {
-        // A mode is a series of its own: its variants are connected, its name stands in the legend.
+        // Each mode is a series with its variants as points.
         let mode = row.mode.clone().unwrap_or_default();
         let point = (row.peak_memory_bytes as f64 / 1e6, row.ms_per_step);
         add(&mut series, format!("{mode}, {}", row.precision), point);

@@ -1,4 +1,4 @@
-//! One row of the result, and bench.json.
+//! A row of the results, and bench.json.
 
 use std::path::Path;
 
@@ -9,15 +9,16 @@ use crate::cli::files::write_json;
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
 
-/// A measured case. Times are of the best repeat unless they say otherwise; a gradient's include its forward run.
+/// A measured case. Times are those of the best repeat unless stated otherwise; a gradient's include its forward run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     pub group: Group,
     pub scene: String,
     pub dimension: usize,
-    /// All particles, those of walls included.
+    /// Number of particles, including those of walls.
     pub particles: usize,
-    /// Directed pairs (i, j), i fluid, within the cut-off, when the timing began; of a network the edges of its graph.
+    /// Directed pairs (i, j) within the cut-off with i fluid, at the start of the timing; for networks the graph's
+    /// edges.
     pub pairs: usize,
     pub precision: String,
     pub threads: usize,
@@ -26,31 +27,31 @@ pub struct Row {
     pub ms_per_step: f64,
     pub ns_per_particle_step: f64,
     pub ns_per_pair: f64,
-    /// Of the process that measured it, the program itself included; the largest of the repeats.
+    /// Peak memory of the measuring process, including the program; the largest of the repeats.
     pub peak_memory_bytes: u64,
-    /// Where it ran, if that is not the CPU.
+    /// Device, if it is not the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
-    /// How states are kept, plan or everything on.
+    /// How states are kept, or whether the plan or every field is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mode: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ms_per_step_median: Option<f64>,
-    /// Timed runs that best and median are of.
+    /// Number of timed runs for best and median.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<usize>,
-    /// The backward part of the fastest gradient over its forward part.
+    /// Ratio of backward to forward time in the fastest gradient.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adjoint_over_forward: Option<f64>,
-    /// What the schedule of a gradient was predicted to take, without the program itself.
+    /// Predicted memory of a gradient's schedule, without the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub predicted_memory_bytes: Option<usize>,
-    /// Relative difference of what the scene computes with everything on from what it computes with its plan.
+    /// Relative difference between the results with every field and with the plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub difference: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_step: Option<f64>,
-    /// Of a network: work of a step, work per second, and what the machine's sgemm does per second at the same shapes.
+    /// For networks: work of a step, work per second, and work per second of the machine's sgemm with the same shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gflop_per_step: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -64,10 +65,10 @@ pub struct Row {
 }
 
 impl Row {
-    /// From what the repeats of a case measured. Empty `all` is a bug.
+    /// The row of a case with measurements. Empty `all` is a bug.
     pub fn new(case: &Case, all: &[Measured]) -> Self {
         let first = &all[0];
-        // Repeats choose their own number of steps, so times are compared per step.
+        // Repeats choose their own numbers of steps, so times are compared per step.
         let runs = || {
             all.iter().flat_map(|m| {
                 let forward = m.forward_seconds.iter().copied().map(Some).chain(std::iter::repeat(None));
@@ -113,7 +114,7 @@ impl Row {
         }
     }
 
-    /// As [`Case::label`].
+    /// The label, as [`Case::label`].
     pub fn label(&self) -> String {
         let Self { scene, particles, precision, threads, .. } = self;
         let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
@@ -124,7 +125,7 @@ impl Row {
     }
 }
 
-/// Of sorted values; the mean of the middle two if there is no middle one.
+/// The median of sorted values; the mean of the middle two if their number is even.
 pub fn median(sorted: &[f64]) -> f64 {
     let (low, high) = (sorted[(sorted.len() - 1) / 2], sorted[sorted.len() / 2]);
     0.5 * (low + high)
@@ -135,7 +136,7 @@ pub fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
     write_json(path, &serde_json::to_value(rows)?)
 }
 
-/// Reads the rows of an earlier run; every mistake names the file, and the row and field where there is one.
+/// Reads the rows of an earlier run. Errors name the file, and the row and field if there is one.
 pub fn read(option: &str, path: &Path) -> Result<Vec<Row>, BadInput> {
     let bad = |problem: String| {
         BadInput::new(problem)

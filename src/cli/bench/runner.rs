@@ -1,4 +1,4 @@
-//! Runs the cases of a family in turns, each repeat in a process of its own.
+//! Runs the cases of a family in turns, each repeat in its own process.
 
 use std::process::Stdio;
 
@@ -11,14 +11,14 @@ use crate::cli::program;
 use crate::error::{Error, EXIT_DIVERGED};
 use crate::report::progress::Progress;
 
-/// What a family gave: rows, and the cases that were left out and why.
+/// The results of a family: rows, and the cases that were left out with the reasons.
 #[derive(Debug, Default)]
 pub struct Results {
     pub rows: Vec<Row>,
     pub left_out: Vec<(String, String)>,
 }
 
-/// Runs every case `repeats` times, A B C A B C.
+/// Runs every case `repeats` times in turns, A B C A B C.
 pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Results> {
     let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
     let mut left_out: Vec<Option<String>> = vec![None; family.len()];
@@ -45,19 +45,19 @@ pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Re
     Ok(results)
 }
 
-/// Runs one case in a process of its own.
+/// Runs one case in its own process.
 fn measure(case: &Case) -> anyhow::Result<Outcome> {
     ask(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)
 }
 
-/// All points of run time against error, from a process of its own.
+/// Measures all points of run time against error in a separate process.
 pub fn accuracy(quick: bool, threads: usize) -> anyhow::Result<Vec<ComparedRun>> {
     let mut points: Vec<ComparedRun> = ask("accuracy", &Request::Accuracy { quick, threads }, threads)?;
     points.iter_mut().for_each(|point| point.threads = Some(threads));
     Ok(points)
 }
 
-/// What helps where a case fails.
+/// Advice for a case that fails.
 const ADVICE: &str = "leave it out with --filter, or change the scene with --set";
 
 /// Starts this program again with a number of threads and a request, and reads the answer.
@@ -73,7 +73,7 @@ fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> an
         .map_err(|error| failed(format!("can not start the program again: {error}")))?;
     if !output.status.success() {
         let message = String::from_utf8_lossy(&output.stderr);
-        // The process names the case itself, and its advice would be in the way of ours.
+        // The process names the case itself; its advice is dropped.
         let message = message.lines().next().unwrap_or("it said nothing");
         let message = message.trim_start_matches("error: ").trim_start_matches(&format!("{name}: "));
         let problem = format!("{name}: {message} ({})", output.status);

@@ -24,15 +24,16 @@ use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
 use crate::numerics::sweep::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
-use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
+use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::parameters;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use crate::surrogate::training::batch::Team;
+use crate::surrogate::training::checkpoint::fresh;
 use crate::surrogate::training::samples::Samples;
-use crate::surrogate::training::train::{fresh, Training};
+use crate::surrogate::training::train::Training;
 
 /// Their spacing.
 const SPACING: f64 = 0.02;

@@ -5,7 +5,7 @@ use super::compare::Earlier;
 use super::rows::Row;
 use crate::report::table::Table;
 
-/// A heading with what all rows have in common, the table, and what else there is to say.
+/// A heading with the common values of all rows, the table, and notes.
 pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
     type Cell = fn(&Row) -> String;
     let words: [(&str, Cell); 5] = [
@@ -15,7 +15,7 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         ("thr", |row| row.threads.to_string()),
         ("work", work),
     ];
-    // What never changes goes into the heading.
+    // Constant values go to the heading.
     let (constant, varying): (Vec<_>, Vec<_>) =
         words.into_iter().partition(|(_, cell)| rows.len() > 1 && rows.iter().all(|row| cell(row) == cell(&rows[0])));
     let common = constant.iter().map(|(name, cell)| match *name {
@@ -76,7 +76,7 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
     format!("{}\n\n{}", heading.join(", "), lines.to_text())
 }
 
-/// Forward or gradient, and how.
+/// Forward or gradient, and its mode.
 fn work(row: &Row) -> String {
     let mode = row.mode.as_deref().unwrap_or_default();
     match row.group {
@@ -86,7 +86,7 @@ fn work(row: &Row) -> String {
     }
 }
 
-/// How many times the time of its counterpart of mode `base` a row of this mode takes.
+/// The ratio of a row's time to that of its counterpart in mode `base`, for rows of mode `mode`.
 fn against(row: &Row, rows: &[Row], mode: &str, base: &str) -> Option<f64> {
     if row.mode.as_deref() != Some(mode) {
         return None;

@@ -1,6 +1,6 @@
-//! `hydrograd compare`: several runs of a kind in one page; and the page of a folder whose run has several parts.
+//! `hydrograd compare`: several runs of a kind on one page, and the page of a folder whose run has several parts.
 
-use super::designs::{is_steady, loaded, verification, Search, FIGURES};
+use super::designs::{by_epoch, is_steady, loaded, verification};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
@@ -11,6 +11,7 @@ use crate::design::objectives::Figure;
 use crate::error::BadInput;
 use crate::report::page::{link, Body, Cell, Chart, Page, Series, Table, GENERATOR, PAGE};
 use crate::report::text::shown;
+use crate::scene::record::{Record, Search, FIGURES};
 use clap::Args;
 use serde_json::{json, Map, Value};
 use std::path::{Path, PathBuf};
@@ -34,7 +35,7 @@ pub struct CompareArguments {
     pub out: PathBuf,
 }
 
-/// Most runs in one page: there are no more lines that one can tell apart.
+/// Largest number of runs on a page; more lines could not be told apart.
 const MOST: usize = 12;
 
 pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
@@ -61,9 +62,9 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One of several.
+/// One of several runs.
 pub struct Compared {
-    /// By which it is told from the others.
+    /// The name that distinguishes it from the others.
     pub name: String,
     pub folder: Folder,
 }
@@ -122,7 +123,7 @@ impl CompareArguments {
                 .place(given(&runs[k].folder.path))
                 .allowed("searches with the same objective.kind"));
         }
-        // Folders of one name are told apart by their paths.
+        // Folders with the same name are distinguished by their paths.
         let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
         for run in &mut runs {
             if names.iter().filter(|name| **name == run.name).count() > 1 {
@@ -133,7 +134,7 @@ impl CompareArguments {
     }
 }
 
-/// What a search made large; none of other runs.
+/// The symbol of a search's objective; none for other runs.
 fn objective(folder: &Folder) -> Option<&'static str> {
     let config = loaded(folder).ok().filter(|_| folder.kind == "optimize")?.config;
     Some(Figure::of_config(&config).symbol)
@@ -150,7 +151,7 @@ const MAIN: [&str; 7] = [
     "verification.json",
 ];
 
-/// An error if a file is there that is no page of ours.
+/// Returns an error if a file exists that is not a page of ours.
 fn check_out(out: &Path) -> Result<(), BadInput> {
     let bad = |problem: &str| {
         BadInput::new(problem)
@@ -167,14 +168,14 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
     }
 }
 
-/// The page of a folder with a run in each of its folders.
+/// The page of a folder with one run in each subfolder.
 ///
 /// # Errors
 /// Files that cannot be read.
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     let runs: Vec<Compared> =
         folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
-    let summary = folder.json("summary.json").unwrap_or_default();
+    let summary = folder.record("summary.json");
     let mut page = beside(&runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
         let loaded = loaded(&run.folder)?;
@@ -183,6 +184,7 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
         page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded)?));
     }
     let rows: Vec<Value> = summary
+        .0
         .iter()
         .filter_map(|(key, value)| {
             let mut row = Map::new();
@@ -196,7 +198,7 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     Ok(page)
 }
 
-/// What a run was about: figures of runs of different problems are not to be ranked.
+/// The problem of a run, as keys and values: figures of runs of different problems must not be ranked.
 fn problem(folder: &Folder) -> Vec<(String, String)> {
     let read = |file: &str| std::fs::read_to_string(folder.path.join(file)).unwrap_or_default();
     let mut found = Vec::new();
@@ -210,7 +212,7 @@ fn problem(folder: &Folder) -> Vec<(String, String)> {
     found
 }
 
-/// The keys of [`problem`] that are not the same in all runs, without what is in them.
+/// The keys of [`problem`] whose values differ between runs.
 fn unlike(runs: &[Compared]) -> Vec<String> {
     let problems: Vec<_> = runs.iter().map(|run| problem(&run.folder)).collect();
     let Some((first, others)) = problems.split_first() else { return vec![] };
@@ -219,35 +221,34 @@ fn unlike(runs: &[Compared]) -> Vec<String> {
         (!others.iter().all(same)).then(|| key.clone())
     };
     let mut found: Vec<String> = first.iter().filter_map(differs).collect();
-    // What only the others have.
+    // The keys that only the other runs have.
     let more = others.iter().flatten().filter(|(key, _)| !first.iter().any(|(k, _)| k == key));
     found.extend(more.map(|(key, _)| key.clone()));
     found.sort();
     found.dedup();
-    // Different scenes differ in whatever else.
+    // Different scenes differ in further keys.
     match found.iter().any(|key| key == "scene") {
         true => vec!["scene".into()],
         false => found,
     }
 }
 
-/// Runs of one kind beside each other; `together` are the figures that they have together, if they are parts of one run.
-/// Links lead from the folder `base`.
-fn beside(runs: &[Compared], base: &Path, together: Option<&Map<String, Value>>) -> anyhow::Result<Page> {
+/// Runs of one kind side by side. `together` has their common figures, if they are parts of one run. Links are relative
+/// to the folder `base`.
+fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::Result<Page> {
     let unlike = unlike(runs);
     let mut page = Page { body: Body::Compare, ..Page::default() };
     let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
-    let summaries: Vec<Map<String, Value>> =
-        runs.iter().map(|run| run.folder.json("summary.json").unwrap_or_default()).collect();
+    let summaries: Vec<Record> = runs.iter().map(|run| run.folder.record("summary.json")).collect();
     let mut searches: Vec<Option<Search>> = Vec::new();
     for (run, summary) in runs.iter().zip(&summaries) {
         searches.push(match run.folder.kind.as_str() {
-            "optimize" => Search::of(Figure::of_config(&loaded(&run.folder)?.config), summary),
+            "optimize" => summary.search(Figure::of_config(&loaded(&run.folder)?.config)),
             _ => None,
         });
     }
-    // Of parts one alone was checked, and against the flat wall.
-    let verified = together.and_then(|all| Some((all.get("verified_start")?.as_str()?, all.get("gain_survives")?)));
+    // Only one part was checked, against the flat wall.
+    let verified = together.and_then(|all| Some((all.text("verified_start")?, all.0.get("gain_survives")?)));
     if let Some((name, gain)) = verified {
         for (_, search) in runs.iter().zip(&mut searches).filter(|(run, _)| run.name == name) {
             search.iter_mut().for_each(|search| search.survives = gain.as_f64());
@@ -282,7 +283,7 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Map<String, Value>>)
     Ok(page)
 }
 
-/// The page of a run, as an address relative to the folder of this one; none if there is none.
+/// The address of a run's page relative to the folder `base`; none if it has no page.
 fn page_link(folder: &Folder, base: &Path) -> Option<String> {
     let (base, page) = (base.canonicalize().ok()?, folder.path.canonicalize().ok()?.join(PAGE));
     let common = base.components().zip(page.components()).take_while(|(a, b)| a == b).count();
@@ -297,7 +298,7 @@ fn page_link(folder: &Folder, base: &Path) -> Option<String> {
 fn lead(
     runs: &[Compared],
     searches: &[Option<Search>],
-    summaries: &[Map<String, Value>],
+    summaries: &[Record],
     unlike: &[String],
     flat: Option<f64>,
 ) -> String {
@@ -313,7 +314,7 @@ fn lead(
     if let Some((k, _)) = best_of(searches.iter().map(|search| search.as_ref().map(|search| search.best)).collect()) {
         if let Some(search) = &searches[k] {
             let symbol = search.figure.symbol;
-            // Each began with another wall: what all are measured against is the flat one, where it is among them.
+            // Each started with another wall; all are compared with the flat one, if it is among them.
             let (gain, over) = match flat {
                 Some(flat) => (search.best / flat - 1.0, "the flat wall"),
                 None => (search.gain(), "its own start"),
@@ -327,7 +328,7 @@ fn lead(
             );
         }
     }
-    let values = || summaries.iter().map(|summary| summary.get("q").and_then(Value::as_f64));
+    let values = || summaries.iter().map(|summary| summary.number("q"));
     if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
         return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
     }
@@ -342,13 +343,13 @@ fn lead(
     format!("{plain}.")
 }
 
-/// That of the model that was evaluated, which is the first of those with a score.
+/// The position error of the evaluated model, which is the first one with scores.
 fn position_error(folder: &Folder) -> Option<f64> {
     let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
     serde_json::from_str::<Value>(&text).ok()?.get("scores")?.get(0)?.get("mse")?.as_f64()
 }
 
-/// Rows of what searches found, the best marked where they are searches of one thing.
+/// Rows of the results of searches, with the best marked if they have one problem.
 fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: Option<f64>) {
     let Some(symbol) = searches.first().map(|search| search.figure.symbol) else { return };
     let mut row = |name: String, cells: Vec<(Cell, Option<f64>)>, has_best: bool| {
@@ -365,7 +366,7 @@ fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: 
     if let Some(flat) = flat {
         row("gain over the flat wall".into(), gains(&|search| search.best / flat - 1.0), false);
     }
-    // Who began badly gained most: no reason to be marked.
+    // Not marked: the worst start has the largest gain.
     row("gain over its own first design".into(), gains(&Search::gain), false);
     if searches.iter().any(|search| search.survives.is_some()) {
         let survives = |search: &&Search| (search.survives.map_or(Cell::text("not checked"), percent), None);
@@ -376,7 +377,7 @@ fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: 
     row("best epoch".into(), searches.iter().map(|search| count(search.best_epoch.saturating_add(1))).collect(), false);
 }
 
-/// Figures that stand first, behind [`FIGURES`].
+/// Figures that come first, after [`FIGURES`].
 const FIRST: [&str; 9] = [
     "kinetic_energy",
     "exact_kinetic_energy",
@@ -388,21 +389,21 @@ const FIRST: [&str; 9] = [
     "wall_seconds",
     "peak_memory_bytes",
 ];
-/// Those of a search that stand above already, in other words.
+/// Figures of a search that are already shown under other names.
 const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
 
-/// Rows of the figures that the runs' files have: those that say most, and the rest.
-fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[Map<String, Value>]) {
+/// Rows of the figures in the runs' files: the most important ones, and the rest.
+fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[Record]) {
     let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
     for (run, summary) in runs.iter().zip(summaries) {
-        let mut found = tables::scalars(summary);
-        if summary.is_empty() {
+        let mut found = tables::scalars(&summary.0);
+        if summary.0.is_empty() {
             for file in MAIN.iter().filter(|file| file.ends_with(".json")) {
                 if let Some(map) = run.folder.json(file) {
                     found.extend(tables::scalars(&map));
                     let models = map.get("scores").and_then(Value::as_array).into_iter().flatten();
                     for (k, model) in models.filter_map(Value::as_object).enumerate() {
-                        // The first is the one that was evaluated, whatever its file is called; the others are its baselines.
+                        // The first model is the evaluated one, whatever its file's name; the others are baselines.
                         let own = model.get("model").and_then(Value::as_str).filter(|_| k > 0);
                         let name = own.unwrap_or("model");
                         let scores = tables::scalars(model).into_iter().filter(|(key, _)| key != "model");
@@ -410,7 +411,7 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
                     }
                 }
             }
-            // The last row of what a training says of itself.
+            // The last row of a training's validation.
             for (column, values) in run.folder.columns("validation.csv") {
                 let last = values.iter().rev().copied().find(|value| value.is_finite());
                 found.extend(last.map(|last| (column, Cell::number(last))));
@@ -421,9 +422,9 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
     let mut names: Vec<String> = Vec::new();
     let known = FIGURES.iter().map(|(key, _)| *key).chain(FIRST).map(str::to_string);
     let others = all.iter().flatten().map(|(name, _)| name.clone());
-    // The figures before are in the files; of all runs the first design's are rarely asked for.
+    // Figures of the first design are in the files; they are rarely needed here.
     for name in known.chain(others).filter(|name| !name.starts_with("before.")) {
-        // What no run knows is no figure.
+        // Figures that no run has are left out.
         let is_known = |(other, cell): &(String, Cell)| *other == name && cell.text != "-";
         if !names.contains(&name) && all.iter().flatten().any(is_known) {
             names.push(name);
@@ -438,14 +439,14 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[M
         let label = label(&name);
         let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
         let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
-        match is_first || summaries.iter().all(Map::is_empty) {
+        match is_first || summaries.iter().all(|summary| summary.0.is_empty()) {
             true => table.rows.push(row),
             false => rest.rows.push(row),
         }
     }
 }
 
-/// Keys of `config.toml` whose values are not the same in all runs; none of commands that have no such file.
+/// Keys of `config.toml` whose values differ between runs; none for commands without this file.
 fn differences(runs: &[Compared], header: Vec<String>) -> Option<Table> {
     if !runs.iter().any(|run| run.folder.has("config.toml")) {
         return None;
@@ -476,7 +477,7 @@ fn differences(runs: &[Compared], header: Vec<String>) -> Option<Table> {
     Some(table)
 }
 
-/// Long lists are in the files.
+/// Long lists are cut; the files have them in full.
 fn shortened(value: &str) -> &str {
     const LONGEST: usize = 60;
     match value.char_indices().nth(LONGEST) {
@@ -495,11 +496,13 @@ fn flatten(before: &str, table: &toml::Table, found: &mut Vec<(String, String)>)
     }
 }
 
-/// What was to be made large, by epoch.
+/// The objective by epoch.
 fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
     let figure = searches[0].figure;
-    let series =
-        runs.iter().zip(searches).map(|(run, search)| Series { name: run.name.clone(), points: search.curve() });
+    let series = runs
+        .iter()
+        .zip(searches)
+        .map(|(run, search)| Series { name: run.name.clone(), points: by_epoch(&search.values) });
     Chart {
         title: format!("{}, {}, by epoch", figure.symbol, figure.quantity),
         x: "epoch".into(),
@@ -510,7 +513,7 @@ fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
     }
 }
 
-/// The best walls over each other; those over x and z have a page of their own.
+/// The best walls in one chart; those over x and z are on their own pages.
 fn best_walls(runs: &[Compared]) -> Vec<Chart> {
     let mut charts = Vec::new();
     for (column, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
@@ -518,7 +521,7 @@ fn best_walls(runs: &[Compared]) -> Vec<Chart> {
         for run in runs {
             let columns = run.folder.columns("shape.csv");
             let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
-            // Without points where there is no such wall: each run's lines look the same in every chart.
+            // A series without points keeps the colours of the runs the same in every chart.
             series.push(match (of("x"), of(column), of("z")) {
                 (Some(x), Some(y), None) => Series::new(run.name.clone(), x.into_iter().zip(y)),
                 _ => Series::new(run.name.clone(), []),
@@ -532,7 +535,7 @@ fn best_walls(runs: &[Compared]) -> Vec<Chart> {
     charts
 }
 
-/// Each column of the runs' histories, with a line of each run.
+/// A chart for each column of the runs' histories, with a line for each run.
 fn histories(runs: &[Compared]) -> Vec<Chart> {
     let mut charts: Vec<Chart> = Vec::new();
     for file in ["history.csv", "validation.csv"] {

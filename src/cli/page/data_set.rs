@@ -1,9 +1,7 @@
-//! The page of a data set: what it holds, one of its trajectories, its walls, and what to do with it.
+//! The page of a data set: its content, one of its trajectories, its walls, and what to do with it.
 
-use super::folder::{size, Folder};
+use super::folder::Folder;
 use super::series;
-use crate::cli::dataset::speeds;
-use crate::cli::rollout::tags;
 use crate::dataset::outline::Outline;
 use crate::dataset::trajectory::read_one;
 use crate::dataset::{Metadata, Split, Trajectory};
@@ -11,12 +9,12 @@ use crate::report::page::{short, Cell, Fact, Fields, Page, RawFrame, RawPanel, S
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// What the frames of the trajectory may have, before they are made text: a page of data stays below 2 MB.
+/// Largest size of the trajectory's frames before they are converted to text, so that the page is below 2 MB.
 const MOST_BYTES: usize = 800_000;
-/// Walls of a page, at most: of more, some are shown.
+/// Largest number of walls on a page; of more, some are selected.
 const MOST_WALLS: usize = 200;
 
-/// Of a finished data set.
+/// The page of a finished data set.
 ///
 /// # Errors
 /// Files of the data set that cannot be read.
@@ -48,7 +46,7 @@ pub fn page(folder: &Folder) -> anyhow::Result<Page> {
 
 type Splits = [(Split, Vec<Outline>)];
 
-/// The least and the largest of some counts, as text.
+/// The smallest and the largest count as text.
 fn range(counts: impl Iterator<Item = usize> + Clone) -> String {
     match (counts.clone().min(), counts.max()) {
         (Some(low), Some(high)) if low == high => low.to_string(),
@@ -61,7 +59,7 @@ fn all(splits: &Splits) -> impl Iterator<Item = &Outline> + Clone {
     splits.iter().flat_map(|(_, all)| all)
 }
 
-/// Time from frame to frame.
+/// Time between frames.
 fn apart(metadata: &Metadata) -> f64 {
     metadata.dt * metadata.write_every as f64
 }
@@ -95,7 +93,7 @@ fn facts(metadata: &Metadata, splits: &Splits) -> Vec<Fact> {
     ]
 }
 
-/// What each file holds.
+/// The content of each file.
 fn holds(folder: &Folder, splits: &Splits) -> Table {
     let mut table = Table::new("What it holds", ["split", "trajectories", "frames", "particles", "file"]);
     for (split, all) in splits {
@@ -105,13 +103,13 @@ fn holds(folder: &Folder, splits: &Splits) -> Table {
             Cell::number(all.len() as f64),
             Cell::text(range(all.iter().map(|one| one.frames))),
             Cell::text(range(all.iter().map(|one| one.particles))),
-            Cell::shown(size(bytes), bytes as f64),
+            Cell::shown(crate::report::text::bytes(bytes as usize), bytes as f64),
         ]);
     }
     table
 }
 
-/// What a network's inputs and outputs are divided by.
+/// Means and standard deviations by which a network's inputs and outputs are normalised.
 fn statistics(metadata: &Metadata) -> Table {
     let mut table = Table::new("Statistics", ["per frame", "mean", "deviation"]);
     let mut row = |name: String, mean: f64, deviation: f64| {
@@ -167,7 +165,7 @@ fn numbers(metadata: &Metadata) -> Table {
     table
 }
 
-/// How many trajectories have which kind of wall, in each split.
+/// Number of trajectories by kind of wall and split.
 fn names_of_walls(splits: &Splits) -> Option<Table> {
     let mut counts: BTreeMap<String, [usize; 3]> = BTreeMap::new();
     for (k, (_, all)) in splits.iter().enumerate() {
@@ -183,7 +181,7 @@ fn names_of_walls(splits: &Splits) -> Option<Table> {
     (!table.rows.is_empty()).then_some(table)
 }
 
-/// What one does with a data set.
+/// Commands for a data set.
 fn next(folder: &Folder, metadata: &Metadata) -> Table {
     let data = folder.path.display();
     let mut table = Table::new("What to do next", ["", "command"]);
@@ -201,7 +199,7 @@ fn next(folder: &Folder, metadata: &Metadata) -> Table {
     table
 }
 
-/// The walls of the trajectories, one after the other; none without any.
+/// The walls of the trajectories; none if no wall is shaped.
 fn walls(splits: &Splits) -> Option<Walls> {
     let mut named: Vec<(String, &Outline)> = Vec::new();
     for (split, all) in splits {
@@ -211,7 +209,7 @@ fn walls(splits: &Splits) -> Option<Walls> {
         };
         named.extend(all.iter().filter(|one| !one.wall_x.is_empty()).map(|one| (name(one), one)));
     }
-    // A slider goes over walls of the same nodes.
+    // A slider needs walls with the same nodes.
     let nodes = named.first()?.1.wall_x.clone();
     named.retain(|(_, one)| one.wall_x == nodes && one.wall_offset.len() == nodes.len());
     let count = named.len().min(MOST_WALLS);
@@ -238,14 +236,14 @@ fn fields(metadata: &Metadata, split: Split, trajectory: &Trajectory) -> Option<
     if trajectory.temperature.is_some() {
         quantities.insert(0, ("temperature", "scene units"));
     }
-    let tag = tags(trajectory);
+    let tag = trajectory.tags();
     let mut panel = RawPanel { title: format!("of {}/{}", split.name(), trajectory.name), frames: vec![] };
     for k in Fields::chosen_within(MOST_BYTES, trajectory.frames, in_layer, 1, quantities.len()) {
         let position = trajectory.position_of(k);
         let kept: Vec<usize> = (0..n).filter(|&i| series::is_in(layer, &place(position, i))).collect();
-        // In spacings per frame.
+        // Converts spacings per frame to a speed.
         let unit = metadata.dx / apart(metadata);
-        let speed = speeds(metadata, trajectory, k, &kept).into_iter().map(|steps| steps * unit).collect();
+        let speed = trajectory.speeds(metadata, k, &kept).into_iter().map(|steps| steps * unit).collect();
         let warm = trajectory.temperature_of(k).map(|warm| kept.iter().map(|&i| f64::from(warm[i])).collect());
         panel.frames.push(RawFrame {
             time: k as f64 * apart(metadata),

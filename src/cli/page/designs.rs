@@ -5,93 +5,42 @@ use super::names::{counted, rounded};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::cli::files::read_config;
-use crate::cli::optimize::{AFTER, BEFORE, CHECKPOINT};
+use crate::cli::files::{AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family, GradientMode};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
 use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
 use crate::scene::load::Loaded;
+use crate::scene::record::{Record, Search, FIGURES};
 use crate::scene::Scene;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
-/// Figures of a summary in the order of their importance, and what they are called.
-pub const FIGURES: [(&str, &str); 10] = [
-    ("q", "outflowing heat Q"),
-    ("wall_heat_flux", "wall heat flux"),
-    ("stored_heat_rate", "heat stored per time"),
-    ("energy_imbalance", "energy imbalance / wall heat flux"),
-    ("flow_rate", "flow rate"),
-    ("body_force", "body force"),
-    ("pumping_power", "pumping power"),
-    ("mean_outlet_temperature", "mixed outlet temperature"),
-    ("mean_density", "mean density"),
-    ("u_max", "fastest particle"),
-];
-
-/// What a search found, as `summary.json` says it.
-pub struct Search {
-    pub figure: Figure,
-    pub first: f64,
-    pub best: f64,
-    /// Counted from zero.
-    pub best_epoch: usize,
-    pub values: Vec<Option<f64>>,
-    pub survives: Option<f64>,
-}
-
-impl Search {
-    pub fn of(figure: Figure, summary: &Map<String, Value>) -> Option<Self> {
-        let name = figure.symbol.to_lowercase();
-        let number = |key: &str| summary.get(key).and_then(Value::as_f64);
-        Some(Self {
-            figure,
-            first: number(&format!("{name}_first"))?,
-            best: number(&name)?,
-            best_epoch: summary.get("best_epoch")?.as_u64()? as usize,
-            values: numbers(summary.get(&format!("{name}_per_epoch"))?),
-            survives: number("gain_survives"),
-        })
-    }
-
-    pub fn gain(&self) -> f64 {
-        self.best / self.first - 1.0
-    }
-
-    /// The objective by epoch, counted from one as on the screen.
-    pub fn curve(&self) -> Vec<(f64, Option<f64>)> {
-        by_epoch(&self.values)
-    }
-}
-
-fn by_epoch(values: &[Option<f64>]) -> Vec<(f64, Option<f64>)> {
+/// Points by epoch, counted from one as on the screen.
+pub fn by_epoch(values: &[Option<f64>]) -> Vec<(f64, Option<f64>)> {
     values.iter().enumerate().map(|(k, value)| ((k + 1) as f64, *value)).collect()
 }
 
-fn numbers(value: &Value) -> Vec<Option<f64>> {
-    value.as_array().into_iter().flatten().map(Value::as_f64).collect()
-}
-
-/// The configuration of a run.
+/// Loads the configuration of a run.
 ///
 /// # Errors
-/// A file that is none.
+/// A file that is not a configuration.
 pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
     Ok(read_config(&folder.path)?)
 }
 
-/// Of one search.
+/// The page of a search.
 ///
 /// # Errors
 /// Files that cannot be read.
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;
-    let summary = folder.json("summary.json").unwrap_or_default();
+    let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
     let searched = loaded.for_search()?.config;
     page.texts.push(plan(&searched, true)?);
-    let Some(search) = Search::of(Figure::of_config(config), &summary) else {
+    let Some(search) = summary.search(Figure::of_config(config)) else {
         page.lead = match folder.damage().is_empty() {
             true => "This search has no result yet.".into(),
             false => "What this search found cannot be read; the warnings say why.".into(),
@@ -123,7 +72,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         fact("gain that survives the checks", percent(survives));
     }
     fact("epochs", Cell::number(epochs as f64));
-    if let Some(seconds) = summary.get("wall_seconds").and_then(Value::as_f64) {
+    if let Some(seconds) = summary.number("wall_seconds") {
         fact("seconds of search", Cell::shown(format!("{seconds:.1}"), seconds));
     }
     let shapes = shapes(&searched, &folder.unless_damaged(CHECKPOINT, variables(folder)).unwrap_or_default())?;
@@ -134,8 +83,8 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         page.walls = walls(&searched, &search, &shapes);
     }
     page.charts.insert(0, course(&search, &summary, &format!("{symbol} ({unit})")));
-    if let Some(norms) = summary.get("gradient_norm_per_epoch") {
-        let series = vec![Series { name: String::new(), points: by_epoch(&numbers(norms)) }];
+    if let Some(norms) = summary.per_epoch("gradient_norm_per_epoch") {
+        let series = vec![Series { name: String::new(), points: by_epoch(&norms) }];
         let (title, y) = ("Norm of the gradient by epoch".into(), "|gradient of the loss|".into());
         page.charts.insert(1, Chart { title, x: "epoch".into(), y, log: true, by_epoch: true, series });
     }
@@ -149,16 +98,15 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     page.tables.insert(0, before_and_after(&search, &summary));
     let is_steady = is_steady(&loaded)?;
     page.tables.extend(verification("Does the gain hold?", symbol, &summary, is_steady));
-    if let Some(later) = folder.json("verification.json") {
-        page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
-    }
-    page.more.push(tables::of_scalars("All figures (summary.json)", &summary));
+    let later = folder.record("verification.json");
+    page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
+    page.more.push(tables::of_scalars("All figures (summary.json)", &summary.0));
     Ok(page)
 }
 
-/// How sure a gain is.
-fn remark(search: &Search, summary: &Map<String, Value>) -> String {
-    let checks = summary.get("verification").and_then(Value::as_array).map_or(0, Vec::len);
+/// How reliable a gain is.
+fn remark(search: &Search, summary: &Record) -> String {
+    let checks = summary.rows("verification").map_or(0, Vec::len);
     match search.survives {
         Some(gain) if gain > 0.0 => {
             format!(
@@ -174,23 +122,23 @@ fn remark(search: &Search, summary: &Map<String, Value>) -> String {
     }
 }
 
-/// The objective by epoch; what a learned model predicted beside what the solver says.
-fn course(search: &Search, summary: &Map<String, Value>, y: &str) -> Chart {
+/// The objective by epoch, with the prediction of a learned model beside the solver's values.
+fn course(search: &Search, summary: &Record, y: &str) -> Chart {
     let Figure { symbol, quantity, .. } = search.figure;
     let name = symbol.to_lowercase();
-    let of = |key: &str| summary.get(&format!("{name}_{key}_per_epoch")).map(numbers);
+    let of = |key: &str| summary.per_epoch(&format!("{name}_{key}_per_epoch"));
     let series = match (of("predicted"), of("solver")) {
         (Some(predicted), Some(solver)) => vec![
             Series { name: "predicted by the learned model".into(), points: by_epoch(&predicted) },
             Series { name: "solver".into(), points: by_epoch(&solver) },
         ],
-        _ => vec![Series { name: String::new(), points: search.curve() }],
+        _ => vec![Series { name: String::new(), points: by_epoch(&search.values) }],
     };
     let title = format!("{symbol}, {quantity}, by epoch");
     Chart { title, x: "epoch".into(), y: y.into(), by_epoch: true, series, ..Chart::default() }
 }
 
-/// The variables of each epoch's design; none without a checkpoint.
+/// The variables of each epoch's design; empty without a checkpoint.
 fn variables(folder: &Folder) -> anyhow::Result<Vec<Vec<f64>>> {
     let path = folder.path.join(CHECKPOINT);
     if !path.is_file() {
@@ -202,7 +150,7 @@ fn variables(folder: &Folder) -> anyhow::Result<Vec<Vec<f64>>> {
     Ok(all.chunks_exact(count).map(<[f64]>::to_vec).collect())
 }
 
-/// What the variables of each epoch stand for; none if they are not those of the configuration.
+/// The shapes of each epoch's variables; empty if these do not fit the configuration.
 fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>> {
     let Some(design) = Scene::<f64>::problem(config)? else { return Ok(vec![]) };
     let count = design.parametrisation.variables();
@@ -211,7 +159,7 @@ fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>>
     Ok(variables.iter().filter(|_| fits).map(sampled).collect())
 }
 
-/// The walls of each epoch; none without any.
+/// The walls of each epoch; none without walls.
 fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
     let first = shapes.first()?;
     let is_both = first.top.is_some();
@@ -233,15 +181,15 @@ fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
     })
 }
 
-/// Numbers of shapes: within which bounds, what they were, what they are.
-fn of_shapes(summary: &Map<String, Value>) -> Option<Table> {
-    let all = summary.get("variables")?.as_array()?;
+/// The numbers of shapes: their bounds, initial and final values.
+fn of_shapes(summary: &Record) -> Option<Table> {
+    let all = summary.rows("variables")?;
     tables::of_objects("Numbers of shapes", all)
 }
 
-/// Numbers of shapes by epoch, each as a share of its bounds.
-fn course_of_shapes(summary: &Map<String, Value>, shapes: &[Shape]) -> Option<Chart> {
-    let all = summary.get("variables")?.as_array()?;
+/// The numbers of shapes by epoch, relative to their bounds.
+fn course_of_shapes(summary: &Record, shapes: &[Shape]) -> Option<Chart> {
+    let all = summary.rows("variables")?;
     let series = all.iter().enumerate().filter_map(|(k, one)| {
         let (low, high) = (one.get("lower")?.as_f64()?, one.get("upper")?.as_f64()?);
         let share = |shape: &Shape| shape.offsets.get(k).map(|value| (value - low) / (high - low));
@@ -252,28 +200,26 @@ fn course_of_shapes(summary: &Map<String, Value>, shapes: &[Shape]) -> Option<Ch
     Some(Chart { title, x: "epoch".into(), y, by_epoch: true, series: series.collect(), ..Chart::default() })
 }
 
-fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
-    let empty = Map::new();
-    let before = summary.get("before").and_then(Value::as_object).unwrap_or(&empty);
+fn before_and_after(search: &Search, summary: &Record) -> Table {
+    let before = summary.before();
     let mut table = Table::new("Before and after", ["", "before", "after", "change"]);
     let mut row = |name: String, b: f64, a: f64, has_change: bool| {
         let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
-        // Small residuals are no figures to be read to the sixth digit.
+        // Small residuals need fewer digits.
         let cell = |x: f64| if x.abs() < 1e-3 { rounded(Cell::number(x), 4) } else { Cell::number(x) };
         table.rows.push(vec![Cell::text(name), cell(b), cell(a), change]);
     };
     let Figure { symbol, quantity, .. } = search.figure;
     row(format!("{symbol}, {quantity}"), search.first, search.best, true);
-    let number = |map: &Map<String, Value>, key: &str| map.get(key).and_then(Value::as_f64);
-    if let (Some(b), Some(a)) = (number(summary, "q_scene_before"), number(summary, "q_scene")) {
+    if let (Some(b), Some(a)) = (summary.number("q_scene_before"), summary.number("q_scene")) {
         row("Q of the same flow with the scene's own particles".into(), b, a, true);
     }
     for (key, name) in FIGURES {
-        // The first row has it.
+        // The first row has this figure.
         if key == symbol.to_lowercase() || (key == "flow_rate" && symbol == "V") {
             continue;
         }
-        if let (Some(b), Some(a)) = (number(before, key), number(summary, key)) {
+        if let (Some(b), Some(a)) = (before.number(key), summary.number(key)) {
             row(name.into(), b, a, !["stored_heat_rate", "energy_imbalance"].contains(&key));
         }
     }
@@ -281,17 +227,17 @@ fn before_and_after(search: &Search, summary: &Map<String, Value>) -> Table {
     table
 }
 
-/// Whether the search judged walls by the steady state of their flow, see [`Loaded::for_search`].
+/// Whether the search evaluated walls by the steady state of their flow, see [`Loaded::for_search`].
 ///
 /// # Errors
-/// A configuration that does not fit.
+/// An invalid configuration.
 pub fn is_steady(loaded: &Loaded) -> anyhow::Result<bool> {
     Ok(loaded.for_search()?.config.optimise.gradient == GradientMode::Steady)
 }
 
 /// The checks of a gain; none if there were none.
-pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>, is_steady: bool) -> Option<Table> {
-    let checks = summary.get("verification")?.as_array()?;
+pub fn verification(title: &str, symbol: &str, summary: &Record, is_steady: bool) -> Option<Table> {
+    let checks = summary.rows("verification")?;
     let header = ["check".into(), format!("{symbol} reference"), format!("{symbol} best"), "gain".into()];
     let mut table = Table::new(title, header);
     let name = symbol.to_lowercase();
@@ -309,8 +255,8 @@ pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>, is_
         let [reference, best] = figures;
         table.rows.push(vec![Cell::text(text("check")), reference, best, gain]);
     }
-    let reference = summary.get("verification_reference").and_then(Value::as_str).unwrap_or_default();
-    let survives = summary.get("gain_survives").and_then(Value::as_f64);
+    let reference = summary.text("verification_reference").unwrap_or_default();
+    let survives = summary.number("gain_survives");
     let least = survives.map_or("not known".into(), |gain| format!("{:+.2}\u{a0}%", 100.0 * gain));
     table.note = format!(
         "Both walls again, each time with one thing changed. Gain that survives: {least}. Reference: {reference}."
@@ -324,7 +270,7 @@ pub fn verification(title: &str, symbol: &str, summary: &Map<String, Value>, is_
     Some(table)
 }
 
-/// What `--explain` says.
+/// The output of `--explain`.
 fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
     let title = match gradient {
         true => "The plan of a step and the schedule of the gradient (as --explain prints them)",
@@ -334,14 +280,14 @@ fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
     Ok(Text { title: title.into(), text: format!("{} steps\n{plan}", config.steps()) })
 }
 
-/// Of one run forward.
+/// The page of a simulation.
 ///
 /// # Errors
 /// Files that cannot be read.
 pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;
-    let summary = folder.json("summary.json").unwrap_or_default();
+    let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
     (page.lead, page.remark) = said(config, &folder.scene(), &summary);
     for (key, name) in [
@@ -356,7 +302,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         ("steps", "steps"),
         ("wall_seconds", "seconds"),
     ] {
-        if let Some(cell) = summary.get(key).filter(|value| !value.is_null()).and_then(tables::cell) {
+        if let Some(cell) = summary.0.get(key).filter(|value| !value.is_null()).and_then(tables::cell) {
             page.facts.push(Fact { name: name.into(), cell });
         }
     }
@@ -370,15 +316,15 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         "temperature" | "flow" => !has_fields,
         _ => false,
     });
-    if let Some(recovered) = summary.get("recovered").and_then(Value::as_array).filter(|all| !all.is_empty()) {
+    if let Some(recovered) = summary.rows("recovered").filter(|all| !all.is_empty()) {
         page.tables.extend(tables::of_objects("Where the run diverged, and went on", recovered));
     }
-    page.tables.push(tables::of_scalars("Figures", &summary));
+    page.tables.push(tables::of_scalars("Figures", &summary.0));
     page.texts.push(plan(config, false)?);
     Ok(page)
 }
 
-/// A wall that stays as it is, as a chart.
+/// A constant wall as a chart.
 fn wall(folder: &Folder) -> Option<Chart> {
     let columns = folder.columns("shape.csv");
     let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
@@ -391,9 +337,9 @@ fn wall(folder: &Folder) -> Option<Chart> {
     Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() })
 }
 
-/// The result of a run in one sentence, and what it means.
-fn said(config: &Config, scene: &str, summary: &Map<String, Value>) -> (String, String) {
-    let number = |key: &str| summary.get(key).and_then(Value::as_f64);
+/// The result of a run in one sentence, and a remark.
+fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
+    let number = |key: &str| summary.number(key);
     if let Some(q) = number("q") {
         let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
             (Some(rate), Some(warm)) => format!(

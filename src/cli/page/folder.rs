@@ -1,29 +1,30 @@
-//! The files of a run, as a page needs them.
+//! The folder of a run as the source of a page.
 
 use crate::io::csv::{read_table, TextTable};
 use crate::io::FileError;
 use crate::report::page::{link, short, Cell, File, Note, Picture, Text, PAGE};
-use crate::report::text::shown;
+use crate::report::text::{bytes, shown};
+use crate::scene::record::Record;
+use crate::scene::warnings::Warning;
 use serde_json::{Map, Value};
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-/// A picture that is larger stays a file beside the page.
+/// Size of a picture above which it is not embedded in the page.
 const LARGEST_PICTURE: usize = 1 << 20;
-/// All pictures of a page together.
+/// Largest size of all embedded pictures of a page.
 const LARGEST_PICTURES: usize = 3 << 19;
 
-/// Names of columns and, where all of their cells are numbers or empty, their numbers.
+/// Names of columns and their values, NaN for cells that are not numbers.
 pub type Columns = Vec<(String, Vec<f64>)>;
 
-/// A folder with a run in it.
 pub struct Folder {
     pub path: PathBuf,
-    /// The command.
+    /// Name of the command.
     pub kind: String,
-    /// What of it could not be read; its parts add theirs.
+    /// What could not be read; its parts share this list.
     damage: Rc<RefCell<Vec<Note>>>,
 }
 
@@ -32,7 +33,7 @@ impl Folder {
         Self { path: path.to_path_buf(), kind: kind.to_string(), damage: Rc::default() }
     }
 
-    /// What was read; a page does without what could not be, and says so.
+    /// The result of reading `what`, or none and a note: a page leaves out what could not be read, and says so.
     pub fn unless_damaged<T>(&self, what: &str, found: Result<T, impl Display>) -> Option<T> {
         let error = match found {
             Ok(found) => return Some(found),
@@ -44,14 +45,14 @@ impl Folder {
             _ => "the run again, or a copy of the file that is whole".to_string(),
         };
         let mut damage = self.damage.borrow_mut();
-        // A file may be asked for twice.
+        // A file may be read twice.
         if !damage.iter().any(|note| note.problem == problem) {
             damage.push(Note { problem, advice });
         }
         None
     }
 
-    /// What could not be read so far.
+    /// The notes on what could not be read so far.
     pub fn damage(&self) -> Vec<Note> {
         self.damage.borrow().clone()
     }
@@ -60,20 +61,18 @@ impl Folder {
         self.path.join(file).is_file()
     }
 
-    /// What the folder is called.
     pub fn name(&self) -> String {
         let real = self.path.canonicalize().unwrap_or_else(|_| self.path.clone());
         real.file_name().map_or_else(|| self.path.display().to_string(), |name| name.to_string_lossy().into())
     }
 
-    /// The command, and what it was about.
+    /// The command and its scene.
     pub fn subtitle(&self) -> String {
         let scene = self.scene();
         format!("hydrograd {}{}{scene}", self.kind, if scene.is_empty() { "" } else { ", " })
     }
 
-    /// The scene of the run; one of one's own is called as the file that it came from, as far as that is known. Nothing if a
-    /// run has none.
+    /// The scene of the run, or the name of its file for a custom scene, if known; empty without a scene.
     pub fn scene(&self) -> String {
         let read = |file: &str| std::fs::read_to_string(self.path.join(file)).ok();
         let text = || {
@@ -85,7 +84,7 @@ impl Folder {
         text().or_else(config).unwrap_or_default()
     }
 
-    /// An object of JSON; none if there is no such file.
+    /// A JSON object in a file; none if there is no such file.
     pub fn json(&self, file: &str) -> Option<Map<String, Value>> {
         match self.value(file) {
             Some(Value::Object(map)) => Some(map),
@@ -93,7 +92,12 @@ impl Folder {
         }
     }
 
-    /// JSON of any kind; none if there is no such file.
+    /// The record in a file; empty if there is no such file.
+    pub fn record(&self, file: &str) -> Record {
+        Record(self.json(file).unwrap_or_default())
+    }
+
+    /// The JSON value in a file; none if there is no such file.
     pub fn value(&self, file: &str) -> Option<Value> {
         let path = self.path.join(file);
         let read = || -> Result<Value, FileError> {
@@ -108,7 +112,7 @@ impl Folder {
         self.unless_damaged(file, path.is_file().then(read).transpose()).flatten()
     }
 
-    /// Columns of a CSV file; what is no number is none. Nothing if there is no such file.
+    /// The columns of a CSV file, NaN for cells that are not numbers; empty if there is no such file.
     pub fn columns(&self, file: &str) -> Columns {
         let Some((header, rows)) = self.table(file) else { return vec![] };
         let number = |text: &String| text.parse().unwrap_or(f64::NAN);
@@ -116,19 +120,19 @@ impl Folder {
         header.iter().enumerate().map(|(k, name)| (shown(name), column(k))).collect()
     }
 
-    /// A CSV file as it stands; none if there is no such file.
+    /// A CSV file as text; none if there is no such file.
     pub fn table(&self, file: &str) -> Option<TextTable> {
         let path = self.path.join(file);
         self.unless_damaged(file, path.is_file().then(|| read_table(&path)).transpose()).flatten()
     }
 
-    /// `config.toml`, to be read.
+    /// The text of `config.toml`.
     pub fn configuration(&self) -> Option<Text> {
         let text = std::fs::read_to_string(self.path.join("config.toml")).ok()?;
         Some(Text { title: "The configuration (config.toml)".into(), text })
     }
 
-    /// Pictures whose name without extension is wanted, as far as they are not too large.
+    /// The pictures whose name without extension is wanted, except for too large ones.
     pub fn pictures(&self, is_wanted: impl Fn(&str) -> bool) -> Vec<Picture> {
         let mut room = LARGEST_PICTURES;
         let mut found = Vec::new();
@@ -143,7 +147,7 @@ impl Folder {
         found
     }
 
-    /// Names of what is in the folder, in order.
+    /// Sorted names of the files in the folder.
     fn names(&self) -> Vec<String> {
         let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
         let mut names: Vec<String> = entries
@@ -154,7 +158,7 @@ impl Folder {
         names
     }
 
-    /// The folders in it that hold runs of one kind.
+    /// The subfolders with runs of one kind.
     pub fn parts(&self, kind: &str) -> Vec<Folder> {
         let folders = self.names().into_iter().map(|name| self.path.join(name)).filter(|path| path.is_dir());
         let is_part = |path: &PathBuf| super::kind_of(path).as_deref() == Some(kind);
@@ -164,7 +168,7 @@ impl Folder {
             .collect()
     }
 
-    /// What is in the folder, and what each is.
+    /// The files in the folder with descriptions.
     pub fn files(&self) -> Vec<File> {
         let mut names = self.names();
         // It is written when the page is, see `simulate`.
@@ -174,10 +178,10 @@ impl Folder {
         let of = |name: String| {
             let path = self.path.join(&name);
             if !path.is_dir() {
-                let size = path.metadata().map_or(String::new(), |data| size(data.len()));
+                let size = path.metadata().map_or(String::new(), |data| bytes(data.len() as usize));
                 return File { link: link(&name), what: what(&name).into(), name, size };
             }
-            // A folder: its page, the list of its frames, or what a browser shows of it.
+            // For a folder, its page, or the list of its frames, or the browser's view of it.
             let list = format!("{}.pvd", name.split('-').next().unwrap_or_default());
             let inside = [PAGE, &list].into_iter().find(|file| path.join(file).is_file());
             let name = format!("{name}/{}", inside.unwrap_or_default());
@@ -192,16 +196,7 @@ impl Folder {
     }
 }
 
-/// A size in the unit that suits it.
-pub fn size(bytes: u64) -> String {
-    match bytes {
-        0..1000 => format!("{bytes} B"),
-        1000..1_000_000 => format!("{:.0} kB", bytes as f64 / 1e3),
-        _ => format!("{:.1} MB", bytes as f64 / 1e6),
-    }
-}
-
-/// The name of a key or a file as words.
+/// Converts the name of a key or a file to words.
 pub fn words(name: &str) -> String {
     let mut letters = name.replace(['_', '-'], " ");
     if let Some(first) = letters.get_mut(..1) {
@@ -210,18 +205,13 @@ pub fn words(name: &str) -> String {
     letters
 }
 
-/// Warnings of a summary.
-pub fn warnings(summary: &Map<String, Value>) -> Vec<Note> {
-    let text = |it: &Value, key: &str| it.get(key).and_then(Value::as_str).unwrap_or_default().to_string();
-    let all = summary.get("warnings").and_then(Value::as_array).into_iter().flatten();
-    all.map(|it| Note {
-        problem: text(it, "problem"),
-        advice: crate::cli::arguments::with_options(&text(it, "advice")),
-    })
-    .collect()
+/// Warnings of a run, with options named as on the command line.
+pub fn warnings(record: &Record) -> Vec<Note> {
+    let note = |it: Warning| Note { advice: crate::cli::arguments::with_options(&it.advice), problem: it.problem };
+    record.warnings().into_iter().map(note).collect()
 }
 
-/// A figure that runs are compared by, with six decimals if that is enough of it.
+/// A figure for comparisons, with six decimals if these are enough.
 pub fn figure(value: f64) -> String {
     if value.abs() >= 1e-3 {
         format!("{value:.6}")
@@ -230,9 +220,9 @@ pub fn figure(value: f64) -> String {
     }
 }
 
-/// A share as percent, with its sign.
+/// A fraction as a percentage with its sign.
 pub fn percent(share: f64) -> Cell {
-    // Less than is shown has no sign.
+    // A value that is shown as 0 has no sign.
     let share = if share.abs() < 5e-5 { 0.0 } else { share };
     Cell::shown(format!("{:+.2}\u{a0}%", 100.0 * share), share)
 }

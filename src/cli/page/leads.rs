@@ -1,4 +1,4 @@
-//! The result of a run in one sentence, of those commands whose figures take some looking for.
+//! The result of a run in one sentence, for commands whose figures need to be searched.
 
 use super::folder::{Columns, Folder};
 use super::names::{counted, label};
@@ -6,7 +6,8 @@ use super::series;
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{short, Chart, Series};
-use serde_json::{Map, Value};
+use crate::scene::record::Record;
+use serde_json::Value;
 
 fn number(row: &Value, key: &str) -> Option<f64> {
     row.get(key).and_then(Value::as_f64)
@@ -16,12 +17,12 @@ fn text<'a>(row: &'a Value, key: &str) -> &'a str {
     row.get(key).and_then(Value::as_str).unwrap_or_default()
 }
 
-/// A number with as many digits as a sentence needs.
+/// A number with the digits that a sentence needs.
 fn about(value: f64) -> String {
     short(format!("{value:.2e}").parse().unwrap_or(value))
 }
 
-/// Milliseconds of a step, and of one with its gradient.
+/// Milliseconds per step, without and with a gradient.
 pub fn bench(rows: &[Value]) -> String {
     let plain = format!("{} measured.", counted(rows.len(), "row"));
     let is = |row: &&Value, kind: &str| text(row, "kind") == kind;
@@ -44,7 +45,7 @@ pub fn bench(rows: &[Value]) -> String {
     )
 }
 
-/// The point of a grid that did best.
+/// The best point of a grid.
 pub fn study(header: &[String], rows: &[Vec<String>]) -> String {
     let plain = format!("{} of a grid of settings, side by side.", counted(rows.len(), "training"));
     let Some(best) = header.iter().position(|name| name.starts_with("best_mse")) else { return plain };
@@ -60,16 +61,16 @@ pub fn study(header: &[String], rows: &[Vec<String>]) -> String {
     )
 }
 
-/// The columns of a study before those of its results.
+/// The columns of a study that precede those of its results.
 pub fn settings(header: &[String]) -> &[String] {
     let count = header.iter().position(|name| name.starts_with("mse")).unwrap_or(0);
     &header[..count]
 }
 
-/// What was found of a flow's beginning.
-pub fn recover(found: &Map<String, Value>) -> (String, String) {
-    let number = |key: &str| found.get(key).and_then(Value::as_f64);
-    let what = found.get("unknown").and_then(Value::as_str).unwrap_or("start");
+/// The result of a search for the initial state.
+pub fn recover(found: &Record) -> (String, String) {
+    let number = |key: &str| found.number(key);
+    let what = found.text("unknown").unwrap_or("start");
     let errors = [("velocity_error", "velocity_error_before"), ("temperature_error", "temperature_error_before")];
     let error = errors.into_iter().find_map(|(now, before)| Some((number(now)?, number(before)?)));
     let lead = match error {
@@ -94,9 +95,10 @@ pub fn recover(found: &Map<String, Value>) -> (String, String) {
     (lead, remark)
 }
 
-/// The error of each parameter, and whether the search had come to an end.
-pub fn calibrate(found: &Map<String, Value>, history: &Columns) -> (String, String) {
+/// The error of each parameter, and whether the search has converged.
+pub fn calibrate(found: &Record, history: &Columns) -> (String, String) {
     let parameters: Vec<String> = found
+        .0
         .iter()
         .filter_map(|(key, of)| {
             let (name, value) = (key.rsplit('.').next()?, number(of, "found")?);
@@ -127,12 +129,12 @@ pub fn calibrate(found: &Map<String, Value>, history: &Columns) -> (String, Stri
     (lead, remark)
 }
 
-/// What the checks of a wall say.
-pub fn verify(found: &Map<String, Value>) -> (String, String) {
-    let checks = found.get("verification").and_then(Value::as_array).map_or(0, Vec::len);
-    let wall = found.get("wall").and_then(Value::as_str).unwrap_or("the wall");
-    let reference = found.get("verification_reference").and_then(Value::as_str).unwrap_or("its reference");
-    let lead = match found.get("gain_survives").and_then(Value::as_f64) {
+/// The result of the checks of a wall.
+pub fn verify(found: &Record) -> (String, String) {
+    let checks = found.rows("verification").map_or(0, Vec::len);
+    let wall = found.text("wall").unwrap_or("the wall");
+    let reference = found.text("verification_reference").unwrap_or("its reference");
+    let lead = match found.number("gain_survives") {
         Some(gain) if gain > 0.0 => {
             format!("The gain of {wall} over {reference} holds: {:+.2}\u{a0}% survives.", 100.0 * gain)
         }
@@ -142,7 +144,7 @@ pub fn verify(found: &Map<String, Value>) -> (String, String) {
     (lead, format!("The least of {}, each with one thing changed.", counted(checks, "check")))
 }
 
-/// The errors of a rollout by step, from the frames that it wrote: of positions and of temperatures.
+/// The errors of a rollout by step, from its frames: of positions and of temperatures.
 ///
 /// # Errors
 /// Frames that cannot be read.

@@ -1,6 +1,6 @@
-//! `report.html` of a folder: one page of what its run left, made from the files alone.
+//! `report.html` of a folder: a page with the results of its run, made only from the files.
 //!
-//! So a run that was ended and goes on, `verify`, and `compare` make the same of the same files.
+//! So resumed runs, `verify` and `compare` make the same page from the same files.
 
 pub mod compare;
 mod data_set;
@@ -20,7 +20,7 @@ use crate::report::page::{Page, PAGE};
 use folder::Folder;
 use std::path::Path;
 
-/// Writes the page of a folder, which its run has otherwise finished. It does without files that are damaged, with a warning.
+/// Writes the page of a folder whose run is otherwise finished. Damaged files are left out with a warning.
 ///
 /// # Errors
 /// A configuration that cannot be read, and system errors.
@@ -32,7 +32,7 @@ pub fn write(folder: &Path) -> anyhow::Result<()> {
     page.write(&folder.path.join(PAGE))
 }
 
-/// Writes the page of a folder anew, if it has one: a file was added.
+/// Rewrites the page of a folder, if it has one, after a file was added.
 ///
 /// # Errors
 /// As for [`write`].

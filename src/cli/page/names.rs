@@ -1,10 +1,10 @@
-//! What keys of files are called on a page, and the units of their numbers.
+//! Names of keys and units of their values on a page.
 
-use super::designs::FIGURES;
-use super::folder::size;
 use crate::report::page::{short, Cell};
+use crate::report::text;
+use crate::scene::record::FIGURES;
 
-/// Keys, and what they are called.
+/// Keys and their names.
 const NAMES: [(&str, &str); 36] = [
     ("kinetic_energy", "kinetic energy"),
     ("exact_kinetic_energy", "kinetic energy, exact"),
@@ -44,7 +44,7 @@ const NAMES: [(&str, &str); 36] = [
     ("mean_density", "mean density"),
 ];
 
-/// What a key is called: a figure by its name, one of an object behind the object's.
+/// The name of a key. A figure has its own name, and one of a nested object is prefixed by the object's.
 pub fn label(key: &str) -> String {
     let known = FIGURES.iter().chain(&NAMES).find(|(name, _)| *name == key);
     if let Some((_, label)) = known {
@@ -65,16 +65,16 @@ pub fn label(key: &str) -> String {
     key.replace('_', " ")
 }
 
-/// A cell of a key, bytes in the unit that suits them.
+/// The cell of a key; bytes are converted to a suitable unit.
 pub fn sized(key: &str, cell: Cell) -> Cell {
     let number = || cell.value.as_ref()?.parse::<f64>().ok();
     match number() {
-        Some(bytes) if key.ends_with("_bytes") => Cell { text: size(bytes as u64), ..cell },
+        Some(bytes) if key.ends_with("_bytes") => Cell { text: text::bytes(bytes as usize), ..cell },
         _ => cell,
     }
 }
 
-/// A cell with at most so many digits that count, of numbers that are no whole ones.
+/// A cell with a limited number of significant digits, except for whole numbers.
 pub fn rounded(cell: Cell, digits: usize) -> Cell {
     let number = || cell.value.as_ref()?.parse::<f64>().ok();
     match number() {
@@ -90,7 +90,7 @@ pub fn rounded(cell: Cell, digits: usize) -> Cell {
     }
 }
 
-/// A number of things.
+/// A count with its noun.
 pub fn counted(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }

@@ -1,13 +1,14 @@
-//! Pages of all other commands: their tables, curves and pictures.
+//! Pages of all other commands, with their tables, curves and pictures.
 
 use super::designs::verification;
 use super::folder::{warnings, Columns, Folder};
 use super::names::{counted, label};
 use super::{leads, series, tables};
 use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
+use crate::scene::record::Record;
 use serde_json::{Map, Value};
 
-/// Files that have the figures of a command, and a title for them.
+/// Files with the figures of a command, and their titles.
 const FIGURES: [(&str, &str); 8] = [
     ("summary.json", "Figures"),
     ("gradient_check.json", "Figures"),
@@ -19,7 +20,7 @@ const FIGURES: [(&str, &str); 8] = [
     ("accuracy.json", "Run time against error"),
 ];
 
-/// The columns that say most of the files with many, and those that stay in the file.
+/// For files with many columns, those that come first, and those that are left out.
 const COLUMNS: [(&str, tables::Choice); 3] = [
     (
         "bench.json",
@@ -65,15 +66,17 @@ const COLUMNS: [(&str, tables::Choice); 3] = [
     ),
 ];
 
-/// Of any run.
+/// The page of any run.
 pub fn page(folder: &Folder) -> Page {
     let mut page = Page::default();
     for (file, title) in FIGURES {
         match folder.value(file) {
-            Some(Value::Object(map)) if file == "verification.json" => page.tables.extend(of_checks(title, &map)),
+            Some(Value::Object(map)) if file == "verification.json" => {
+                page.tables.extend(of_checks(title, &Record(map)))
+            }
             Some(Value::Object(map)) => {
                 if file == "summary.json" {
-                    page.warnings = warnings(&map);
+                    page.warnings = warnings(&Record(map.clone()));
                 }
                 add_tables(&mut page, title, file, &map);
             }
@@ -83,7 +86,7 @@ pub fn page(folder: &Folder) -> Page {
     }
     let mut history = folder.columns("history.csv");
     history.retain(|(name, _)| !["seconds", "learning_rate"].contains(&name.as_str()));
-    // Losses and errors fall by powers of ten.
+    // Losses and errors decrease by powers of ten.
     page.charts = tables::charts(&history, |name| is_positive(&history, name));
     let validation = folder.columns("validation.csv");
     if validation.first().is_some_and(|(name, _)| name == "step") {
@@ -103,7 +106,7 @@ pub fn page(folder: &Folder) -> Page {
     page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
     (page.lead, page.remark) = said(folder, &page);
     if folder.kind == "rollout" {
-        // Frames that are damaged are named among the warnings.
+        // The warnings name damaged frames.
         (page.lead, page.charts) = leads::rollout(folder).unwrap_or((page.lead, page.charts));
     }
     page.facts = facts(folder);
@@ -115,13 +118,13 @@ fn columns_of(file: &str) -> tables::Choice<'static> {
 }
 
 /// The checks of a wall, as on the page of its search.
-fn of_checks(title: &str, map: &Map<String, Value>) -> Option<Table> {
-    let first = map.get("verification")?.as_array()?.first()?.as_object()?;
+fn of_checks(title: &str, record: &Record) -> Option<Table> {
+    let first = record.rows("verification")?.first()?.as_object()?;
     let symbol = first.keys().find_map(|key| key.strip_suffix("_reference")).unwrap_or("q").to_uppercase();
-    verification(title, &symbol, map, false)
+    verification(title, &symbol, record, false)
 }
 
-/// The single figures of an object, and each list of objects in it.
+/// Adds the scalar figures of an object, and the lists of objects in it.
 fn add_tables(page: &mut Page, title: &str, file: &str, map: &Map<String, Value>) {
     let single = tables::of_scalars(title, map);
     let mut lists = Vec::new();
@@ -141,7 +144,7 @@ fn add_tables(page: &mut Page, title: &str, file: &str, map: &Map<String, Value>
     }
 }
 
-/// A few rows of many columns are read from top to bottom.
+/// Transposes a table of few rows and many columns.
 fn turned(table: Table) -> Table {
     let mut rows: Vec<Vec<Cell>> = table.header.iter().map(|name| vec![Cell::text(name)]).collect();
     for row in table.rows {
@@ -159,7 +162,7 @@ fn is_positive(columns: &Columns, name: &str) -> bool {
     values.all(|value| value.is_nan() || *value > 0.0)
 }
 
-/// Errors on the validation split by step: those of positions in one chart.
+/// Errors on the validation split by step, with those of positions in one chart.
 fn of_training(columns: &Columns) -> Vec<Chart> {
     let Some((_, step)) = columns.first() else { return vec![] };
     let is_position = |name: &str| name.strip_prefix("mse_").is_some_and(|n| n.parse::<usize>().is_ok());
@@ -177,7 +180,7 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
     charts
 }
 
-/// The spacing of a data set's particles; a guess where no file says it.
+/// Particle spacing of a data set; a guess if no file has it.
 fn spacing(folder: &Folder) -> f64 {
     let text = std::fs::read_to_string(folder.path.join("config.toml")).unwrap_or_default();
     let table = text.parse::<toml::Table>().unwrap_or_default();
@@ -185,7 +188,7 @@ fn spacing(folder: &Folder) -> f64 {
     dx.unwrap_or(0.02)
 }
 
-/// The result in one sentence, and what it means.
+/// The result in one sentence, and a remark.
 fn said(folder: &Folder, page: &Page) -> (String, String) {
     let none = String::new();
     let rows = |file: &str, key: &str| -> Vec<Value> {
@@ -266,10 +269,10 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             "Times are of the best repeat; a gradient's include its forward run.".into(),
         ),
         "check-gradient" => {
-            let found = folder.json("gradient_check.json").unwrap_or_default();
-            let number = |key: &str| found.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
+            let found = folder.record("gradient_check.json");
+            let number = |key: &str| found.number(key).unwrap_or(f64::NAN);
             let how =
-                if found.get("passed") == Some(&Value::Bool(true)) { "agrees with" } else { "does NOT agree with" };
+                if found.0.get("passed") == Some(&Value::Bool(true)) { "agrees with" } else { "does NOT agree with" };
             let lead = format!(
                 "The gradient {how} central differences: relative error {:.1e}, allowed {:.0e}.",
                 number("worst_relative_error"),
@@ -282,11 +285,9 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             None => ("Trainings over a grid of settings, side by side.".into(), none),
         },
         "rollout" => ("A learned model's rollout beside the truth.".into(), none),
-        "recover" => leads::recover(&folder.json("summary.json").unwrap_or_default()),
-        "calibrate" => {
-            leads::calibrate(&folder.json("summary.json").unwrap_or_default(), &folder.columns("history.csv"))
-        }
-        "verify" => leads::verify(&folder.json("verification.json").unwrap_or_default()),
+        "recover" => leads::recover(&folder.record("summary.json")),
+        "calibrate" => leads::calibrate(&folder.record("summary.json"), &folder.columns("history.csv")),
+        "verify" => leads::verify(&folder.record("verification.json")),
         kind => (
             format!(
                 "What `hydrograd {kind}` left: {}, {}.",
@@ -298,13 +299,9 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
     }
 }
 
-/// A few numbers in large letters.
+/// The key figures.
 fn facts(folder: &Folder) -> Vec<Fact> {
-    let mut facts = Vec::new();
-    if let Some(found) = folder.json("verification.json") {
-        if let Some(gain) = found.get("gain_survives").and_then(Value::as_f64) {
-            facts.push(Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) });
-        }
-    }
-    facts
+    let survives = folder.record("verification.json").number("gain_survives");
+    let fact = |gain| Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) };
+    survives.into_iter().map(fact).collect()
 }

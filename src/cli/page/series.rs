@@ -1,15 +1,15 @@
-//! Particles before and after, from the frames that a run wrote.
+//! Frames of particles for a page, read from the ParaView files of a run.
 
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{Fields, RawFrame, RawPanel};
 use std::path::{Path, PathBuf};
 
-/// What particles are coloured by, and its unit; a scene without heat has no temperature.
+/// The quantities that colour particles, and their units. Scenes without heat have no temperature.
 const QUANTITIES: [(&str, &str); 3] =
     [("temperature", "scene units"), ("speed", "scene units"), ("pressure", "scene units")];
 
-/// Panels, each of the frames in some folders one after the other; none where there are no frames.
+/// Panels, each with the frames of some lists in sequence; none without frames.
 ///
 /// # Errors
 /// Frames that cannot be read.
@@ -45,7 +45,7 @@ pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option
     Ok(Fields::new(raw, &known, dx, note))
 }
 
-/// The lists of a run's own frames: those of its parts, if it was resumed.
+/// The lists of a run's frames, one for each part of a resumed run.
 pub fn lists(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -53,7 +53,7 @@ pub fn lists(folder: &Path) -> Vec<PathBuf> {
     own.map(|name| folder.join(name).join("particles.pvd")).collect()
 }
 
-/// How wide the places of particles are, by component.
+/// The extent of the particles' positions, by component.
 fn widths(frame: &ParticleFile) -> [f64; 3] {
     std::array::from_fn(|d| {
         let places = || frame.position.iter().map(|place| place[d]);
@@ -61,8 +61,8 @@ fn widths(frame: &ParticleFile) -> [f64; 3] {
     })
 }
 
-/// How long a periodic box is, which no file says: a particle that leaves it is elsewhere than its velocity has brought it. None
-/// where none left.
+/// The length of a periodic box, which no file has. It follows from a particle that left the box, whose next position
+/// does not match its velocity; none if no particle left.
 pub fn period(frames: &[(f64, ParticleFile)]) -> [Option<f64>; 3] {
     let mut found = [None; 3];
     for pair in frames.windows(2) {
@@ -81,7 +81,7 @@ pub fn period(frames: &[(f64, ParticleFile)]) -> [Option<f64>; 3] {
     found
 }
 
-/// The mean square of the difference between the places of some particles, by component as `hydrograd rollout` prints it.
+/// The mean squared distance between the positions of some particles, by component as in `hydrograd rollout`.
 pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize], period: [Option<f64>; 3]) -> f64 {
     let apart = |i: usize, d: usize| {
         let apart = one.position[i][d] - other.position[i][d];
@@ -92,7 +92,7 @@ pub fn mean_square(one: &ParticleFile, other: &ParticleFile, kept: &[usize], per
     squares.sum::<f64>() / (kept.len() * components.len()).max(1) as f64
 }
 
-/// Of particles in three dimensions the heights that are shown: those of the middle, to half a spacing.
+/// In three dimensions, the range of z that is shown: the middle, to half a spacing.
 pub fn layer(places: &[[f64; 3]], dx: f64) -> (Option<(f64, f64)>, String) {
     let z = || places.iter().map(|place| place[2]);
     let (low, high) = z().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
@@ -100,7 +100,7 @@ pub fn layer(places: &[[f64; 3]], dx: f64) -> (Option<(f64, f64)>, String) {
         return (None, String::new());
     }
     let middle = 0.5 * (low + high);
-    // Of an even number of layers the upper one of the middle two.
+    // Of an even number of layers it is the upper one of the middle two.
     (Some((middle - 0.25 * dx, middle + 0.75 * dx)), format!("The layer in the middle of z = {low:.3} ... {high:.3}."))
 }
 

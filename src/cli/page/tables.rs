@@ -1,14 +1,14 @@
-//! Tables of a page from JSON and from columns.
+//! Tables of a page, from JSON and from columns.
 
 use super::folder::{words, Columns};
 use super::names::{label, rounded, sized};
 use crate::report::page::{short, Cell, Chart, Series, Table};
 use serde_json::{Map, Value};
 
-/// Rows of a table that a page shows at once; more are in the file.
+/// Largest number of rows of a table on a page; the file has all.
 const MOST_ROWS: usize = 400;
 
-/// Text or number as a cell; nothing for what is neither.
+/// Text or number as a cell; none for other values.
 pub fn cell(value: &Value) -> Option<Cell> {
     match value {
         Value::Number(number) => match number.as_f64() {
@@ -26,7 +26,7 @@ pub fn cell(value: &Value) -> Option<Cell> {
     }
 }
 
-/// Every single figure of an object, those of objects in it behind their name.
+/// Every scalar of an object. Those of nested objects are prefixed by their names.
 pub fn scalars(map: &Map<String, Value>) -> Vec<(String, Cell)> {
     let mut found = Vec::new();
     for (key, value) in map {
@@ -40,16 +40,16 @@ pub fn scalars(map: &Map<String, Value>) -> Vec<(String, Cell)> {
     found
 }
 
-/// Names and figures, one below the other.
+/// A table of names and scalars.
 pub fn of_scalars(title: &str, map: &Map<String, Value>) -> Table {
     let mut table = Table::new(title, ["", ""]);
-    // What is unknown is no figure.
+    // Unknown values are left out.
     let known = scalars(map).into_iter().filter(|(_, cell)| cell.text != "-");
     table.rows = known.map(|(name, cell)| vec![Cell::text(label(&name)), sized(&name, cell)]).collect();
     table
 }
 
-/// Which columns of a table come first, in this order, and which stay in the file.
+/// The columns of a table that come first, in order, and those that are left out.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Choice<'a> {
     pub first: &'a [&'a str],
@@ -63,7 +63,7 @@ impl Choice<'_> {
         first.chain(rest.filter(|name| !self.dropped.contains(&name.as_str()))).collect()
     }
 
-    /// With fewer digits where there is something to choose: those are wide tables.
+    /// A cell, with fewer digits in tables with a choice of columns, which are wide.
     fn shown(&self, name: &str, cell: Cell) -> Cell {
         match self.first.is_empty() {
             true => sized(name, cell),
@@ -83,12 +83,12 @@ impl Choice<'_> {
     }
 }
 
-/// Objects as rows, their single figures as columns; none if nothing of them is one.
+/// A table with objects as rows and their scalars as columns; none without scalars.
 pub fn of_objects(title: &str, objects: &[Value]) -> Option<Table> {
     of_chosen(title, "", objects, Choice::default())
 }
 
-/// The same, of some of the figures.
+/// As [`of_objects`], for a choice of columns.
 pub fn of_chosen(title: &str, file: &str, objects: &[Value], choice: Choice) -> Option<Table> {
     let rows: Vec<Vec<(String, Cell)>> = objects.iter().filter_map(Value::as_object).map(scalars).collect();
     let mut names: Vec<String> = Vec::new();
@@ -97,7 +97,7 @@ pub fn of_chosen(title: &str, file: &str, objects: &[Value], choice: Choice) -> 
             names.push(name.clone());
         }
     }
-    // A column of nothing says nothing.
+    // Columns without values are left out.
     let is_known = |name: &String| rows.iter().flatten().any(|(other, cell)| other == name && cell.text != "-");
     names.retain(is_known);
     let names = choice.of(names);
@@ -114,14 +114,14 @@ pub fn of_chosen(title: &str, file: &str, objects: &[Value], choice: Choice) -> 
     Some(table)
 }
 
-/// A CSV file, its columns in the order of a choice.
+/// A table of a CSV file, with a choice of columns.
 pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>], choice: Choice) -> Table {
     let names = choice.of(header.to_vec());
     let mut table = Table::new(title, names.iter().map(|name| label(name)));
     let places: Vec<(&String, usize)> =
         names.iter().filter_map(|name| Some((name, header.iter().position(|other| other == name)?))).collect();
     let cell = |name: &str, text: &String| match text.parse::<f64>() {
-        // As it was written, where that is short: settings are given as 3e-5.
+        // Short numbers stay as written: settings are given as 3e-5.
         Ok(_) if text.len() <= 6 => {
             Cell { value: Some(text.clone()), ..Cell::text(text.strip_suffix(".0").unwrap_or(text)) }
         }
@@ -134,8 +134,7 @@ pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>], choice: Cho
     table
 }
 
-/// What a series of points over the first column is, of columns that a chart has beside each other: the exact answer of a
-/// column stands with it.
+/// Charts of the columns over the first one. The exact solution of a column is in its chart.
 pub fn charts(columns: &Columns, log: impl Fn(&str) -> bool) -> Vec<Chart> {
     let Some(((x, at), others)) = columns.split_first() else { return vec![] };
     let find = |name: &str| others.iter().find(|(other, _)| other == name);
@@ -148,7 +147,8 @@ pub fn charts(columns: &Columns, log: impl Fn(&str) -> bool) -> Vec<Chart> {
         let mut series = vec![Series::new(own, points(values))];
         series.extend(exact.map(|(_, values)| Series::new("exact", points(values))));
         let y = if name.len() == 1 { name.to_uppercase() } else { label(name) };
-        Chart { title: format!("{} by {x}", words(&y)), x: x.clone(), y, log: log(name), series, ..Chart::default() }
+        let across = if x == "time" { "time (scene units)".into() } else { x.clone() };
+        Chart { title: format!("{} by {x}", words(&y)), x: across, y, log: log(name), series, ..Chart::default() }
     };
     shown.map(chart).collect()
 }

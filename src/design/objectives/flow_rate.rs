@@ -1,11 +1,11 @@
-//! The volume that flows through the targets per time (and depth): of a flow that a force drives, the larger the less its walls
-//! resist.
+//! The volume that flows through the targets per time (and depth). In a driven flow it is larger if the walls resist
+//! less.
 
 use super::{Outlet, Samples};
 use crate::adjoint::{Fields, Objective};
 use candle_core::{Result, Tensor};
 
-/// Mean of the flow rate of the states that are looked at.
+/// Mean of the flow rate over the samples.
 #[derive(Debug, Clone)]
 pub struct FlowRate {
     pub outlet: Outlet,

@@ -1,14 +1,14 @@
 //! The outflowing heat.
 //!
-//! Q = sum over the targets of rho u_x (T - T_in) (eq. 12 of the original report), times the spacing of the targets:
-//! then it is the flux integral over the outlet section in units of rho u T, comparable between resolutions. At the
-//! last step, or averaged over evenly spaced steps of a window at the run's end.
+//! Q = sum over the targets of rho u_x (T - T_in) (eq. 12 of the original report), times the spacing of the targets,
+//! which makes it the flux integral over the outlet section in units of rho u T, comparable between resolutions. It is
+//! taken at the last step, or averaged over evenly spaced steps of a window at the end of the run.
 
 use super::{Outlet, Samples};
 use crate::adjoint::{Fields, Objective};
 use candle_core::{Result, Tensor};
 
-/// Mean of Q of the states that are looked at.
+/// Mean of Q over the samples.
 #[derive(Debug, Clone)]
 pub struct HeatOutflow {
     pub outlet: Outlet,

@@ -1,34 +1,35 @@
-//! What flows through the column of targets at the outlet.
+//! The flow through a section of targets at the outlet.
 //!
-//! Three ways to look at the flow:
+//! There are three ways to measure it:
 //!
-//! * `fluid`: f(t) = sum_j W(|t - r_j|) f_j / sum_j W(|t - r_j|), Shepard-normalised, for f = density, velocity along x,
-//!   temperature, over fluid particles: what users of JAX-SPH do. Next to a wall the sum is one-sided and takes the flow
-//!   there for that further in.
-//! * `fluid-and-walls`: the same over fluid and extrapolated walls, which removes that bias. The product of three smoothed
-//!   fields is still not the smoothed product: the flux of a parabolic profile comes out about 2 % low at ten rows.
-//! * `flux`: the fluxes themselves, not normalised: sum_j W m_j u_j, sum_j W V_j u_j, sum_j W m_j u_j T_j over fluid particles.
-//!   With targets up to three spacings beyond the walls every particle counts with its whole kernel, so the sum over the
-//!   targets is conservative: heat through the targets balances heat through the walls.
+//! * `fluid`: f(t) = sum_j W(|t - r_j|) f_j / sum_j W(|t - r_j|), Shepard-normalised, for f = density, velocity along x
+//!   and temperature, over fluid particles, as users of JAX-SPH do. Next to a wall the sum is one-sided and represents
+//!   the flow further inside.
+//! * `fluid-and-walls`: the same over fluid and wall particles with extrapolated values, which removes that bias. The
+//!   product of three smoothed fields is still not the smoothed product: the flux of a parabolic profile is about 2 %
+//!   low at ten rows.
+//! * `flux`: the fluxes without normalisation: sum_j W m_j u_j, sum_j W V_j u_j, sum_j W m_j u_j T_j over fluid
+//!   particles. With targets up to three spacings beyond the walls every particle counts with its whole kernel, so the
+//!   sum over the targets is conservative: heat through the targets balances heat through the walls.
 
 use crate::adjoint::Fields;
 pub use crate::config::scene::Interpolation as Mode;
 use crate::particles::tag;
-use crate::sph::operators::interpolation::Interpolation;
+use crate::sph::interpolation::Interpolation;
 use candle_core::{DType, Result, Tensor};
 use std::sync::Arc;
 
-/// Targets across the flow, and how it is looked at there.
+/// Targets across the flow, and how the flow is measured there.
 #[derive(Debug, Clone)]
 pub struct Outlet {
     pub interpolation: Interpolation,
     pub mode: Mode,
-    /// Of the targets; in three dimensions, where they stand in a square lattice, its square over the channel's span: flows are
-    /// per depth in both.
+    /// Spacing of the targets. In three dimensions, where they are a square lattice, it is the square of their spacing
+    /// over the span of the channel, so that flows are per depth.
     pub spacing: f64,
 }
 
-/// What flows through the targets: sums over them of rho u, u, and rho u T, without their spacing.
+/// Sums over the targets of rho u, u and rho u T, without their spacing.
 pub struct Flows<T> {
     pub mass: T,
     pub volume: T,
@@ -41,7 +42,7 @@ impl Outlet {
         self.interpolation.targets[0][0]
     }
 
-    /// What flows through the targets, on the graph if the fields are; no heat without temperature.
+    /// The flow through the targets, on the graph if the fields are. The heat is 0 without temperature.
     ///
     /// # Errors
     /// Tensor errors.

@@ -1,15 +1,15 @@
-//! The temperature of the outflow if it were mixed, above that of the inlet:
+//! The mixed temperature of the outflow relative to the inlet:
 //!
 //! T_mix - T_in = sum over the targets of rho u_x (T - T_in) / sum over the targets of rho u_x,
 //!
-//! the outflowing heat per mass (times the heat capacity: of enthalpy). A wall that lets less fluid through, and heats that
-//! more, is good here and bad for [`super::HeatOutflow`].
+//! which is the outflowing heat per mass (times the heat capacity: enthalpy). A wall that lets less fluid through, but
+//! heats it more, is good by this objective and bad by [`super::HeatOutflow`].
 
 use super::{Outlet, Samples};
 use crate::adjoint::{Fields, Objective};
 use candle_core::{Result, Tensor};
 
-/// Mean of the mixed temperature of the states that are looked at, in units of temperature.
+/// Mean of the mixed temperature over the samples, in units of temperature.
 #[derive(Debug, Clone)]
 pub struct OutletTemperature {
     pub outlet: Outlet,

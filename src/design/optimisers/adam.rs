@@ -1,23 +1,23 @@
 //! Adam (Kingma and Ba 2015, algorithm 1) with moments that can be stored, and limits by projection.
 //!
 //! m <- b1 m + (1-b1) g, v <- b2 v + (1-b2) g^2, x <- x - lr m^ / (sqrt(v^) + eps), m^ = m/(1-b1^t), v^ = v/(1-b2^t).
-//! A step moves each variable by about `learning_rate`, whatever the gradient's scale: for wall offsets, 2e-2 is one
+//! A step changes each variable by about `learning_rate`, whatever the gradient's scale: for wall offsets, 2e-2 is one
 //! spacing per step at dx = 0.02.
 //!
-//! Where the function has no value, the step that led there was too long: the next point is half way back to the last one
-//! that had one, and the momentum that led astray is gone.
+//! Where the function has no value, the step was too long: the next point is half way back to the last point with a
+//! value, and the momentum is reset.
 
 use super::{count, numbers, Optimiser, Record};
 use crate::design::limits::Limits;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 
-/// Adam: each evaluation is a step, taken whatever the value is, if it is one.
+/// Adam accepts every evaluation with a finite value as a step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
     pub learning_rate: f64,
     x: Vec<f64>,
-    /// The last point where the function had a value.
+    /// The last point at which the function had a value.
     good: Vec<f64>,
     first: Vec<f64>,
     second: Vec<f64>,
@@ -26,7 +26,7 @@ pub struct Adam {
 
 const FIRST_DECAY: f64 = 0.9;
 const SECOND_DECAY: f64 = 0.999;
-/// Smaller than any gradient that matters here (1e-4), larger than 0.
+/// Smaller than any relevant gradient here (1e-4), larger than 0.
 const EPSILON: f64 = 1e-12;
 
 impl Adam {
@@ -35,7 +35,6 @@ impl Adam {
         Self { learning_rate, x: x.to_vec(), good: x.to_vec(), first: zeros(), second: zeros(), steps: 0 }
     }
 
-    /// One step against the gradient.
     fn step(&mut self, gradient: &[f64]) {
         self.steps += 1;
         let first_share = 1.0 - FIRST_DECAY.powi(self.steps as i32);
@@ -82,7 +81,7 @@ impl Optimiser for Adam {
         let k = self.x.len();
         self.first = numbers(file, "adam.first_moment", &[k])?;
         self.second = numbers(file, "adam.second_moment", &[k])?;
-        // Earlier versions knew no point without a value.
+        // Earlier versions did not store this point.
         self.good = match file.tensors.contains_key("adam.last_good") {
             true => numbers(file, "adam.last_good", &[k])?,
             false => self.x.clone(),

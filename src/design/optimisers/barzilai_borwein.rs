@@ -1,25 +1,26 @@
-//! Gradient steps of Barzilai and Borwein (1988), for many variables without limits worth mentioning.
+//! Gradient steps of Barzilai and Borwein (1988), for many variables and hardly any limits.
 //!
-//! x <- x - a g with a = s.s / s.y, s and y the last changes of x and of the gradient: the step that a quadratic of the measured
-//! curvature asks for, without a matrix. A value above the highest of the last ten is not accepted (Grippo, Lampariello and
-//! Lucidi 1986): the step is taken again, a quarter as long. The first step moves no variable by more than `first_step`.
+//! x <- x - a g with a = s.s / s.y, where s and y are the last changes of x and of the gradient: the step for a
+//! quadratic with the measured curvature, without a matrix. A value above the largest of the last ten is rejected
+//! (Grippo, Lampariello and Lucidi 1986), and a quarter of the step is tried. The first step changes no variable by
+//! more than `first_step`.
 
 use super::{numbers, Optimiser, Record};
 use crate::design::limits::Limits;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 
-/// Values that a new one is held against.
+/// Number of previous values with which a new one is compared.
 const MEMORY: usize = 10;
-/// What a step that was too long is multiplied with, and the most that one step is longer than the last.
+/// The factor of a step that was too long, and the largest ratio of a step to the last one.
 const SHORTER: f64 = 0.25;
 const LONGEST: f64 = 1e3;
 
-/// See the module.
+/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BarzilaiBorwein {
     pub first_step: f64,
-    /// The last point that was accepted and its gradient; empty before the first.
+    /// The last accepted point and its gradient; empty before the first.
     point: Vec<f64>,
     gradient: Vec<f64>,
     length: f64,

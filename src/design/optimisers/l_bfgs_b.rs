@@ -1,68 +1,68 @@
-//! L-BFGS-B (Byrd, Lu, Nocedal and Zhu 1995): quasi-Newton steps within bounds, for functions that are costly.
+//! L-BFGS-B (Byrd, Lu, Nocedal and Zhu 1995): quasi-Newton steps within bounds, for expensive functions.
 //!
-//! At a point x with gradient g, the function is taken for the quadratic m(z) = g.z + z.B z / 2 of the step z. B comes from
-//! the last ten pairs s = x' - x, y = g' - g with s.y > 0: the BFGS formula
+//! At a point x with gradient g, the function is approximated by the quadratic m(z) = g.z + z.B z / 2 of the step z. B
+//! comes from the last ten pairs s = x' - x, y = g' - g with s.y > 0 by the BFGS formula
 //!
 //! ```text
 //!   B <- B - (B s)(B s)' / (s.B s) + y y' / (s.y),      beginning with  B = theta I,  theta = y.y / s.y of the last pair
 //! ```
 //!
-//! pair by pair, oldest first. (The paper's compact form of the same matrix pays for millions of variables; a design has
-//! some ten to a thousand, and the matrix itself is simpler.) Then, as in the paper: the first minimum of m along the
-//! projected steepest descent (generalised Cauchy point, algorithm CP), which tells the variables that stay at a bound;
-//! the minimum of m over the others (section 5), taken back into the bounds by projection if that still descends (Morales
-//! and Nocedal 2011), else by shortening; and a line search towards that point.
+//! pair by pair, oldest first. (The paper's compact form of the same matrix is worthwhile for millions of variables; a
+//! design has ten to a thousand.) The next point is found as in the paper. The first minimum of m along the projected
+//! steepest descent (generalised Cauchy point, algorithm CP) determines the variables that stay at a bound. The minimum
+//! of m over the others (section 5) is projected onto the bounds if that is still a descent (Morales and Nocedal 2011),
+//! else the step is shortened. A line search goes towards that point.
 //!
-//! **Limits beyond bounds.** Where neighbours are limited too, and the point found leaves the limits, m is minimised over
-//! the whole convex set instead, by projected gradients with steps of Barzilai and Borwein (Schmidt, van den Berg,
-//! Friedlander and Murphy 2009, algorithm 1). Either way both ends of the line search are in the set, and so is all
-//! between: what is evaluated is what is differentiated, and no projection spoils a pair (s, y).
+//! **Limits beyond bounds.** If neighbours are limited too, and the point violates these limits, m is instead minimised
+//! over the whole convex set, by projected gradients with steps of Barzilai and Borwein (Schmidt, van den Berg,
+//! Friedlander and Murphy 2009, algorithm 1). Both ends of the line search are in the set, and so are all points
+//! between them, so no projection spoils a pair (s, y).
 //!
-//! **Line search.** Weak Wolfe conditions by bisection (Lewis and Overton 2013, algorithm 2.6), which also copes with a
-//! function that has small jumps; close to a minimum, where differences of values are rounding, the approximate
-//! condition by slopes (Hager and Zhang 2005, section 2). A value that is not finite counts as too high.
+//! **Line search.** Weak Wolfe conditions by bisection (Lewis and Overton 2013, algorithm 2.6), which also works for a
+//! function with small jumps; close to a minimum, where differences of values are rounding, the approximate condition
+//! by slopes (Hager and Zhang 2005, section 2). A value that is not finite counts as too high.
 //!
-//! The first step moves no variable by more than `first_step`; where there is no pair yet, the scale of B is chosen so.
+//! The first step changes no variable by more than `first_step`: without a pair the scale of B is chosen accordingly.
 //!
-//! Why no crate: `argmin` has no bounds in its L-BFGS, `lbfgsb-rs-pure` calls a closure and keeps its state to itself,
-//! `lbfgsb` wraps a C translation. None can be stopped between two evaluations of a line search and resume to the bit, and
-//! none knows limits between neighbours.
+//! Why no crate: `argmin` has no bounds in its L-BFGS, `lbfgsb-rs-pure` calls a closure and hides its state, `lbfgsb`
+//! wraps a C translation. None can be stopped between two evaluations of a line search and resume to the bit, and none
+//! supports limits between neighbours.
 
 use super::{count, numbers, Optimiser, Record};
 use crate::design::limits::Limits;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 
-/// Pairs that are kept.
+/// Number of pairs that are kept.
 const MEMORY: usize = 10;
-/// Sufficient decrease and curvature of the Wolfe conditions.
+/// Constants of sufficient decrease and curvature in the Wolfe conditions.
 const DECREASE: f64 = 1e-4;
 const CURVATURE: f64 = 0.5;
-/// Share of the value below which its differences tell nothing.
+/// Relative difference of values that is indistinguishable from rounding.
 const INDISTINGUISHABLE: f64 = 1e-8;
-/// Evaluations of a line search after which any decrease will do, and after which it has failed.
+/// Evaluations of a line search after which any decrease is accepted, and after which it has failed.
 const PATIENCE: usize = 10;
 const MOST_TRIES: usize = 40;
-/// A fall that the model predicts, as a share of the value, that is not worth an evaluation.
+/// Smallest predicted decrease relative to the value that is worth an evaluation.
 const NO_FALL: f64 = 1e-24;
-/// Longest step of a line search, in directions.
+/// Longest step of a line search, in multiples of the direction.
 const LONGEST: f64 = 1e10;
-/// Projected gradient steps within a set.
+/// Largest number of projected gradient steps within a set.
 const SET_STEPS: usize = 500;
 
-/// See the module.
+/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LBfgsB {
-    /// Most that a variable moves in the first step.
+    /// Largest change of a variable in the first step.
     pub first_step: f64,
     /// See [`Self::worth`].
     worth: f64,
     evaluations: usize,
-    /// The last point that was accepted, with value and gradient.
+    /// The last accepted point, with value and gradient.
     point: Vec<f64>,
     value: f64,
     gradient: Vec<f64>,
-    /// Oldest first.
+    /// Pairs (s, y), oldest first.
     pairs: Vec<Pair>,
     search: Search,
     /// The point to evaluate next.
@@ -73,23 +73,23 @@ pub struct LBfgsB {
 /// A step s and the gradient's change y.
 type Pair = (Vec<f64>, Vec<f64>);
 
-/// A line search: at point + step * direction.
+/// A line search at point + step * direction.
 #[derive(Debug, Clone, PartialEq)]
 struct Search {
     direction: Vec<f64>,
-    /// Along the direction, at its begin.
+    /// Slope along the direction at its start.
     slope: f64,
     step: f64,
-    /// The bracket, `high` is [`f64::MAX`] as long as there is none.
+    /// The bracket; `high` is [`f64::MAX`] while there is none.
     low: f64,
     high: f64,
-    /// Where the limits end.
+    /// The step at which the limits end.
     longest: f64,
     tries: usize,
 }
 
 impl LBfgsB {
-    /// Begins at `x`, which is within the limits.
+    /// Starts at `x`, which is within the limits.
     pub fn new(first_step: f64, x: &[f64]) -> Self {
         let search = Search {
             direction: vec![0.0; x.len()],
@@ -114,12 +114,12 @@ impl LBfgsB {
         }
     }
 
-    /// The same, done when an accepted step lowers the value by less than this share of it.
+    /// Ends the search when an accepted step lowers the value by less than this fraction of it.
     pub fn worth(self, worth: f64) -> Self {
         Self { worth, ..self }
     }
 
-    /// A new line search from the present point.
+    /// Starts a line search from the present point.
     fn begin(&mut self, limits: &Limits) {
         loop {
             let direction = self.direction(limits);
@@ -136,10 +136,10 @@ impl LBfgsB {
         }
     }
 
-    /// The point to try at the search's step.
+    /// Chooses the trial point at the search's step.
     fn propose(&mut self, limits: &Limits) {
         self.trial = moved(&self.point, self.search.step, &self.search.direction);
-        // Rounding may have left the limits by a bit.
+        // Rounding may have violated the limits.
         limits.project(&mut self.trial);
         if self.trial == self.point || self.search.tries >= MOST_TRIES {
             if self.pairs.is_empty() {
@@ -155,7 +155,7 @@ impl LBfgsB {
         self.trial.clone_from(&self.point);
     }
 
-    /// Makes the point that was tried the present one, and learns from the way there.
+    /// Makes the trial point the present one, and updates the pairs.
     fn accept(&mut self, value: f64, gradient: &[f64]) {
         let s = moved(&self.trial, -1.0, &self.point);
         let y = moved(gradient, -1.0, &self.gradient);
@@ -170,7 +170,7 @@ impl LBfgsB {
         self.gradient = gradient.to_vec();
     }
 
-    /// From the present point to the minimum of the model within the limits.
+    /// The step from the present point to the minimum of the model within the limits.
     fn direction(&self, limits: &Limits) -> Vec<f64> {
         let model = Quadratic { gradient: &self.gradient, hessian: self.hessian() };
         let mut end = model.minimum_in_bounds(&self.point, limits);
@@ -200,7 +200,7 @@ impl LBfgsB {
         b
     }
 
-    /// Whether a try has fallen as it should (DECREASE), or falls to within rounding and has the slope of a fall.
+    /// Whether a trial decreases sufficiently (DECREASE), or equals the value to rounding and has a slope of descent.
     fn falls(&self, value: f64, slope: f64) -> bool {
         let search = &self.search;
         value <= self.value + DECREASE * search.step * search.slope
@@ -210,11 +210,11 @@ impl LBfgsB {
 }
 
 impl Search {
-    /// The step was too long: the value there is too high, or not finite.
+    /// Shortens a step whose value is too high or not finite.
     fn shorten(&mut self, rise: f64) {
         self.high = self.step;
         let middle = 0.5 * (self.low + self.high);
-        // The parabola through value and slope at the begin and the value here.
+        // The parabola through value and slope at the start and the value here.
         let parabola = -0.5 * self.slope * self.step * self.step / (rise - self.slope * self.step);
         self.step = match self.low == 0.0 && parabola.is_finite() {
             true => parabola.clamp(0.1 * self.high, 0.5 * self.high),
@@ -222,10 +222,10 @@ impl Search {
         };
     }
 
-    /// The step was too short: the function still falls steeply.
+    /// Lengthens a step at which the function still falls steeply.
     fn lengthen(&mut self, slope: f64) {
         self.low = self.step;
-        // Where the slope would be zero, on a parabola.
+        // The step at which the slope of a parabola is zero.
         let parabola = self.step * self.slope / (self.slope - slope);
         self.step = match self.high < f64::MAX {
             true => 0.5 * (self.low + self.high),
@@ -324,8 +324,8 @@ struct Quadratic<'a> {
 }
 
 impl Quadratic<'_> {
-    /// Where the model is least within the bounds, nearly: least over the variables that are not at a bound at the
-    /// generalised Cauchy point.
+    /// An approximate minimum of the model within the bounds: the minimum over the variables that are not at a bound at
+    /// the generalised Cauchy point.
     fn minimum_in_bounds(&self, x: &[f64], limits: &Limits) -> Vec<f64> {
         let cauchy = self.cauchy_point(x, limits);
         let z = moved(&cauchy, -1.0, x);
@@ -350,7 +350,7 @@ impl Quadratic<'_> {
         end
     }
 
-    /// The first minimum of the model along the way of steepest descent, which bends where a variable meets its bound.
+    /// The first minimum of the model along the path of steepest descent, which bends at bounds.
     fn cauchy_point(&self, x: &[f64], limits: &Limits) -> Vec<f64> {
         let bound = |i: usize| if self.gradient[i] > 0.0 { limits.lower[i] } else { limits.upper[i] };
         let reach = |i: usize| match self.gradient[i] {
@@ -383,7 +383,7 @@ impl Quadratic<'_> {
         }
     }
 
-    /// Where the model is least within all limits, nearly: enough to descend.
+    /// An approximate minimum of the model within all limits, sufficient for descent.
     fn minimum_in_set(&self, x: &[f64], limits: &Limits) -> Vec<f64> {
         let mut end = x.to_vec();
         let mut slope = self.gradient.to_vec();
@@ -408,7 +408,7 @@ impl Quadratic<'_> {
     }
 }
 
-/// How far one can go from x along d within the limits; in bounds alone as far as they let, else a whole direction.
+/// The longest step from x along d within the limits: to the bounds if there are no others, else one whole direction.
 fn longest(x: &[f64], d: &[f64], limits: &Limits) -> f64 {
     let room = |i: usize| match d[i] {
         d if d > 0.0 => (limits.upper[i] - x[i]) / d,

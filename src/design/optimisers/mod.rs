@@ -1,8 +1,8 @@
-//! From gradients to better variables.
+//! Gradient-based optimisers.
 //!
-//! An optimiser is asked for the point to evaluate next and told what was found there: [`Optimiser::ask`],
-//! [`Optimiser::tell`]. So each evaluation is an epoch that can be recorded, a line search too can be interrupted between
-//! any two of them, and whoever evaluates owns the loop ([`super::optimise`]).
+//! An optimiser is asked for the next point to evaluate and told the result: [`Optimiser::ask`], [`Optimiser::tell`].
+//! So each evaluation is an epoch that can be recorded, even a line search can be interrupted between two of them, and
+//! the caller owns the loop ([`super::search`]).
 //!
 //! ```
 //! use hydrograd::design::limits::Limits;
@@ -18,7 +18,7 @@
 //! assert_eq!(optimiser.ask(), [2.0]);
 //! ```
 //!
-//! Another one is a file here that implements [`Optimiser`] and a line in [`of_config`].
+//! A new optimiser needs a file here that implements [`Optimiser`], and a line in [`of_config`].
 
 pub mod adam;
 pub mod barzilai_borwein;
@@ -37,7 +37,7 @@ use crate::io::tensor_file::{Data, TensorFile, Tensors};
 use crate::io::FileError;
 use std::collections::BTreeMap;
 
-/// The optimiser of a configuration, to begin at `x`.
+/// The optimiser of a configuration, starting at `x`.
 pub fn of_config(wanted: &Optimise, x: &[f64]) -> Box<dyn Optimiser> {
     match wanted.method {
         OptimiserName::Adam => Box::new(Adam::new(wanted.learning_rate, x)),
@@ -45,48 +45,48 @@ pub fn of_config(wanted: &Optimise, x: &[f64]) -> Box<dyn Optimiser> {
     }
 }
 
-/// What a step of L-BFGS-B must gain, as a share of the loss, for another one to be worth its evaluation.
+/// The smallest decrease of a step of L-BFGS-B relative to the loss after which another step is worth its evaluation.
 const WORTH: f64 = 1e-6;
 
 /// Minimises a function of `[K]` variables within limits.
 pub trait Optimiser: std::fmt::Debug + Send {
-    /// What it is called in tables and files.
+    /// The name in tables and files.
     fn name(&self) -> &str;
 
     /// The point to evaluate next, `[K]`, within the limits.
     fn ask(&self) -> &[f64];
 
-    /// Takes the function's value and gradient at the point that was asked for, and chooses the next one. A value that is
-    /// not finite means that the function has none there.
+    /// Takes the function's value and gradient at the point that was asked for, and chooses the next one. A value that
+    /// is not finite means that the function has none there.
     fn tell(&mut self, limits: &Limits, value: f64, gradient: &[f64]);
 
-    /// Whether there is nothing left to evaluate: the last point can not be improved, as far as rounding can tell.
+    /// Whether the search has ended, because the last point cannot be improved beyond rounding.
     fn is_done(&self) -> bool {
         false
     }
 
-    /// The value that is expected at the point that is asked for, if the optimiser has a model that says so.
+    /// The expected value at the next point, if the optimiser has a model.
     fn expectation(&self) -> Option<f64> {
         None
     }
 
-    /// Itself, if it is one that asks a model where to go.
+    /// This optimiser as a trust region, if it is one.
     fn trust_region(&mut self) -> Option<&mut TrustRegion> {
         None
     }
 
-    /// Adds everything to `record` that the next [`Self::ask`]s depend on, but for the point of the next one.
+    /// Adds to `record` everything that the next points depend on, except the next point itself.
     fn save(&self, record: &mut Record);
 
-    /// Takes over what [`Self::save`] wrote, for an optimiser of the same settings made at the point to ask for next:
-    /// it goes on to the bit.
+    /// Restores what [`Self::save`] wrote into an optimiser with the same settings, made at the next point. The search
+    /// continues to the bit.
     ///
     /// # Errors
-    /// Something that is missing, of another size, or not finite.
+    /// A value that is missing, of another size, or not finite.
     fn restore(&mut self, file: &TensorFile) -> Result<(), BadInput>;
 }
 
-/// What a checkpoint holds: tensors and text by name.
+/// The content of a checkpoint: tensors and texts by name.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Record {
     pub tensors: Tensors,
@@ -94,18 +94,18 @@ pub struct Record {
 }
 
 impl Record {
-    /// Adds numbers of a shape.
+    /// Adds a tensor.
     pub fn put(&mut self, name: &str, shape: &[usize], values: Vec<f64>) {
         self.tensors.insert(name.into(), (shape.to_vec(), Data::F64(values)));
     }
 
-    /// Adds text.
+    /// Adds a text.
     pub fn note(&mut self, key: &str, text: impl std::fmt::Display) {
         self.metadata.insert(key.into(), text.to_string());
     }
 }
 
-/// Finite numbers of a checkpoint.
+/// A tensor of finite numbers from a checkpoint.
 ///
 /// # Errors
 /// A tensor that is missing or of another shape, and the first number that is not finite.
@@ -120,10 +120,10 @@ pub fn numbers(file: &TensorFile, name: &str, shape: &[usize]) -> Result<Vec<f64
     }
 }
 
-/// A whole number in a checkpoint's metadata.
+/// A whole number from a checkpoint's metadata.
 ///
 /// # Errors
-/// An entry that is missing or something else.
+/// An entry that is missing or not a whole number.
 pub fn count(file: &TensorFile, key: &str) -> Result<usize, BadInput> {
     let text = file.text(key).map_err(unreadable)?;
     text.parse().map_err(|_| {
@@ -132,7 +132,7 @@ pub fn count(file: &TensorFile, key: &str) -> Result<usize, BadInput> {
     })
 }
 
-/// A file that is not what it should be is bad input.
+/// Converts an error about a file into one about input.
 pub fn unreadable(error: FileError) -> BadInput {
     BadInput::new(error.to_string())
 }

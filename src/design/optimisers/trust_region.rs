@@ -1,23 +1,23 @@
-//! A trust region for a function that is costly, with a cheap model of it that is not quite right.
+//! A trust region method for an expensive function with a cheap, inexact model.
 //!
-//! At the best point c so far the model m is corrected so that its value and its gradient are the function's (first-order
-//! consistency: Alexandrov, Dennis, Lewis and Torczon 1998, "A trust-region framework for managing the use of approximation
-//! models in optimization"):
+//! At the best point c so far the model m is corrected so that its value and gradient equal those of the function
+//! (first-order consistency: Alexandrov, Dennis, Lewis and Torczon 1998, "A trust-region framework for managing the use
+//! of approximation models in optimization"):
 //!
 //! ```text
 //!   m_c(x) = m(x) + f(c) - m(c) + (f'(c) - m'(c)) . (x - c)
 //! ```
 //!
-//! An inner optimiser lowers m_c within |x_k - c_k| <= radius and the limits; the function is evaluated where that ends, and
+//! An inner optimiser minimises m_c within |x_k - c_k| <= radius and the limits. The function is evaluated there, and
 //!
 //! ```text
 //!   ratio = (f(c) - f(x)) / (m_c(c) - m_c(x))
 //! ```
 //!
-//! says how much of the fall that was predicted came true. The point is accepted where the ratio is at least 0.1; the radius is
-//! halved where it is below 0.25 and doubled where it is above 0.75 (Conn, Gould and Toint 2000, algorithm 6.1.1).
+//! is the fraction of the predicted decrease that occurred. The point is accepted if the ratio is at least 0.1. The
+//! radius is halved if it is below 0.25 and doubled if it is above 0.75 (Conn, Gould and Toint 2000, algorithm 6.1.1).
 //!
-//! What it asks for is proposed by [`TrustRegion::propose`], which needs the model; [`super::Optimiser::tell`] takes the function's.
+//! [`TrustRegion::propose`] finds the next point with the model; [`super::Optimiser::tell`] takes the function's value.
 
 use super::{numbers, LBfgsB, Optimiser, Record};
 use crate::design::limits::Limits;
@@ -25,35 +25,35 @@ use crate::design::problem::Evaluation;
 use crate::error::{BadInput, Error};
 use crate::io::tensor_file::TensorFile;
 
-/// The ratio from which on a point is accepted, and those between which the radius stays.
+/// The ratio from which a point is accepted, and the ratios between which the radius stays.
 const ACCEPTED: f64 = 0.1;
 const POOR: f64 = 0.25;
 const GOOD: f64 = 0.75;
-/// The radius, as a share of the first one, that is too small to go on with.
+/// The smallest radius relative to the first one; below it the search ends.
 const SMALLEST: f64 = 1e-3;
-/// What a step must promise, as a share of the value, to be worth an evaluation.
+/// The smallest predicted decrease relative to the value that is worth an evaluation.
 const WORTH: f64 = 1e-6;
 
-/// See the module.
+/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrustRegion {
-    /// The most that a variable moves in the first step.
+    /// Largest change of a variable in the first step.
     pub first_radius: f64,
-    /// Evaluations of the model per step.
+    /// Number of evaluations of the model per step.
     pub inner: usize,
     radius: f64,
-    /// The best point, with the function's value and gradient; no value before the first evaluation.
+    /// The best point, with the function's value and gradient; the value is NaN before the first evaluation.
     centre: Vec<f64>,
     value: f64,
     gradient: Vec<f64>,
     trial: Vec<f64>,
-    /// What the corrected model says of the trial; NaN where there is no trial.
+    /// The corrected model's value at the trial point; NaN without a trial point.
     expected: f64,
     done: bool,
 }
 
 impl TrustRegion {
-    /// Begins at `x`, which is within the limits.
+    /// Starts at `x`, which is within the limits.
     pub fn new(first_radius: f64, inner: usize, x: &[f64]) -> Self {
         Self {
             first_radius,
@@ -68,16 +68,16 @@ impl TrustRegion {
         }
     }
 
-    /// How far a variable may move from the best point now.
+    /// The largest present distance of a variable from the best point.
     pub fn radius(&self) -> f64 {
         self.radius
     }
 
-    /// Finds the point to ask for, with `model`'s loss and gradient. Does nothing before the first evaluation, and where a
-    /// point waits to be evaluated.
+    /// Finds the next point to evaluate by `model`'s loss and gradient. It does nothing before the first evaluation,
+    /// and while a point waits to be evaluated.
     ///
     /// # Errors
-    /// Those of `model`; where it diverges it has no value, and where it does so at the best point the search is over.
+    /// Those of `model`. Where it diverges it has no value; if it does so at the best point, the search ends.
     pub fn propose(
         &mut self,
         limits: &Limits,
@@ -87,7 +87,7 @@ impl TrustRegion {
             return Ok(());
         }
         let here = match model(&self.centre) {
-            // The model has nothing to say here, so there is nothing to propose.
+            // Without a model at the best point there is no proposal.
             Err(Error::Diverged { .. }) => {
                 self.done = true;
                 return Ok(());
@@ -243,7 +243,7 @@ mod tests {
         let step = (0.9 - asked[0]).abs().max((0.9 - asked[1]).abs());
         region.tell(&limits, 2.0, &[1.0, 0.0]);
         assert!(region.ask() == [0.9, 0.9] && (region.radius() - 0.5 * step).abs() < 1e-12);
-        // A point without a value is worth nothing.
+        // A point without a value is rejected.
         region.propose(&limits, |x| Ok(model(x))).unwrap();
         region.tell(&limits, f64::INFINITY, &[0.0, 0.0]);
         assert!(region.radius() < 0.5 * step && region.value == 1.0);

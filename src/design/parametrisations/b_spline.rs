@@ -4,28 +4,30 @@
 //!   y(x) = sum_j c_j N_j(x),      N_j cubic B-splines on the knots  a a a a  a + h ... b - h  b b b b,   h = (b - a) / (n - 3)
 //! ```
 //!
-//! by the recurrence of Cox and de Boor (de Boor, A Practical Guide to Splines, 1978, ch. X; Piegl and Tiller, The NURBS
-//! Book, 1997, algorithm A2.2). The end knots are fourfold ("clamped"): the N_j sum to one in the whole section, and the
-//! wall begins at c_0 and ends at c_{n-1}. Outside the section it is zero, as with [`super::Nodes`], and it may jump there
-//! as theirs may. Inside, it is twice continuously differentiable.
+//! by the recurrence of Cox and de Boor (de Boor, A Practical Guide to Splines, 1978, ch. X; Piegl and Tiller, The
+//! NURBS Book, 1997, algorithm A2.2). The end knots are fourfold ("clamped"), so the N_j sum to one in the whole
+//! section, and the wall begins at c_0 and ends at c_{n-1}. Outside the section it is zero, so it may jump at both
+//! ends, as with [`super::Nodes`]. Inside, it is twice continuously differentiable.
 //!
-//! Control points belong to the Greville abscissae g_j = (t_{j+1} + t_{j+2} + t_{j+3}) / 3: with c_j = p + q g_j the curve
-//! is the line p + q x. It lies in the convex hull of its control points, so |c_j| <= bound limits |y|; and dy/dx is a
-//! quadratic B-spline curve with the control points (c_{j+1} - c_j) / (g_{j+1} - g_j), so limits on those limit the slope.
+//! The control points are at the Greville abscissae g_j = (t_{j+1} + t_{j+2} + t_{j+3}) / 3: with c_j = p + q g_j the
+//! curve is the line p + q x. It lies in the convex hull of its control points, so |c_j| <= bound limits |y|; dy/dx is
+//! a quadratic B-spline curve with the control points (c_{j+1} - c_j) / (g_{j+1} - g_j), so limits on those limit the
+//! slope.
 
-use super::{fitted, ColumnAverages, Parametrisation};
+use super::column_averages::fitted;
+use super::{ColumnAverages, Parametrisation};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
 
-/// Four control points make one cubic.
+/// Smallest number of control points, for one cubic.
 pub const FEWEST: usize = 4;
 
 /// A cubic B-spline curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSpline {
     section: HotSection,
-    /// n + 4 of them.
+    /// Knots, `[n + 4]`.
     knots: Vec<f64>,
     greville: Vec<f64>,
     averages: ColumnAverages,
@@ -44,7 +46,7 @@ impl BSpline {
         }
         let spans = control_points - 3;
         let inner = (0..=spans).map(|k| match k {
-            // To the bit.
+            // The last knot is the end to the bit.
             _ if k == spans => section.to,
             _ => section.from + (section.to - section.from) * (k as f64 / spans as f64),
         });
@@ -58,7 +60,7 @@ impl BSpline {
         Ok(spline)
     }
 
-    /// The same with the wall's heights at these points, if any, in place of averages over columns.
+    /// Uses the wall's heights at these points, if given, instead of averages over columns.
     pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
         if let Some(points) = points {
             let count = self.greville.len();
@@ -67,13 +69,13 @@ impl BSpline {
         self
     }
 
-    /// The last span k with knots[k] <= x < knots[k + 1], of those that are not empty.
+    /// The last non-empty span k with knots[k] <= x < knots[k + 1].
     fn span(&self, x: f64) -> usize {
         let last = self.greville.len() - 1;
         (self.knots.partition_point(|knot| *knot <= x).max(4) - 1).min(last)
     }
 
-    /// The number of the first of the four B-splines that are not zero at x, and their values.
+    /// Index of the first of the four B-splines that are not zero at x, and their values.
     pub fn basis(&self, x: f64) -> (usize, [f64; 4]) {
         let span = self.span(x);
         let (mut left, mut right) = ([0.0; 4], [0.0; 4]);
@@ -92,8 +94,8 @@ impl BSpline {
         (span - 3, values)
     }
 
-    /// Integrals over `from ..= to` of the B-splines, as pairs (number, integral): two Gauss points per piece between
-    /// knots, exact for cubics.
+    /// Integrals over `from ..= to` of the B-splines, as pairs (index, integral), by two Gauss points per piece between
+    /// knots, which is exact for cubics.
     fn integrals(&self, from: f64, to: f64) -> Vec<(usize, f64)> {
         let (first, last) = (self.span(from) - 3, self.span(to));
         let mut integrals: Vec<(usize, f64)> = (first..=last).map(|j| (j, 0.0)).collect();
@@ -116,14 +118,14 @@ impl BSpline {
         integrals
     }
 
-    /// The curve's height inside the section, its ends included.
+    /// The height of the curve inside the section and at its ends.
     fn curve(&self, variables: &[f64], x: f64) -> f64 {
         let (first, values) = self.basis(x);
         values.iter().zip(&variables[first..]).map(|(n, c)| n * c).sum()
     }
 
-    /// Control points whose curve comes nearest to a wall's offsets at its nodes, and, where nodes are few, to the wall's heights
-    /// at the Greville abscissae: see `fitted`. Then the limits.
+    /// Control points whose curve is nearest to a wall's offsets at its nodes and, if nodes are few, to the wall's
+    /// heights at the Greville abscissae (see `fitted`), clamped to the limits.
     pub fn fitted(&self, wall: &Shape) -> Vec<f64> {
         let weights = wall.nodes.iter().map(|&x| {
             let (first, values) = self.basis(x);
@@ -174,7 +176,7 @@ impl Parametrisation for BSpline {
         self.limits.check("control points", variables)
     }
 
-    /// At evenly spaced points, as many as there are columns, and no fewer than four per control point.
+    /// The heights at as many evenly spaced points as there are columns, at least four per control point.
     fn sampled(&self, variables: &[f64]) -> Shape {
         let section = self.section;
         let columns = (0..section.columns()).filter_map(|column| section.part(column)).count();

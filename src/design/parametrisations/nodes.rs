@@ -1,17 +1,17 @@
-//! The wall's height at nodes, linear between them: see [`crate::design::shape`].
+//! The wall's height at nodes with linear interpolation, see [`crate::design::shape`].
 //!
-//! The column averages are exact (the hat functions are integrated piece by piece), and the limits on nodes are limits on
-//! the wall: between nodes it is neither higher nor steeper.
+//! The column averages are exact (the hat functions are integrated piecewise), and limits of the nodes are limits of
+//! the wall, because between nodes it is neither higher nor steeper.
 
 use super::{ColumnAverages, Parametrisation};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
 
-/// Piecewise linear in x.
+/// A wall that is piecewise linear in x.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nodes {
-    /// With zero offsets.
+    /// The shape with zero offsets.
     flat: Shape,
     averages: ColumnAverages,
     limits: Limits,
@@ -30,7 +30,7 @@ impl Nodes {
         Ok(Self { flat, averages, limits })
     }
 
-    /// The same with the wall's heights at these points, if any, in place of averages over columns.
+    /// Uses the wall's heights at these points, if given, instead of averages over columns.
     pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
         if let Some(points) = points {
             self.averages = ColumnAverages::at_points(self.flat.nodes.len(), points, |offsets, x| {

@@ -1,7 +1,7 @@
-//! Numbers of shapes themselves, see [`crate::design::shapes`].
+//! The numbers of shapes as variables, see [`crate::design::shapes`].
 //!
-//! A variable is the share of the way between a number's limits, 0 ... 1, so that an optimiser sees numbers of one size; what is
-//! handed on is the number less its first value.
+//! A variable is the position of a number between its limits, 0 ... 1, so that all variables are of one scale. The
+//! "heights" of this parametrisation are the changes of the numbers from their initial values.
 
 use super::Parametrisation;
 use crate::design::limits::Limits;
@@ -14,26 +14,25 @@ pub struct Numbers {
     first: Vec<f64>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    /// Of the variables.
     limits: Limits,
-    /// 0, 1, 2, ...: numbers have no place.
+    /// 0, 1, 2, ... in place of positions, which numbers do not have.
     order: Vec<f64>,
 }
 
 impl Numbers {
-    /// Numbers that begin with `first`, between their limits.
+    /// Numbers with initial values `first` between their limits.
     pub fn new(first: Vec<f64>, lower: Vec<f64>, upper: Vec<f64>) -> Self {
         let count = first.len();
         let limits = Limits::within(vec![0.0; count], vec![1.0; count]);
         Self { first, lower, upper, limits, order: (0..count).map(|k| k as f64).collect() }
     }
 
-    /// The variables at the first numbers.
+    /// The variables of the initial numbers.
     pub fn start(&self) -> Vec<f64> {
         (0..self.first.len()).map(|k| (self.first[k] - self.lower[k]) / (self.upper[k] - self.lower[k])).collect()
     }
 
-    /// The numbers; those of unchanged variables to the bit.
+    /// The numbers. Those of unchanged variables are the initial ones to the bit.
     pub fn values(&self, variables: &[f64]) -> Vec<f64> {
         let start = self.start();
         let value = |k: usize| self.first[k] + (variables[k] - start[k]) * (self.upper[k] - self.lower[k]);
@@ -71,13 +70,13 @@ impl Parametrisation for Numbers {
         self.limits.check("variables", variables)
     }
 
-    /// The numbers in place of offsets.
+    /// The numbers take the place of offsets.
     fn sampled(&self, variables: &[f64]) -> Shape {
         let (nodes, offsets) = (self.order.clone(), self.values(variables));
         Shape { nodes, across: None, offsets, top: None, hot_from: 0.0, hot_to: 0.0 }
     }
 
-    /// Numbers have no neighbours.
+    /// There is no roughness penalty, because numbers have no neighbours.
     fn penalty(&self, _: f64, variables: &[f64]) -> (f64, Vec<f64>) {
         (0.0, vec![0.0; variables.len()])
     }

@@ -1,5 +1,5 @@
-//! The wall as a smooth function of x along the channel and z across it: n x m control points c_jk over the hot section
-//! a < x < b and the span 0 <= z < S, which is periodic:
+//! The wall as a smooth function of x along the channel and z across it, with n x m control points c_jk over the hot
+//! section a < x < b and the span 0 <= z < S, which is periodic:
 //!
 //! ```text
 //!   y(x, z) = sum_jk c_jk N_j(x) P_k(z)
@@ -8,31 +8,33 @@
 //!   B(t)    = (4 - 6 d^2 + 3 d^3)/6 for d = |t - 2| < 1, (2 - d)^3/6 for 1 <= d < 2, else 0
 //! ```
 //!
-//! with the cardinal cubic B-spline B (de Boor, A Practical Guide to Splines, 1978, ch. IX). Unlike [`super::BSpline`]'s the
-//! knots are evenly spaced up to the ends of the hot section, so the wall and its first two derivatives are zero there: a
-//! surface needs no steps at ends that its points would have to follow. Along x the N_j sum to one from a + 3h to b - 3h and to
-//! less beside that, the P_k everywhere, so |c_jk| <= bound limits |y|, and neighbours that differ by no more than 2 bound limit
-//! the slopes to 2 bound/h and 2 bound/g.
+//! with the cardinal cubic B-spline B (de Boor, A Practical Guide to Splines, 1978, ch. IX). Unlike in
+//! [`super::BSpline`], the knots are evenly spaced up to the ends of the hot section, so the wall and its first two
+//! derivatives are zero there, and the surface has no steps. Along x the N_j sum to one from a + 3h to b - 3h and to
+//! less outside; the P_k sum to one everywhere. So the condition |c_jk| <= bound limits |y|, and neighbours that differ
+//! by at most 2 bound limit the slopes to 2 bound/h and 2 bound/g.
 //!
-//! Control points are numbered along x first. They stand where their splines are largest: x = a + (j + 2) h, z = (k + 1/2) g.
+//! Control points are numbered along x first, and are where their splines are largest: x = a + (j + 2) h, z = (k + 1/2)
+//! g.
 
-use super::{fitted, ColumnAverages, Parametrisation};
+use super::column_averages::fitted;
+use super::{ColumnAverages, Parametrisation};
 use crate::config::scene::Config;
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
 use crate::error::BadInput;
 
-/// Points per control point of a [`Parametrisation::sampled`] wall, in both directions.
+/// Points per control point and direction of a [`Parametrisation::sampled`] wall.
 const SAMPLES: usize = 8;
 
 /// A tensor product of cubic splines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplineSurface {
-    /// Ends of the hot section.
+    /// The hot section.
     from: f64,
     to: f64,
     span: f64,
-    /// Control points n along x and m along z.
+    /// Numbers of control points, n along x and m along z.
     counts: [usize; 2],
     /// x and z of each control point, `[n m]`.
     positions: Vec<f64>,
@@ -42,7 +44,7 @@ pub struct SplineSurface {
 }
 
 impl SplineSurface {
-    /// That of a configuration, with heights at `places` (x, z).
+    /// The surface of a configuration, with heights at `places` (x, z).
     pub fn of_config(config: &Config, places: &[[f64; 2]]) -> Self {
         let (channel, design) = (&config.channel, &config.design);
         let counts = [design.control_points, design.control_points_across];
@@ -75,23 +77,23 @@ impl SplineSurface {
         ColumnAverages::new(self.variables(), places.map(weights).collect())
     }
 
-    /// N_j(x) where they are not 0, as pairs (j, value).
+    /// The N_j(x) that are not 0, as pairs (j, value).
     fn along(&self, x: f64) -> Vec<(usize, f64)> {
         let place = (x - self.from) / (self.to - self.from) * (self.counts[0] as f64 + 3.0);
         let values = (0..self.counts[0]).map(|j| (j, cubic(place - j as f64)));
         values.filter(|(_, value)| *value > 0.0).collect()
     }
 
-    /// P_k(z), likewise.
+    /// The P_k(z) that are not 0, as pairs (k, value).
     fn around(&self, z: f64) -> Vec<(usize, f64)> {
         let m = self.counts[1] as f64;
         let place = (z / self.span).rem_euclid(1.0) * m;
-        // All periods that reach into this one: a spline is four distances wide, and there may be one only.
+        // All periods that overlap this one: a spline is four control distances wide, while the span may have only one.
         let value = |k: usize| (-4..=4).map(|r| cubic(place - k as f64 + 1.5 + m * r as f64)).sum();
         (0..self.counts[1]).map(|k| (k, value(k))).filter(|(_, value)| *value > 0.0).collect()
     }
 
-    /// The control points whose wall is nearest to one that is given at points (x, z).
+    /// The control points whose wall is nearest to heights at points (x, z).
     pub fn fitted(&self, x: &[f64], z: &[f64], heights: &[f64]) -> Vec<f64> {
         let map = self.map(x.iter().zip(z).map(|(&x, &z)| [x, z]));
         let mut points = fitted(&map, heights, vec![0.0; self.variables()]);
@@ -142,7 +144,7 @@ impl Parametrisation for SplineSurface {
         self.limits.check("design.offsets", variables)
     }
 
-    /// At the points of a grid over the hot section, x first.
+    /// The heights on a grid over the hot section, x first.
     fn sampled(&self, variables: &[f64]) -> Shape {
         let evenly = |from: f64, width: f64, control_points: usize| -> Vec<f64> {
             let count = SAMPLES * control_points;
@@ -161,7 +163,7 @@ impl Parametrisation for SplineSurface {
         }
     }
 
-    /// Neighbours along x, and across the span, around which there is always a next one.
+    /// Neighbours are those along x, and those along z, which is periodic.
     fn penalty(&self, weight: f64, variables: &[f64]) -> (f64, Vec<f64>) {
         let [n, m] = self.counts;
         let mut gradient = vec![0.0; variables.len()];

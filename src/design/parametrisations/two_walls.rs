@@ -1,15 +1,14 @@
-//! Both walls, each with the same parametrisation and variables of its own: first the bottom wall's, then the top wall's.
+//! Both walls with the same parametrisation. The variables of the bottom wall come first, then those of the top wall.
 
 use super::Parametrisation;
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
 use crate::error::BadInput;
 
-/// Two of the same.
 #[derive(Debug)]
 pub struct TwoWalls<P> {
     one: P,
-    /// Those of one wall, twice.
+    /// The positions of one wall, twice.
     positions: Vec<f64>,
     limits: Limits,
 }
@@ -45,7 +44,7 @@ impl<P: Parametrisation> Parametrisation for TwoWalls<P> {
         [self.one.pull_back(bottom), self.one.pull_back(top)].concat()
     }
 
-    /// The bottom wall's.
+    /// Height of the bottom wall.
     fn height(&self, variables: &[f64], x: f64, z: f64) -> f64 {
         self.one.height(self.each(variables).0, x, z)
     }

@@ -12,19 +12,13 @@ mod none;
 #[cfg(not(feature = "mpi"))]
 use none as engine;
 
+mod how;
+
 pub use engine::Exchange;
+pub use how::How;
 
 use crate::error::BadInput;
 use std::sync::Arc;
-
-/// What is done with the numbers of all ranks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum How {
-    /// Their sum, in whatever order MPI finds fastest.
-    Sum,
-    /// All of them, behind each other in the order of the ranks.
-    Gather,
-}
 
 /// The processes, seen from one of them. When the last clone is dropped, it waits until all others are done too.
 #[derive(Clone)]

@@ -94,31 +94,39 @@
   const svg = (width, height, label, inside) =>
     `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="${escaped(label)}">${inside}</svg>`;
 
-  // ---- lines over numbers: told apart by colour, dash and marker
+  // ---- lines over numbers: told apart by colour, dash and marker as in the pictures, eight in a frame at most
 
-  const dashes = ["", "8 4", "2 3", "10 3 2 3", "5 2", "12 5", "1 4"];
-  const marks = [
+  const most = 8, dashes = ["", "8 4", "2.5 3.5", "15 5"];
+  const shapes = [
     (x, y) => `<circle cx="${x}" cy="${y}" r="3.4"/>`,
     (x, y) => `<rect x="${x - 3.2}" y="${y - 3.2}" width="6.4" height="6.4"/>`,
     (x, y) => `<path d="M${x} ${y - 4.4}l4.2 7.4h-8.4z"/>`,
     (x, y) => `<path d="M${x} ${y - 4.6}l4.6 4.6l-4.6 4.6l-4.6 -4.6z"/>`,
-    (x, y) => `<path d="M${x} ${y + 4.4}l4.2 -7.4h-8.4z"/>`,
   ];
-  const style = (k) => `stroke="var(--s${k % 7})" stroke-dasharray="${dashes[k % 7]}"`;
+  const marks = (k, inside) => `<g fill="var(--${k % most < 4 ? "s" + k : "card"})" stroke="var(--s${k})" stroke-width="1.6">${inside}</g>`;
+  const style = (k) => `stroke="var(--s${k})" stroke-dasharray="${dashes[k % 4]}"`;
+  const sample = (k, x, y) => `<line x1="${x}" x2="${x + 30}" y1="${y}" y2="${y}" stroke-width="2" ${style(k)}/>` + marks(k, shapes[k % 4](x + 15, y));
 
   function chart(element, spec) {
     const points = (s) => s.points.filter((p) => p[1] !== null && (!spec.log || p[1] > 0));
-    const all = spec.series.flatMap(points);
+    const all = spec.series.flatMap(points), frames = Math.max(1, Math.ceil(spec.series.length / most));
+    const each = Math.ceil(spec.series.length / frames) || 1;
     const state = { at: null, draw };
     function draw() {
+      element.innerHTML = Array.from({ length: frames }, (_, k) => part(spec.series.slice(k * each, (k + 1) * each))).join("");
+    }
+    function part(series) {
       const width = Math.max(260, element.clientWidth), height = Math.round(Math.min(340, Math.max(230, 0.56 * width)));
+      // Names stand where lines end, if there is room beside the frame; else below it.
+      const named = series.map((s, k) => [s, k]).filter(([s]) => series.length > 1 && points(s).length);
+      const room = named.length ? 56 + 6.4 * Math.max(...named.map(([s]) => s.name.length)) : 0, is_beside = room < 0.4 * width;
       const counts = spec.by_epoch || ["epoch", "step"].includes(spec.x);
       let xs = all.length ? axis(all.map((p) => p[0]), false, counts ? 8 : 5) : linear(0, 1, 0);
       if (counts) xs = whole(xs);
-      const ys = axis(all.map((p) => p[1]), spec.log), f = frame(width, height, xs, ys, spec.x, spec.y);
+      const ys = axis(all.map((p) => p[1]), spec.log), f = frame(is_beside ? width - room : width, height, xs, ys, spec.x, spec.y);
       let inside = f.svg;
       if (state.at !== null) inside += `<line class="at" x1="${f.x(state.at)}" x2="${f.x(state.at)}" y1="${f.top}" y2="${f.bottom}" stroke="var(--ink)" stroke-dasharray="3 3"/>`;
-      spec.series.forEach((s, k) => {
+      series.forEach((s, k) => {
         let path = "", is_open = false;
         for (const p of s.points) {
           if (p[1] === null || (spec.log && p[1] <= 0)) { is_open = false; continue; }
@@ -126,22 +134,26 @@
           is_open = true;
         }
         inside += `<path d="${path}" fill="none" stroke-width="2" ${style(k)}/>`;
-        const shown = points(s);
-        if (shown.length <= 45) {
-          inside += `<g fill="var(--s${k % 7})">` + shown.map((p) => {
-            const title = `${s.name ? s.name + ": " : ""}${number(p[0])}, ${number(p[1])}`;
-            return `<g><title>${escaped(title)}</title>${marks[k % 5](f.x(p[0]), f.y(p[1]))}</g>`;
-          }).join("") + "</g>";
-        }
+        // A line of many points has its marker at some of them, each line at others.
+        const shown = points(s), every = shown.length > 45 ? Math.ceil(shown.length / 10) : 1, first = Math.floor(every * k / most);
+        if (every === 1 || series.length > 1) inside += marks(k, shown.filter((_, i) => i % every === first % every).map((p) => {
+          const title = `${s.name ? s.name + ": " : ""}${number(p[0])}, ${number(p[1])}`;
+          return `<g><title>${escaped(title)}</title>${shapes[k % 4](f.x(p[0]), f.y(p[1]))}</g>`;
+        }).join(""));
       });
-      const ends = spec.series.map((s) => { const p = points(s); return p.length ? `${s.name || spec.y} from ${number(p[0][1], 4)} to ${number(p[p.length - 1][1], 4)}` : ""; });
-      let html = svg(width, height, `${spec.title}: ${ends.filter(Boolean).join("; ")}`, inside);
-      if (spec.series.length > 1) {
-        html += `<ul class="legend">` + spec.series.map((s, k) => !points(s).length ? "" :
-          `<li><svg viewBox="0 0 42 14" aria-hidden="true"><line x1="0" x2="42" y1="7" y2="7" stroke-width="2" ${style(k)}/>` +
-          `<g fill="var(--s${k % 7})">${points(s).length <= 45 ? marks[k % 5](21, 7) : ""}</g></svg>${escaped(s.name)}</li>`).join("") + "</ul>";
+      if (is_beside) {
+        const ends = named.map(([s, k]) => { const p = points(s).reduce((a, b) => (b[0] >= a[0] ? b : a)); return { s, k, x: f.x(p[0]), y: f.y(p[1]) }; });
+        ends.sort((a, b) => a.y - b.y).forEach((e, i) => { e.at = Math.max(e.y, i ? ends[i - 1].at + 15 : f.top); });
+        for (let i = ends.length - 1, low = f.bottom; i >= 0; i--, low -= 15) ends[i].at = Math.min(ends[i].at, low);
+        for (const e of ends) {
+          inside += `<line x1="${e.x}" y1="${e.y}" x2="${f.right + 8}" y2="${e.at}" stroke="var(--s${e.k})" stroke-width=".8"/>` + sample(e.k, f.right + 8, e.at);
+          inside += `<text x="${f.right + 43}" y="${e.at + 4}">${escaped(e.s.name)}</text>`;
+        }
       }
-      element.innerHTML = html;
+      const ends = series.map((s) => { const p = points(s); return p.length ? `${s.name || spec.y} from ${number(p[0][1], 4)} to ${number(p[p.length - 1][1], 4)}` : ""; });
+      const html = svg(width, height, `${spec.title}: ${ends.filter(Boolean).join("; ")}`, inside);
+      if (is_beside || !named.length) return html;
+      return html + `<ul class="legend">` + named.map(([s, k]) => `<li><svg viewBox="0 0 42 14" aria-hidden="true">${sample(k, 6, 7)}</svg>${escaped(s.name)}</li>`).join("") + "</ul>";
     }
     drawn.push(state);
     return state;
@@ -185,7 +197,7 @@
           inside += `<path d="${path(all[w.best])}" fill="none" stroke-width="2" stroke="var(--s2)" stroke-dasharray="2 3"/>`;
         }
         inside += `<path class="wall-now" d="${path(all[k])}" fill="none" stroke-width="3" stroke="var(--s0)"/>`;
-        if (all[k].length <= 60) inside += `<g fill="var(--s0)">${all[k].map((v, i) => marks[0](f.x(w.nodes[i]), f.y(v))).join("")}</g>`;
+        if (all[k].length <= 60) inside += `<g fill="var(--s0)">${all[k].map((v, i) => shapes[0](f.x(w.nodes[i]), f.y(v))).join("")}</g>`;
         html += svg(width, height, `${side.name} in ${item} ${k + 1}, from ${number(Math.min(...all[k]), 3)} to ${number(Math.max(...all[k]), 3)}`, inside);
       }
       const line = (text, more) => `<li><svg viewBox="0 0 42 14" aria-hidden="true"><line x1="0" x2="42" y1="7" y2="7" ${more}/></svg>${text}</li>`;

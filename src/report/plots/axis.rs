@@ -4,7 +4,7 @@ use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 
 pub const INK: Color = [40, 40, 40];
 const GRID: Color = [226, 226, 226];
-const TICK_SIZE: f64 = 14.0;
+const TICK_SIZE: f64 = 15.0;
 const LABEL_SIZE: f64 = 16.0;
 
 /// One axis: what is mapped where, and the ticks.

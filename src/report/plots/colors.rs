@@ -1,4 +1,4 @@
-//! Colours: a perceptually even map for temperature, shades for ordered lines, distinct ones for series.
+//! Colours for numbers: a perceptually even map for temperature, shades for lines in an order.
 
 use super::drawing::Color;
 
@@ -24,10 +24,6 @@ const PLASMA: [Color; 17] = [
     [240, 249, 33],
 ];
 
-/// Distinct also for colour-blind readers (after Okabe and Ito, without the yellow).
-const SERIES: [Color; 7] =
-    [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [90, 90, 90], [230, 159, 0], [86, 180, 233]];
-
 /// Colour of a value between 0 (cold) and 1 (hot); values outside are cut, NaN is green to be seen.
 pub fn heat(part: f64) -> Color {
     if part.is_nan() {
@@ -44,11 +40,6 @@ pub fn shade(part: f64) -> Color {
     let place = part.clamp(0.0, 1.0) * 3.0;
     let index = (place as usize).min(2);
     mix(STOPS[index], STOPS[index + 1], place - index as f64)
-}
-
-/// Colour of series number `index`; repeats after seven.
-pub fn series(index: usize) -> Color {
-    SERIES[index % SERIES.len()]
 }
 
 fn mix(from: Color, to: Color, part: f64) -> Color {

@@ -104,7 +104,11 @@ impl Drawing {
 
     pub fn rectangle(&mut self, (left, top): Point, width: f64, height: f64, color: Color, opacity: f64) {
         let (right, bottom) = (left + width, top + height);
-        let points = vec![(left, top), (right, top), (right, bottom), (left, bottom)];
+        self.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], color, opacity);
+    }
+
+    /// The inside of a polygon.
+    pub fn area(&mut self, points: Vec<Point>, color: Color, opacity: f64) {
         self.shapes.push(Shape::Area { points, color, opacity });
     }
 
@@ -112,8 +116,13 @@ impl Drawing {
         self.shapes.push(Shape::Disc { centre, radius, color });
     }
 
+    /// A text; one that begins at its point and would end beyond the right edge widens the picture.
     pub fn text(&mut self, text: impl Into<String>, at: Point, size: f64, anchor: Anchor, color: Color) {
-        self.shapes.push(Shape::Label { text: text.into(), at, size, anchor, color });
+        let text = text.into();
+        if matches!(anchor, Anchor::Left) {
+            self.width = self.width.max(at.0 + text_width(&text, size) + 20.0);
+        }
+        self.shapes.push(Shape::Label { text, at, size, anchor, color });
     }
 
     /// Writes `<stem>.png` and `<stem>.svg` (both atomically) and returns their paths.

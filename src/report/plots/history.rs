@@ -1,9 +1,8 @@
 //! The course of an optimisation: objective, loss and gradient norm per epoch.
 
 use super::axis::{Axis, PlotArea, INK};
-use super::colors;
 use super::drawing::{Drawing, Point};
-use super::legend::{self, Entry, Sample};
+use super::lines::{self, Line, Look};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -20,8 +19,8 @@ pub struct HistoryPoint {
     pub truth: f64,
 }
 
-/// Two panels: Q per epoch (with a dashed reference, if given by name and value), below it the loss (left axis) and
-/// the gradient norm (right axis, logarithmic).
+/// Panels under each other: Q per epoch (with a dashed reference, if given by name and value), the loss, and the gradient
+/// norm (logarithmic).
 ///
 /// # Errors
 /// [`FileError::Input`] without any epoch; system errors.
@@ -38,68 +37,51 @@ pub fn history(
     let series = |value: fn(&HistoryPoint) -> f64| -> Vec<Point> {
         epochs.iter().map(|point| (number(point), value(point))).collect()
     };
-    let (q, loss, gradient) = (series(|p| p.q), series(|p| p.loss), series(|p| p.gradient_norm));
-    let values = |points: &[Point]| points.iter().map(|point| point.1).collect::<Vec<f64>>();
-    let epoch_axis = || Axis::whole_numbers(epochs.iter().map(number));
-
-    let reference = q_reference.map(|(_, value)| value);
-    let truth: Vec<Point> = series(|p| p.truth).into_iter().filter(|point| point.1.is_finite()).collect();
-    let q_axis = Axis::around(values(&q).into_iter().chain(reference).chain(values(&truth)));
-    let loss_axis = Axis::around(values(&loss));
-    let gradient_axis = Axis::around_log(values(&gradient));
-    let (left, width) = (q_axis.margin().max(loss_axis.margin()), 840.0);
-    let upper = PlotArea { left, top: 62.0, width, height: 300.0, x: epoch_axis(), y: q_axis };
-    let lower = PlotArea { left, top: 424.0, width, height: 230.0, x: epoch_axis(), y: loss_axis };
-    let on_gradient = PlotArea { y: gradient_axis.clone(), ..lower.clone() };
-    let mut drawing = Drawing::new(left + width + gradient_axis.margin(), 735.0);
-
-    upper.draw(&mut drawing, "", label, INK);
-    let mut entries = vec![Entry { text: symbol.to_owned(), color: colors::series(0), sample: Sample::Marked(0) }];
+    let mut upper = vec![Line::new("", series(|p| p.q), Look::series(0))];
+    let truth = series(|p| p.truth);
+    if truth.iter().any(|point| point.1.is_finite()) {
+        upper[0].name = symbol.to_owned();
+        upper.push(Line::new("the solver's", truth, Look::series(1)));
+    }
     if let Some((name, value)) = q_reference.filter(|(_, value)| value.is_finite()) {
-        let y = upper.map((0.0, value)).1;
-        drawing.dashed(&[(left, y), (left + width, y)], colors::series(1), 1.8, (7.0, 4.5));
-        entries.push(Entry { text: name.to_owned(), color: colors::series(1), sample: Sample::Dashed });
+        upper[0].name = symbol.to_owned();
+        let ends = [epochs.first(), epochs.last()].into_iter().flatten().map(|point| (number(point), value));
+        upper.push(Line::new(name, ends.collect(), Look::plain(INK, 1.6, Some(lines::THIN))));
     }
-    curve(&mut drawing, &upper, &q, 0);
-    if !truth.is_empty() {
-        curve(&mut drawing, &upper, &truth, 2);
-        entries.push(Entry { text: "the solver's".to_owned(), color: colors::series(2), sample: Sample::Marked(2) });
-    }
-    legend_row(&mut drawing, (left, 34.0), &entries);
+    let values =
+        |lines: &[Line]| -> Vec<f64> { lines.iter().flat_map(|line| &line.points).map(|point| point.1).collect() };
+    let lower = |value| vec![Line::new("", series(value), Look::series(0))];
+    let (loss, gradient) = (lower(|p| p.loss), lower(|p| p.gradient_norm));
+    panels(
+        path_stem,
+        ("epoch", Axis::whole_numbers(epochs.iter().map(number))),
+        &[
+            (label, 300.0, Axis::around(values(&upper)), upper),
+            ("loss", 190.0, Axis::around(values(&loss)), loss),
+            ("|gradient|", 190.0, Axis::around_log(values(&gradient)), gradient),
+        ],
+    )
+}
 
-    lower.draw(&mut drawing, "epoch", "loss", colors::series(0));
-    lower.draw_right(&mut drawing, &gradient_axis, "|gradient|", colors::series(1));
-    curve(&mut drawing, &lower, &loss, 0);
-    curve(&mut drawing, &on_gradient, &gradient, 1);
-    let entries = ["loss (left axis)", "|gradient| (right axis)"].map(|text| text.to_owned());
-    let entries: Vec<Entry> = entries
-        .into_iter()
-        .enumerate()
-        .map(|(index, text)| Entry { text, color: colors::series(index), sample: Sample::Marked(index) })
-        .collect();
-    legend_row(&mut drawing, (left, 396.0), &entries);
+/// A panel's label, height in pixels, vertical axis and lines.
+pub(super) type Panel<'a> = (&'a str, f64, Axis, Vec<Line>);
+
+/// Draws panels under each other over one horizontal axis.
+pub(super) fn panels(
+    path_stem: &Path,
+    (x_label, x): (&str, Axis),
+    panels: &[Panel],
+) -> Result<[PathBuf; 2], FileError> {
+    const GAP: f64 = 26.0;
+    let left = panels.iter().map(|(_, _, y, _)| y.margin()).fold(0.0, f64::max);
+    let height: f64 = panels.iter().map(|panel| panel.1 + GAP).sum();
+    let mut drawing = Drawing::new(1000.0, height + 84.0);
+    let mut top = 30.0;
+    for (k, (label, height, y, lines)) in panels.iter().enumerate() {
+        let frame = PlotArea { left, top, width: 700.0, height: *height, x: x.clone(), y: y.clone() };
+        frame.draw(&mut drawing, if k + 1 == panels.len() { x_label } else { "" }, label, INK);
+        lines::draw(&mut drawing, &frame, lines);
+        top += height + GAP;
+    }
     drawing.save(path_stem)
-}
-
-/// A line with markers while these are few.
-pub(super) fn curve(drawing: &mut Drawing, frame: &PlotArea, points: &[Point], series: usize) {
-    let marked = points.len() <= 60;
-    for line in frame.map_lines(points) {
-        drawing.line(line.clone(), colors::series(series), 2.0);
-        if marked || line.len() == 1 {
-            for point in line {
-                legend::marker(drawing, point, series, colors::series(series));
-            }
-        }
-    }
-}
-
-/// Entries side by side above a panel, middle line at `y`.
-pub(super) fn legend_row(drawing: &mut Drawing, (left, y): Point, entries: &[Entry]) {
-    let mut x = left;
-    for entry in entries {
-        let single = std::slice::from_ref(entry);
-        legend::draw(drawing, (x, y - 0.5 * legend::height(single)), single);
-        x += legend::width(single) + 36.0;
-    }
 }

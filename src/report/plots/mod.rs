@@ -7,7 +7,7 @@ mod colors;
 mod compare;
 mod drawing;
 mod history;
-mod legend;
+mod lines;
 mod relief;
 mod side_by_side;
 mod stability;

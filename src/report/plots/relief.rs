@@ -2,7 +2,7 @@
 
 use super::axis::{Axis, PlotArea, INK};
 use super::colors;
-use super::drawing::{text_width, Anchor, Drawing};
+use super::drawing::{Anchor, Drawing};
 use super::temperature::{color_bar, ticks_for};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
@@ -43,8 +43,7 @@ pub fn relief(
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
     let bottom = first_top + panels.len() as f64 * (height + gap) - gap;
     let bar_left = left + width + 30.0;
-    let title_width = panels.iter().map(|panel| text_width(panel.title, 18.0)).fold(0.0, f64::max);
-    let mut drawing = Drawing::new((bar_left + 135.0).max(left + title_width + 20.0), bottom + 75.0);
+    let mut drawing = Drawing::new(bar_left + 135.0, bottom + 75.0);
     for (index, panel) in panels.iter().enumerate() {
         let frame = PlotArea {
             left,

@@ -62,9 +62,7 @@ pub fn stability(
     let rows = panels.len().div_ceil(columns);
     let total = left + columns as f64 * (width + gap_x);
     let legend = [('S', "stable"), ('D', "degraded"), ('X', "diverged")];
-    let legend_end = left + 120.0 * (legend.len() - 1) as f64 + CELL + 6.0 + text_width("diverged", LABEL) + 16.0;
-    let mut drawing =
-        Drawing::new(total.max(legend_end).max(text_width(title, 17.0) + 36.0), top + rows as f64 * (height + gap_y));
+    let mut drawing = Drawing::new(total, top + rows as f64 * (height + gap_y));
     drawing.text(title, (20.0, 22.0), 17.0, Anchor::Left, INK);
     for (k, panel) in panels.iter().enumerate() {
         let (x0, y0) = (left + (k % columns) as f64 * (width + gap_x), top + (k / columns) as f64 * (height + gap_y));

@@ -3,7 +3,6 @@
 use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::{text_width, Anchor, Color, Drawing, Point};
-use super::legend::{self, Entry, Sample};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -73,12 +72,8 @@ pub fn colored_particles(
     let (width, height) = (pixels * x_span, pixels * y_span);
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
     let bottom = first_top + panels.len() as f64 * (height + gap) - gap;
-    let entries = entries(panels);
     let bar_left = left + width + 30.0;
-    let legend_width: f64 = entries.iter().map(|entry| legend::width(std::slice::from_ref(entry)) + 30.0).sum();
-    let title_width = panels.iter().map(|panel| text_width(panel.title, 18.0)).fold(0.0, f64::max);
-    let total = (bar_left + 125.0).max(left + legend_width.max(title_width) + 20.0);
-    let mut drawing = Drawing::new(total, bottom + 110.0);
+    let mut drawing = Drawing::new(bar_left + 125.0, bottom + 110.0);
 
     for (index, panel) in panels.iter().enumerate() {
         let frame = PlotArea {
@@ -97,12 +92,7 @@ pub fn colored_particles(
         frame.outline(&mut drawing);
     }
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
-    let mut x = left;
-    for entry in &entries {
-        let single = std::slice::from_ref(entry);
-        legend::draw(&mut drawing, (x, bottom + 68.0), single);
-        x += legend::width(single) + 30.0;
-    }
+    legend(&mut drawing, (left, bottom + 80.0), panels);
     drawing.save(path_stem)
 }
 
@@ -146,8 +136,8 @@ pub(super) fn draw_particles(
     }
 }
 
-/// Entries for the kinds of wall that occur.
-fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
+/// A row that says what the kinds of wall that occur look like, its middle line at `y`.
+fn legend(drawing: &mut Drawing, (mut x, y): Point, panels: &[TemperaturePanel]) {
     let kinds = [
         (1, "wall", WALL_GREY, None),
         (MOVING_WALL, "moving wall", MOVING_GREY, None),
@@ -155,11 +145,14 @@ fn entries(panels: &[TemperaturePanel]) -> Vec<Entry> {
         (SURFACE, "the wall's surface", SURFACE_INK, None),
         (HOT_SURFACE, "that of set temperature", HOT_OUTLINE, None),
     ];
-    kinds
-        .into_iter()
-        .filter(|(tag, ..)| panels.iter().any(|panel| panel.tag.contains(tag)))
-        .map(|(_, text, color, outline)| Entry { text: text.to_owned(), color, sample: Sample::Disc { outline } })
-        .collect()
+    for (_, text, color, outline) in kinds.into_iter().filter(|(tag, ..)| panels.iter().any(|p| p.tag.contains(tag))) {
+        if let Some(outline) = outline {
+            drawing.disc((x + 10.0, y), 8.5, outline);
+        }
+        drawing.disc((x + 10.0, y), 7.0, color);
+        drawing.text(text, (x + 26.0, y), 15.0, Anchor::Left, INK);
+        x += text_width(text, 15.0) + 54.0;
+    }
 }
 
 pub(super) fn color_bar(

@@ -19,9 +19,9 @@
 //! has the inlet's temperature. What walls have stays; the pressure and temperature of dummy particles are nobody's state: 0.
 
 use super::blocks::Place;
-use super::derivatives::rows;
+use super::geometry::Geometry;
+use super::kinds::rows;
 use super::stencil::{laplacian, monomials};
-use super::Geometry;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::laws::conduction;
@@ -43,13 +43,13 @@ fn rates<R: Real, const D: usize>(
     gradient: &[R],
     place: usize,
 ) -> ([R; D], R, [R; D]) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let fields = model.layout.fields();
     let q = const { monomials(D) };
     let at = Place::of::<R>(place, rows(D, fields));
     let of_pressure = Place::of::<R>(place, rows(D, 1));
-    let scale = R::of(1.0 / consistent.spacing);
-    let viscosity = R::of(consistent.viscosity) * scale * scale;
+    let scale = R::of(1.0 / fits.spacing);
+    let viscosity = R::of(fits.viscosity) * scale * scale;
     let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
     let mut shift = [R::default(); D];
     for k in 0..D {
@@ -70,7 +70,7 @@ fn rates<R: Real, const D: usize>(
     let warming = match model.heat.is_some() {
         true => {
             let spread = laplacian::<R, D>(|m| derivatives[at.row((D + 1) * q + m)]);
-            carried(D + 1) + R::of(consistent.diffusivity) * scale * scale * spread
+            carried(D + 1) + R::of(fits.diffusivity) * scale * scale * spread
         }
         false => R::default(),
     };
@@ -106,7 +106,7 @@ impl<R: Real> Forward<'_, R> {
                     }
                 };
                 let moved = known(k) + dt * (mean + shift[k]);
-                let moved = super::super::operators::drift::wrapped(&geometry.model.domain, k, moved);
+                let moved = crate::particles::domain::wrapped(&geometry.model.domain, k, moved);
                 set(l.velocity() + k, velocity);
                 set(k, moved);
                 if k == 0 {
@@ -146,11 +146,11 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
 
 /// known `[F, N]`, derivatives, derivatives of the new pressure with itself behind them -> state `[F, N]`.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], gradient: &[R], state: &mut [R]) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     if geometry.blocks.fluid.places < n {
         state.copy_from_slice(known);
-        for &(dummy, _) in &consistent.dummies {
+        for &(dummy, _) in &fits.dummies {
             (l.pressure()..l.state_rows()).for_each(|row| state[row * n + dummy as usize] = R::default());
         }
     }
@@ -174,15 +174,15 @@ impl<R: Real> Backward<'_, R> {
     #[inline(always)]
     fn places<const D: usize>(&self, places: Range<usize>) {
         let geometry = &self.geometry;
-        let (model, consistent) = (geometry.model, geometry.consistent);
+        let (model, fits) = (geometry.model, &geometry.model.fits);
         let (n, l) = (model.particles(), model.layout);
         let fields = l.fields();
         let q = const { monomials(D) };
         let dt = R::of(geometry.times.now);
         let (half, half_before) = (R::of(0.5 * geometry.times.now), R::of(0.5 * geometry.times.before));
-        let scale = R::of(1.0 / consistent.spacing);
-        let viscosity = R::of(consistent.viscosity) * scale * scale;
-        let diffusivity = R::of(consistent.diffusivity) * scale * scale;
+        let scale = R::of(1.0 / fits.spacing);
+        let viscosity = R::of(fits.viscosity) * scale * scale;
+        let diffusivity = R::of(fits.diffusivity) * scale * scale;
         let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
         for place in places {
             let i = geometry.blocks.fluid.members[place] as usize;
@@ -277,13 +277,13 @@ pub fn backward<R: Real>(
     derivatives_bar: &mut [R],
     gradient_bar: &mut [R],
 ) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     if geometry.blocks.fluid.places < n {
         for i in (0..n).filter(|&i| !model.is_fluid(i)) {
             (0..l.state_rows()).for_each(|row| known_bar[row * n + i] += state_bar[row * n + i]);
         }
-        for &(dummy, _) in &consistent.dummies {
+        for &(dummy, _) in &fits.dummies {
             let i = dummy as usize;
             (l.pressure()..l.state_rows()).for_each(|row| known_bar[row * n + i] -= state_bar[row * n + i]);
         }

@@ -1,53 +1,60 @@
-//! The same step from ordinary candle operators over the padded neighbour list: the oracle.
+//! A step by ordinary candle operators over the padded neighbour list, as reference for the fused kernels.
 
-use super::derivatives::{kind, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
-use super::operators::Shown;
-use super::shift::{Chain, Isotropic};
+use super::arrangement::Shift;
+use super::arrangement::{Chain, Isotropic};
+use super::kinds::{kind, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
+use super::model::Consistent;
 use super::stencil::{at, monomials as monomials_of, packed, quadratic};
-use super::{Consistent, Shift, TimeSteps};
 use crate::numerics::gather::Gather;
 use crate::numerics::lanes::Real;
 use crate::particles::NeighbourList;
-use crate::sph::chain::Step;
+use crate::sph::composed::Pairs;
 use crate::sph::laws::conduction;
-use crate::sph::model::Model;
-use crate::sph::operators::composed::{below, per_particle, Pairs};
+use crate::sph::masks::{below, per_particle};
+use crate::sph::pace::TimeSteps;
 use candle_core::{DType, Result, Tensor};
-use std::sync::Arc;
 
-/// What the operators of a step share.
+/// The evaluated fields of a state, on the graph.
+pub struct Known {
+    /// The state with the values of dummy particles filled in, `[F, N]`.
+    pub known: Tensor,
+    /// Masses of the fluid particles in sums over a cross-section, `[1, N]`.
+    pub masses: Tensor,
+    /// Heat flux of the walls, see [`crate::adjoint::Fields::wall_heat`].
+    pub wall_heat: Option<Tensor>,
+}
+
+/// Data that the operators of a step share.
 struct Around<'a, R> {
-    model: &'a Model<R>,
-    consistent: &'a Consistent<R>,
+    model: &'a Consistent<R>,
     pairs: Pairs,
     /// W and F, 0 in the padding, `[1, N, K]`.
     value: Tensor,
     slope: Tensor,
-    /// What the neighbours count in each kind of fit, `[1, N, K]`.
+    /// Weights of the neighbours in each kind of fit, `[1, N, K]`.
     weights: Vec<Tensor>,
-    /// Monomials of the neighbours' places, `[Q, N, K]`.
+    /// Monomials of the neighbours' relative positions, `[Q, N, K]`.
     monomials: Tensor,
-    /// Their derivatives along the neighbours' normals, and what these count, where there is heat.
+    /// Derivatives of the monomials along the neighbours' normals, and the weights of these conditions, with heat.
     no_flux: Option<(Tensor, Tensor)>,
     fluid: Tensor,
 }
 
-/// A column of per-particle weights, `[1, N]`.
-fn weights<R: Real>(consistent: &Consistent<R>, kind: usize, like: &Tensor) -> Result<Tensor> {
-    per_particle(consistent.weights.iter().skip(kind).step_by(4).copied().collect(), like)
+/// The weights of one kind of fit, `[1, N]`.
+fn weights<R: Real>(model: &Consistent<R>, kind: usize, like: &Tensor) -> Result<Tensor> {
+    per_particle(model.fits.weights.iter().skip(kind).step_by(4).copied().collect(), like)
 }
 
 impl<'a, R: Real> Around<'a, R> {
-    fn new(model: &'a Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<Self> {
-        let Some(consistent) = &model.consistent else { candle_core::bail!("a scene without this formulation") };
+    fn new(model: &'a Consistent<R>, list: &NeighbourList, state: &Tensor) -> Result<Self> {
         let d = model.layout.dimension;
         let position = &state.narrow(0, 0, d)?;
-        let pairs = Pairs::new(&Step { model: model.clone(), list: list.clone() }, position)?;
+        let pairs = Pairs::new(&model.flow, list, position)?;
         let (value, slope) = model.kernel.composed(&pairs.distance)?;
         let (value, slope) = (value.mul(&pairs.mask)?, slope.mul(&pairs.mask)?);
-        let others = |kind: usize| pairs.other(&weights(consistent, kind, position)?);
+        let others = |kind: usize| pairs.other(&weights(model, kind, position)?);
         let weights = (0..KINDS).map(others).collect::<Result<Vec<_>>>()?;
-        let s = pairs.difference.affine(-1.0 / consistent.spacing, 0.0)?;
+        let s = pairs.difference.affine(-1.0 / model.fits.spacing, 0.0)?;
         let mut q: Vec<Option<Tensor>> = vec![None; monomials_of(d)];
         for a in 0..d {
             let along = s.narrow(0, a, 1)?;
@@ -76,10 +83,10 @@ impl<'a, R: Real> Around<'a, R> {
             no_flux = Some((Tensor::cat(&q, 0)?, others(NO_FLUX)?));
         }
         let fluid = pairs.is_fluid.clone();
-        Ok(Self { model, consistent, pairs, value, slope, weights, monomials, no_flux, fluid })
+        Ok(Self { model, pairs, value, slope, weights, monomials, no_flux, fluid })
     }
 
-    /// sum_j W q_a q_b of a kind, factorised, each `[1, N]`; the identity for walls.
+    /// The factorised matrix sum_j W q_a q_b of a kind of fit, each entry `[1, N]`; the identity for walls.
     fn factor(&self, kind: usize) -> Result<Vec<Tensor>> {
         let q = self.monomials.dim(0)?;
         let w = self.value.mul(&self.weights[kind])?;
@@ -100,7 +107,7 @@ impl<'a, R: Real> Around<'a, R> {
         factorised(matrix, q)
     }
 
-    /// d of a field `[1, N]`, `[Q, N]`.
+    /// The derivatives d of a field `[1, N]`, `[Q, N]`.
     fn fit(&self, factor: &[Tensor], kind: usize, field: &Tensor) -> Result<Tensor> {
         let w = self.value.mul(&self.weights[kind])?;
         let difference = (self.pairs.other(field)? - self.pairs.own(field)?)?.mul(&w)?;
@@ -109,7 +116,7 @@ impl<'a, R: Real> Around<'a, R> {
         Tensor::cat(&solved(factor, right)?, 0)
     }
 
-    /// V, `[1, N]`.
+    /// Volume V, `[1, N]`.
     fn volume(&self) -> Result<Tensor> {
         let sum = self.value.mul(&self.weights[PRESSURE])?.sum(2)?;
         sum.affine(1.0, self.model.kernel.at_zero())?.recip()
@@ -118,14 +125,14 @@ impl<'a, R: Real> Around<'a, R> {
     /// [`super::operators::masses`], `[1, N]`.
     fn masses(&self, like: &Tensor) -> Result<Tensor> {
         let density = self.model.equation_of_state.reference_density;
-        let quadrature = per_particle(self.consistent.quadrature.clone(), like)?;
+        let quadrature = per_particle(self.model.fits.quadrature.clone(), like)?;
         self.volume()?.mul(&quadrature)?.mul(&self.fluid)?.affine(density, 0.0)
     }
 
-    /// The shift, `[D, N]`, 0 for walls.
+    /// The shift velocity, `[D, N]`, 0 for walls.
     fn shift(&self, state: &Tensor) -> Result<Tensor> {
         let position = &state.narrow(0, 0, self.model.layout.dimension)?;
-        let w = match &self.consistent.shift {
+        let w = match &self.model.fits.shift {
             Shift::None => position.zeros_like()?,
             Shift::Chain(chain) => self.chain(chain, state)?,
             Shift::Isotropic(isotropic) => self.isotropic(isotropic, position)?,
@@ -134,13 +141,13 @@ impl<'a, R: Real> Around<'a, R> {
     }
 
     fn isotropic(&self, isotropic: &Isotropic, position: &Tensor) -> Result<Tensor> {
-        let consistent = self.consistent;
+        let fits = &self.model.fits;
         let d = self.model.layout.dimension;
         let slope = self.slope.mul(&self.weights[PRESSURE])?;
         let c = self.pairs.difference.broadcast_mul(&slope)?.sum(2)?;
-        let factor = -isotropic.strength * consistent.velocity * consistent.spacing.powi(d as i32 + 1);
+        let factor = -isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1);
         let w = c.affine(factor, 0.0)?;
-        let limit = isotropic.limit * consistent.velocity;
+        let limit = isotropic.limit * fits.velocity;
         let size = (w.sqr()?.sum_keepdim(0)? + 1e-300)?.sqrt()?;
         let over = size.detach().gt(limit)?.to_dtype(w.dtype())?;
         let limited = w.broadcast_mul(&size.recip()?.affine(limit, 0.0)?)?;
@@ -148,7 +155,7 @@ impl<'a, R: Real> Around<'a, R> {
         if isotropic.normals.is_empty() {
             return Ok(w);
         }
-        // Away from the nearest point of the surface: the others are infinitely far.
+        // Repulsion from the nearest point of the surface. All other particles are moved infinitely far away.
         let n = self.model.particles();
         let mut normals = vec![R::default(); d * n];
         let mut is_point = vec![R::default(); n];
@@ -164,7 +171,7 @@ impl<'a, R: Real> Around<'a, R> {
         let nearest = distance.broadcast_eq(&least)?.to_dtype(position.dtype())?.mul(&is_point)?;
         let normal = self.pairs.other(&normals)?;
         let height = self.pairs.difference.mul(&normal)?.sum_keepdim(0)?;
-        let size = height.affine(-1.0 / consistent.spacing, 0.5)?.relu()?.affine(consistent.velocity, 0.0)?;
+        let size = height.affine(-1.0 / fits.spacing, 0.5)?.relu()?.affine(fits.velocity, 0.0)?;
         w + normal.broadcast_mul(&size.mul(&nearest)?)?.sum(2)?
     }
 
@@ -183,7 +190,7 @@ impl<'a, R: Real> Around<'a, R> {
             index[0][i] = own[(c + own.len() - 1) % own.len()];
             index[1][i] = own[(c + 1) % own.len()];
             for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
-                // The nearest to the left, and the one behind it.
+                // The nearest particle to the left, and its successor.
                 let row = &chain.rows[beside];
                 let to = |k: usize| near(xs[row[k] as usize] - xs[i]);
                 let left = (0..row.len()).filter(|&k| to(k) <= 0.0).max_by(|&a, &b| to(a).total_cmp(&to(b)));
@@ -204,7 +211,7 @@ impl<'a, R: Real> Around<'a, R> {
             let (left, right) = (2 + 2 * side, 3 + 2 * side);
             let (before, behind) = (toward(left)?, toward(right)?);
             let width = (&behind - &before)?;
-            // Particles without a row stand beside themselves.
+            // A particle in no row is its own neighbour.
             let none = width.detach().eq(0.0)?.to_dtype(width.dtype())?;
             let share = before.neg()?.div(&(width + none)?)?;
             let level = (of(1, left)? + share.mul(&(of(1, right)? - of(1, left)?)?)?)?;
@@ -212,14 +219,14 @@ impl<'a, R: Real> Around<'a, R> {
             let mirrored = (level.affine(2.0, 0.0)? - &y)?;
             across = (across + level.mul(&wall.affine(-1.0, 1.0)?)? + mirrored.mul(&wall)?)?;
         }
-        let factor = 0.5 * chain.strength * self.consistent.velocity / self.consistent.spacing;
+        let factor = 0.5 * chain.strength * self.model.fits.velocity / self.model.fits.spacing;
         let w = Tensor::cat(&[along, across], 0)?.affine(factor, 0.0)?;
         if !chain.is_still {
             return Ok(w);
         }
         let l = model.layout;
         let width = (toward(1)? - toward(0)?)?;
-        // Particles without a row stand beside themselves.
+        // A particle in no row is its own neighbour.
         let none = width.detach().eq(0.0)?.to_dtype(width.dtype())?;
         let slope = (of(1, 1)? - of(1, 0)?)?.div(&(width + none)?)?;
         let (u, v) = (state.narrow(0, l.velocity(), 1)?, state.narrow(0, l.velocity() + 1, 1)?);
@@ -228,18 +235,18 @@ impl<'a, R: Real> Around<'a, R> {
         Tensor::cat(&[along, (w.narrow(0, 1, 1)? + passing)?], 0)
     }
 
-    /// Fills in the dummy particles' values of fields `[C, N]`.
+    /// Fills in the values of dummy particles in fields `[C, N]`.
     fn wall_values(&self, known: &Tensor, fields: &Tensor) -> Result<Tensor> {
-        let (consistent, l) = (self.consistent, self.model.layout);
+        let (fits, l) = (&self.model.fits, self.model.layout);
         let (n, d) = (self.model.particles(), l.dimension);
-        if consistent.dummies.is_empty() {
+        if fits.dummies.is_empty() {
             return Ok(fields.clone());
         }
         let mut is_point = vec![R::default(); n];
-        consistent.surface.iter().for_each(|&i| is_point[i as usize] = R::of(1.0));
+        fits.surface.iter().for_each(|&i| is_point[i as usize] = R::of(1.0));
         let is_point = per_particle(is_point, known)?;
         let w = self.value.mul(&self.pairs.other(&self.fluid)?)?.mul(&self.pairs.own(&is_point)?)?;
-        let s = self.pairs.difference.affine(-1.0 / consistent.spacing, 0.0)?;
+        let s = self.pairs.difference.affine(-1.0 / fits.spacing, 0.0)?;
         let q = Tensor::cat(&[s.narrow(0, 0, 1)?.ones_like()?, s], 0)?;
         let sum = w.sum(2)?;
         let others = is_point.affine(-1.0, 1.0)?;
@@ -260,8 +267,8 @@ impl<'a, R: Real> Around<'a, R> {
         let device = known.device();
         let mut point_of: Vec<u32> = (0..n as u32).collect();
         let mut is_dummy = vec![R::default(); n];
-        for &(dummy, place) in &consistent.dummies {
-            point_of[dummy as usize] = consistent.surface[place as usize];
+        for &(dummy, place) in &fits.dummies {
+            point_of[dummy as usize] = fits.surface[place as usize];
             is_dummy[dummy as usize] = R::of(1.0);
         }
         let point_of = Gather::new(&point_of, n, device)?;
@@ -280,7 +287,7 @@ impl<'a, R: Real> Around<'a, R> {
             let fit = fit.iter().map(|c| point_of.rows(c, 1)).collect::<Result<Vec<_>>>()?;
             let mut value = fit[0].clone();
             for k in 0..d {
-                value = (value + fit[1 + k].mul(&offset[k])?.affine(1.0 / consistent.spacing, 0.0)?)?;
+                value = (value + fit[1 + k].mul(&offset[k])?.affine(1.0 / fits.spacing, 0.0)?)?;
             }
             filled.push((field.mul(&is_dummy.affine(-1.0, 1.0)?)? + value.mul(&is_dummy)?)?);
         }
@@ -288,7 +295,7 @@ impl<'a, R: Real> Around<'a, R> {
     }
 }
 
-/// Cholesky's factor of symmetric matrices, each entry a tensor, with the inverse on the diagonal.
+/// Cholesky factor of symmetric matrices. Each entry is a tensor; the diagonal holds its inverse.
 fn factorised(matrix: Vec<Tensor>, size: usize) -> Result<Vec<Tensor>> {
     let mut c = matrix;
     for row in 0..size {
@@ -325,7 +332,7 @@ fn solved(c: &[Tensor], mut b: Vec<Tensor>) -> Result<Vec<Tensor>> {
     Ok(b)
 }
 
-/// The state with the dummy particles' values.
+/// The state with the values of dummy particles filled in.
 fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
     let l = around.model.layout;
     let (places, fields) =
@@ -334,16 +341,16 @@ fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
     Tensor::cat(&[places, around.wall_values(state, &fields)?, behind], 0)
 }
 
-/// [`super::operators::look`].
+/// The composed form of [`super::operators::look`].
 ///
 /// # Errors
 /// Tensor errors.
-pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &Tensor) -> Result<Shown> {
+pub fn look<R: Real>(model: &Consistent<R>, list: &NeighbourList, state: &Tensor) -> Result<Known> {
     let around = Around::new(model, list, state)?;
     let (known, masses) = (known(&around, state)?, around.masses(state)?);
     let heating = |until: f64| -> Result<Tensor> {
-        let (l, consistent) = (model.layout, around.consistent);
-        let (d, dx) = (l.dimension, consistent.spacing);
+        let (l, fits) = (model.layout, &model.fits);
+        let (d, dx) = (l.dimension, fits.spacing);
         let fit = around.fit(&around.factor(TEMPERATURE)?, TEMPERATURE, &known.narrow(0, l.temperature(), 1)?)?;
         let mut spread = fit.narrow(0, quadratic(d, 0, 0), 1)?;
         for a in 1..d {
@@ -352,21 +359,21 @@ pub fn look<R: Real>(model: &Arc<Model<R>>, list: &Arc<NeighbourList>, state: &T
         let x = known.narrow(0, 0, 1)?;
         let shift = around.shift(state)?;
         let carried = shift.mul(&fit.narrow(0, 0, d)?)?.sum_keepdim(0)?.affine(1.0 / dx, 0.0)?;
-        let rate = (carried + spread.affine(consistent.diffusivity / (dx * dx), 0.0)?)?;
+        let rate = (carried + spread.affine(fits.diffusivity / (dx * dx), 0.0)?)?;
         let here = conduction::conducts_composed(model, &x)?.mul(&below(&x, until)?)?;
         rate.mul(&masses)?.mul(&here)?.sum_all()
     };
     let wall_heat = model.wall_heat_until.map(heating).transpose()?;
-    Ok(Shown { known, masses, wall_heat })
+    Ok(Known { known, masses, wall_heat })
 }
 
-/// [`super::operators::advance`].
+/// The composed form of [`super::operators::advance`].
 ///
 /// # Errors
 /// Tensor errors.
 pub fn advance<R: Real>(
-    model: &Arc<Model<R>>,
-    list: &Arc<NeighbourList>,
+    model: &Consistent<R>,
+    list: &NeighbourList,
     times: TimeSteps,
     state: &Tensor,
 ) -> Result<Tensor> {
@@ -374,8 +381,8 @@ pub fn advance<R: Real>(
     let (d, fields, dt) = (l.dimension, l.fields(), times.now);
     let position = state.narrow(0, 0, d)?;
     let around = Around::new(model, list, state)?;
-    let consistent = around.consistent;
-    let dx = consistent.spacing;
+    let settings = &model.fits;
+    let dx = settings.spacing;
     let known = known(&around, state)?;
     let factors = (0..KINDS).map(|kind| around.factor(kind)).collect::<Result<Vec<_>>>()?;
     let fit = |field: usize| {
@@ -407,14 +414,14 @@ pub fn advance<R: Real>(
     let bracket = ((pairs.other(&p)? - pairs.own(&p)?)? + smooth)?;
     let volume = around.volume()?;
     let of_dummies = per_particle(vec![R::of(dx.powi(d as i32)); model.particles()], state)?
-        .mul(&weights(consistent, PRESSURE, state)?)?;
+        .mul(&weights(model, PRESSURE, state)?)?;
     let walls = around.fluid.affine(-1.0, 1.0)?;
     let volumes = (volume.mul(&around.fluid)? + of_dummies.mul(&walls)?)?;
     let diffused = pairs.other(&volumes)?.mul(&around.slope)?.mul(&bracket)?.sum(2)?;
     let density = model.equation_of_state.reference_density;
-    let c = consistent.sound_speed;
+    let c = settings.sound_speed;
     let rate = ((carried(&fits[d])? - divergence.affine(density * c * c, 0.0)?)?
-        - diffused.affine(2.0 * consistent.delta * c * dx, 0.0)?)?;
+        - diffused.affine(2.0 * settings.delta * c * dx, 0.0)?)?;
     let p = (p + rate.affine(dt, 0.0)?)?.mul(&around.fluid)?;
     let count: f64 = model.tags.iter().filter(|&&tag| tag == crate::particles::tag::FLUID).count() as f64;
     let mean = p.sum_keepdim(1)?.affine(1.0 / count, 0.0)?;
@@ -424,13 +431,13 @@ pub fn advance<R: Real>(
     // Advance.
     let given = model.body_force.vector(&position)?;
     let (mut velocities, mut rates) = (Vec::new(), Vec::new());
-    // What the last step's prediction is now.
+    // Corrects the field by the difference between the present rate and the last one, which predicted it.
     let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {
         let gap = (rate - known.narrow(0, l.last_rates() + row, 1)?)?.mul(&around.fluid)?;
         field + gap.affine(0.5 * times.before, 0.0)?
     };
     for a in 0..d {
-        let mut rate = (carried(&fits[a])? + spread(&fits[a])?.affine(consistent.viscosity, 0.0)?)?;
+        let mut rate = (carried(&fits[a])? + spread(&fits[a])?.affine(settings.viscosity, 0.0)?)?;
         rate = (rate - slopes.narrow(0, a, 1)?.affine(1.0 / density, 0.0)?)?;
         rate = (rate + given.narrow(0, a, 1)?)?;
         let rate = rate.mul(&around.fluid)?;
@@ -451,15 +458,15 @@ pub fn advance<R: Real>(
     let moved = Tensor::cat(&wrapped, 0)?;
     let moved = (moved.mul(&is_fluid)? + position.mul(&is_fluid.affine(-1.0, 1.0)?)?)?;
     let mut kept = vec![R::of(1.0); model.particles()];
-    consistent.dummies.iter().for_each(|&(dummy, _)| kept[dummy as usize] = R::default());
+    settings.dummies.iter().for_each(|&(dummy, _)| kept[dummy as usize] = R::default());
     let kept = per_particle(kept, state)?;
-    // What points on the surface have stays.
+    // Surface points keep their pressure.
     let stays = known.narrow(0, l.pressure(), 1)?.mul(&walls)?.mul(&kept)?;
     let mut rows = vec![moved.clone(), velocity, (p + stays)?];
     if let Some(heat) = &model.heat {
         let t = known.narrow(0, l.temperature(), 1)?;
         let open = conduction::conducts_composed(model, &known.narrow(0, 0, 1)?)?.mul(&around.fluid)?;
-        let rate = (carried(&fits[d + 1])? + spread(&fits[d + 1])?.affine(consistent.diffusivity, 0.0)?)?;
+        let rate = (carried(&fits[d + 1])? + spread(&fits[d + 1])?.affine(settings.diffusivity, 0.0)?)?;
         let rate = rate.mul(&open)?;
         let mut after = (&t + rate.affine(dt, 0.0)?)?;
         if l.rates {

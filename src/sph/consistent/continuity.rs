@@ -11,12 +11,13 @@
 //! pair adds x_ij (-F_ij) bracket_ij to the scalar product, and row i sums its derivatives by i's own fields.
 
 use super::blocks::{counts, gather, get, position, width, Place};
-use super::derivatives::{rows, PRESSURE};
+use super::geometry::Geometry;
+use super::kept::Kept;
+use super::kinds::{rows, PRESSURE};
 use super::stencil::monomials;
-use super::{Geometry, Kept};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::sph::operators::pairs::{stride, RowGeometry};
+use crate::sph::pairs::{stride, RowGeometry};
 use std::ops::Range;
 
 /// Records: position D, p, V, grad p D, and for the adjoint D_bar.
@@ -199,12 +200,12 @@ impl<R: Real, const D: usize, const G: usize> RowKernel<R> for Pass<'_, R, D, G>
 
 /// Records of all particles; `bar` gives D_bar of places.
 fn pack<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], bar: Option<&[R]>, records: &mut [R]) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     let (d, fields) = (l.dimension, l.fields());
     let q = monomials(d);
     let width = stride(record_fields(d));
-    let volume = R::of((0..d).fold(1.0, |v, _| v * consistent.spacing));
+    let volume = R::of((0..d).fold(1.0, |v, _| v * fits.spacing));
     for (i, record) in records.chunks_exact_mut(width).enumerate() {
         for k in 0..d {
             record[k] = known[k * n + i];
@@ -212,10 +213,10 @@ fn pack<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], bar
         }
         record[d] = known[l.pressure() * n + i];
         // Dummy particles take part in the pressure's fit, points on the surface do not.
-        record[d + 1] = volume * consistent.weights[4 * i + PRESSURE];
+        record[d + 1] = volume * fits.weights[4 * i + PRESSURE];
         record[2 * d + 2] = R::default();
     }
-    let scale = R::of(1.0 / consistent.spacing);
+    let scale = R::of(1.0 / fits.spacing);
     let fluid = &geometry.blocks.fluid;
     for place in 0..fluid.places {
         let at = Place::of::<R>(place, rows(d, fields));
@@ -241,14 +242,14 @@ macro_rules! sizes {
 
 /// What multiplies D_i in p'.
 fn diffusion<R: Real>(geometry: &Geometry<'_, R>) -> R {
-    let consistent = geometry.consistent;
-    R::of(2.0 * consistent.delta * consistent.sound_speed * consistent.spacing)
+    let fits = &geometry.model.fits;
+    R::of(2.0 * fits.delta * fits.sound_speed * fits.spacing)
 }
 
 /// c^2 rho.
 fn stiffness<R: Real>(geometry: &Geometry<'_, R>) -> R {
-    let consistent = geometry.consistent;
-    R::of(geometry.model.equation_of_state.reference_density * consistent.sound_speed * consistent.sound_speed)
+    let fits = &geometry.model.fits;
+    R::of(geometry.model.equation_of_state.reference_density * fits.sound_speed * fits.sound_speed)
 }
 
 /// known `[F, N]`, derivatives -> the new pressure `[1, N]`, 0 for walls.
@@ -259,7 +260,7 @@ pub fn forward<R: Real>(
     kept: &Kept<R>,
     pressure: &mut [R],
 ) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     let (d, fields) = (l.dimension, l.fields());
     let q = monomials(d);
@@ -280,7 +281,7 @@ pub fn forward<R: Real>(
         }};
     }
     sizes!(d, go);
-    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(geometry.times.now));
+    let (scale, dt) = (R::of(1.0 / fits.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut mean = 0.0;
     pressure.fill(R::default());
@@ -313,7 +314,7 @@ pub fn backward<R: Real>(
     known_bar: &mut [R],
     derivatives_bar: &mut [R],
 ) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     let (d, fields) = (l.dimension, l.fields());
     let q = monomials(d);
@@ -324,7 +325,7 @@ pub fn backward<R: Real>(
         mean += pressure_bar[fluid.members[place] as usize].f64();
     }
     let mean = R::of(mean / fluid.places.max(1) as f64);
-    let (scale, dt) = (R::of(1.0 / consistent.spacing), R::of(geometry.times.now));
+    let (scale, dt) = (R::of(1.0 / fits.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut bar = buffers.buffer(fluid.members.len());
     bar.fill(R::default());

@@ -13,38 +13,18 @@
 //! c_i = sum_j F_ij r_ij over the same.
 
 use super::blocks::{counts, gather, get, position, width, Table};
+use super::geometry::Geometry;
+use super::kept::Kept;
+use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
-use super::{Geometry, Kept};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::sph::kernels::KernelLanes;
-use crate::sph::operators::pairs::{stride, RowGeometry};
+use crate::sph::pairs::{stride, RowGeometry};
 use std::ops::Range;
 
 /// A pivot below this share of sum W belongs to a direction without neighbours.
 pub(super) const LEAST_PIVOT: f64 = 1e-9;
-
-/// Which matrix a field is fitted with: column of [`super::Consistent::weights`].
-#[inline(always)]
-pub const fn kind(dimension: usize, fields: usize, field: usize) -> usize {
-    match field {
-        _ if fields == 1 => PRESSURE,
-        _ if field < dimension => VELOCITY,
-        _ if field == dimension => PRESSURE,
-        _ => TEMPERATURE,
-    }
-}
-pub const VELOCITY: usize = 0;
-pub const PRESSURE: usize = 1;
-pub const TEMPERATURE: usize = 2;
-pub const KINDS: usize = 3;
-/// The weight of the condition that no heat flows: a column of the weights too.
-pub const NO_FLUX: usize = 3;
-
-/// Rows of the derivatives: a fit per field, the volume, and c.
-pub const fn rows(dimension: usize, fields: usize) -> usize {
-    fields * monomials(dimension) + 1 + dimension
-}
 
 /// Groups of four in a record of a fit's cotangents: lambda and d of each field, and that of sum W and of c.
 const fn bar_fields(dimension: usize, fields: usize) -> usize {
@@ -81,7 +61,7 @@ impl<L: Lanes, const D: usize> Around<L, D> {
         Self {
             pairs: RowGeometry::new(&geometry.model.domain, geometry.model.kernel.cutoff()),
             kernel: geometry.model.kernel.lanes::<L>(),
-            scale: L::splat(R::of(1.0 / geometry.consistent.spacing)),
+            scale: L::splat(R::of(1.0 / geometry.model.fits.spacing)),
         }
     }
 
@@ -158,7 +138,7 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
         let around = Around::<L, D>::new(geometry);
         let (fluid, wall) = (&geometry.blocks.fluid, &geometry.blocks.wall);
         let place = block * width + part;
-        let isotropic = geometry.consistent.shift.is_isotropic();
+        let isotropic = geometry.model.fits.shift.is_isotropic();
         // SAFETY (of every gather below): tables name particles only, and each has a record.
         let own = unsafe { gather::<L, G>(self.records.as_ptr(), fluid.members[place..].as_ptr()) };
         let here = position::<L, D, G>(&own);
@@ -195,7 +175,7 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
             for k in 0..walls {
                 let index = unsafe { wall.index.as_ptr().add(from + k * width) };
                 let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                let weights = unsafe { L::gather4(geometry.consistent.weights.as_ptr(), 4, index) };
+                let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
                 let (r, r2) = around.towards(&here, &position::<L, D, G>(&other));
                 let (w, f, _) = around.kernel.all(r2);
                 let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
@@ -277,7 +257,7 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
         for k in 0..wall.depth[block] as usize {
             let index = unsafe { wall.index.as_ptr().add(from + k * width) };
             let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-            let weights = unsafe { L::gather4(geometry.consistent.weights.as_ptr(), 4, index) };
+            let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
             let (r, r2) = around.towards(&here, &position::<L, D, G>(&other));
             let w = around.kernel.value(r2);
             let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
@@ -620,7 +600,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
         for d in 0..D {
             sums.position[d] = (-radial).mul_add(r[d], sums.position[d]);
         }
-        if N > 1 && self.geometry.consistent.shift.is_isotropic() {
+        if N > 1 && self.geometry.model.fits.shift.is_isotropic() {
             // c_i = sum F (r_i - r_j): a pair adds F gamma.(r_i - r_j).
             let (a, b) = (Fit(own_bar).spread::<D, Q, N>(), Fit(other_bar).spread::<D, Q, N>());
             let mut gamma = [L::zero(); D];
@@ -676,7 +656,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
                 let own_bar = unsafe { gather::<L, B>(self.bars.as_ptr(), members) };
                 let from = block * table.capacity * width + part;
                 if self.solid {
-                    let weights = unsafe { L::gather4(geometry.consistent.weights.as_ptr(), 4, members) };
+                    let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, members) };
                     for k in 0..table.depth[block] as usize {
                         let index = unsafe { table.index.as_ptr().add(from + k * width) };
                         let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
@@ -696,7 +676,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
                     for k in 0..wall.depth[block] as usize {
                         let index = unsafe { wall.index.as_ptr().add(from + k * width) };
                         let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                        let mut weights = unsafe { L::gather4(geometry.consistent.weights.as_ptr(), 4, index) };
+                        let mut weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
                         // F is not zero where a particle stands in for the neighbours that it lacks: c must not notice.
                         weights[PRESSURE] = L::splat(R::of(k as f64)).select_less(count, weights[PRESSURE], L::zero());
                         self.pair::<L, true, false>(&around, &own, &other, &own_bar, &own_bar, &weights, &mut sums);

@@ -1,20 +1,20 @@
-//! The kick of a [`crate::sph::laws::drive`] at a step's end: u += kick, x += dt kick, as if it had been there before the move.
+//! The kick of a [`crate::sph::laws::drive`] at the end of a step: u += kick, x += dt kick.
 
-use super::Geometry;
+use super::geometry::Geometry;
+use super::model::Consistent;
 use crate::numerics::lanes::Real;
+use crate::particles::domain::wrapped;
 use crate::sph::laws::conduction;
 use crate::sph::laws::drive::Kick;
-use crate::sph::model::Model;
-use crate::sph::operators::composed::below;
-use crate::sph::operators::drift::wrapped;
+use crate::sph::masks::below;
 use candle_core::{Result, Tensor};
 
-/// In the order of particles, so that sums do not depend on how they are dealt out.
-fn fluid<R: Real>(model: &Model<R>) -> impl Iterator<Item = usize> + '_ {
+/// Fluid particles in index order, so that sums do not depend on the number of threads.
+fn fluid<R: Real>(model: &Consistent<R>) -> impl Iterator<Item = usize> + '_ {
     (0..model.particles()).filter(|&i| model.is_fluid(i))
 }
 
-/// The kick of a state's velocities before it.
+/// The kick for velocities `u` before it.
 fn found<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], u: &[R]) -> Kick {
     let model = geometry.model;
     let Some(drive) = model.drive else { return Kick::default() };
@@ -27,7 +27,8 @@ fn found<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], u: &[R]) -> Kick {
     drive.kick(geometry.times.now, momentum, mass)
 }
 
-/// Kicks a state `[F, N]`, in place; the acceleration of it. `masses` `[N]` as [`super::operators::masses`] gives them.
+/// Kicks a state `[F, N]` in place and returns the acceleration. `masses` `[N]` are those of
+/// [`super::operators::masses`].
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], state: &mut [R]) -> f64 {
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
     let dt = geometry.times.now;
@@ -42,7 +43,7 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], state: &mut [R
     kick / dt
 }
 
-/// The adjoint: cotangent of the state behind the kick -> of that before it, in place, and of the masses.
+/// The adjoint: maps `bar`, the cotangent of the state after the kick, to that before it, and adds to `masses_bar`.
 pub fn backward<R: Real>(
     geometry: &Geometry<'_, R>,
     masses: &[R],
@@ -65,11 +66,17 @@ pub fn backward<R: Real>(
     }
 }
 
-/// [`forward`] from candle's operators; masses `[1, N]`.
+/// [`forward`] by candle's operators; masses `[1, N]`.
 ///
 /// # Errors
 /// Tensor errors.
-pub fn composed<R: Real>(model: &Model<R>, dt: f64, fluid: &Tensor, masses: &Tensor, state: &Tensor) -> Result<Tensor> {
+pub fn composed<R: Real>(
+    model: &Consistent<R>,
+    dt: f64,
+    fluid: &Tensor,
+    masses: &Tensor,
+    state: &Tensor,
+) -> Result<Tensor> {
     let Some(drive) = model.drive else { return Ok(state.clone()) };
     let l = model.layout;
     let u = state.narrow(0, l.velocity(), 1)?;

@@ -1,40 +1,38 @@
-//! The operators of a step on candle's graph, and the same on reused buffers.
+//! The operators of a step on candle's graph, and in reused buffers.
 
 use super::blocks::{width, Blocks, Place};
-use super::derivatives::rows;
+use super::composed::Known;
 use super::drive;
+use super::geometry::Geometry;
+use super::kept::Kept;
+use super::kinds::rows;
+use super::model::Consistent;
 use super::stencil::monomials;
-use super::{Geometry, Kept, TimeSteps};
+use super::sweeps::Sweeps;
 use crate::numerics::candle::{apply1, apply2, apply3, Operator};
 use crate::numerics::lanes::Real;
 use crate::sph::laws::conduction;
-use crate::sph::model::Model;
-use crate::sph::sweeps::Sweeps;
+use crate::sph::pace::TimeSteps;
 use candle_core::{Result, Shape, Tensor};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// What the operators of one step share: constants, tables, and what they keep for each other.
+/// Data that the operators of one step share: constants, tables and cached results.
 #[derive(Debug)]
 pub struct Chain<R: Real> {
-    pub model: Arc<Model<R>>,
+    pub model: Arc<Consistent<R>>,
     pub blocks: Arc<Blocks>,
     times: TimeSteps,
     kept: Mutex<Kept<R>>,
 }
 
 impl<R: Real> Chain<R> {
-    pub fn new(model: Arc<Model<R>>, blocks: Arc<Blocks>, times: TimeSteps) -> Arc<Self> {
-        let kept = Mutex::new(model.scratch.fits.take().unwrap_or_default());
+    pub fn new(model: Arc<Consistent<R>>, blocks: Arc<Blocks>, times: TimeSteps) -> Arc<Self> {
+        let kept = Mutex::new(model.kept.take().unwrap_or_default());
         Arc::new(Self { model, blocks, times, kept })
     }
 
-    fn geometry(&self) -> Result<Geometry<'_, R>> {
-        match &self.model.consistent {
-            Some(consistent) => {
-                Ok(Geometry { model: &self.model, consistent, blocks: &self.blocks, times: self.times })
-            }
-            None => candle_core::bail!("an operator of the consistent formulation in a scene without it"),
-        }
+    fn geometry(&self) -> Geometry<'_, R> {
+        Geometry { model: &self.model, blocks: &self.blocks, times: self.times }
     }
 
     fn kept(&self) -> MutexGuard<'_, Kept<R>> {
@@ -45,7 +43,7 @@ impl<R: Real> Chain<R> {
         self.model.layout.state_rows()
     }
 
-    /// Shape of derivatives of so many fields.
+    /// The shape of the derivatives of `fields` fields.
     fn shape(&self, fields: usize) -> [usize; 3] {
         [self.blocks.fluid.blocks(), rows(self.model.layout.dimension, fields), width::<R>()]
     }
@@ -54,7 +52,7 @@ impl<R: Real> Chain<R> {
 impl<R: Real> Drop for Chain<R> {
     fn drop(&mut self) {
         let kept = std::mem::take(self.kept.get_mut().unwrap_or_else(|e| e.into_inner()));
-        self.model.scratch.fits.give_back(kept);
+        self.model.kept.give_back(kept);
     }
 }
 
@@ -62,23 +60,23 @@ fn zeros<R: Real>(shape: impl IntoIterator<Item = usize>) -> Vec<R> {
     vec![R::default(); shape.into_iter().product()]
 }
 
-/// state `[F, N]` -> known `[F, N]`: the same with the dummy particles' values filled in.
+/// state `[F, N]` -> known `[F, N]`: the state with the values of dummy particles filled in.
 pub struct WallValues<R: Sweeps>(pub Arc<Chain<R>>);
 /// known -> derivatives of all fields.
 pub struct Derivatives<R: Sweeps>(pub Arc<Chain<R>>);
-/// known, derivatives -> the fluid's new pressure `[1, N]`.
+/// known, derivatives -> new pressure of the fluid, `[1, N]`.
 pub struct Continuity<R: Sweeps>(pub Arc<Chain<R>>);
-/// known, new pressure -> the same with the dummy particles' values.
+/// known, new pressure -> new pressure with the values of dummy particles filled in.
 pub struct WallPressure<R: Sweeps>(pub Arc<Chain<R>>);
-/// known, new pressure -> its derivatives, and itself behind them.
+/// known, new pressure -> its derivatives, followed by the pressure itself.
 pub struct PressureGradient<R: Sweeps>(pub Arc<Chain<R>>);
 /// known, derivatives, pressure gradient -> state.
 pub struct Advance<R: Sweeps>(pub Arc<Chain<R>>);
-/// derivatives -> mass of the fluid's particles as sections count it, rho V times the quadrature's weight, `[1, N]`.
+/// derivatives -> mass of fluid particles in sums over a cross-section, rho V times the quadrature weight, `[1, N]`.
 pub struct Masses<R: Sweeps>(pub Arc<Chain<R>>);
-/// known, derivatives, masses -> [`heating`] up to some x, `[]`.
+/// known, derivatives, masses -> [`heating`] up to a given x, `[]`.
 pub struct Heating<R: Sweeps>(pub Arc<Chain<R>>, pub f64);
-/// state, masses -> state, kicked.
+/// state, masses -> state after the kick of the drive.
 pub struct Drive<R: Sweeps>(pub Arc<Chain<R>>);
 
 impl<R: Sweeps> Operator<1> for WallValues<R> {
@@ -87,13 +85,13 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
 
     fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut known = state.to_vec();
-        R::known(&self.0.geometry()?, &mut self.0.kept(), &mut known);
+        R::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
     fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let mut state_bar = bar.to_vec();
-        R::known_bar(&self.0.geometry()?, &self.0.kept(), known, &mut state_bar);
+        R::known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
         Ok([Some(state_bar)])
     }
 }
@@ -104,13 +102,13 @@ impl<R: Sweeps> Operator<1> for Derivatives<R> {
 
     fn forward(&self, [known]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut derivatives = Vec::new();
-        R::derivatives(&self.0.geometry()?, &mut self.0.kept(), known, &mut derivatives);
+        R::derivatives(&self.0.geometry(), &mut self.0.kept(), known, &mut derivatives);
         Ok((derivatives, Shape::from(self.0.shape(self.0.model.layout.fields()).to_vec())))
     }
 
     fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let (mut bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
-        R::derivatives_bar(&self.0.geometry()?, &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
+        R::derivatives_bar(&self.0.geometry(), &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
         Ok([Some(known_bar)])
     }
 }
@@ -122,7 +120,7 @@ impl<R: Sweeps> Operator<2> for Continuity<R> {
     fn forward(&self, [known, derivatives]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let n = self.0.model.particles();
         let mut pressure = zeros([n]);
-        R::continuity(&self.0.geometry()?, known, derivatives, &self.0.kept(), &mut pressure);
+        R::continuity(&self.0.geometry(), known, derivatives, &self.0.kept(), &mut pressure);
         Ok((pressure, (1, n).into()))
     }
 
@@ -134,7 +132,7 @@ impl<R: Sweeps> Operator<2> for Continuity<R> {
         _: [bool; 2],
     ) -> Result<[Option<Vec<R>>; 2]> {
         let (mut known_bar, mut derivatives_bar) = (zeros([known.len()]), zeros([derivatives.len()]));
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         R::continuity_bar(&geometry, known, derivatives, &self.0.kept(), bar, &mut known_bar, &mut derivatives_bar);
         Ok([Some(known_bar), Some(derivatives_bar)])
     }
@@ -146,13 +144,13 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
 
     fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut filled = pressure.to_vec();
-        R::wall_pressure(&self.0.geometry()?, &mut self.0.kept(), known, &mut filled);
+        R::wall_pressure(&self.0.geometry(), &mut self.0.kept(), known, &mut filled);
         Ok((filled, shapes[1].clone()))
     }
 
     fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         R::wall_pressure_bar(&geometry, &self.0.kept(), known, filled, &mut pressure_bar, &mut known_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
     }
@@ -164,7 +162,7 @@ impl<R: Sweeps> Operator<2> for PressureGradient<R> {
 
     fn forward(&self, [known, pressure]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut gradient = Vec::new();
-        R::pressure_gradient(&self.0.geometry()?, &mut self.0.kept(), known, pressure, &mut gradient);
+        R::pressure_gradient(&self.0.geometry(), &mut self.0.kept(), known, pressure, &mut gradient);
         Ok((gradient, Shape::from(self.0.shape(1).to_vec())))
     }
 
@@ -176,7 +174,7 @@ impl<R: Sweeps> Operator<2> for PressureGradient<R> {
         _: [bool; 2],
     ) -> Result<[Option<Vec<R>>; 2]> {
         let (mut known_bar, mut pressure_bar) = (zeros([known.len()]), zeros([pressure.len()]));
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         let mut bar = bar.to_vec();
         R::pressure_gradient_bar(&geometry, &self.0.kept(), gradient, &mut bar, &mut known_bar, &mut pressure_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
@@ -189,7 +187,7 @@ impl<R: Sweeps> Operator<3> for Advance<R> {
 
     fn forward(&self, [known, derivatives, gradient]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
         let mut state = zeros([known.len()]);
-        R::advance(&self.0.geometry()?, known, derivatives, gradient, &mut state);
+        R::advance(&self.0.geometry(), known, derivatives, gradient, &mut state);
         Ok((state, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
@@ -202,7 +200,7 @@ impl<R: Sweeps> Operator<3> for Advance<R> {
     ) -> Result<[Option<Vec<R>>; 3]> {
         let mut bars = [zeros([known.len()]), zeros([derivatives.len()]), zeros([gradient.len()])];
         let [known_bar, derivatives_bar, gradient_bar] = &mut bars;
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         R::advance_bar(&geometry, known, derivatives, state, bar, known_bar, derivatives_bar, gradient_bar);
         Ok(bars.map(Some))
     }
@@ -213,7 +211,7 @@ impl<R: Sweeps> Operator<1> for Masses<R> {
     const NAME: &'static str = "masses";
 
     fn forward(&self, [derivatives]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         let n = self.0.model.particles();
         let mut masses = zeros([n]);
         self::masses(&geometry, derivatives, &mut masses);
@@ -221,7 +219,7 @@ impl<R: Sweeps> Operator<1> for Masses<R> {
     }
 
     fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         let mut derivatives_bar = zeros([derivatives.len()]);
         each_mass(&geometry, |i, at, factor| derivatives_bar[at] = bar[i] * factor);
         Ok([Some(derivatives_bar)])
@@ -234,18 +232,19 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
 
     fn forward(&self, [state, masses]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut after = state.to_vec();
-        drive::forward(&self.0.geometry()?, masses, &mut after);
+        drive::forward(&self.0.geometry(), masses, &mut after);
         Ok((after, shapes[0].clone()))
     }
 
     fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let (mut state_bar, mut masses_bar) = (bar.to_vec(), zeros([masses.len()]));
-        drive::backward(&self.0.geometry()?, masses, state, after, &mut state_bar, &mut masses_bar);
+        drive::backward(&self.0.geometry(), masses, state, after, &mut state_bar, &mut masses_bar);
         Ok([Some(state_bar), Some(masses_bar)])
     }
 }
 
-/// For each fluid particle: its number, where its volume stands among the derivatives, and what that is multiplied with.
+/// Calls `each` with the index of each fluid particle, the place of its volume in the derivatives, and the volume's
+/// factor.
 fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, usize, R)) {
     let (l, density) = (geometry.model.layout, geometry.model.equation_of_state.reference_density);
     let row = l.fields() * monomials(l.dimension);
@@ -253,16 +252,16 @@ fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, us
     for place in 0..fluid.places {
         let i = fluid.members[place] as usize;
         let at = Place::of::<R>(place, rows(l.dimension, l.fields())).row(row);
-        each(i, at, R::of(density) * geometry.consistent.quadrature[i]);
+        each(i, at, R::of(density) * geometry.model.fits.quadrature[i]);
     }
 }
 
-/// Masses of the fluid's particles as sections count them, `[N]`; 0 for walls.
+/// Masses of the fluid particles in sums over a cross-section, `[N]`; 0 for walls.
 pub fn masses<R: Real>(geometry: &Geometry<'_, R>, derivatives: &[R], masses: &mut [R]) {
     each_mass(geometry, |i, at, factor| masses[i] = derivatives[at] * factor);
 }
 
-/// For each conducting fluid particle with x < `until`: its number and where its derivatives stand.
+/// Calls `each` for each conducting fluid particle with x < `until`, with its index and the place of its derivatives.
 fn each_conducting<R: Real>(geometry: &Geometry<'_, R>, known: &[R], until: f64, mut each: impl FnMut(usize, Place)) {
     let l = geometry.model.layout;
     let fluid = &geometry.blocks.fluid;
@@ -274,31 +273,31 @@ fn each_conducting<R: Real>(geometry: &Geometry<'_, R>, known: &[R], until: f64,
     }
 }
 
-/// alpha lap T + w.grad T from what `derivative` gives for its rows; `slope` sees each row of which the rate is a function,
-/// and the derivative by it.
+/// The rate alpha lap T + w.grad T, where `derivative` returns the rows of the derivatives. `slope` is called with each
+/// row that the rate depends on, and the derivative with respect to it.
 fn conduction_rate<R: Real>(
     geometry: &Geometry<'_, R>,
     derivative: impl Fn(usize) -> f64,
     mut slope: impl FnMut(usize, f64),
 ) -> f64 {
-    let (l, consistent) = (geometry.model.layout, geometry.consistent);
+    let (l, fits) = (geometry.model.layout, &geometry.model.fits);
     let (d, fields) = (l.dimension, l.fields());
     let q = monomials(d);
     let mut rate = 0.0;
     for a in 0..d {
         let spread = (d + 1) * q + super::stencil::quadratic(d, a, a);
         let (shift, along) = (fields * q + 1 + a, (d + 1) * q + a);
-        let diffusivity = consistent.diffusivity / consistent.spacing.powi(2);
-        rate += diffusivity * derivative(spread) + derivative(shift) * derivative(along) / consistent.spacing;
+        let diffusivity = fits.diffusivity / fits.spacing.powi(2);
+        rate += diffusivity * derivative(spread) + derivative(shift) * derivative(along) / fits.spacing;
         slope(spread, diffusivity);
-        slope(shift, derivative(along) / consistent.spacing);
-        slope(along, derivative(shift) / consistent.spacing);
+        slope(shift, derivative(along) / fits.spacing);
+        slope(along, derivative(shift) / fits.spacing);
     }
     rate
 }
 
-/// What conduction brings to conducting fluid with x < `until`: sum over it of mass times (alpha lap T + w.grad T), the rate of
-/// the particles that stand there. `masses` as [`masses`] gives them.
+/// The heat that conduction brings to the conducting fluid with x < `until`: the sum of mass times the rate
+/// alpha lap T + w.grad T over its particles. `masses` are those of [`masses`].
 pub fn heating<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], masses: &[R], until: f64) -> f64 {
     let mut sum = 0.0;
     each_conducting(geometry, known, until, |i, at| {
@@ -312,7 +311,7 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
     const NAME: &'static str = "heating";
 
     fn forward(&self, [known, derivatives, masses]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
-        Ok((vec![R::of(heating(&self.0.geometry()?, known, derivatives, masses, self.1))], ().into()))
+        Ok((vec![R::of(heating(&self.0.geometry(), known, derivatives, masses, self.1))], ().into()))
     }
 
     fn adjoint(
@@ -322,7 +321,7 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
         bar: &[R],
         _: [bool; 3],
     ) -> Result<[Option<Vec<R>>; 3]> {
-        let geometry = self.0.geometry()?;
+        let geometry = self.0.geometry();
         let (mut derivatives_bar, mut masses_bar) = (zeros([derivatives.len()]), zeros([masses.len()]));
         let bar = bar[0].f64();
         each_conducting(&geometry, known, self.1, |i, at| {
@@ -330,35 +329,25 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
             let slope = |k: usize, by: f64| derivatives_bar[at.row(k)] += R::of(mass_bar * by);
             masses_bar[i] = R::of(bar * conduction_rate(&geometry, |k| derivatives[at.row(k)].f64(), slope));
         });
-        // Who conducts does not change with an infinitesimal step.
+        // An infinitesimal change of positions does not change which particles conduct.
         Ok([Some(zeros([known.len()])), Some(derivatives_bar), Some(masses_bar)])
     }
 }
 
-/// A state as fields are made of it, on the graph.
-pub struct Shown {
-    /// With the dummy particles' values, `[F, N]`.
-    pub known: Tensor,
-    /// `[1, N]`.
-    pub masses: Tensor,
-    /// See [`crate::adjoint::Fields::wall_heat`].
-    pub wall_heat: Option<Tensor>,
-}
-
-/// A state as it is, on the graph.
+/// The evaluated fields of a state, on the graph.
 ///
 /// # Errors
 /// Tensor errors.
-pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Shown> {
+pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Known> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;
     let masses = apply1(Masses(chain.clone()), &derivatives)?;
     let heating = |until| apply3(Heating(chain.clone(), until), &known, &derivatives, &masses);
     let wall_heat = chain.model.wall_heat_until.map(heating).transpose()?;
-    Ok(Shown { known, masses, wall_heat })
+    Ok(Known { known, masses, wall_heat })
 }
 
-/// One step, on the graph.
+/// Makes one step on the graph.
 ///
 /// # Errors
 /// Tensor errors.
@@ -382,13 +371,13 @@ pub struct Buffers<R> {
     pub derivatives: Vec<R>,
     gradient: Vec<R>,
     pressure: Vec<R>,
-    /// Where something drives the flow that needs them.
+    /// Filled only if a drive needs them.
     masses: Vec<R>,
     kept: Kept<R>,
 }
 
 impl<R: Sweeps> Buffers<R> {
-    /// Fills in `known` and the derivatives of a state.
+    /// Computes `known` and the derivatives of a state.
     pub fn look(&mut self, geometry: &Geometry<'_, R>, state: &[R]) {
         self.known.clear();
         self.known.extend_from_slice(state);
@@ -396,7 +385,7 @@ impl<R: Sweeps> Buffers<R> {
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
-    /// One step of a state, in place. The acceleration of what drives the flow, if it is no body force.
+    /// Makes one step in place. Returns the acceleration of the drive, if there is one.
     pub fn advance(&mut self, geometry: &Geometry<'_, R>, state: &mut [R]) -> Option<f64> {
         self.look(geometry, state);
         self.pressure.resize(geometry.model.particles(), R::default());
@@ -411,7 +400,7 @@ impl<R: Sweeps> Buffers<R> {
     }
 }
 
-/// [`super::wall_values`] of all fields, in place.
+/// Fills in the values of dummy particles in all fields, in place, see [`super::wall_values`].
 pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     // Positions and mirror images are read while values are written.
@@ -419,7 +408,7 @@ pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mu
     super::wall_values::fill(geometry, places, fields, kept, true);
 }
 
-/// Its adjoint, in place: cotangent of `known` -> of the state.
+/// The adjoint of [`known`], in place: maps the cotangent of `known` to that of the state.
 pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     let (places_bar, fields_bar) = bar[..l.last_rates() * n].split_at_mut(l.pressure() * n);
@@ -427,14 +416,14 @@ pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R
     super::wall_values::backward(geometry, places, fields, kept, true, fields_bar, places_bar);
 }
 
-/// [`super::derivatives`] of all fields, and the shift behind them.
+/// The derivatives of all fields, see [`super::derivatives`], followed by the shift.
 pub fn derivatives<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], derivatives: &mut Vec<R>) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     super::derivatives::forward(geometry, known, &known[l.dimension * n..l.last_rates() * n], kept, derivatives);
     super::shift::forward(geometry, known, kept, derivatives);
 }
 
-/// Their adjoint: adds to `known_bar`, and spoils `bar`.
+/// The adjoint of [`derivatives`]. It adds to `known_bar` and overwrites `bar`.
 pub fn derivatives_bar<R: Real>(
     geometry: &Geometry<'_, R>,
     kept: &mut Kept<R>,
@@ -449,7 +438,7 @@ pub fn derivatives_bar<R: Real>(
     super::derivatives::backward(geometry, kept, derivatives, bar, position_bar, fields_bar);
 }
 
-/// [`super::wall_values`] of the new pressure, in place.
+/// Fills in the values of dummy particles in the new pressure, in place, see [`super::wall_values`].
 pub fn wall_pressure<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], pressure: &mut [R]) {
     super::wall_values::fill(geometry, known, pressure, kept, false);
 }
@@ -465,7 +454,7 @@ pub fn wall_pressure_bar<R: Real>(
     super::wall_values::backward(geometry, known, filled, kept, false, pressure_bar, known_bar);
 }
 
-/// [`super::derivatives`] of the new pressure, and that itself in the row behind them.
+/// The derivatives of the new pressure, see [`super::derivatives`], followed by the pressure itself.
 pub fn pressure_gradient<R: Real>(
     geometry: &Geometry<'_, R>,
     kept: &mut Kept<R>,
@@ -481,7 +470,7 @@ pub fn pressure_gradient<R: Real>(
     }
 }
 
-/// Its adjoint; spoils `bar`.
+/// The adjoint of [`pressure_gradient`]. It overwrites `bar`.
 pub fn pressure_gradient_bar<R: Real>(
     geometry: &Geometry<'_, R>,
     kept: &Kept<R>,
@@ -494,7 +483,7 @@ pub fn pressure_gradient_bar<R: Real>(
     let fluid = &geometry.blocks.fluid;
     for place in 0..fluid.places {
         let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
-        // To the fits' adjoint the row is that of a volume, of which there is none here.
+        // The adjoint of the fits takes this row for the volume, which is not used here.
         pressure_bar[fluid.members[place] as usize] += std::mem::take(&mut bar[at]);
     }
     super::derivatives::backward(geometry, kept, gradient, bar, &mut known_bar[..d * n], pressure_bar);

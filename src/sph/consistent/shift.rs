@@ -10,74 +10,16 @@
 //!   surface where it is nearer than dx/2.
 //! * `none`.
 
+use super::arrangement::{Chain, Isotropic, Shift};
 use super::blocks::{width, Place};
-use super::derivatives::rows;
+use super::geometry::Geometry;
+use super::kept::Kept;
+use super::kinds::rows;
 use super::stencil::monomials;
-use super::{Geometry, Kept};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::Domain;
-use std::collections::BTreeMap;
 use std::ops::Range;
-
-/// How particles are kept evenly spread.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Shift {
-    None,
-    Chain(Chain),
-    Isotropic(Isotropic),
-}
-
-impl Shift {
-    pub fn is_isotropic(&self) -> bool {
-        matches!(self, Self::Isotropic(_))
-    }
-}
-
-/// Rows of particles, from the lower wall's surface to the upper one's; both of these first and last.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Chain {
-    /// k.
-    pub strength: f64,
-    /// Whether rows stay where they are (`rows`).
-    pub is_still: bool,
-    /// Particles of each row, in the order of x.
-    pub rows: Vec<Vec<u32>>,
-    /// Row and place in it of each particle, `[N]`; (0, 0) for those that are in none.
-    pub seat: Vec<(u32, u32)>,
-}
-
-impl Chain {
-    /// With these rows of a scene of `particles` particles.
-    pub fn new(strength: f64, is_still: bool, rows: Vec<Vec<u32>>, particles: usize) -> Self {
-        let mut seat = vec![(0, 0); particles];
-        for (r, row) in rows.iter().enumerate() {
-            for (c, &i) in row.iter().enumerate() {
-                seat[i as usize] = (r as u32, c as u32);
-            }
-        }
-        Self { strength, is_still, rows, seat }
-    }
-
-    /// A particle's row, and the particles in front of it and behind it there.
-    #[inline(always)]
-    fn beside(&self, i: usize) -> (usize, u32, u32) {
-        let (r, c) = (self.seat[i].0 as usize, self.seat[i].1 as usize);
-        let own = &self.rows[r];
-        (r, own[(c + own.len() - 1) % own.len()], own[(c + 1) % own.len()])
-    }
-}
-
-/// Away from crowds.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Isotropic {
-    /// k.
-    pub strength: f64,
-    /// |w| <= limit U.
-    pub limit: f64,
-    /// The inward normals of the points on the surface, by particle.
-    pub normals: BTreeMap<u32, [f64; 3]>,
-}
 
 /// Where a place lies between two particles of a row: the places of both in it, and how far they are to the right of it.
 struct Between<R> {
@@ -163,19 +105,19 @@ fn hints<'a>(chain: &Chain, hints: &'a mut Vec<u32>) -> &'a mut [u32] {
 
 /// Replaces the derivatives' last rows (c_i) by w.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept<R>, derivatives: &mut [R]) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let l = model.layout;
     let (d, fields) = (l.dimension, l.fields());
     let fluid = &geometry.blocks.fluid;
     let first = fields * monomials(d) + 1;
     let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
-    match &consistent.shift {
+    match &fits.shift {
         Shift::None => {}
         Shift::Isotropic(isotropic) => {
             // The adjoint needs c where w is limited.
             kept.spread.resize(d * fluid.members.len(), R::default());
-            let factor = R::of(-isotropic.strength * consistent.velocity * consistent.spacing.powi(d as i32 + 1));
-            let limit = R::of(isotropic.limit * consistent.velocity);
+            let factor = R::of(-isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1));
+            let limit = R::of(isotropic.limit * fits.velocity);
             for place in 0..fluid.places {
                 let mut square = R::default();
                 for k in 0..d {
@@ -212,11 +154,11 @@ impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, places: Range<usize>) {
         let (geometry, at) = (&self.geometry, &self.at);
-        let (model, consistent, chain) = (geometry.model, geometry.consistent, at.chain);
+        let (model, fits, chain) = (geometry.model, &geometry.model.fits, at.chain);
         let (n, l) = (model.particles(), model.layout);
         let (d, fields) = (l.dimension, l.fields());
         let first = fields * monomials(d) + 1;
-        let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
+        let factor = R::of(0.5 * chain.strength * fits.velocity / fits.spacing);
         let two = R::of(2.0);
         let last = chain.rows.len() - 1;
         for place in places {
@@ -257,13 +199,13 @@ pub fn backward<R: Real>(
     derivatives_bar: &mut [R],
     known_bar: &mut [R],
 ) {
-    let (model, consistent) = (geometry.model, geometry.consistent);
+    let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l) = (model.particles(), model.layout);
     let (d, fields) = (l.dimension, l.fields());
     let fluid = &geometry.blocks.fluid;
     let first = fields * monomials(d) + 1;
     let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
-    match &consistent.shift {
+    match &fits.shift {
         Shift::None => {
             for place in 0..fluid.places {
                 (0..d).for_each(|k| derivatives_bar[row(place, k)] = R::default());
@@ -271,8 +213,8 @@ pub fn backward<R: Real>(
         }
         Shift::Isotropic(isotropic) => {
             push_back(geometry, isotropic, known, |place, k| derivatives_bar[row(place, k)], known_bar);
-            let factor = R::of(-isotropic.strength * consistent.velocity * consistent.spacing.powi(d as i32 + 1));
-            let limit = R::of(isotropic.limit * consistent.velocity);
+            let factor = R::of(-isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1));
+            let limit = R::of(isotropic.limit * fits.velocity);
             for place in 0..fluid.places {
                 let c = &kept.spread[place * d..(place + 1) * d];
                 let size = c.iter().map(|&c| factor * c * factor * c).sum::<R>().sqrt();
@@ -291,7 +233,7 @@ pub fn backward<R: Real>(
         }
         Shift::Chain(chain) => {
             let at = Rows::new(geometry, chain, known);
-            let factor = R::of(0.5 * chain.strength * consistent.velocity / consistent.spacing);
+            let factor = R::of(0.5 * chain.strength * fits.velocity / fits.spacing);
             let two = R::of(2.0);
             let last = chain.rows.len() - 1;
             let hints = hints(chain, &mut kept.hints);
@@ -349,7 +291,7 @@ fn near<R: Real>(
     known: &[R],
     mut each: impl FnMut(usize, usize, &[f64; 3], R),
 ) {
-    let consistent = geometry.consistent;
+    let fits = &geometry.model.fits;
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
     let (table, width) = (&geometry.blocks.wall, width::<R>());
     if isotropic.normals.is_empty() {
@@ -375,7 +317,7 @@ fn near<R: Real>(
         }
         if let Some((_, point, normal, r)) = best {
             let distance: R = (0..d).map(|a| r[a] * R::of(normal[a])).sum();
-            if distance < R::of(0.5 * consistent.spacing) {
+            if distance < R::of(0.5 * fits.spacing) {
                 each(place, point as usize, normal, distance);
             }
         }
@@ -384,10 +326,10 @@ fn near<R: Real>(
 
 /// Away from the surface: n U (1/2 - distance/dx).
 fn push<R: Real>(geometry: &Geometry<'_, R>, isotropic: &Isotropic, known: &[R], mut add: impl FnMut(usize, usize, R)) {
-    let consistent = geometry.consistent;
+    let fits = &geometry.model.fits;
     let d = geometry.model.layout.dimension;
     near(geometry, isotropic, known, |place, _, normal, distance| {
-        let size = R::of(consistent.velocity) * (R::of(0.5) - distance * R::of(1.0 / consistent.spacing));
+        let size = R::of(fits.velocity) * (R::of(0.5) - distance * R::of(1.0 / fits.spacing));
         (0..d).for_each(|k| add(place, k, R::of(normal[k]) * size));
     });
 }
@@ -399,12 +341,12 @@ fn push_back<R: Real>(
     bar: impl Fn(usize, usize) -> R,
     known_bar: &mut [R],
 ) {
-    let consistent = geometry.consistent;
+    let fits = &geometry.model.fits;
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
     near(geometry, isotropic, known, |place, point, normal, _| {
         let i = geometry.blocks.wall.members[place] as usize;
         let along: R = (0..d).map(|k| bar(place, k) * R::of(normal[k])).sum();
-        let distance_bar = -along * R::of(consistent.velocity / consistent.spacing);
+        let distance_bar = -along * R::of(fits.velocity / fits.spacing);
         for k in 0..d {
             let by_place = distance_bar * R::of(normal[k]);
             known_bar[k * n + i] += by_place;

@@ -7,8 +7,8 @@
 //!   M d = b,   M = sum_j W_ij q q^T,   b = sum_j W_ij q (f_j - f_i):
 //! ```
 //!
-//! exact for quadratics whatever the arrangement is. M is factorised once and serves all fields. What is differentiated is the
-//! solution, not the factorisation: with the cotangent d_bar and lambda = M^-1 d_bar (M is symmetric),
+//! Derivatives of quadratic fields are exact on any arrangement. M is factorised once for all fields. The adjoint is
+//! that of the solution, not of the factorisation: with the cotangent d_bar and lambda = M^-1 d_bar (M is symmetric),
 //!
 //! ```text
 //!   b_bar = lambda,   M_bar = -lambda d^T,   so with e = f_j - f_i - d.q
@@ -17,30 +17,30 @@
 
 use crate::numerics::lanes::{Lanes, Real};
 
-/// Monomials of second order: D linear, then D (D + 1) / 2 quadratic ones.
+/// Number of monomials up to second order: D linear, then D (D + 1) / 2 quadratic ones.
 pub const fn monomials(dimension: usize) -> usize {
     dimension + dimension * (dimension + 1) / 2
 }
 
-/// Numbers of a symmetric matrix of a size: the lower triangle, row by row.
+/// Number of stored entries of a symmetric matrix: the lower triangle, row by row.
 pub const fn packed(size: usize) -> usize {
     size * (size + 1) / 2
 }
 
-/// Place of (row, column <= row) in a packed matrix.
+/// Index of (row, column <= row) in a packed matrix.
 #[inline(always)]
 pub const fn at(row: usize, column: usize) -> usize {
     row * (row + 1) / 2 + column
 }
 
-/// The components of a quadratic monomial: number k of them, for a <= b.
+/// Index of the quadratic monomial of components a <= b.
 #[inline(always)]
 pub const fn quadratic(dimension: usize, a: usize, b: usize) -> usize {
-    // Rows a of the upper triangle have dimension - a entries.
+    // Row a of the upper triangle has dimension - a entries.
     dimension + a * dimension - a * (a + 1) / 2 + b
 }
 
-/// q(s).
+/// The monomials q(s).
 #[inline(always)]
 pub fn values<L: Lanes, const D: usize, const Q: usize>(s: &[L; D]) -> [L; Q] {
     let half = L::splat(L::Real::of(0.5));
@@ -55,7 +55,7 @@ pub fn values<L: Lanes, const D: usize, const Q: usize>(s: &[L; D]) -> [L; Q] {
     q
 }
 
-/// The derivative of sum_k c_k q_k(s) by s.
+/// The derivative of sum_k c_k q_k(s) with respect to s.
 #[inline(always)]
 pub fn pull_back<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], c: &[L; Q]) -> [L; D] {
     let mut bar = [L::zero(); D];
@@ -71,7 +71,7 @@ pub fn pull_back<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], c: &[L; Q
     bar
 }
 
-/// The derivative of q(s) along n: a fit whose field has no derivative along n at s is one with d.(this) = 0.
+/// The derivative of q(s) along n. A field has no derivative along n at s if the product of d with this is 0.
 #[inline(always)]
 pub fn along<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], n: &[L; D]) -> [L; Q] {
     let mut q = [L::zero(); Q];
@@ -85,7 +85,7 @@ pub fn along<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], n: &[L; D]) -
     q
 }
 
-/// The derivatives of sum_k c_k (dq/dn)_k by s and by n.
+/// The derivatives of sum_k c_k (dq/dn)_k with respect to s and n.
 #[inline(always)]
 pub fn pull_back_along<L: Lanes, const D: usize, const Q: usize>(
     s: &[L; D],
@@ -102,11 +102,10 @@ pub fn pull_back_along<L: Lanes, const D: usize, const Q: usize>(
             }
         }
     }
-    // What q's own derivative is by s, this one is by n.
+    // dq/dn is linear in n with the derivative of q by s as coefficients.
     (s_bar, pull_back::<L, D, Q>(s, c))
 }
 
-/// The sum of pure second derivatives.
 #[inline(always)]
 pub fn laplacian<R: Real, const D: usize>(d: impl Fn(usize) -> R) -> R {
     let mut sum = R::default();
@@ -127,8 +126,8 @@ pub fn accumulate<L: Lanes, const Q: usize, const P: usize>(matrix: &mut [L; P],
     }
 }
 
-/// M = C C^T in place, with 1/C_kk on the diagonal. A pivot below `least` becomes it: then there are too few neighbours for a
-/// second-order fit, and what comes out is smooth but of lower order.
+/// Factorises M = C C^T in place, with 1/C_kk on the diagonal. A pivot below `least` is replaced by it: a particle with
+/// too few neighbours for a second-order fit gets a smooth result of lower order.
 #[inline(always)]
 pub fn factorise<L: Lanes, const Q: usize, const P: usize>(matrix: &mut [L; P], least: L) {
     for row in 0..Q {
@@ -148,7 +147,7 @@ pub fn factorise<L: Lanes, const Q: usize, const P: usize>(matrix: &mut [L; P], 
     }
 }
 
-/// M^-1 b from [`factorise`]'s C.
+/// M^-1 b, given the factor C of [`factorise`].
 #[inline(always)]
 pub fn solve<L: Lanes, const Q: usize, const P: usize>(factor: &[L; P], mut b: [L; Q]) -> [L; Q] {
     for row in 0..Q {
@@ -166,7 +165,7 @@ pub fn solve<L: Lanes, const Q: usize, const P: usize>(factor: &[L; P], mut b: [
     b
 }
 
-/// a.b
+/// The scalar product a.b.
 #[inline(always)]
 pub fn dot<L: Lanes, const Q: usize>(a: &[L; Q], b: &[L; Q]) -> L {
     let mut sum = a[0] * b[0];

@@ -8,11 +8,12 @@
 //! The mirror image of a dummy particle stands in its rows of velocity, which it has no other use for.
 
 use super::blocks::{counts, gather, get, position, width};
+use super::geometry::Geometry;
+use super::kept::Kept;
 use super::stencil::{accumulate, dot, factorise, packed, solve};
-use super::{Geometry, Kept};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::sph::operators::pairs::{stride, RowGeometry};
+use crate::sph::pairs::{stride, RowGeometry};
 use std::ops::Range;
 
 /// Added to the linear terms' diagonal, in units of sum W.
@@ -69,7 +70,7 @@ impl<R: Real, const D: usize, const K: usize, const P: usize, const N: usize, co
         let (geometry, width) = (&self.geometry, width::<R>());
         let pairs = RowGeometry::<L, D>::new(&geometry.model.domain, geometry.model.kernel.cutoff());
         let kernel = geometry.model.kernel.lanes::<L>();
-        let scale = L::splat(R::of(1.0 / geometry.consistent.spacing));
+        let scale = L::splat(R::of(1.0 / geometry.model.fits.spacing));
         let table = &geometry.blocks.surface;
         for block in rows {
             let mut part = 0;
@@ -134,14 +135,14 @@ impl<R: Real, const D: usize, const K: usize, const P: usize, const N: usize, co
 fn mirror<R: Real>(geometry: &Geometry<'_, R>, known: &[R], dummy: usize, point: usize, d: usize) -> R {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     let raw = known[(l.velocity() + d) * n + dummy] - known[d * n + point];
-    geometry.model.domain.nearest_image(d, raw) * R::of(1.0 / geometry.consistent.spacing)
+    geometry.model.domain.nearest_image(d, raw) * R::of(1.0 / geometry.model.fits.spacing)
 }
 
 /// Fills in the dummy particles' values of `fields`, `[fields, N]`, with positions and mirror images from `known`, `[F, N]`.
 /// `all`: these are all fields, and the matrices are made; else it is the new pressure, with the matrices that there are.
 pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], kept: &mut Kept<R>, all: bool) {
-    let consistent = geometry.consistent;
-    if consistent.dummies.is_empty() {
+    let fits = &geometry.model.fits;
+    if fits.dummies.is_empty() {
         return;
     }
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
@@ -173,9 +174,9 @@ pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], 
         sizes!(d, count, go)
     }
     let (unknowns, width) = (d + 1, width::<R>());
-    for &(dummy, place) in &consistent.dummies {
+    for &(dummy, place) in &fits.dummies {
         let (i, place) = (dummy as usize, place as usize);
-        let point = consistent.surface[place] as usize;
+        let point = fits.surface[place] as usize;
         let from = place / width * count * unknowns * width + place % width;
         for field in 0..count {
             let c = |a: usize| coefficients[from + (field * unknowns + a) * width];
@@ -269,7 +270,7 @@ impl<R: Real, const D: usize, const K: usize, const N: usize, const G: usize, co
         let (geometry, width) = (&self.geometry, width::<R>());
         let pairs = RowGeometry::<L, D>::new(&geometry.model.domain, geometry.model.kernel.cutoff());
         let kernel = geometry.model.kernel.lanes::<L>();
-        let scale = L::splat(R::of(1.0 / geometry.consistent.spacing));
+        let scale = L::splat(R::of(1.0 / geometry.model.fits.spacing));
         let regularisation = L::splat(R::of(REGULARISATION));
         let blocks = geometry.blocks;
         let table = if self.surface { &blocks.surface } else { &blocks.wall };
@@ -351,8 +352,8 @@ pub fn backward<R: Real>(
     fields_bar: &mut [R],
     known_bar: &mut [R],
 ) {
-    let consistent = geometry.consistent;
-    if consistent.dummies.is_empty() {
+    let fits = &geometry.model.fits;
+    if fits.dummies.is_empty() {
         return;
     }
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
@@ -363,10 +364,10 @@ pub fn backward<R: Real>(
     let coefficients = if all { &kept.wall_coefficients } else { &kept.pressure_coefficients };
     let mut bar = buffers.buffer(coefficients.len());
     bar.fill(R::default());
-    let scale = R::of(1.0 / consistent.spacing);
-    for &(dummy, place) in &consistent.dummies {
+    let scale = R::of(1.0 / fits.spacing);
+    for &(dummy, place) in &fits.dummies {
         let (i, place) = (dummy as usize, place as usize);
-        let point = consistent.surface[place] as usize;
+        let point = fits.surface[place] as usize;
         let from = place / width * count * unknowns * width + place % width;
         for field in 0..count {
             let value_bar = std::mem::take(&mut fields_bar[field * n + i]);

@@ -11,50 +11,16 @@
 //! and u_a, v_a the like; ghosts are rows of these sums too, and hand on what they get to the rows they are made of. The
 //! metric gets l alpha (rho_a B_a - rho_b B_b)(T_b - T_a) and the like: sums over columns, see [`super::metric`].
 
+use super::ghosts;
 use super::grid::run;
 use super::grid::REACH;
+use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::sweeps::{along, hot, Context, End, Pairs, Wall, WALLS};
 use super::work::{field, line, Work};
-use super::{ghosts, row, Fixed};
-use crate::numerics::lanes::{Lanes, Real, WIDEST};
+use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{RowKernel, Shared};
 use std::ops::Range;
-
-/// A and B of a fluid row, and T_bar as it is before the inlet and the outlet are set.
-#[inline(always)]
-pub(super) fn prepare<R: Real, L: Lanes<Real = R>>(
-    c: &Context<'_, R>,
-    next_bar: &[R],
-    j: isize,
-    at: usize,
-    rho: L,
-    d: L,
-) {
-    let n = &c.constants;
-    let over = L::splat(n.dt) / d;
-    let p_bar = c.of_state::<L>(next_bar, row::P, j, at);
-    c.put(field::BAR_P, j, at, -(L::splat(n.stiffness) * over * p_bar));
-    let mut t_bar = c.of_state::<L>(next_bar, row::T, j, at) * L::load_part(&c.fixed.open[at..]);
-    let outlet = c.fixed.outlet;
-    if at + L::COUNT > outlet {
-        let mut lanes = [R::default(); WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { t_bar.store(lanes.as_mut_ptr()) };
-        for (k, lane) in lanes[..L::COUNT].iter_mut().enumerate() {
-            if at + k == outlet {
-                let from = row::T * c.fixed.particles() + j as usize * c.fixed.grid.columns;
-                *lane = next_bar[from + outlet..from + c.fixed.grid.columns].iter().copied().sum::<R>()
-                    * c.fixed.open[outlet];
-            } else if at + k > outlet {
-                *lane = R::default();
-            }
-        }
-        t_bar = L::load_part(&lanes);
-    }
-    c.put(field::T_BAR, j, at, t_bar);
-    c.put(field::BAR_T, j, at, over * t_bar / rho);
-}
 
 /// Cotangents of the metric's columns.
 struct Metric<L> {

@@ -1,12 +1,12 @@
-//! A step from ordinary candle ops, as the equations stand in [`super`]: the oracle of the sweeps and of their adjoint.
+//! A step by ordinary candle operators with the equations of [`super`], as reference for the sweeps and their adjoint.
 
 use super::grid::REACH;
+use super::lattice::{row, Fixed};
 use super::stencil::{derivative, WIDTH};
-use super::{row, Fixed};
 use crate::numerics::lanes::Real;
 use candle_core::{Result, Tensor};
 
-/// Values at the i-th column to the right, periodic; `[rows, columns]`.
+/// The values of the i-th column to the right, periodic; `[rows, columns]`.
 fn roll(f: &Tensor, i: isize) -> Result<Tensor> {
     let n = f.dim(1)?;
     match i.rem_euclid(n as isize) as usize {
@@ -15,7 +15,7 @@ fn roll(f: &Tensor, i: isize) -> Result<Tensor> {
     }
 }
 
-/// `[rows, columns]` with ghosts: `make` gives those next to a wall and one further from the first and second row.
+/// Adds ghost rows to `[rows, columns]`; `make` maps the two rows next to a wall to its near and far ghost row.
 fn extend(f: &Tensor, make: impl Fn(&Tensor, &Tensor, usize) -> Result<[Tensor; 2]>) -> Result<Tensor> {
     let n = f.dim(0)?;
     let r = |j: usize| f.narrow(0, j, 1);
@@ -27,7 +27,7 @@ fn combine(a: f64, f: &Tensor, b: f64, g: &Tensor) -> Result<Tensor> {
     f.affine(a, 0.0)? + g.affine(b, 0.0)?
 }
 
-/// Zero on the wall.
+/// Ghosts of a field that is zero on the wall.
 fn parabola(f: &Tensor) -> Result<Tensor> {
     extend(f, |f, g, _| Ok([combine(-2.0, f, 1.0 / 3.0, g)?, combine(-9.0, f, 2.0, g)?]))
 }
@@ -50,12 +50,12 @@ struct Metric {
 }
 
 impl<R: Real> Fixed<R> {
-    /// The rows of fluid of a field with ghosts.
+    /// The fluid rows of a field with ghosts.
     fn inner(&self, f: &Tensor) -> Result<Tensor> {
         f.narrow(0, REACH, self.channel.rows)
     }
 
-    /// Sum over offsets of what `term` makes of weights, offset and a function from fields with ghosts to neighbours.
+    /// The sum over offsets of `term`, given their indices and a function from a field with ghosts to the neighbours.
     fn sum(
         &self,
         mut term: impl FnMut(usize, usize, &dyn Fn(&Tensor) -> Result<Tensor>) -> Result<Tensor>,
@@ -104,7 +104,7 @@ impl<R: Real> Fixed<R> {
         Ok(Metric { lean: [lean(0.0)?, lean(self.height())?], d, s, k })
     }
 
-    /// One line of constants, `[1, columns]`.
+    /// Constants of the columns, `[1, columns]`.
     fn constant(&self, line: &[R], like: &Tensor) -> Result<Tensor> {
         let from = self.grid.column(0);
         let values = line[from..from + self.channel.columns].to_vec();
@@ -131,16 +131,17 @@ impl<R: Real> Fixed<R> {
         })
     }
 
-    /// Omega of all pairs of an offset.
+    /// Omega of all pairs with an offset.
     fn omega(&self, metric: &Metric, i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>) -> Result<Tensor> {
         let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(weight.f64(), 0.0);
         let w = &self.stencil[j][i];
         (both(&metric.d, w.lxx)? + both(&metric.k, w.lyy)?)? - both(&metric.s, w.lxy)?
     }
 
-    /// What conduction and ghosts bring to conducting particles with x < `until`, in units of density * temperature * volume
-    /// per time, `[]`: the walls' heat, and what little is conducted along the channel. (Ghosts have a mass flux, which is
-    /// zero on the wall itself; their heat counts, so that in a steady flow this is what flows out.)
+    /// Heat that conduction and ghosts bring to conducting particles with x < `until`, in units of density *
+    /// temperature * volume / time, `[]`: that of the walls, and the little that is conducted along the channel.
+    /// (Ghosts have a mass flux, which is zero on the wall. Its heat is included, so that in a steady flow this equals
+    /// the heat that flows out.)
     ///
     /// # Errors
     /// Tensor errors.
@@ -193,7 +194,7 @@ impl<R: Real> Fixed<R> {
         let inside = pad(&rho.ones_like()?)?;
         let (padded, gradients) = (pad(&rho)?, [pad(&gradient[0])?, pad(&gradient[1])?]);
         let omega = |i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>| self.omega(&metric, i, j, there);
-        // M of all offsets, of velocities u and v.
+        // The mass flux M of all offsets for velocities u and v.
         let fluxes = |u: &Tensor, v: &Tensor| -> Result<Vec<Tensor>> {
             let mx = parabola(&(&d * &rho)?.mul(u)?)?;
             let my = odd(&rho.mul(&(v - s.mul(u)?)?)?)?;
@@ -212,7 +213,7 @@ impl<R: Real> Fixed<R> {
             })?;
             Ok(fluxes)
         };
-        // The number of an offset without the middle.
+        // Index of an offset in a list without the centre.
         let number = |i: usize, j: usize| {
             let k = j * WIDTH + i;
             k - (k > WIDTH * WIDTH / 2) as usize

@@ -1,9 +1,9 @@
 //! The kick of a [`Drive`] behind the others, and its adjoint: two sums over the fluid, and a sweep.
 
 use super::grid::run;
+use super::lattice::{row, Fixed};
 use super::sweeps::{mass_flux, put_flux, Context};
 use super::work::{field, line};
-use super::{row, Fixed};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{RowKernel, Shared};
 use crate::sph::laws::drive::Drive;

@@ -1,30 +1,30 @@
-//! Values beyond the walls, from those of the two rows next to them: f_1, f_2 at dx/2, 3 dx/2, ghosts at -dx/2, -3 dx/2.
+//! Ghost values beyond the walls at -dx/2, -3 dx/2, from the values f_1, f_2 of the rows at dx/2, 3 dx/2.
 //!
-//! * given on the wall, w: the parabola through w, f_1, f_2: 8/3 w - 2 f_1 + f_2/3 and 8 w - 9 f_1 + 2 f_2;
-//! * nothing given: the line: 2 f_1 - f_2 and 3 f_1 - 2 f_2;
+//! * value w given on the wall: the parabola through w, f_1, f_2, so 8/3 w - 2 f_1 + f_2/3 and 8 w - 9 f_1 + 2 f_2;
+//! * nothing given: the line, so 2 f_1 - f_2 and 3 f_1 - 2 f_2;
 //! * no flux through the wall: even, f_1 - dx f' and f_2 - 3 dx f', with the f' = df/deta for which the conormal derivative
-//!   K_xy f_x + K_yy f_eta vanishes: f' = q df/dxi, q = D S/(1 + S^2) (the wall's lean);
-//! * a flux through the wall: odd, -f_1 and -f_2.
+//!   K_xy f_x + K_yy f_eta vanishes: f' = q df/dxi, where q = D S/(1 + S^2) is the lean of the wall;
+//! * a mass flux that is zero on the wall: odd, so -f_1 and -f_2.
 //!
-//! A column whose wall is hot over a share of its cell has that share of the first and the rest of the third.
+//! In a column whose wall is hot over a part of its cell, the first and the third are averaged with that weight.
 //!
-//! df/dxi is the mean of the slopes to either side in the first row. Towards a hot column only that part of the way counts
-//! that leads along the adiabatic wall, half of it. With all of it the hot wall acts too far: at dx = 0.02 and 0.01 the
-//! gradient of Q by the pairs of nodes at the hot wall's ends sums up to 61 and 89 % of that of finite elements; with none of
-//! it to 81 and 105 %, without any conormal term to 99 and 136 %, with half of it to 71 and 97 %. Over walls of +-0.02 the
-//! worst errors of Q are 1.1 and 0.4, 0.9 and 0.8, 0.8 and 1.4, 1.0 and 0.4 %.
+//! df/dxi is the mean of the slopes to both adjacent columns in the first row. Towards a hot column only the part of
+//! the distance along the adiabatic wall counts, which is half of it. With all of it the hot wall acts too far: at dx =
+//! 0.02 and 0.01 the gradient of Q by the pairs of nodes at the ends of the hot wall sums up to 61 and 89 % of that of
+//! finite elements; with none of it to 81 and 105 %, without the conormal term to 99 and 136 %, with half of it to 71
+//! and 97 %. Over walls of +-0.02 the worst errors of Q are, in this order, 1.1 and 0.4, 0.9 and 0.8, 0.8 and 1.4, 1.0
+//! and 0.4 %.
 
+use super::channel::Channel;
 use super::grid::Grid;
-use super::Channel;
 use crate::numerics::lanes::{Lanes, Real};
 
-/// Constants of columns, as lines `[stride]`.
+/// Constants of the columns, as lines `[stride]`.
 #[derive(Debug)]
 pub struct Ghosts<R> {
-    /// Share of the bottom wall's cell that is hot.
+    /// Hot fraction of the cell of the bottom wall.
     pub hot: Vec<R>,
-    /// dx df/dxi in the first row as weights of columns i - 1, i, i + 1, times the share that is not hot: at the bottom and
-    /// at the top.
+    /// Weights of columns i - 1, i, i + 1 in dx df/dxi of the first row, times the fraction not hot, at bottom and top.
     pub along: [[Vec<R>; 3]; 2],
 }
 
@@ -40,7 +40,7 @@ impl<R: Real> Ghosts<R> {
         };
         let weights = |share: &dyn Fn(usize) -> f64| {
             let cold = |i: usize| 1.0 - share(i % n);
-            // Half the slope to either side, each by the share of the way there that is not hot.
+            // Half the slope to each side, times the fraction of the distance to that side that is not hot.
             let side = |i: usize, other: usize| 0.25 * (cold(i) + cold(other)) * cold(i);
             let (left, right) = (|i: usize| side(i, i + n - 1), |i: usize| side(i, i + 1));
             [line(&|i| -left(i)), line(&|i| left(i) - right(i)), line(&right)]
@@ -57,13 +57,13 @@ fn number<L: Lanes>(value: f64) -> L {
     L::splat(L::Real::of(value))
 }
 
-/// Ghosts next to the wall and one further, of what is 0 on it.
+/// The near and the far ghost of a field that is 0 on the wall.
 #[inline(always)]
 pub fn parabola<L: Lanes>(f: [L; 2]) -> [L; 2] {
     [f[0].mul_add(number(-2.0), f[1] * number(1.0 / 3.0)), f[0].mul_add(number(-9.0), f[1] + f[1])]
 }
 
-/// The cotangents of f_1, f_2 from those of their ghosts.
+/// The cotangents of f_1, f_2, given those of their ghosts by [`parabola`].
 #[inline(always)]
 pub fn parabola_bar<L: Lanes>(g: [L; 2]) -> [L; 2] {
     [g[0].mul_add(number(-2.0), g[1] * number(-9.0)), g[0].mul_add(number(1.0 / 3.0), g[1] + g[1])]
@@ -76,25 +76,26 @@ pub fn line<L: Lanes>(f: [L; 2]) -> [L; 2] {
     [f[0] + step, f[0] + step + step]
 }
 
-/// The cotangents of f_1, f_2 from those of their ghosts.
+/// The cotangents of f_1, f_2, given those of their ghosts by [`line()`].
 #[inline(always)]
 pub fn line_bar<L: Lanes>(g: [L; 2]) -> [L; 2] {
     let twice = g[1] + g[1];
     [g[0] + g[0] + g[1] + twice, -(g[0] + twice)]
 }
 
-/// Ghosts of a temperature: `hot` is the share of the wall with temperature `given`, `conormal` is dx f' of the rest.
+/// Ghosts of a temperature. The fraction `hot` of the wall has the temperature `given`; `conormal` is dx f' of the
+/// rest.
 #[inline(always)]
 pub fn temperature<L: Lanes>(f: [L; 2], hot: L, given: L, conormal: L) -> [L; 2] {
     let wall = hot * given;
     let (three, third) = (number::<L>(3.0), number::<L>(1.0 / 3.0));
-    // share (8/3 w - 2 f_1 + f_2/3) + (1 - share) f_1, and so on.
+    // hot (8/3 w - 2 f_1 + f_2/3) + (1 - hot) f_1, and accordingly for the far ghost.
     let near = (third * f[1] - three * f[0]).mul_add(hot, f[0]) + number::<L>(8.0 / 3.0) * wall;
     let far = (f[1] - number::<L>(9.0) * f[0]).mul_add(hot, f[1]) + number::<L>(8.0) * wall;
     [near - conormal, far - three * conormal]
 }
 
-/// The cotangents of f_1, f_2 and of `conormal` from those of the ghosts.
+/// The cotangents of f_1, f_2 and of `conormal`, given those of the ghosts by [`temperature`].
 #[inline(always)]
 pub fn temperature_bar<L: Lanes>(g: [L; 2], hot: L) -> ([L; 2], L) {
     let (three, third) = (number::<L>(3.0), number::<L>(1.0 / 3.0));

@@ -1,12 +1,12 @@
-//! The metric of the map from the walls' heights, and its adjoint.
+//! The metric of the map, which depends on the heights of the walls, and its adjoint.
 //!
-//! D_i = (H + o_t - o_b)/H; o_b' and D' by the kernel's derivative; S = o_b' + D' eta and K_yy = (1 + S^2)/D of all rows,
-//! ghosts included; leans q = D S/(1 + S^2) on both walls. Made once for walls that stay.
+//! D_i = (H + o_t - o_b)/H; o_b' and D' are derivatives by the kernel; S = o_b' + D' eta and K_yy = (1 + S^2)/D in all
+//! rows and ghost rows; leans of both walls q = D S/(1 + S^2). It is computed once for walls that do not move.
 
 use super::grid::Grid;
+use super::lattice::{row, Fixed};
 use super::stencil::{derivative, WIDTH};
 use super::work::{field, line, Work};
-use super::{row, Fixed};
 use crate::numerics::lanes::Real;
 
 /// d/dx of a line by the kernel.
@@ -16,7 +16,7 @@ fn slope<R: Real>(grid: &Grid, weights: &[f64; WIDTH], of: &[R], column: usize) 
 }
 
 impl<R: Real> Fixed<R> {
-    /// Makes the metric of a state's walls, unless the workspace has it.
+    /// Computes the metric of a state's walls, unless the workspace already holds it.
     pub(super) fn metric(&self, state: &[R], work: &mut Work<R>) {
         let grid = &self.grid;
         let (n, nx) = (self.particles(), grid.columns);
@@ -52,7 +52,7 @@ impl<R: Real> Fixed<R> {
             let eta = R::of(self.eta(r));
             let (from, to) = (grid.place(r, 0) - grid.column(0), grid.stride);
             let (s, k) = (field::S * grid.field() + from, field::K * grid.field() + from);
-            // Copies included: they are made of copies.
+            // Periodic copies are computed as well, from the copies of their inputs.
             for c in grid.column(-2)..grid.column(nx as isize + 2) {
                 let slope = bottom_slope[c] + rise[c] * eta;
                 work.numbers[s..s + to][c] = slope;
@@ -61,8 +61,8 @@ impl<R: Real> Fixed<R> {
         }
     }
 
-    /// From the cotangents of D, sum S, sum eta S and the leans of columns to those of the walls' heights, added to `bar`,
-    /// the rows of the boundary points' y `[2 columns]`.
+    /// Maps the cotangents of D, sum S, sum eta S and the leans of columns to those of the walls' heights, which are
+    /// added to `bar`, the rows of the boundary points' y `[2 columns]`.
     pub(super) fn metric_bar(&self, work: &mut Work<R>, bar: &mut [R]) {
         let grid = &self.grid;
         let nx = grid.columns;
@@ -87,7 +87,7 @@ impl<R: Real> Fixed<R> {
                 rise[i] += eta * s_bar;
             }
         }
-        // The derivative is antisymmetric: its transpose is its negative.
+        // The kernel's derivative is antisymmetric, so its transpose is its negative.
         let transposed =
             |of: &[f64], i: usize| -> f64 { (0..WIDTH).map(|k| -weights[k] * of[(i + nx + k - WIDTH / 2) % nx]).sum() };
         for i in 0..nx {

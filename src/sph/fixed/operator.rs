@@ -1,6 +1,6 @@
 //! A step as a node of candle's graph.
 
-use super::Fixed;
+use super::lattice::Fixed;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::Real;
 use candle_core::{Result, Shape};

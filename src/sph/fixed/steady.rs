@@ -1,28 +1,29 @@
-//! Steady states, and the gradient of one: a fixed point needs one state and no checkpoints.
+//! Steady states and their gradients. A fixed point needs one state and no checkpoints.
 //!
-//! With X = F(X, walls) and b = dQ/dX, dQ/dwalls = (dF/dwalls)^T lambda, lambda = A^T lambda + b, A = dF/dX (Christianson
-//! 1994). Two things make that solvable, and fast:
+//! With X = F(X, walls), b = dQ/dX and A = dF/dX, dQ/dwalls = (dF/dwalls)^T lambda, where lambda = A^T lambda + b
+//! (Christianson 1994). Two modifications make this equation solvable in few steps:
 //!
-//! * A step keeps mass, so A^T w = w for the cotangent w of the mass, and lambda would grow by a multiple of w for ever. It
-//!   is kept free of w; w itself moves no wall. What multiple, dQ/dmass, is known at the end, and says what the fluid that a
-//!   wall displaces is worth: a run starts with p = 0, and the mass that it then has.
-//! * lambda = sum (A^T)^k b converges as slowly as the flow settles. Generalised minimal residuals (Saad and Schultz 1986)
-//!   on blocks of steps, lambda = (A^T)^m lambda + b_m, need a fraction of the steps: the block damps sound, the Krylov
-//!   space takes the few slow modes that are left.
+//! * A step conserves mass, so A^T w = w for the cotangent w of the mass, and lambda would grow by a multiple of w
+//!   without bound. So lambda is projected to be free of w, which does not contribute to dQ/dwalls. The multiple,
+//!   dQ/dmass, is computed at the end. It is the value of the fluid that a wall displaces, because a run starts with
+//!   p = 0 and keeps the mass that it then has.
+//! * The iteration lambda = sum (A^T)^k b converges as slowly as the flow settles. Generalised minimal residuals
+//!   (GMRES, Saad and Schultz 1986) on blocks of steps, lambda = (A^T)^m lambda + b_m, need a fraction of the steps: a
+//!   block damps sound, and the Krylov space takes the few slow modes that remain.
 
+use super::lattice::{row, Fixed};
 use super::work::Work;
-use super::{row, Fixed};
 use crate::numerics::interrupt::is_asked_here;
 use crate::numerics::lanes::Real;
 
 /// The gradient of a quantity of a steady state.
 #[derive(Debug, Clone)]
 pub struct SteadyGradient {
-    /// By the heights of the points of the bottom and of the top wall, `[2 columns]`.
+    /// With respect to the heights of the points of the bottom and of the top wall, `[2 columns]`.
     pub walls: Vec<f64>,
-    /// Adjoint steps that it took.
+    /// Number of adjoint steps.
     pub steps: usize,
-    /// Of the equation for lambda, over its right-hand side.
+    /// Residual of the equation for lambda, relative to its right-hand side.
     pub residual: f64,
 }
 
@@ -31,9 +32,9 @@ pub struct SteadyGradient {
 pub struct SteadyOptions {
     /// Adjoint steps per Krylov vector.
     pub block: usize,
-    /// Krylov vectors at most.
+    /// Largest number of Krylov vectors.
     pub vectors: usize,
-    /// The residual at which it ends.
+    /// The residual at which the iteration ends.
     pub tolerance: f64,
 }
 
@@ -44,14 +45,14 @@ impl Default for SteadyOptions {
 }
 
 impl<R: Real> Fixed<R> {
-    /// How fast a step changes a state: the largest of |du/dt|, |dv/dt| over the fastest |u|, |dp/dt| over density c
-    /// times that and |dT/dt| over the hot wall's excess; 1/time.
+    /// The rate at which a step changes a state, 1/time: the largest of |du/dt| and |dv/dt| over the fastest |u|,
+    /// |dp/dt| over density c times that, and |dT/dt| over the hot wall's excess.
     pub fn residual(&self, state: &[R], next: &[R]) -> f64 {
         let (n, c) = (self.particles(), &self.channel);
         let most = |row: usize, f: &dyn Fn(usize) -> f64| {
             (row * n..(row + 1) * n).fold(0.0, |m: f64, k| {
                 let value = f(k).abs();
-                // Not a number must not pass for rest.
+                // A NaN must not count as a steady state.
                 if value.is_nan() {
                     f64::INFINITY
                 } else {
@@ -66,10 +67,10 @@ impl<R: Real> Fixed<R> {
         heat.max(flow / fastest)
     }
 
-    /// The gradient by the walls of a quantity of the steady state `state` `[6, N]`, of which `bar` `[6, N]` is the
-    /// derivative by the state (of boundary points' y: at a fixed flow).
+    /// The gradient of a quantity of the steady state `state` `[6, N]` with respect to the walls. `bar` `[6, N]` is the
+    /// derivative of the quantity by the state, in which the y rows of boundary points are for a fixed flow.
     ///
-    /// The flow is one that began with p = 0: what a wall displaces is not pressed into the rest.
+    /// The run is assumed to begin with p = 0, so fluid that a wall displaces is not pressed into the rest.
     pub fn steady_gradient(&self, state: &[R], bar: &[R], options: &SteadyOptions) -> SteadyGradient {
         let mut work = self.work();
         let (n, fluid) = (self.particles(), self.fluid_particles());
@@ -83,7 +84,7 @@ impl<R: Real> Fixed<R> {
             right = solve.step(&right, Some(&b));
         }
         let (lambda, residual) = solve.gmres(&right, options);
-        // One more step, with the walls: (dF/dwalls)^T lambda, and the multiple of w that is left.
+        // One more step with the walls gives (dF/dwalls)^T lambda and the multiple of w that remains.
         let (steps, scale) = (solve.steps + 1, solve.mass_scale());
         let mut last = vec![R::default(); state.len()];
         self.backward(state, &lambda, &mut last, &mut work);
@@ -101,14 +102,14 @@ impl<R: Real> Fixed<R> {
         SteadyGradient { walls, steps, residual }
     }
 
-    /// Runs a state until it is steady: until [`Self::residual`] is at most `tolerance`, or `most` steps are done. Steps done
-    /// and the residual. Anderson's (1965) acceleration of blocks of steps, with a memory of `depth` blocks (0: plain
-    /// steps); mass is kept, as an average of states of one mass has that mass.
+    /// Advances a state until [`Self::residual`] is at most `tolerance`, or for `most` steps. Returns the number of
+    /// steps and the residual. Blocks of steps are accelerated by Anderson's (1965) method with `depth` previous blocks
+    /// (0: plain steps). Mass is conserved, because averages of states of equal mass have that mass.
     pub fn settle(&self, state: &mut Vec<R>, block: usize, depth: usize, tolerance: f64, most: usize) -> (usize, f64) {
         let mut work = self.work();
         let (mut from, mut next) = (state.clone(), state.clone());
         let (mut steps, mut residual) = (0, f64::INFINITY);
-        // Differences of blocks' ends, and of the ways that they went.
+        // Differences between the ends of blocks, and between their increments.
         let (mut ends, mut ways) = (Vec::<Vec<R>>::new(), Vec::<Vec<R>>::new());
         let mut last: Option<(Vec<R>, Vec<R>)> = None;
         let minus = |a: &[R], b: &[R]| -> Vec<R> { a.iter().zip(b).map(|(a, b)| *a - *b).collect() };
@@ -136,7 +137,7 @@ impl<R: Real> Fixed<R> {
                 ends.push(minus(state, &end_before));
                 ways.push(minus(&way, &way_before));
             }
-            // The combination of ways that is nearest to this one, by Gram and Schmidt.
+            // Projects the increment onto the previous ones by Gram-Schmidt orthogonalisation.
             let (mut rest, mut bases) = (way, Vec::<(Vec<R>, Vec<R>)>::new());
             for (way, end) in ways.iter().zip(&ends).rev() {
                 let (mut way, mut end) = (way.clone(), end.clone());
@@ -147,7 +148,7 @@ impl<R: Real> Fixed<R> {
                     end.iter_mut().zip(base_end).for_each(|(x, b)| *x -= share * *b);
                 }
                 let square = self.weighted(&sizes, &way, &way);
-                // What is left of a way that the newer ones have said already is rounding.
+                // A remainder this small is rounding: the newer increments already span this one.
                 if square.is_nan() || square <= 1e-12 * before {
                     continue;
                 }
@@ -163,13 +164,13 @@ impl<R: Real> Fixed<R> {
         (steps, residual)
     }
 
-    /// Squares of the sizes by which u, v, p and T are compared.
+    /// Squares of the scales by which u, v, p and T are compared.
     fn sizes(&self) -> [f64; row::COUNT] {
         let c = &self.channel;
         [0.0, 0.0, 1.0, 1.0, c.density * c.sound_speed, c.hot_excess].map(|size| size * size)
     }
 
-    /// Scalar product of two states' flow, rows weighted.
+    /// Weighted scalar product of the flow rows of two states.
     fn weighted(&self, weights: &[f64; row::COUNT], a: &[R], b: &[R]) -> f64 {
         let n = self.particles();
         (row::U..row::COUNT)
@@ -190,9 +191,9 @@ struct Solve<'a, R: Real> {
     fixed: &'a Fixed<R>,
     state: &'a [R],
     work: &'a mut Work<R>,
-    /// w: the derivative of the mass, sum D (1 + p/(density c^2)), by p.
+    /// w: the derivative of the mass, sum D (1 + p/(density c^2)), with respect to p.
     mass: Vec<R>,
-    /// Squares of the sizes of u, v, p and T, which make their cotangents comparable.
+    /// Squares of the scales of u, v, p and T, which make their cotangents comparable.
     sizes: [f64; row::COUNT],
     steps: usize,
 }
@@ -205,12 +206,12 @@ impl<'a, R: Real> Solve<'a, R> {
         Self { fixed, state, work, mass, sizes: fixed.sizes(), steps: 0 }
     }
 
-    /// What w adds to the sum of lambda over the pressures.
+    /// The sum of w over all particles.
     fn mass_scale(&self) -> f64 {
         self.mass.iter().map(|w| w.f64()).sum()
     }
 
-    /// Free of w, and what multiple of it was there.
+    /// Projects lambda to be free of w, and returns the multiple of w that was removed.
     fn project(&self, mut lambda: Vec<R>) -> (Vec<R>, f64) {
         let from = row::P * self.fixed.particles();
         let p = &mut lambda[from..from + self.mass.len()];
@@ -219,7 +220,7 @@ impl<'a, R: Real> Solve<'a, R> {
         (lambda, multiple)
     }
 
-    /// A^T lambda (+ b), without w.
+    /// A^T lambda (+ b), projected to be free of w.
     fn step(&mut self, lambda: &[R], b: Option<&[R]>) -> Vec<R> {
         self.steps += 1;
         let mut pulled = vec![R::default(); lambda.len()];
@@ -234,7 +235,7 @@ impl<'a, R: Real> Solve<'a, R> {
         self.fixed.weighted(&self.sizes, a, b)
     }
 
-    /// lambda with lambda = (A^T)^m lambda + `right`, and its residual over that of lambda = `right`.
+    /// Solves lambda = (A^T)^m lambda + `right`, and returns the residual relative to that of lambda = `right`.
     fn gmres(&mut self, right: &[R], options: &SteadyOptions) -> (Vec<R>, f64) {
         let axpy = |y: &mut [R], a: f64, x: &[R]| y.iter_mut().zip(x).for_each(|(y, x)| *y += R::of(a) * *x);
         let scaled = |x: &[R], a: f64| -> Vec<R> { x.iter().map(|x| R::of(x.f64() * a)).collect() };
@@ -243,7 +244,7 @@ impl<'a, R: Real> Solve<'a, R> {
             return (right.to_vec(), 0.0);
         }
         let mut vectors = vec![scaled(right, 1.0 / size)];
-        // The triangle that Givens rotations make of Arnoldi's coefficients, column by column, and what they make of `right`.
+        // The triangular matrix of Arnoldi's coefficients after Givens rotations, by columns, and the rotated `right`.
         let (mut columns, mut rotations) = (Vec::<Vec<f64>>::new(), Vec::<[f64; 2]>::new());
         let mut rest = vec![size];
         while columns.len() < options.vectors && rest[columns.len()].abs() > options.tolerance * size {

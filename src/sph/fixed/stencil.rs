@@ -1,6 +1,6 @@
-//! The kernel on the reference lattice: the same few weights for every particle, made once.
+//! The kernel on the reference lattice, whose weights are computed once and are the same for every particle.
 //!
-//! With F = -W'(r)/r at the offset (i, j) dx of a neighbour, all sums over the offsets |i|, |j| <= 2:
+//! With F = -W'(r)/r at the offset (i, j) dx of a neighbour, and all sums over the offsets |i|, |j| <= 2:
 //!
 //! * first derivatives: g = F (i, j) / (dx sum F i^2), so that sum g_x i dx = 1;
 //! * second derivatives: combinations of F i^2/r^2 and F j^2/r^2 (and F i j/r^2 for the mixed one) that are exact for
@@ -11,7 +11,7 @@ use super::grid::REACH;
 use crate::numerics::lanes::Real;
 use crate::sph::kernels::Kernel;
 
-/// Offsets along one direction.
+/// Number of offsets along one direction.
 pub const WIDTH: usize = 2 * REACH + 1;
 
 /// The weights of one offset.
@@ -20,8 +20,8 @@ pub struct Weight<R> {
     /// First derivatives, 1/length.
     pub gx: R,
     pub gy: R,
-    /// Half of the second derivatives' weights, 1/length^2 (they multiply sums over both ends of a pair); l_xy whole, as the
-    /// mixed derivative counts twice.
+    /// Half of the weights of second derivatives, 1/length^2, as they multiply sums over both ends of a pair; l_xy is
+    /// not halved, because the mixed derivative counts twice.
     pub lxx: R,
     pub lyy: R,
     pub lxy: R,
@@ -29,10 +29,9 @@ pub struct Weight<R> {
     pub laplacian: R,
 }
 
-/// `[j + 2][i + 2]`; the middle is zero.
+/// The weights by offset, `[j + 2][i + 2]`; the centre is zero.
 pub type Stencil<R> = [[Weight<R>; WIDTH]; WIDTH];
 
-/// The weights of a kernel at a spacing.
 pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
     let reach = REACH as isize;
     let offsets = || (-reach..=reach).flat_map(|j| (-reach..=reach).map(move |i| (i, j))).filter(|&o| o != (0, 0));
@@ -41,7 +40,7 @@ pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
     let over_square = |o| slope(o) / (si(o) + sj(o));
     let sum = |f: &dyn Fn((isize, isize)) -> f64| offsets().map(f).sum::<f64>();
     let moment = sum(&|o| slope(o) * si(o));
-    // (a F i^2/r^2 + b F j^2/r^2) summed with i^2 gives 2, with j^2 gives 0.
+    // Summed with i^2, a F i^2/r^2 + b F j^2/r^2 gives 2; summed with j^2 it gives 0.
     let (same, cross) = (sum(&|o| over_square(o) * si(o) * si(o)), sum(&|o| over_square(o) * si(o) * sj(o)));
     let determinant = same * same - cross * cross;
     let (a, b) = (2.0 * same / determinant, -2.0 * cross / determinant);
@@ -62,7 +61,7 @@ pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
     stencil
 }
 
-/// The first derivative along x of what does not depend on y: weights of columns -2 .. 2.
+/// Weights of columns -2 .. 2 in the derivative along x of a field that does not depend on y.
 pub fn derivative<R: Real>(stencil: &Stencil<R>) -> [f64; WIDTH] {
     std::array::from_fn(|i| stencil.iter().map(|row| row[i].gx.f64()).sum())
 }

@@ -6,9 +6,9 @@
 use super::ghosts;
 use super::grid::run;
 use super::grid::{store_part, Fields, REACH};
+use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::work::{field, line, Work};
-use super::{row, Fixed};
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
 use crate::numerics::sweep::{RowKernel, Shared};
 use std::ops::Range;
@@ -215,6 +215,34 @@ pub(super) fn hot<R: Real, L: Lanes<Real = R>>(context: &Context<'_, R>, wall: W
         Wall::Bottom => context.constant(&context.fixed.ghosts.hot, at as isize),
         Wall::Top => L::zero(),
     }
+}
+
+/// A and B of a fluid row, and T_bar as it is before the inlet and the outlet are set.
+#[inline(always)]
+fn prepare<R: Real, L: Lanes<Real = R>>(c: &Context<'_, R>, next_bar: &[R], j: isize, at: usize, rho: L, d: L) {
+    let n = &c.constants;
+    let over = L::splat(n.dt) / d;
+    let p_bar = c.of_state::<L>(next_bar, row::P, j, at);
+    c.put(field::BAR_P, j, at, -(L::splat(n.stiffness) * over * p_bar));
+    let mut t_bar = c.of_state::<L>(next_bar, row::T, j, at) * L::load_part(&c.fixed.open[at..]);
+    let outlet = c.fixed.outlet;
+    if at + L::COUNT > outlet {
+        let mut lanes = [R::default(); WIDEST];
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { t_bar.store(lanes.as_mut_ptr()) };
+        for (k, lane) in lanes[..L::COUNT].iter_mut().enumerate() {
+            if at + k == outlet {
+                let from = row::T * c.fixed.particles() + j as usize * c.fixed.grid.columns;
+                *lane = next_bar[from + outlet..from + c.fixed.grid.columns].iter().copied().sum::<R>()
+                    * c.fixed.open[outlet];
+            } else if at + k > outlet {
+                *lane = R::default();
+            }
+        }
+        t_bar = L::load_part(&lanes);
+    }
+    c.put(field::T_BAR, j, at, t_bar);
+    c.put(field::BAR_T, j, at, over * t_bar / rho);
 }
 
 /// State -> fields p, u, v, T with ghosts and copies.
@@ -482,7 +510,7 @@ impl<R: Real> RowKernel<R> for Kick<'_, R> {
                     c.put(field::KICKED_V, j, at, v);
                 }
                 if let Some(bar) = self.bar {
-                    super::adjoint::prepare(c, bar, j, at, rho, own.d);
+                    prepare(c, bar, j, at, rho, own.d);
                 }
                 let m = mass_flux(own.d, own.s, rho, u, v);
                 let diffusion = [c.get::<L>(field::GX, j, here), c.get::<L>(field::GY, j, here)];

@@ -1,19 +1,19 @@
-//! The memory of a step: fields with ghosts, lines along x.
+//! Buffers of a step: fields with ghosts, and lines along x.
 
 use super::grid::{Fields, Grid};
 use crate::numerics::lanes::Real;
 
-/// Fields `[rows + 4, stride]`, as numbered in [`super::grid::Fields`].
+/// Indices of fields `[rows + 4, stride]`, see [`super::grid::Fields`].
 pub mod field {
-    // Of the step's start, ghosts included.
+    // Fields at the start of the step, with ghosts.
     pub const P: usize = 0;
     pub const U: usize = 1;
     pub const V: usize = 2;
     pub const T: usize = 3;
-    /// delta c dx grad rho, fluid rows.
+    /// delta c dx grad rho in fluid rows.
     pub const GX: usize = 4;
     pub const GY: usize = 5;
-    /// Mass flux m, in fluid rows with delta c dx grad rho added; before and behind the kick.
+    /// Mass flux m before and after the kick. In fluid rows delta c dx grad rho is added.
     pub const MX: usize = 6;
     pub const MY: usize = 7;
     pub const KICKED_MX: usize = 8;
@@ -21,15 +21,15 @@ pub mod field {
     // Metric.
     pub const S: usize = 10;
     pub const K: usize = 11;
-    // Adjoint: cotangents over what divides the sums: of pressure, temperature, u, v. Zero in ghost rows.
+    // Cotangents of pressure, temperature, u and v over the denominators of their sums; zero in ghost rows.
     pub const BAR_P: usize = 12;
     pub const BAR_T: usize = 13;
     pub const BAR_U: usize = 14;
     pub const BAR_V: usize = 15;
-    /// Velocity behind the kick, fluid rows.
+    /// Velocity after the kick, in fluid rows.
     pub const KICKED_U: usize = 16;
     pub const KICKED_V: usize = 17;
-    /// Cotangents of fields, collected.
+    /// Accumulated cotangents of fields.
     pub const MX_BAR: usize = 18;
     pub const MY_BAR: usize = 19;
     pub const U_BAR: usize = 20;
@@ -41,19 +41,19 @@ pub mod field {
     pub const COUNT: usize = 26;
 }
 
-/// Lines `[stride]` along x.
+/// Indices of lines `[stride]` along x.
 pub mod line {
-    /// The metric of columns: D, o_b', D'.
+    /// D, o_b' and D' of the columns.
     pub const D: usize = 0;
     pub const BOTTOM_SLOPE: usize = 1;
     pub const STRETCH_SLOPE: usize = 2;
     /// D S/(1 + S^2) on the bottom and on the top wall.
     pub const BOTTOM_LEAN: usize = 3;
     pub const TOP_LEAN: usize = 4;
-    /// Cotangents of conormal derivatives times their lean.
+    /// Cotangents of the conormal derivatives times their lean.
     pub const BOTTOM_ALONG: usize = 5;
     pub const TOP_ALONG: usize = 6;
-    /// Cotangents of D, sum S and sum eta S of columns, from the two pair sweeps; of the leans.
+    /// Cotangents of D, sum S and sum eta S of the columns from both pair sweeps, then those of the leans.
     pub const BARS: usize = 7;
     pub const BOTTOM_LEAN_BAR: usize = 13;
     pub const TOP_LEAN_BAR: usize = 14;
@@ -63,12 +63,12 @@ pub mod line {
     pub const COUNT: usize = 17;
 }
 
-/// Memory that a step borrows; holds the metric of the walls that it saw last.
+/// The buffers of a step, with the metric of the walls for which they were last used.
 #[derive(Debug)]
 pub struct Work<R> {
     /// Fields, then lines.
     pub(crate) numbers: Vec<R>,
-    /// Heights of both walls that the metric is of.
+    /// Heights of both walls to which the metric belongs.
     pub(crate) walls: Vec<R>,
 }
 
@@ -77,12 +77,11 @@ impl<R: Real> Work<R> {
         Self { numbers: vec![R::default(); field::COUNT * grid.field() + line::COUNT * grid.stride], walls: Vec::new() }
     }
 
-    /// The numbers as threads share them.
+    /// The buffers in a form that threads share.
     pub(crate) fn fields(&mut self, grid: Grid) -> Fields<'_, R> {
         Fields::new(grid, field::COUNT, &mut self.numbers)
     }
 
-    /// A line.
     pub(crate) fn line(&mut self, grid: &Grid, line: usize) -> &mut [R] {
         &mut self.numbers[field::COUNT * grid.field() + line * grid.stride..][..grid.stride]
     }

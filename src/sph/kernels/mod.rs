@@ -6,6 +6,7 @@
 pub mod cubic_spline;
 pub mod gaussian;
 pub mod quintic_spline;
+pub mod shape;
 pub mod super_gaussian;
 pub mod wendland_c2;
 pub mod wendland_c4;
@@ -14,6 +15,7 @@ pub mod wendland_c6;
 pub use cubic_spline::CubicSpline;
 pub use gaussian::Gaussian;
 pub use quintic_spline::QuinticSpline;
+pub use shape::SmoothingKernel;
 pub use super_gaussian::SuperGaussian;
 pub use wendland_c2::WendlandC2;
 pub use wendland_c4::WendlandC4;
@@ -22,30 +24,7 @@ pub use wendland_c6::WendlandC6;
 pub use crate::config::scene::KernelName;
 use crate::numerics::lanes::{Lanes, Rare, Real};
 use candle_core::{Result, Tensor};
-
-/// The shape of a kernel, as a function of q = d/h alone.
-pub trait SmoothingKernel: Copy {
-    /// Support radius in h: w(q) = 0 from there on. The same as [`KernelName::support`], which configurations are checked by.
-    const SUPPORT: f64;
-    /// What F and G of [`Self::shape`] are to be multiplied with: a factor that all their terms share.
-    const SLOPE: f64;
-
-    /// w(0).
-    fn at_zero(dimension: usize) -> f64;
-
-    /// sigma: W integrates to 1.
-    fn sigma(dimension: usize, smoothing_length: f64) -> f64;
-
-    /// w, and over [`Self::SLOPE`] w'/q and (w'/q)'/q; `inverse` is 1/q, `dimension` the number of
-    /// dimensions. At q = 0, which only self pairs and padding have, all must be finite.
-    fn shape<L: Lanes>(q: L, inverse: L, dimension: L) -> (L, L, L);
-
-    /// w and w'/q of a tensor of q > 0, from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
-    fn composed(q: &Tensor, dimension: usize) -> Result<(Tensor, Tensor)>;
-}
+use shape::number;
 
 /// A kernel of a smoothing length h in a number of dimensions.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -154,12 +133,6 @@ pub struct KernelLanes<L> {
     w: L,
     f: L,
     g: L,
-}
-
-/// A number in every lane.
-#[inline(always)]
-pub(crate) fn number<L: Lanes>(value: f64) -> L {
-    L::splat(L::Real::of(value))
 }
 
 /// A kernel that is not the usual one, at some q.

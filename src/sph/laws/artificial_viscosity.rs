@@ -1,34 +1,35 @@
 //! Artificial viscosity (Monaghan 1992, Annu. Rev. Astron. Astrophys. 30, eq. 4.1 to 4.3).
 //!
-//! dv_i/dt gains -sum_j m_j Pi_ij F r_ij with Pi_ij = (-alpha c mu_ij + beta mu_ij^2)/rho_ij,
-//! mu_ij = h (v_ij . r_ij)/(r_ij^2 + 0.01 h^2) where particles approach (v_ij . r_ij < 0), else 0; rho_ij the mean density,
-//! c the reference sound speed. Antisymmetric in i and j, so momentum is conserved. alpha = 0.01 ... 0.1 is usual for
-//! free-surface flow; beta, for strong shocks, is 2 alpha there and 0 here unless it is asked for.
+//! dv_i/dt gains -sum_j m_j Pi_ij F r_ij with Pi_ij = (-alpha c mu_ij + beta mu_ij^2)/rho_ij, mu_ij = h (v_ij .
+//! r_ij)/(r_ij^2 + 0.01 h^2) where particles approach (v_ij . r_ij < 0), else 0. rho_ij is the mean density and c the
+//! reference speed of sound. The force is antisymmetric in i and j, so momentum is conserved. alpha = 0.01 ... 0.1 is
+//! usual for free-surface flow. beta is for strong shocks, where it is 2 alpha; its default here is 0.
 //!
-//! With `every_pair` it acts on pairs that part too, and not on walls' particles, as in JAX-SPH: a viscosity, where the other
-//! only resists compression.
+//! With `every_pair`, as in JAX-SPH, the law also acts on pairs that separate, but not on wall particles. Then it is a
+//! viscosity, while otherwise it only resists compression.
 
-use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::sph::operators::composed::{below, Pairs};
+use crate::sph::composed::Pairs;
+use crate::sph::masks::below;
 use candle_core::Result;
 
-/// Share of h^2 that keeps mu finite where particles meet.
+/// The fraction of h^2 in the denominator that keeps mu finite where particles meet.
 const GUARD: f64 = 0.01;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ArtificialViscosity {
     pub alpha: f64,
     pub beta: f64,
-    /// c.
+    /// Speed of sound c.
     pub sound_speed: f64,
-    /// h.
+    /// Smoothing length h.
     pub smoothing_length: f64,
-    /// Fluid pairs that part too, and no walls.
+    /// Whether it also acts on pairs that separate, and then only on pairs of fluid particles.
     pub every_pair: bool,
 }
 
-/// alpha c, beta, h and the guard in lanes.
+/// alpha c, beta, h and 0.01 h^2 in lanes.
 #[derive(Clone, Copy)]
 pub struct Constants<L> {
     linear: L,
@@ -38,13 +39,13 @@ pub struct Constants<L> {
     every_pair: bool,
 }
 
-/// What both passes need of a pair.
+/// The terms of a pair that the forward pass and the adjoint share.
 struct Approach<L> {
-    /// mu, 0 for pairs that it does not act on.
+    /// mu, and 0 for pairs that the law does not act on.
     mu: L,
     /// alpha c - beta mu.
     strength: L,
-    /// 1/(r^2 + 0.01 h^2), likewise.
+    /// 1/(r^2 + 0.01 h^2), and 0 for pairs that the law does not act on.
     inverse: L,
     /// 2/(rho_i + rho_j).
     inverse_density: L,
@@ -88,7 +89,7 @@ impl PairLaw for ArtificialViscosity {
         }
     }
 
-    /// The force of i gains k r, k = m_i m_j F mu (alpha c - beta mu)/rho_ij.
+    /// The force on i gains k r, k = m_i m_j F mu (alpha c - beta mu)/rho_ij.
     #[inline(always)]
     fn add<L: Lanes, const D: usize>(&self, own: &Constants<L>, pair: &Pair<L, D>, sums: &mut Sums<L, D>) {
         let (a, b, at) = (pair.own, pair.other, own.approach(pair));
@@ -113,7 +114,7 @@ impl PairLaw for ArtificialViscosity {
         let (a, b, at) = (pair.own, pair.other, own.approach(pair));
         let number = |x: f64| L::splat(L::Real::of(x));
         let other_mass = b.volume * b.density;
-        // k over V_i F, and l over the same.
+        // k over (V_i F). The volume's derivative uses the same factor.
         let per_volume = a.density * other_mass * at.mu * at.strength * at.inverse_density;
         let k = per_volume * a.volume * pair.slope;
         bar.volume = (per_volume * pair.slope).mul_add(bars.along, bar.volume);

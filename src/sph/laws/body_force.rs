@@ -1,32 +1,31 @@
 //! Body force: a given acceleration of the fluid.
 
-use crate::sph::operators::composed::{above, below};
+use crate::sph::masks::{above, below};
 use candle_core::{Result, Tensor};
 
-/// An acceleration by place, along x but for gravity. It is piecewise constant, so its derivative is zero.
+/// An acceleration by position, along x except for gravity. It is piecewise constant, so its derivative is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BodyForce {
     None,
-    /// The same everywhere in the fluid.
+    /// Uniform in the fluid.
     Uniform(f64),
-    /// Only where from < y < to.
+    /// Uniform where from < y < to, else zero.
     Band {
         strength: f64,
         from: f64,
         to: f64,
     },
-    /// `strength` below y = turn, its opposite from there on (reverse Poiseuille flow).
+    /// `strength` below y = turn and `-strength` above it (reverse Poiseuille flow).
     Reversing {
         strength: f64,
         turn: f64,
     },
-    /// The same everywhere, in any direction, and felt across walls: their pressure balances it (Adami, Hu and Adams 2012,
-    /// eq. 27).
+    /// Uniform in any direction; the pressure of the walls balances it (Adami, Hu and Adams 2012, eq. 27).
     Gravity([f64; 3]),
 }
 
 impl BodyForce {
-    /// Its size where it acts.
+    /// The magnitude where it acts.
     pub fn strength(&self) -> f64 {
         match *self {
             Self::None => 0.0,
@@ -35,7 +34,7 @@ impl BodyForce {
         }
     }
 
-    /// Acceleration in direction `d` of fluid at height y.
+    /// Component `d` of the acceleration of fluid at height y.
     #[inline(always)]
     pub fn along(&self, d: usize, y: f64) -> f64 {
         match *self {
@@ -45,7 +44,7 @@ impl BodyForce {
         }
     }
 
-    /// Acceleration along x of fluid at height y.
+    /// Component x of the acceleration of fluid at height y.
     #[inline(always)]
     pub fn at(&self, y: f64) -> f64 {
         match *self {
@@ -69,7 +68,7 @@ impl BodyForce {
         }
     }
 
-    /// The same of heights `[1, N]`. Piecewise constant, so without derivative.
+    /// [`Self::at`] for heights `[1, N]`. It is piecewise constant, so it has no derivative.
     ///
     /// # Errors
     /// Tensor errors.
@@ -82,7 +81,7 @@ impl BodyForce {
         }
     }
 
-    /// All its components at positions `[D, N]`.
+    /// The acceleration `[D, N]` at positions `[D, N]`.
     ///
     /// # Errors
     /// Tensor errors.

@@ -1,104 +1,67 @@
 //! Heat conduction.
 //!
-//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), V = m/rho, F = W'(d)/d < 0 (Cleary 1998; the
-//! harmonic mean of equal conductivities is the conductivity). Where particles are of different materials, k is the harmonic
+//! dT_i/dt = (1/m_i) (2 k/c_p) sum_j V_i V_j F_ij (T_i - T_j), V = m/rho, F = W'(d)/d < 0 (Cleary 1998; the harmonic
+//! mean of equal conductivities is the conductivity). Where particles are of different materials, k is the harmonic
 //! mean 2 k_i k_j/(k_i + k_j) of the pair, which keeps the flux continuous across a jump, and c_p that of i (Cleary and
-//! Monaghan 1999, eq. 28). Fluid in the inlet strip (temperature reset) and in
-//! the outlet strip has rate 0.
+//! Monaghan 1999, eq. 28). The rate is 0 in the inlet strip, where the temperature is reset, and in the outlet strip.
 
-use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::sph::chain::Step;
-use crate::sph::model::{Heat, Model};
-use crate::sph::operators::composed::{self, Pairs};
-use crate::sph::operators::pairs::Masses;
+use crate::sph::composed::Pairs;
+use crate::sph::flow::Flow;
+use crate::sph::masks;
 use candle_core::{Result, Tensor};
 
 /// 2 k/c_p.
-pub fn factor<R>(model: &Model<R>) -> f64 {
-    model.heat.as_ref().map_or(0.0, |h| 2.0 * h.conductivity / h.capacity)
+pub fn factor<R>(flow: &Flow<R>) -> f64 {
+    flow.heat.as_ref().map_or(0.0, |h| 2.0 * h.conductivity / h.capacity)
 }
 
-/// Heat capacity of a particle, over that of the scene.
+/// Heat capacity of a particle relative to [`Heat::capacity`](crate::sph::flow::Heat::capacity).
 #[inline(always)]
-pub fn capacity<R: Real>(model: &Model<R>, i: usize) -> R {
-    model.heat.as_ref().and_then(|heat| heat.materials.as_ref()).map_or(R::of(1.0), |of| of.capacity[i])
+pub fn capacity<R: Real>(flow: &Flow<R>, i: usize) -> R {
+    flow.heat.as_ref().and_then(|heat| heat.materials.as_ref()).map_or(R::of(1.0), |of| of.capacity[i])
 }
 
-/// Whether fluid at this x conducts.
+/// Whether fluid at this x conducts heat.
 #[inline(always)]
-pub fn conducts<R: Real>(model: &Model<R>, x: R) -> bool {
-    model.heat.as_ref().is_some_and(|h| !(x < R::of(h.inlet_below) || x > R::of(h.outlet_above)))
+pub fn conducts<R: Real>(flow: &Flow<R>, x: R) -> bool {
+    flow.heat.as_ref().is_some_and(|h| !(x < R::of(h.inlet_below) || x > R::of(h.outlet_above)))
 }
 
-/// 1 where fluid at x `[1, N]` conducts, else 0.
-pub fn conducts_composed<R: Real>(model: &Model<R>, x: &Tensor) -> Result<Tensor> {
-    match &model.heat {
-        Some(heat) => {
-            (composed::below(x, heat.inlet_below)? + composed::above(x, heat.outlet_above)?)?.affine(-1.0, 1.0)
-        }
+/// 1 where fluid at x `[1, N]` conducts heat, else 0.
+pub fn conducts_composed<R: Real>(flow: &Flow<R>, x: &Tensor) -> Result<Tensor> {
+    match &flow.heat {
+        Some(heat) => (masks::below(x, heat.inlet_below)? + masks::above(x, heat.outlet_above)?)?.affine(-1.0, 1.0),
         None => x.zeros_like(),
     }
 }
 
 /// Whether fluid at this x is reset to the inlet temperature.
 #[inline(always)]
-pub fn is_inlet<R: Real>(model: &Model<R>, x: R) -> bool {
-    model.heat.as_ref().is_some_and(|h| x < R::of(h.inlet_below))
+pub fn is_inlet<R: Real>(flow: &Flow<R>, x: R) -> bool {
+    flow.heat.as_ref().is_some_and(|h| x < R::of(h.inlet_below))
 }
 
-/// 2 k_i k_j/(k_i + k_j).
+/// The harmonic mean 2 k_i k_j/(k_i + k_j).
 #[inline(always)]
 fn harmonic<L: Lanes>(a: L, b: L) -> L {
     let both = a * b;
     (both + both) / (a + b)
 }
 
-/// What the second of two particles gives to the first: V_i V_j F_ij (T_i - T_j), to be multiplied with 2 k/c_p.
+/// The pair flow V_i V_j F_ij (T_i - T_j) from the second particle to the first, to be multiplied with 2 k/c_p.
 #[inline(always)]
 pub fn flow(volume: [f64; 2], slope: f64, temperature: [f64; 2]) -> f64 {
     volume[0] * volume[1] * slope * (temperature[0] - temperature[1])
 }
 
-/// Heat that walls give to conducting fluid with x < `until`, in units of density * temperature * volume per time (times
-/// the heat capacity: power): sum over fluid i and walls j of the pair flow (2 k/c_p) V_i V_j F_ij (T_i - T_j).
-pub fn wall_flux<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], until: f64) -> f64 {
-    let (model, list) = (&*step.model, &*step.list);
-    let (n, l) = (model.particles(), model.layout);
-    let mass = Masses::new(model, moved);
-    let volume = |i: usize| (mass.of(i) / primitives[i]).f64();
-    let conductivities = model.heat.as_ref().and_then(Heat::conductivities);
-    let conductivity = |i: usize, j: usize| match conductivities {
-        Some(all) => 2.0 * all[i].f64() * all[j].f64() / (all[i].f64() + all[j].f64()),
-        None => 1.0,
-    };
-    let temperature = |i: usize| primitives[l.primitive_temperature() * n + i].f64();
-    let mut sum = 0.0;
-    for &i in &list.fluid_rows {
-        let i = i as usize;
-        if !conducts(model, moved[i]) || moved[i].f64() >= until {
-            continue;
-        }
-        for &j in &list.row(i)[list.fluid_count[i] as usize..list.count[i] as usize] {
-            let j = j as usize;
-            let mut r2 = 0.0;
-            for d in 0..l.dimension {
-                let dr = model.domain.nearest(d, moved[d * n + i].f64() - moved[d * n + j].f64());
-                r2 += dr * dr;
-            }
-            let (_, slope) = model.kernel.pair(r2);
-            sum += conductivity(i, j) * flow([volume(i), volume(j)], slope, [temperature(i), temperature(j)]);
-        }
-    }
-    factor(model) * sum
-}
-
-/// With or without materials.
+/// Heat conduction, with or without several materials.
 #[derive(Debug, Clone, Copy)]
 pub struct Conduction<const MATERIALS: bool>;
 
 impl<const MATERIALS: bool> Conduction<MATERIALS> {
-    /// F, times the pair's conductivity over that of the scene.
+    /// F times the conductivity of the pair relative to that of the scene.
     #[inline(always)]
     fn conductance<L: Lanes, const D: usize>(pair: &Pair<L, D>) -> L {
         match MATERIALS {

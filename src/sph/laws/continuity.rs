@@ -1,20 +1,19 @@
 //! Continuity: the rate of an evolved density.
 //!
 //! drho_i/dt = rho_i sum_j V_j (u_i - u_j) . grad_i W_ij, V_j = m_j/rho_j, over fluid and wall particles (Adami, Hu and
-//! Adams 2013, eq. 5 differentiated; JAX-SPH's `rho_evol_fn`). Other than a sum over neighbours it needs none beyond a free
-//! surface.
+//! Adams 2013, eq. 5 differentiated; JAX-SPH's `rho_evol_fn`). A free surface needs no particles beyond it.
 
-use crate::sph::operators::composed::Pairs;
+use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
 
-/// What rates of density are computed from, of all particles.
+/// The fields of all particles from which the rate of the density is computed.
 pub struct Flowing<'a> {
     pub pairs: &'a Pairs,
-    /// `[1, N]`.
+    /// Density, `[1, N]`.
     pub density: &'a Tensor,
     /// V = m/rho, `[1, N]`.
     pub volume: &'a Tensor,
-    /// `[D, N]`; of walls their own.
+    /// Velocity, `[D, N]`; wall particles have the wall's velocity.
     pub velocity: &'a Tensor,
     /// F = W'(d)/d, `[1, N, K]`.
     pub slope: &'a Tensor,

@@ -1,47 +1,48 @@
-//! Diffusion of the density: what delta-SPH adds to continuity.
+//! Diffusion of the density, a term of delta-SPH in the continuity equation.
 //!
-//! drho_i/dt gains delta h c sum_j V_j psi_ij . grad_i W_ij over fluid j,
-//! psi_ij = -2 (rho_j - rho_i) r_ij/r_ij^2 - g_i - g_j (Antuono, Colagrossi, Marrone and Molteni 2010, eq. 5; Marrone et al.
-//! 2011, eq. 4), g_i = A_i^-1 sum_j V_j (rho_j - rho_i) grad_i W_ij the density's gradient, renormalised by
-//! A_i = -sum_j V_j r_ij (x) grad_i W_ij, so that nothing is diffused where the density is linear: still water stays as it is.
+//! drho_i/dt gains delta h c sum_j V_j psi_ij . grad_i W_ij over fluid j, where
+//! psi_ij = -2 (rho_j - rho_i) r_ij/r_ij^2 - g_i - g_j
+//! (Antuono, Colagrossi, Marrone and Molteni 2010, eq. 5; Marrone et al. 2011, eq. 4). g_i = A_i^-1 sum_j V_j
+//! (rho_j - rho_i) grad_i W_ij is the gradient of the density, renormalised by A_i = -sum_j V_j r_ij (x) grad_i W_ij,
+//! so that a linear density is not diffused and still water stays at rest.
 
 use super::continuity::Flowing;
-use crate::sph::operators::composed::{above, Pairs};
+use crate::sph::composed::Pairs;
+use crate::sph::masks::above;
 use candle_core::{Result, Tensor};
 
-/// Where A's determinant (1 amid particles, 1/2 at a flat surface) is less than this, a particle has too few neighbours for a
-/// gradient and takes none.
+/// Smallest determinant of A (1 in the interior, 1/2 at a flat surface). Below it the gradient is set to 0.
 const LEAST_DETERMINANT: f64 = 0.05;
 
-/// Whose gradients psi has.
+/// The gradients g_i and g_j in psi_ij.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DensityGradient {
     #[default]
     Renormalised,
-    /// JAX-SPH's: instead of g_j the sum g'_j = -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the neighbours'
-    /// matrices and the opposite sign, and no guard. To compare states.
+    /// As in JAX-SPH, for comparison: g_j is replaced by -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the
+    /// neighbours' matrices and the opposite sign, and no determinant is too small.
     JaxSph,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityDiffusion {
-    /// delta: 0.1 is usual.
+    /// delta; 0.1 is usual.
     pub strength: f64,
-    /// c.
+    /// Speed of sound c.
     pub sound_speed: f64,
-    /// h.
+    /// Smoothing length h.
     pub smoothing_length: f64,
     pub gradient: DensityGradient,
 }
 
-/// The symmetric matrix of each particle, by its rows: `[D D, N]`.
+/// A symmetric matrix per particle, stored by rows: `[D D, N]`.
 struct Matrices {
     dimension: usize,
     rows: Tensor,
 }
 
 impl Matrices {
-    /// -sum_j V_j F r_ij (x) r_ij.
+    /// A = -sum_j V_j F r_ij (x) r_ij.
     fn of(flowing: &Flowing) -> Result<Self> {
         let r = &flowing.pairs.difference;
         let (d, weight) = (r.dim(0)?, flowing.weight()?.neg()?);
@@ -56,13 +57,13 @@ impl Matrices {
         self.rows.narrow(0, a * self.dimension + b, 1)
     }
 
-    /// Their inverse by cofactors; 0 where the determinant is not above `least`, if that is given.
+    /// The inverse by cofactors. If `least` is given, it is 0 where the determinant is not above `least`.
     fn inverse(&self, least: Option<f64>) -> Result<Self> {
         let (d, m) = (self.dimension, |a: usize, b: usize| self.entry(a % self.dimension, b % self.dimension));
         let mut cofactors = Vec::new();
         for a in 0..d {
             for b in 0..d {
-                // Indices go round, which gives the sign in 3D; the matrix is symmetric, so is its adjugate.
+                // The cyclic indices give the sign in 3D. The matrix is symmetric, so its adjugate is too.
                 cofactors.push(match d {
                     2 if a == b => m(a + 1, b + 1)?,
                     2 => m(a, b)?.neg()?,
@@ -77,14 +78,14 @@ impl Matrices {
         let mut rows = Tensor::cat(&cofactors, 0)?;
         if let Some(least) = least {
             let good = above(&determinant, least)?;
-            // 1 where there is none: nothing is divided by nothing.
+            // 1 where there is no inverse, to avoid a division by zero.
             determinant = (determinant.mul(&good)? + good.affine(-1.0, 1.0)?)?;
             rows = rows.broadcast_mul(&good)?;
         }
         Ok(Self { dimension: d, rows: rows.broadcast_div(&determinant)? })
     }
 
-    /// Each times its own vector: `[D, N]` of `[D, N]`, or `[D, N, K]` of `[D, N, K]` with the matrices of the neighbours.
+    /// The product with a vector per particle, `[D, N]`, or per pair, `[D, N, K]`, by the neighbours' matrices.
     fn apply(&self, vector: &Tensor, pairs: Option<&Pairs>) -> Result<Tensor> {
         let rows = |a: usize| self.rows.narrow(0, a * self.dimension, self.dimension);
         let row = |a: usize| match pairs {
@@ -96,7 +97,7 @@ impl Matrices {
 }
 
 impl DensityDiffusion {
-    /// What drho/dt gains, `[1, N]`, from candle's operators.
+    /// The gain of drho/dt, `[1, N]`, by candle's operators.
     ///
     /// # Errors
     /// Tensor errors.
@@ -113,7 +114,7 @@ impl DensityDiffusion {
                 (gradient.clone(), gradient)
             }
             DensityGradient::JaxSph => {
-                // Its walls have the pairs among walls too, which no list of ours has.
+                // In JAX-SPH the matrices of walls include pairs of wall particles, which our lists lack.
                 matrices.rows = (matrices.rows + among_walls()?)?;
                 let inverse = matrices.inverse(None)?;
                 let along = r.broadcast_mul(&rise.mul(flowing.slope)?)?;

@@ -1,6 +1,7 @@
-//! What drives a flow instead of a given body force: a uniform acceleration that holds the flow rate, or the power.
+//! A drive that replaces a given body force: a uniform acceleration that holds the flow rate or the power.
 //!
-//! A step kicks the fluid with every other force first, to velocities u*. With its momentum along x, S = sum m u*, and its
+//! A step first adds all other forces, which gives velocities u*. With the fluid's momentum along x, S = sum m u*, and
+//! its
 //! mass M = sum m, the acceleration of a step is kick / dt,
 //!
 //! ```text
@@ -8,23 +9,24 @@
 //!   power        M kick^2 + S kick = dt power, the upper root    so that  kick/dt sum m (u* + kick) = power.
 //! ```
 //!
-//! L is the length of the domain, the rate a volume per time and depth, the power a work per time and depth. Both hold at the
-//! end of every step, to rounding, so a steady flow has exactly the rate or the power that it is given; and both are a function
-//! of the state, so that its derivative is exact: S and M carry it. A constant flow rate is imposed in this way on turbulent
-//! channels too (Quadrio, Frohnapfel and Hasegawa 2016, section 2); that the power is held implicitly makes it start from rest.
+//! L is the length of the domain, the rate a volume per time and depth, the power a work per time and depth. Both
+//! equations hold at the end of every step to rounding, so a steady flow has exactly the given rate or power. The kick
+//! is a function of the state through S and M, so its derivative is exact. Turbulent channel flows are held at constant
+//! flow rate in this way too (Quadrio, Frohnapfel and Hasegawa 2016, section 2). The power equation is implicit, so a
+//! flow starts from rest.
 
 use candle_core::{Result, Tensor};
 
-/// What is held.
+/// The quantity that is held.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Drive {
-    /// density * length * flow rate: the momentum along x.
+    /// Momentum along x: density * length * flow rate.
     Momentum(f64),
-    /// Work of the acceleration per time and depth.
+    /// Power of the acceleration per depth.
     Power(f64),
 }
 
-/// The velocity that every fluid particle gains, and its derivatives.
+/// The velocity increment of every fluid particle, and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Kick {
     pub kick: f64,
@@ -35,7 +37,7 @@ pub struct Kick {
 }
 
 impl Drive {
-    /// The kick of a step dt from the fluid's momentum along x and mass.
+    /// The kick of a step dt, given the fluid's momentum along x and its mass.
     pub fn kick(self, dt: f64, momentum: f64, mass: f64) -> Kick {
         match self {
             Self::Momentum(wanted) => {
@@ -44,7 +46,7 @@ impl Drive {
             }
             Self::Power(power) => {
                 let root = (momentum * momentum + 4.0 * mass * dt * power).sqrt();
-                // The form without a difference of two large numbers, for a flow along x.
+                // For a flow along x this form avoids the difference of two large numbers.
                 let kick =
                     if momentum > 0.0 { 2.0 * dt * power / (momentum + root) } else { 0.5 * (root - momentum) / mass };
                 Kick { kick, by_momentum: -kick / root, by_mass: -kick * kick / root }
@@ -52,7 +54,7 @@ impl Drive {
         }
     }
 
-    /// [`Self::kick`] of tensors `[1, 1]`.
+    /// [`Self::kick`] for tensors `[1, 1]`.
     ///
     /// # Errors
     /// Tensor errors.

@@ -15,7 +15,6 @@ pub struct EquationOfState {
 }
 
 impl EquationOfState {
-    /// Pressure of a density.
     #[inline(always)]
     pub fn pressure<R: Real>(&self, density: R) -> R {
         let ratio = density * R::of(1.0 / self.reference_density);
@@ -35,7 +34,7 @@ impl EquationOfState {
         }
     }
 
-    /// Density of a pressure; of the lowest possible pressure below it.
+    /// Density of a pressure; not a number for gamma > 1 and a pressure below p(0).
     #[inline(always)]
     pub fn density<R: Real>(&self, pressure: R) -> R {
         let x = (pressure - R::of(self.background_pressure)) * R::of(1.0 / self.reference_pressure);

@@ -1,18 +1,18 @@
 //! Pressure force.
 //!
 //! e = -p_ij r_ij with the density-weighted pressure p_ij = (rho_j p_i + rho_i p_j)/(rho_i + rho_j)
-//! (Adami, Hu and Adams 2013, eq. 7). Symmetric in i and j, so momentum is conserved.
+//! (Adami, Hu and Adams 2013, eq. 7). It is symmetric in i and j, so momentum is conserved.
 
 use super::equation_of_state::EquationOfState;
-use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::sph::operators::composed::Pairs;
+use crate::sph::composed::Pairs;
 use candle_core::Result;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Pressure(pub EquationOfState);
 
-/// p and dp/drho of a row's own side.
+/// p and dp/drho of the row's own particle.
 #[derive(Clone, Copy)]
 pub struct Prepared<L> {
     pressure: L,

@@ -1,50 +1,50 @@
 //! Fluxes from a Riemann problem between the particles of each pair (Zhang, Hu and Adams 2017).
 //!
-//! Along the line from i to j, left i and right j: u_L = -u_i . e, u_R = -u_j . e with e = r_ij/d. The linear solver's state
-//! between them: U* = (u_L + u_R)/2 + (p_L - p_R)/(2 rho c), P* = (p_L + p_R)/2 + beta rho (u_L - u_R)/2, rho their mean
-//! density and beta = min(eta max(u_L - u_R, 0), c) the dissipation limiter (their eq. 10 and 11). Then
+//! Along the line from i (left) to j (right), u_L = -u_i . e and u_R = -u_j . e with e = r_ij/d. The linear solver's
+//! state between them is U* = (u_L + u_R)/2 + (p_L - p_R)/(2 rho c), P* = (p_L + p_R)/2 + beta rho (u_L - u_R)/2, with
+//! the mean density rho and the dissipation limiter beta = min(eta max(u_L - u_R, 0), c) (their eq. 10 and 11). Then
 //!
 //! * drho_i/dt = 2 rho_i sum_j V_j (u_i - v*) . grad_i W, v* = (u_i + u_j)/2 - (U* - (u_L + u_R)/2) e (eq. 8);
-//! * du_i/dt = -2 sum_j m_j P*/(rho_i rho_j) grad_i W, and 2 sum_j m_j eta/(rho_i rho_j) (u_i - u_j) F (eq. 9, and Zhang, Hu
-//!   and Adams 2019, eq. 6).
+//! * du_i/dt = -2 sum_j m_j P*/(rho_i rho_j) grad_i W + 2 sum_j m_j eta/(rho_i rho_j) (u_i - u_j) F with the viscosity
+//!   eta (eq. 9, and Zhang, Hu and Adams 2019, eq. 6).
 //!
-//! A wall's side is made of the fluid's own: u_L = -u_i . n, u_R = -u_L + 2 u_wall . n, p_R = p_L - rho_L g . r_ij and the
-//! density of that pressure, n the wall's normal into the fluid (Zhang et al. 2017, eq. 12 and 13; Yang, Rakhsha, Hu and
-//! Negrut 2020, eq. 15). The signs of u_R are JAX-SPH's, whose walls do not move along n.
+//! The state on a wall's side follows from the fluid's: u_L = -u_i . n, u_R = -u_L + 2 u_wall . n, the pressure p_R =
+//! p_L - rho_L g . r_ij and its density, with the wall's normal n into the fluid (Zhang et al. 2017, eq. 12 and 13;
+//! Yang, Rakhsha, Hu and Negrut 2020, eq. 15). The signs of u_R are those of JAX-SPH, whose walls do not move along n.
 
 use super::continuity::Flowing;
 use super::equation_of_state::EquationOfState;
-use super::PairFields;
-use crate::sph::operators::composed::Pairs;
+use super::pair_law::PairFields;
+use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Riemann {
-    /// c.
+    /// Speed of sound c.
     pub sound_speed: f64,
-    /// eta of the dissipation limiter: 3 is usual, the more the more is dissipated.
+    /// eta of the dissipation limiter. 3 is usual; larger values dissipate more.
     pub limiter: f64,
 }
 
-/// What a pair's Riemann problem is about, besides densities and velocities.
+/// The inputs of the Riemann problems besides densities and velocities.
 pub struct Surroundings<'a> {
     pub pairs: &'a Pairs,
     pub state: EquationOfState,
-    /// The body force on each particle, `[D, N]`.
+    /// Body force per mass on each particle, `[D, N]`.
     pub given: &'a Tensor,
-    /// The walls' normals, `[D, N]`, 0 for fluid.
+    /// Unit normals of wall particles, `[D, N]`, 0 for fluid.
     pub normals: &'a Tensor,
-    /// Velocities of fluid and walls, those of the walls their own, `[D, N]`.
+    /// Velocity, `[D, N]`; wall particles have the wall's velocity.
     pub velocity: &'a Tensor,
 }
 
-/// Pressures and densities on both sides, `[1, N, K]`.
+/// Pressure and density on both sides of a pair, `[1, N, K]`.
 struct Sides {
     pressure: [Tensor; 2],
     density: [Tensor; 2],
 }
 
-/// `of_fluid` where a mask is 1, `of_wall` where it is 0.
+/// `of_fluid` where the mask is 1, `of_wall` where it is 0.
 fn choose(is_fluid: &Tensor, of_fluid: &Tensor, of_wall: &Tensor) -> Result<Tensor> {
     of_fluid.mul(is_fluid)? + of_wall.mul(&is_fluid.affine(-1.0, 1.0)?)?
 }
@@ -64,7 +64,7 @@ impl Surroundings<'_> {
 }
 
 impl Riemann {
-    /// drho/dt, `[1, N]`, from candle's operators; 0 for walls.
+    /// drho/dt, `[1, N]`, by candle's operators; 0 for wall particles.
     ///
     /// # Errors
     /// Tensor errors.
@@ -78,7 +78,8 @@ impl Riemann {
         rate.mul(flowing.density)?.mul(&around.pairs.is_fluid)
     }
 
-    /// The force on each particle, `[D, N]`, from candle's operators; the walls' velocity in `fields` is what shear sees.
+    /// The force on each particle, `[D, N]`, by candle's operators. Walls in `fields` have the velocity for the shear
+    /// stress.
     ///
     /// # Errors
     /// Tensor errors.
@@ -90,7 +91,7 @@ impl Riemann {
         let fluid = pairs.other(&pairs.is_fluid)?;
         let unit = pairs.difference.broadcast_div(&pairs.distance)?;
         let along = |u: &Tensor, n: &Tensor| u.mul(n)?.sum_keepdim(0);
-        // u_L - u_R: -(u_i - u_j) . e, and at walls -2 (u_i + u_j) . n.
+        // u_L - u_R is -(u_i - u_j) . e, and -2 (u_i + u_j) . n at walls.
         let normal = pairs.other(around.normals)?;
         let closing =
             choose(&fluid, &along(&(&u_j - &u_i)?, &unit)?, &along(&(&u_i + &u_j)?, &normal)?.affine(-2.0, 0.0)?)?;

@@ -1,18 +1,18 @@
 //! Transport velocity: particles drift with v = u + w instead of u, which keeps them evenly spread.
 //!
-//! Momentum: e = (A_i + A_j)/2 . r_ij with A = rho u (x) w (Adami, Hu and Adams 2013, eq. 8 and 9). Records hold
-//! W = rho w/2, so e = u_i (W_i.r) + u_j (W_j.r). Transport acceleration: p(0) sum c r (their eq. 13).
+//! Momentum gains e = (A_i + A_j)/2 . r_ij with A = rho u (x) w (Adami, Hu and Adams 2013, eq. 8 and 9). Records hold W
+//! = rho w/2, so e = u_i (W_i.r) + u_j (W_j.r). The transport acceleration is p(0) sum c r (their eq. 13).
 
-use super::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::Lanes;
-use crate::sph::operators::composed::Pairs;
+use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
 
 #[derive(Debug, Clone, Copy)]
 pub struct TransportVelocity;
 
 impl TransportVelocity {
-    /// The background pressure's share alone.
+    /// Adds only the transport acceleration by the background pressure.
     ///
     /// # Errors
     /// Tensor errors.

@@ -1,26 +1,26 @@
-//! Diffusion of the velocity: what delta-SPH adds to the acceleration.
+//! Diffusion of the velocity, a term of delta-SPH in the momentum equation.
 //!
 //! du_i/dt gains alpha h c rho_0/rho_i sum_j V_j pi_ij grad_i W_ij over fluid j, pi_ij = (u_i - u_j) . r_ij/r_ij^2
-//! (Marrone et al. 2011, eq. 4; JAX-SPH's `acceleration_delta_fn`). It damps what compresses and what expands.
+//! (Marrone et al. 2011, eq. 4; JAX-SPH's `acceleration_delta_fn`). It damps compression and expansion.
 
-use super::PairFields;
-use crate::sph::operators::composed::Pairs;
+use super::pair_law::PairFields;
+use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VelocityDiffusion {
-    /// alpha: 0.01 ... 0.1 is usual.
+    /// alpha; 0.01 ... 0.1 is usual.
     pub strength: f64,
-    /// c.
+    /// Speed of sound c.
     pub sound_speed: f64,
-    /// h.
+    /// Smoothing length h.
     pub smoothing_length: f64,
-    /// rho_0.
+    /// Reference density rho_0.
     pub reference_density: f64,
 }
 
 impl VelocityDiffusion {
-    /// What the force on each particle gains, `[D, N]`, from candle's operators.
+    /// The gain of the force on each particle, `[D, N]`, by candle's operators.
     ///
     /// # Errors
     /// Tensor errors.

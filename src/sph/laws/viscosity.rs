@@ -1,11 +1,11 @@
 //! Laminar viscosity.
 //!
-//! e = eta_ij (u_i - u_j), eta_ij = 2 eta_i eta_j/(eta_i + eta_j) the harmonic mean (Adami, Hu and Adams 2013,
-//! eq. 6 and 8). One viscosity in the whole scene: eta_ij = eta.
+//! e = eta_ij (u_i - u_j), where eta_ij = 2 eta_i eta_j/(eta_i + eta_j) is the harmonic mean (Adami, Hu and Adams 2013,
+//! eq. 6 and 8). A scene has one viscosity, so eta_ij = eta.
 
-use super::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::sph::operators::composed::Pairs;
+use crate::sph::composed::Pairs;
 use candle_core::Result;
 
 /// The dynamic viscosity eta.

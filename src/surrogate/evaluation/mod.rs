@@ -1,4 +1,4 @@
-//! A model against the truth: rollouts and their metrics.
+//! Evaluation of models: rollouts and their metrics.
 pub mod metrics;
 pub mod rollout;
 pub mod scores;

@@ -1,8 +1,8 @@
-//! A model on its own: predicted frames are the input of the next ones.
+//! A rollout of a model: predicted frames are the input of the next ones.
 //!
-//! After every step kinematic particles take the truth, positions are wrapped into a periodic box, and fluid that met the
-//! inlet ([`crate::dataset::Heat::resets`]) gets its temperature. A rollout always ends: where the model fails it is marked as broken
-//! (LagrangeBench's never ends once particles have clustered).
+//! After every step kinematic particles get their true positions, positions are wrapped into a periodic box, and fluid
+//! that passed the inlet ([`crate::dataset::Heat::resets`]) gets its temperature. A rollout always ends: where the
+//! model fails, it is marked as broken (LagrangeBench's never ends once particles have clustered).
 
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Metadata, Trajectory};
@@ -12,30 +12,30 @@ use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// True frames before the first predicted one, as many for every model so that all predict the same.
+/// Number of true frames before the first predicted one, the same for every model.
 pub const HISTORY: usize = crate::config::training::MOST_FRAMES;
 
-/// A particle this many times the box's length outside of an open box has left it.
+/// A particle has left an open box if it is this many box lengths outside.
 const FAR: f64 = 0.5;
 
-/// Where and why a rollout could not go on.
+/// Where and why a rollout failed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Broken {
-    /// The step (from 1) that gave no usable frame.
+    /// The step (from 1) without a usable frame.
     pub step: usize,
     pub reason: String,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rollout {
-    /// The predicted frames, fewer than asked for if it broke.
+    /// The predicted frames, fewer than requested if the rollout broke.
     pub frames: Vec<Frame>,
     pub broken: Option<Broken>,
-    /// Spent in the model.
+    /// Wall-clock time spent in the model.
     pub seconds: f64,
 }
 
-/// Where windows of `HISTORY + steps` frames start that do not overlap.
+/// The first frames of windows of `HISTORY + steps` frames that do not overlap.
 pub fn windows(frames: usize, steps: usize) -> impl Iterator<Item = usize> {
     let length = HISTORY + steps;
     (0..frames / length).map(move |k| k * length)
@@ -44,8 +44,8 @@ pub fn windows(frames: usize, steps: usize) -> impl Iterator<Item = usize> {
 /// Predicts `steps` frames from the `HISTORY` frames that begin at frame `start`.
 ///
 /// # Errors
-/// [`BadInput`] if the trajectory is too short, or the model wants to see more frames. A model that fails on the way is no
-/// error but [`Rollout::broken`].
+/// [`BadInput`] if the trajectory is too short or the model needs more frames. A model that fails during the rollout is
+/// not an error, see [`Rollout::broken`].
 pub fn rollout(
     predictor: &dyn Predictor,
     metadata: &Metadata,
@@ -82,7 +82,7 @@ pub fn rollout(
     Ok(Rollout { frames: frames.split_off(seen), broken, seconds })
 }
 
-/// The conditions that hold whatever the model says; an error if the frame can not be used.
+/// Applies the conditions that do not depend on the model. It returns an error if the frame is not usable.
 fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) -> anyhow::Result<Frame> {
     let extent = Extent::of(scenery.metadata);
     let dimension = extent.dimension();
@@ -120,8 +120,8 @@ fn settle(scenery: &Scenery, mut frame: Frame, before: &Frame, truth: &Frame) ->
     Ok(frame)
 }
 
-/// Kinematic particles take the true temperature, where there is one, and what met the inlet takes the inlet's. Positions
-/// `[N, D]` before and after the step.
+/// Gives kinematic particles their true temperature, if there is one, and particles that passed the inlet that of the
+/// inlet. `before` and `now` are positions `[N, D]` around the step.
 pub fn settle_temperature(
     scenery: &Scenery,
     before: &[f64],
@@ -141,7 +141,7 @@ pub fn settle_temperature(
     }
 }
 
-/// An error if a trajectory has not `HISTORY + steps` frames from `start` on.
+/// Checks that a trajectory has `HISTORY + steps` frames from `start` on.
 pub fn check_length(trajectory: &Trajectory, start: usize, steps: usize) -> Result<(), BadInput> {
     let needed = HISTORY + steps;
     if start + needed <= trajectory.frames {

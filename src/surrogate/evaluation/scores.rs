@@ -1,4 +1,4 @@
-//! A model against the truth over windows of a data set: rollouts, and the means of their metrics.
+//! Evaluates a model over windows of a data set: rollouts, and the means of their metrics.
 
 use crate::dataset::extent::Extent;
 use crate::dataset::{Metadata, Trajectory};
@@ -10,17 +10,16 @@ use crate::surrogate::evaluation::sinkhorn;
 use crate::surrogate::predictor::{Frame, Predictor};
 use serde::{Deserialize, Serialize};
 
-/// What is evaluated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Predicted frames per window.
     pub steps: usize,
-    /// At most this many windows, spread over all; all if none.
+    /// Largest number of windows, spread over all; none for all.
     pub windows: Option<usize>,
     pub counted: Counted,
-    /// Sinkhorn divergence and E_kin are taken at steps 1, 1 + stride, ...; LagrangeBench's is 10.
+    /// Sinkhorn divergence and E_kin are evaluated at steps 1, 1 + stride, ...; LagrangeBench uses 10.
     pub stride: usize,
-    /// The Sinkhorn divergence takes longer than a small model.
+    /// Whether to compute the Sinkhorn divergence, which takes longer than a small model.
     pub sinkhorn: bool,
 }
 
@@ -30,7 +29,7 @@ impl Default for Options {
     }
 }
 
-/// Means over windows. A rollout that broke stands still from there on, so that its numbers are finite and bad.
+/// Means over windows. A broken rollout stands still from there on, so that its values are finite and bad.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     pub model: String,
@@ -41,26 +40,26 @@ pub struct Scores {
     pub mse_5: Option<f64>,
     pub mse_10: Option<f64>,
     pub mse_20: Option<f64>,
-    /// Over all steps.
+    /// Means over all steps.
     pub mse: f64,
     pub mae: f64,
-    /// Without those that did not converge; none if none did.
+    /// Mean over the Sinkhorn divergences that converged; none if none did.
     pub sinkhorn: Option<f64>,
-    /// How many Sinkhorn divergences did not converge (particles gathered in a few places).
+    /// Number of Sinkhorn divergences that did not converge (particles gathered in a few places).
     pub sinkhorn_failures: usize,
-    /// Mean square of the error of E_kin.
+    /// Mean squared error of E_kin.
     pub e_kin: Option<f64>,
-    /// Over all steps; only data with temperature have it.
+    /// Mean over all steps, for data with temperature.
     pub temperature_mse: Option<f64>,
     /// Mean over windows of |predicted - true| outflowing heat, each summed over the steps, over the mean true one.
     pub outflow_error: Option<f64>,
-    /// Time of the model, without the metrics.
+    /// Wall-clock time of the model, without the metrics.
     pub seconds_per_step: f64,
     pub broken: Vec<BrokenWindow>,
     pub curves: Curves,
 }
 
-/// By step, means over windows.
+/// Means over windows by step.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Curves {
     pub mse: Vec<f64>,
@@ -77,15 +76,15 @@ pub struct BrokenWindow {
     pub trajectory: String,
     /// First true frame of the window.
     pub start: usize,
-    /// Step (from 1) that gave no usable frame.
+    /// Step (from 1) without a usable frame.
     pub step: usize,
     pub reason: String,
 }
 
-/// The windows of a data set: trajectory and first frame, all or a number of them spread evenly.
+/// The windows of a data set as trajectory and first frame: all, or a number of them spread evenly.
 ///
 /// # Errors
-/// [`BadInput`] if no trajectory is long enough, or none is there.
+/// [`BadInput`] if no trajectory is long enough.
 pub fn chosen_windows(trajectories: &[Trajectory], options: &Options) -> Result<Vec<(usize, usize)>, BadInput> {
     if options.steps == 0 || options.stride == 0 || options.windows == Some(0) {
         return Err(BadInput::new("steps, stride or windows is 0").allowed("at least 1"));
@@ -109,7 +108,7 @@ pub fn chosen_windows(trajectories: &[Trajectory], options: &Options) -> Result<
 /// Rolls the model out over windows that do not overlap, and averages its metrics.
 ///
 /// # Errors
-/// [`BadInput`] if trajectories are too short; a model that breaks in every window's first step.
+/// [`BadInput`] if trajectories are too short; a model that breaks in the first step of every window.
 pub fn evaluate_windows(
     predictor: &dyn Predictor,
     metadata: &Metadata,
@@ -122,7 +121,7 @@ pub fn evaluate_windows(
 /// As [`evaluate_windows`]; calls `done` after every window.
 ///
 /// # Errors
-/// As [`evaluate_windows`].
+/// As for [`evaluate_windows`].
 pub fn evaluate_with(
     predictor: &dyn Predictor,
     metadata: &Metadata,
@@ -165,7 +164,7 @@ pub fn evaluate_with(
 #[derive(Debug, Default)]
 struct WindowScores {
     curves: Curves,
-    /// None where it did not converge.
+    /// None where the divergence did not converge.
     sinkhorn: Vec<Option<f64>>,
     e_kin: Option<f64>,
 }

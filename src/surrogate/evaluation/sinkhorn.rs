@@ -1,26 +1,26 @@
-//! Sinkhorn divergence of two clouds of particles: how far their distributions are apart, whoever is who.
+//! Sinkhorn divergence of two clouds of particles: the distance of their distributions, whatever the particles' order.
 //!
 //! With costs C_ij = |x_i - y_j|^2 (minimum image), weights 1/N and eps = 0.05 mean(C(x, y)), the regularised cost of
 //! transport is OT(x, y) = max over f, g of mean(f) + mean(g) - eps mean_ij exp((f_i + g_j - C_ij)/eps) + eps, and
 //! S(x, y) = OT(x, y) - (OT(x, x) + OT(y, y))/2, all with the eps of (x, y). Units: length^2.
 //!
-//! Source: Feydy et al. 2019 (arXiv:1810.08278), eq. 3; eps and the end of the iterations are those of OTT
-//! (`ott.tools.sinkhorn_divergence`) as LagrangeBench calls it, so that figures can be compared: a check every ten
-//! iterations, until the marginals are right within 1e-4 in the sum. Iterated further, values change by about 1e-10 of the
-//! box's squared length: 1e-4 of a divergence of 1e-6.
+//! Source: Feydy et al. 2019 (arXiv:1810.08278), eq. 3. eps and the stopping rule are those of OTT
+//! (`ott.tools.sinkhorn_divergence`) as called by LagrangeBench, for comparable values: a check every ten iterations,
+//! until the sum of the marginals' errors is at most 1e-4. Further iterations change values by about 1e-10 of the box's
+//! squared length, which is 1e-4 of a divergence of 1e-6.
 
 use crate::dataset::extent::Extent;
 
-/// Share of the mean cost that regularises.
+/// eps as a fraction of the mean cost.
 const REGULARISATION: f64 = 0.05;
-/// Iterations between two checks, and between two absorptions of the scalings into the potentials.
+/// Number of iterations between two checks, and between two absorptions of the scalings into the potentials.
 const BLOCK: usize = 10;
 const MOST_BLOCKS: usize = 200;
 
 /// LagrangeBench's threshold of the marginals' error, the sum of |sum_j P_ij - 1/N|.
 pub const THRESHOLD: f64 = 1e-4;
 
-/// The iterations did not end.
+/// The error of iterations that do not converge.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("the Sinkhorn divergence of {particles} particles does not converge (marginals still off by {error:.1e})")]
 pub struct NotConverged {
@@ -28,7 +28,7 @@ pub struct NotConverged {
     pub error: f64,
 }
 
-/// S(x, y) of two clouds `[N, D]`, iterated until the marginals are right within `threshold`; 0 for no particles.
+/// S(x, y) of two clouds `[N, D]`, iterated until the marginals' error is at most `threshold`; 0 without particles.
 ///
 /// # Errors
 /// No convergence: a particle far away from all others, or coordinates that are not finite.
@@ -39,7 +39,7 @@ pub fn divergence(extent: &Extent, x: &[f64], y: &[f64], threshold: f64) -> Resu
     }
     let between = costs(extent, x, y);
     let epsilon = REGULARISATION * between.iter().sum::<f64>() / between.len() as f64;
-    // All particles in one point: nothing to transport.
+    // If all particles are at one point, there is nothing to transport.
     if epsilon == 0.0 {
         return Ok(0.0);
     }
@@ -48,7 +48,7 @@ pub fn divergence(extent: &Extent, x: &[f64], y: &[f64], threshold: f64) -> Resu
     Ok(of(&between, false)? - 0.5 * own)
 }
 
-/// C `[N, N]`.
+/// The costs C `[N, N]`.
 fn costs(extent: &Extent, x: &[f64], y: &[f64]) -> Vec<f64> {
     let d = extent.dimension();
     let mut costs = Vec::with_capacity(x.len() / d * (y.len() / d));
@@ -60,9 +60,9 @@ fn costs(extent: &Extent, x: &[f64], y: &[f64]) -> Vec<f64> {
     costs
 }
 
-/// OT of a matrix of costs. The potentials change by eps log of the scalings u, v, which stay near 1: every block begins
-/// with exp((f_i + g_j - C_ij)/eps)/N^2 anew (Schmitzer 2019, "absorption"). So a block costs one exponential per pair, and
-/// nothing over- or underflows as it would without the potentials.
+/// OT of a cost matrix. The potentials change by eps log of the scalings u, v, which stay near 1, because every block
+/// restarts from exp((f_i + g_j - C_ij)/eps)/N^2 (Schmitzer 2019, "absorption"). So a block costs one exponential per
+/// pair, and nothing over- or underflows.
 fn transport(costs: &[f64], n: usize, epsilon: f64, threshold: f64, symmetric: bool) -> Result<f64, NotConverged> {
     let (mut f, mut g) = (vec![0.0; n], vec![0.0; n]);
     let weight = 1.0 / n as f64;
@@ -95,7 +95,7 @@ fn transport(costs: &[f64], n: usize, epsilon: f64, threshold: f64, symmetric: b
         let (mut u, mut v) = (ones.clone(), ones);
         for _ in 0..BLOCK {
             if symmetric {
-                // f = g: the mean of the old potential and the new one converges faster than turns.
+                // With f = g, the mean of the old and the new potential converges faster than alternating updates.
                 rows(&plan, &u, &mut sums);
                 u.iter_mut().zip(&sums).for_each(|(u, sum)| *u = (*u * weight / sum).sqrt());
             } else {

@@ -1,16 +1,16 @@
 //! The graph network simulator of [`crate::surrogate::models::gns`] from candle-nn's layers.
 
 use crate::surrogate::features::{Inputs, KINDS};
-use crate::surrogate::models::gns::Sizes;
+use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::graph::Ends;
 use crate::surrogate::network::layers::{embedded, Perceptron, Round};
 use candle_core::{Result, Tensor};
 use candle_nn::{embedding, Embedding, Module, VarBuilder};
 
-/// Encoder, M rounds of messages, decoder: pure candle, on any device.
+/// Encoder, M rounds of message passing and decoder by candle only, on any device.
 ///
-/// The tensors' names and shapes are those of the checkpoints behind `param.`, so that one opens without anything else of
-/// hydrograd's: `VarBuilder::from_buffered_safetensors(bytes, ..)?.pp("param")`.
+/// Names and shapes of the tensors are those in a checkpoint after `param.`, so a checkpoint can be opened without
+/// hydrograd: `VarBuilder::from_buffered_safetensors(bytes, ..)?.pp("param")`.
 #[derive(Debug, Clone)]
 pub struct ComposedGns {
     embedding: Embedding,
@@ -21,10 +21,10 @@ pub struct ComposedGns {
 }
 
 impl ComposedGns {
-    /// From named tensors.
+    /// Builds the network from named tensors.
     ///
     /// # Errors
-    /// One is missing or of another shape.
+    /// A tensor that is missing or of another shape.
     pub fn new(sizes: &Sizes, builder: VarBuilder) -> Result<Self> {
         let (edge, node) = sizes.round();
         let rounds = (0..sizes.rounds).map(|k| Round::new(&edge, &node, builder.pp("proc").pp(k)));

@@ -1,4 +1,4 @@
-//! Constant velocity: p + (p - p_before), T + (T - T_before). The baseline that every model must beat.
+//! The baseline of constant velocity, which every model must beat: p + (p - p_before), T + (T - T_before).
 
 use crate::dataset::extent::Extent;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
@@ -20,7 +20,7 @@ impl Predictor for ConstantVelocity {
         let extent = Extent::of(scenery.metadata);
         let step = extent.displacement(&last.position, &before.position);
         let position = last.position.iter().zip(step).map(|(p, v)| p + v).collect();
-        // What the inlet set has not changed by itself: to go on from there would be no baseline but nonsense.
+        // A temperature set by the inlet must not be extrapolated.
         let inlet = scenery.metadata.heat.as_ref().map_or(f64::NEG_INFINITY, |heat| heat.inlet_length);
         let at_inlet = |i: usize| last.position[i * extent.dimension()] < inlet;
         let temperature = match (&last.temperature, &before.temperature) {

@@ -2,14 +2,14 @@
 //!
 //! Scalars h_i of each particle and a vector x_i (its acceleration so far) go through M rounds:
 //! m_ij = MLP([h_j, h_i, |r_ij|/r_c]), h_i' = h_i + MLP([h_i, sum_j m_ij]),
-//! x_i' = x_i + sum_j r_ij/r_c w(m_ij) + sum_k v_ik u_k(h_i'), with velocities v_ik of the window; w and u_k are
-//! perceptrons. All that turns with the frame is a vector times a scalar of invariants, so a turned or mirrored
-//! flow gives the turned output. Invariant inputs: speeds, the heat's features, boundary distances (which know the
-//! box: with them the model is equivariant only as far as the box is), the embedding of the type.
+//! x_i' = x_i + sum_j r_ij/r_c w(m_ij) + sum_k v_ik u_k(h_i'), with velocities v_ik of the window, where w and u_k are
+//! perceptrons. All equivariant terms are vectors times functions of invariants, so a rotated or mirrored flow gives
+//! the rotated or mirrored output. Invariant inputs are speeds, the features of heat, boundary distances (with which
+//! the model is equivariant only as far as the box is) and the embedding of the type.
 
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
-use crate::surrogate::models::gns::Sizes;
+use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::graph::Ends;
 use crate::surrogate::network::layers::{builder, embedded, on_device, Perceptron};
 use crate::surrogate::network::mlp::MlpShape;
@@ -19,15 +19,16 @@ use candle_nn::{embedding, Embedding, Module, VarBuilder};
 
 pub struct Egnn {
     sizes: Sizes,
-    /// W - 1.
+    /// Number of velocities, W - 1.
     velocities: usize,
     device: Device,
-    /// Embedding, encoder, (messages, nodes, edge vectors, velocities) of each round, decoder of the scalars if any.
+    /// Parameters: embedding, encoder, (messages, nodes, edge vectors, velocities) of each round, decoder of scalars if
+    /// any.
     parameters: Vec<Parameter>,
 }
 
 impl Egnn {
-    /// A new network from a seed; its parameters stay on the CPU.
+    /// A new network from a seed. Its parameters stay on the CPU.
     ///
     /// # Errors
     /// Tensor errors.
@@ -52,17 +53,17 @@ impl Egnn {
         Ok(Self { parameters, ..network })
     }
 
-    /// The same, computed on a device.
+    /// The same network, computed on a device.
     pub fn on(self, device: &Device) -> Self {
         Self { device: device.clone(), ..self }
     }
 
-    /// D.
+    /// Number of dimensions, D.
     fn dimension(&self) -> usize {
         self.sizes.edge_features - 1
     }
 
-    /// Outputs that do not turn with the frame.
+    /// Number of invariant outputs.
     fn scalars(&self) -> usize {
         self.sizes.outputs - self.dimension()
     }
@@ -72,7 +73,7 @@ impl Egnn {
     }
 
     fn encoder(&self) -> MlpShape {
-        // Of the node features the velocities are replaced by their norms.
+        // The norms of the velocities replace the velocities among the node features.
         let steps = self.velocities;
         let invariant = self.sizes.node_features - steps * self.dimension() + steps;
         self.perceptron(invariant + self.sizes.embedding, self.sizes.latent, true)
@@ -91,12 +92,12 @@ impl Egnn {
     }
 }
 
-/// The network from candle-nn's layers, for one set of parameters.
+/// The network as candle-nn's layers, for one set of parameters.
 struct Layers {
     embedding: Embedding,
     encoder: Perceptron,
     rounds: Vec<Round>,
-    /// Of the outputs that do not turn with the frame, if there are any.
+    /// Decoder of the invariant outputs, if there are any.
     decoder: Option<Perceptron>,
 }
 
@@ -105,7 +106,7 @@ struct Round {
     nodes: Perceptron,
     /// w.
     pull: Perceptron,
-    /// u_k, all in one.
+    /// All u_k in one perceptron.
     drift: Perceptron,
 }
 
@@ -129,9 +130,9 @@ impl Egnn {
         })
     }
 
-    /// What of the node features does not turn with the frame: speeds, and what stands behind the velocities.
+    /// The invariant node features: speeds, and those after the velocities.
     fn invariants(&self, inputs: &Inputs, velocities: &[Tensor]) -> Result<Vec<Tensor>> {
-        // 1e-12 under the root: a derivative at rest.
+        // 1e-12 under the root makes it differentiable at rest.
         let speed = |v: &Tensor| (v.sqr()?.sum_keepdim(1)? + 1e-12)?.sqrt();
         let mut invariants = velocities.iter().map(speed).collect::<Result<Vec<_>>>()?;
         let turning = self.velocities * self.dimension();

@@ -1,96 +1,32 @@
-//! Graph network simulator (Sanchez-Gonzalez et al. 2020), as LagrangeBench's: encoder, M rounds of messages, decoder.
+//! Graph network simulator (Sanchez-Gonzalez et al. 2020) as in LagrangeBench: encoder, M rounds of messages, decoder.
 
 use crate::config::device::Compute;
 use crate::config::scene::Kernels;
-use crate::io::tensor_file::TensorFile;
 use crate::numerics::candle::{apply2, apply3};
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::composed_gns::ComposedGns;
-use crate::surrogate::network::interaction::{edge_shape, node_shape, Rounds, Trace};
+use crate::surrogate::models::sizes::Sizes;
+use crate::surrogate::network::interaction::{Rounds, Trace};
 use crate::surrogate::network::layers::{builder, on_device};
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
 
-/// Sizes of a network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Sizes {
-    /// Node features without the embedding.
-    pub node_features: usize,
-    /// D + 1.
-    pub edge_features: usize,
-    pub outputs: usize,
-    /// L, also the width of hidden layers.
-    pub latent: usize,
-    /// M.
-    pub rounds: usize,
-    /// Linear layers of each perceptron.
-    pub linears: usize,
-    /// Columns of the embedding of the particle type.
-    pub embedding: usize,
-}
-
-impl Sizes {
-    /// What a file is too small for: each of these sizes needs at least as many numbers. Asked before anything is made of them.
-    pub fn beyond(&self, file: &TensorFile) -> Option<String> {
-        let numbers: usize = file.tensors.values().map(|(_, data)| data.len()).sum();
-        let Self { node_features, edge_features, outputs, latent, rounds, linears, embedding } = *self;
-        let needed = [
-            ("latent", latent, latent),
-            ("rounds", rounds, latent.saturating_mul(latent)),
-            ("linears", linears, latent.saturating_mul(latent)),
-            ("embedding", embedding, latent),
-            ("node_features", node_features, latent),
-            ("edge_features", edge_features, latent),
-            ("outputs", outputs, latent),
-        ];
-        let found = needed.into_iter().find(|(_, size, each)| size.saturating_mul(*each) > numbers);
-        found.map(|(name, size, _)| format!("{name} = {size}, but the file has {numbers} numbers in all"))
-    }
-}
-
 pub struct Gns {
     pub sizes: Sizes,
     dtype: DType,
     compute: Compute,
-    /// Embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
+    /// Parameters: embedding, encoder of nodes, encoder of edges, all rounds (edges, nodes of each), decoder.
     parameters: Vec<Parameter>,
     single: Buffers<f32>,
     double: Buffers<f64>,
 }
 
-impl Sizes {
-    fn encoder(&self, inputs: usize) -> MlpShape {
-        MlpShape { inputs, hidden: self.latent, outputs: self.latent, linears: self.linears, norm: true }
-    }
-
-    /// The perceptron that encodes nodes.
-    pub fn node_encoder(&self) -> MlpShape {
-        self.encoder(self.node_features + self.embedding)
-    }
-
-    /// The perceptron that encodes edges.
-    pub fn edge_encoder(&self) -> MlpShape {
-        self.encoder(self.edge_features)
-    }
-
-    /// The perceptrons of a round, of edges and of nodes.
-    pub fn round(&self) -> (MlpShape, MlpShape) {
-        let Self { latent, linears, .. } = *self;
-        (edge_shape(latent, latent, linears), node_shape(latent, latent, linears))
-    }
-
-    /// The perceptron that reads the answer off the nodes.
-    pub fn decoder(&self) -> MlpShape {
-        MlpShape { outputs: self.outputs, norm: false, ..self.encoder(self.latent) }
-    }
-}
-
 impl Gns {
-    /// A new network from a seed. What it computes with is no matter of its parameters, which stay on the CPU.
+    /// A new network from a seed. Its parameters do not depend on `compute` and stay on the CPU.
     ///
     /// # Errors
     /// Tensor errors.
@@ -128,7 +64,7 @@ impl Gns {
         apply2(Mlp::<R>::new(s.decoder(), memory), &nodes, &p[4])
     }
 
-    /// As [`Network::apply`] by the fused operators, with the state `[N + E, L]` behind the encoder and behind each round.
+    /// As [`Network::apply`] by the fused operators, with the states `[N + E, L]` after the encoder and each round.
     ///
     /// # Errors
     /// Tensor errors.

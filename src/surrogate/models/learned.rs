@@ -15,12 +15,12 @@ pub struct Learned {
     pub name: String,
     pub setup: Setup,
     pub network: Arc<dyn Network>,
-    /// What the network computes with: detached where nobody asks for a gradient.
+    /// Parameters of the network, detached unless a gradient is needed.
     pub parameters: Vec<Tensor>,
 }
 
 impl Learned {
-    /// The network with its own parameters.
+    /// A network with its own parameters.
     pub fn new(name: String, setup: Setup, network: Arc<dyn Network>) -> Self {
         let parameters = detached(&*network);
         Self { name, setup, network, parameters }
@@ -28,8 +28,9 @@ impl Learned {
 }
 
 impl Learned {
-    /// Positions `[N, D]` and, if the network learns them, temperatures `[N]` behind a window, before anything is held where
-    /// it must be. On candle's graph if the window or the parameters are. `force` `[N, D]`: an external one, if there is one.
+    /// Positions `[N, D]` and, if the network learns them, temperatures `[N]` one frame after a window, with kinematic
+    /// particles not yet restored. They are on candle's graph if the window or the parameters are. `force`: external
+    /// force `[N, D]`, if any.
     ///
     /// # Errors
     /// Lost or clumped particles, tensor errors.
@@ -53,7 +54,7 @@ impl Learned {
     }
 }
 
-/// Frames as tensors.
+/// Converts frames to tensors.
 pub fn window(frames: &[Frame], dimension: usize) -> candle_core::Result<Window> {
     let mut window = Window::default();
     for frame in frames {

@@ -1,4 +1,4 @@
-//! Models by name or file.
+//! Loads models by name or file.
 
 use crate::config::device::Compute;
 use crate::config::training::{HeatModel, Kind};
@@ -7,9 +7,9 @@ use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 use crate::surrogate::features::{Features, Normalisation};
 use crate::surrogate::models::constant_velocity::ConstantVelocity;
-use crate::surrogate::models::gns::Sizes;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
+use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::models::still::Still;
 use crate::surrogate::predictor::Predictor;
 use crate::surrogate::training::checkpoint;
@@ -22,11 +22,11 @@ const ALLOWED: &str =
 
 /// The model in a file, or the baseline `linear` or `still`.
 ///
-/// Files of ours know their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
-/// normalised by the data set's metadata. `compute`: what a network computes with.
+/// Our files include their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
+/// normalised by the data set's metadata. `compute`: kernels and device of the network.
 ///
 /// # Errors
-/// [`BadInput`] if the file can not be read, is damaged, holds no model, or the model does not fit the data.
+/// [`BadInput`] if the file cannot be read, is damaged, has no model, or the model does not fit the data.
 pub fn load_predictor(
     path: &Path,
     metadata: &Metadata,
@@ -56,23 +56,23 @@ pub fn load_predictor(
     Ok(Box::new(Learned::new(name, setup, Arc::from(network))))
 }
 
-/// A model that comes with the program.
+/// A model that is compiled into the program.
 #[derive(Debug, Clone, Copy)]
 pub struct BuiltIn {
     pub name: &'static str,
-    /// What messages call it.
+    /// Its name in messages.
     pub file: &'static str,
     bytes: &'static [u8],
 }
 
-/// The one that shapes walls.
+/// The model for shaping walls.
 pub const HEATED_CHANNEL: BuiltIn = BuiltIn {
     name: "heated-channel",
     file: "models/heated-channel/model.safetensors",
     bytes: include_bytes!("../../../models/heated-channel/model.safetensors"),
 };
 
-/// The one that finds velocities.
+/// The model for finding velocities.
 pub const TAYLOR_GREEN: BuiltIn = BuiltIn {
     name: "taylor-green",
     file: "models/taylor-green/model.safetensors",
@@ -80,20 +80,20 @@ pub const TAYLOR_GREEN: BuiltIn = BuiltIn {
 };
 
 impl BuiltIn {
-    /// To compute in `dtype`.
+    /// Loads the model with precision `dtype`.
     ///
     /// # Errors
-    /// Of a file that is no model: a bug.
+    /// A file that is not a model, which is a bug.
     pub fn load(&self, compute: impl Into<Compute>, dtype: DType) -> anyhow::Result<Learned> {
         let header = checkpoint::of_file(TensorFile::parse(Path::new(self.file), self.bytes)?)?;
         learned(header, self.name.into(), compute, dtype)
     }
 }
 
-/// Tells one model from another: the checksum of its file.
+/// Identifies a model by the checksum of its file.
 ///
 /// # Errors
-/// A file that can not be read.
+/// A file that cannot be read.
 pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     let sum = |bytes: &[u8]| format!("{:08x}", crc32c::crc32c(bytes));
     match path {
@@ -105,10 +105,10 @@ pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     }
 }
 
-/// A model of ours from a file, to compute in `dtype`.
+/// Loads one of our models from a file with precision `dtype`.
 ///
 /// # Errors
-/// [`BadInput`] if the file can not be read, is damaged, or holds no model of ours.
+/// [`BadInput`] if the file cannot be read, is damaged, or is not one of our models.
 pub fn load_learned(path: &Path, compute: impl Into<Compute>, dtype: DType) -> anyhow::Result<Learned> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     learned(checkpoint::read(path)?, name, compute, dtype)
@@ -125,7 +125,7 @@ fn learned(
     Ok(Learned::new(name, header.setup, Arc::from(network)))
 }
 
-/// The setup of LagrangeBench's weights, from the shapes of its tensors.
+/// The setup of LagrangeBench's weights, derived from the shapes of its tensors.
 fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
     let side = |name: &str, k: usize| -> Result<usize, String> {
         let shape = file.shape(name).map_err(|error| error.to_string())?;

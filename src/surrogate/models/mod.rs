@@ -6,4 +6,5 @@ pub mod gns;
 pub mod learned;
 pub mod load;
 pub mod setup;
+pub mod sizes;
 pub mod still;

@@ -1,4 +1,4 @@
-//! What a trained model needs besides its parameters: sizes, features, normalisation. Stored in its checkpoint.
+//! The data of a trained model besides its parameters (sizes, features, normalisation), which its checkpoint contains.
 
 use crate::config::device::Compute;
 use crate::config::training::{HeatModel, Kind, Settings};
@@ -6,7 +6,8 @@ use crate::dataset::{Heat, Metadata};
 use crate::error::BadInput;
 use crate::surrogate::features::{Features, Normalisation};
 use crate::surrogate::models::egnn::Egnn;
-use crate::surrogate::models::gns::{Gns, Sizes};
+use crate::surrogate::models::gns::Gns;
+use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::parameters::Network;
 use candle_core::DType;
 use serde::{Deserialize, Serialize};
@@ -18,20 +19,20 @@ pub struct Setup {
     pub features: Features,
     pub normalisation: Normalisation,
     pub heat: HeatModel,
-    /// Directions of the box that were periodic: the features depend on it.
+    /// Periodic directions of the box, on which the features depend.
     pub periodic: Vec<bool>,
-    /// Spacing of the particles and time between frames of the data; unknown of foreign models.
+    /// Particle spacing and time between frames of the data; unknown for foreign models.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
     #[serde(rename = "frame", default, skip_serializing_if = "Option::is_none")]
     pub frame_time: Option<f64>,
-    /// What the data were that the model was trained on; unknown of foreign models and of those before 0.2.
+    /// Metadata of the training data; unknown for foreign models and for those before version 0.2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data: Option<Metadata>,
 }
 
 impl Setup {
-    /// For training on a data set.
+    /// The setup for training on a data set.
     ///
     /// # Errors
     /// Settings that do not fit the data.
@@ -45,7 +46,7 @@ impl Setup {
         }
         let learned = heat.is_some() && model.heat == HeatModel::Learned;
         let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
-        // Conduction is computed, so the network need not see temperatures.
+        // Conduction is computed, so the network does not need temperatures.
         let seen = heat.filter(|_| learned);
         let sizes = Sizes {
             node_features: settings.features.count(metadata, seen.is_some(), 0),
@@ -73,7 +74,7 @@ impl Setup {
         })
     }
 
-    /// A network of these sizes. The equivariant one is made of candle-nn's layers whatever the kernels.
+    /// A network of these sizes. The equivariant one always consists of candle-nn's layers.
     ///
     /// # Errors
     /// Tensor errors.
@@ -90,7 +91,7 @@ impl Setup {
         })
     }
 
-    /// How a data set differs from those that the model knows in what no network finds out by itself.
+    /// How a data set differs from the model's data in spacing and time between frames, which no network can notice.
     pub fn unlike(&self, metadata: &Metadata) -> Option<String> {
         let frame = metadata.dt * metadata.write_every as f64;
         let pairs = [("a spacing of", self.spacing, metadata.dx), ("frames apart by", self.frame_time, frame)];
@@ -104,7 +105,7 @@ impl Setup {
         (!differing.is_empty()).then(|| format!("the model was trained on data with {}", differing.join("; ")))
     }
 
-    /// An error if a data set's frames are not what the model knows.
+    /// Checks that the frames of a data set fit the model.
     pub fn fits(&self, metadata: &Metadata) -> Result<(), BadInput> {
         let periodic = &metadata.periodic()[..metadata.dim];
         if self.periodic != periodic {

@@ -1,4 +1,4 @@
-//! No change: the last frame again. What a model must beat to know anything at all.
+//! The baseline without any change, which repeats the last frame.
 
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 

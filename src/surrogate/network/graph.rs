@@ -1,4 +1,4 @@
-//! The graph that messages pass along: who is connected to whom, sorted by receiver and by sender.
+//! The graph along which messages pass: its edges, sorted by receiver and by sender.
 
 use crate::numerics::gather::Gather;
 use crate::particles::neighbour_list::{NeighbourError, NeighbourList};
@@ -9,21 +9,21 @@ use std::ops::Range;
 /// Directed edges, sorted by receiver and within a receiver by sender.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Graph {
-    /// `[E]`.
+    /// Senders and receivers of the edges, `[E]`.
     pub senders: Vec<u32>,
     pub receivers: Vec<u32>,
-    /// `[N + 1]`: the edges into node i are `start[i]..start[i + 1]`.
+    /// Start of the edges into each node, `[N + 1]`: those into node i are `start[i]..start[i + 1]`.
     pub start: Vec<u32>,
-    /// `[E]`: the edges sorted by sender, and `[N + 1]` where each sender's begin.
+    /// The edges sorted by sender, `[E]`, and where those of each sender begin, `[N + 1]`.
     pub leaving: Vec<u32>,
     pub leaving_start: Vec<u32>,
 }
 
 impl Graph {
-    /// From edges in any order.
+    /// A graph of edges in any order.
     ///
     /// # Panics
-    /// If an edge names a node that is not there.
+    /// If an edge has a node that does not exist.
     pub fn new(nodes: usize, edges: impl IntoIterator<Item = (u32, u32)>) -> Self {
         let mut edges: Vec<(u32, u32)> = edges.into_iter().map(|(sender, receiver)| (receiver, sender)).collect();
         edges.sort_unstable();
@@ -44,18 +44,18 @@ impl Graph {
         Self { senders, receivers, start, leaving, leaving_start }
     }
 
-    /// All pairs closer than `radius`, both ways, and every node with itself.
+    /// The graph of all pairs closer than `radius`, in both directions, and of every node with itself.
     ///
     /// `position` is `[N, D]`.
     ///
     /// # Errors
-    /// A position that is not a number, too many neighbours, a box too small.
+    /// A position that is not finite, too many neighbours, or too small a box.
     pub fn build(position: &[f64], domain: &Domain, radius: f64) -> Result<Self, NeighbourError> {
         let dimension = domain.dimension;
         let nodes = position.len() / dimension;
         let by_component: Vec<f64> =
             (0..dimension).flat_map(|d| position.iter().skip(d).step_by(dimension).copied()).collect();
-        // Walls see walls here, so all are one kind.
+        // Pairs of walls are needed here, so all particles have one kind.
         let list = NeighbourList::build(&by_component, &vec![tag::FLUID; nodes], domain, radius, 16)?;
         let pairs = (0..nodes).flat_map(|i| {
             let neighbours = list.row(i)[..list.count[i] as usize].iter().copied();
@@ -72,21 +72,21 @@ impl Graph {
         self.senders.len()
     }
 
-    /// Edges into some nodes.
+    /// The edges into a range of nodes.
     #[inline(always)]
     pub fn entering(&self, nodes: &Range<usize>) -> Range<usize> {
         self.start[nodes.start] as usize..self.start[nodes.end] as usize
     }
 
-    /// Edges out of a node.
+    /// The edges out of a node.
     #[inline(always)]
     pub fn out_of(&self, node: usize) -> &[u32] {
         &self.leaving[self.leaving_start[node] as usize..self.leaving_start[node + 1] as usize]
     }
 
-    /// The nodes in `parts` parts with about as many edges each.
+    /// Divides the nodes into `parts` ranges with about the same number of edges.
     pub fn parts(&self, parts: usize) -> Vec<Range<usize>> {
-        // A node's own perceptron costs about as much as four edges do.
+        // The perceptron of a node costs about as much as four edges.
         let weight = |i: usize| self.start[i] as usize + 4 * i;
         let total = weight(self.nodes());
         let mut ends = Vec::with_capacity(parts);
@@ -100,12 +100,12 @@ impl Graph {
         (0..parts).map(|k| if k == 0 { 0 } else { ends[k - 1] }..ends[k]).collect()
     }
 
-    /// Some nodes in stretches of about as many edges each: at most `edges` and those of one node.
+    /// Divides nodes into ranges with about the same number of edges, at most `edges` plus those of one node.
     pub fn stretches(&self, nodes: Range<usize>, edges: usize) -> impl Iterator<Item = Range<usize>> + '_ {
         let mut at = nodes.start;
         let all = self.entering(&nodes).len();
         let most = nodes.clone().map(|i| self.entering(&(i..i + 1)).len()).max().unwrap_or(0);
-        // No stretch ends more than a node's edges before its share, so there are no more of them than shares.
+        // Each range ends at most one node's edges before its share, so there are at most as many ranges as shares.
         let edges = all.div_ceil(all.div_ceil(edges).max(1)) + most;
         std::iter::from_fn(move || {
             if at >= nodes.end {
@@ -123,7 +123,7 @@ impl Graph {
     }
 }
 
-/// The ends of a graph's edges as tensors: rows of a tensor by them, and sums of rows, each the other's adjoint.
+/// The ends of a graph's edges as tensors, for gathering rows and their adjoint, sums of rows.
 #[derive(Debug, Clone)]
 pub struct Ends {
     senders: Gather,
@@ -131,7 +131,7 @@ pub struct Ends {
 }
 
 impl Ends {
-    /// On a device.
+    /// The ends on a device.
     ///
     /// # Errors
     /// Tensor errors.

@@ -1,5 +1,5 @@
-//! What networks are built from with candle-nn: pure candle, so that they run on every device that candle knows. Slow and
-//! readable, the oracle of the fused operators.
+//! The parts of networks built from candle-nn's layers, which run on every device of candle. They are slow and
+//! readable, and the reference for the fused operators.
 
 use crate::numerics::gather::Gather;
 use crate::surrogate::features::{Inputs, KINDS};
@@ -10,8 +10,8 @@ use candle_core::{Device, Result, Tensor};
 use candle_nn::{Embedding, LayerNorm, Linear, Module, VarBuilder};
 use std::collections::HashMap;
 
-/// The parts of `parameters` under their names in a checkpoint, with the numbers of `values`, as candle-nn's layers are
-/// built from them. The tensors are views: a gradient by them reaches `values`.
+/// The parts of `parameters` by their names in a checkpoint, with the values `values`, in the form that candle-nn's
+/// layers need. The tensors are views, so their gradients reach `values`.
 ///
 /// # Errors
 /// Values of another length.
@@ -27,8 +27,8 @@ pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder
     Ok(VarBuilder::from_tensors(tensors, first.dtype(), first.device()))
 }
 
-/// What a network makes of inputs and parameters on a device, back where the inputs are; a gradient goes the same way. The
-/// graph, and the types of the particles, stay where they are.
+/// Applies a network on a device and returns its output to the device of the inputs; gradients go the same way. The
+/// graph and the types of the particles are not moved.
 ///
 /// # Errors
 /// Tensor errors.
@@ -53,7 +53,7 @@ pub fn on_device(
     network(&inputs, &parameters)?.to_device(here)
 }
 
-/// Rows of an embedding by the types of the particles, which may be on another device, `[N, columns]`.
+/// Rows of an embedding by the particles' types, `[N, columns]`. The embedding may be on another device.
 ///
 /// # Errors
 /// Tensor errors.
@@ -69,19 +69,20 @@ pub fn embedded(embedding: &Embedding, kinds: &Tensor) -> Result<Tensor> {
 #[derive(Debug, Clone)]
 pub struct Perceptron {
     linears: Vec<Linear>,
-    /// With the offset on its own: given both, candle-nn's layer takes a fused operator that silently ends the gradient.
+    /// Layer norm, and its offset apart: with both, candle-nn would use a fused operator that silently ends the
+    /// gradient.
     norm: Option<(LayerNorm, Tensor)>,
 }
 
 impl Perceptron {
-    /// From the tensors `K.weight`, `K.bias`, `ln.scale` and `ln.offset`.
+    /// Builds the layers from the tensors `K.weight`, `K.bias`, `ln.scale` and `ln.offset`.
     ///
     /// # Errors
-    /// One is missing or of another shape.
+    /// A tensor that is missing or of another shape.
     pub fn new(shape: &MlpShape, builder: VarBuilder) -> Result<Self> {
         let linear = |k: usize| {
             let (builder, (inputs, outputs)) = (builder.pp(k), shape.size(k));
-            // Stored as [in, out], but candle-nn's layer has it the other way round.
+            // Weights are stored as [in, out], the transpose of candle-nn's.
             let weight = builder.get((inputs, outputs), "weight")?.t()?;
             Ok(Linear::new(weight, Some(builder.get(outputs, "bias")?)))
         };
@@ -96,8 +97,8 @@ impl Perceptron {
     }
 }
 
-/// max(x, 0) with slope 0 at 0, as the fused one's and JAX's. candle's own has slope 1 there, and an edge of a particle with
-/// itself, whose features are 0, stands on the kink as long as the biases are 0.
+/// max(x, 0) with slope 0 at 0, as in the fused operator and JAX. Candle's own has slope 1 there, and the edge of a
+/// particle to itself, whose features are 0, is at the kink while the biases are 0.
 fn relu(x: &Tensor) -> Result<Tensor> {
     x * x.detach().gt(0.0)?.to_dtype(x.dtype())?
 }
@@ -118,7 +119,7 @@ impl Module for Perceptron {
     }
 }
 
-/// A round of messages, see [`crate::surrogate::network::interaction`].
+/// A round of message passing, see [`crate::surrogate::network::interaction`].
 #[derive(Debug, Clone)]
 pub struct Round {
     edges: Perceptron,
@@ -126,7 +127,7 @@ pub struct Round {
 }
 
 impl Round {
-    /// From the tensors `edge.*` and `node.*`.
+    /// Builds the round from the tensors `edge.*` and `node.*`.
     ///
     /// # Errors
     /// As for [`Perceptron::new`].
@@ -137,7 +138,7 @@ impl Round {
         })
     }
 
-    /// Nodes `[N, L]` and edges `[E, L]` -> the same behind the round.
+    /// Nodes `[N, L]` and edges `[E, L]` -> nodes and edges after the round.
     ///
     /// # Errors
     /// Tensor errors.

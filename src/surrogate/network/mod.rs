@@ -1,5 +1,5 @@
-//! What networks are made of: perceptrons and rounds of messages, fused and from candle-nn's layers, their parameters and
-//! optimiser.
+//! The parts of networks: perceptrons and rounds of message passing, fused and from candle-nn's layers, with their
+//! parameters and the optimiser.
 pub mod adamw;
 pub mod graph;
 pub mod interaction;

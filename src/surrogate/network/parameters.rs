@@ -1,4 +1,4 @@
-//! What all networks have in common: named parameters, and an output per particle.
+//! The interface of networks: named parameters, and an output per particle.
 
 use crate::io::tensor_file::TensorFile;
 use crate::io::FileError;
@@ -9,22 +9,22 @@ use candle_core::{DType, Device, Result, Tensor, Var};
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 
-/// A vector of parameters that stand together, such as those of one perceptron, and the names of its parts.
+/// A vector of parameters that belong together, such as those of a perceptron, and the names of its parts.
 #[derive(Debug, Clone)]
 pub struct Parameter {
     pub values: Var,
-    /// Name, place in the vector, shape.
+    /// Name, range in the vector and shape of each part.
     pub parts: Vec<(String, Range<usize>, Vec<usize>)>,
 }
 
 impl Parameter {
-    /// A perceptron's, drawn as haiku does: weights from a normal distribution cut at two deviations, of deviation
-    /// 1/sqrt(inputs), biases and offsets 0, scales 1.
+    /// The initial parameters of a perceptron, as in haiku: weights from a normal distribution with standard deviation
+    /// 1/sqrt(inputs), truncated at two standard deviations; biases and offsets 0, scales 1.
     pub fn perceptron(prefix: &str, shape: &MlpShape, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
         Self::perceptrons(&[(prefix.to_owned(), *shape)], rng, dtype)
     }
 
-    /// Several perceptrons', each with its prefix, behind each other.
+    /// The initial parameters of several perceptrons, each with its prefix, in one vector.
     pub fn perceptrons(shapes: &[(String, MlpShape)], rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
         let (mut all, mut parts) = (Vec::new(), Vec::new());
         for (prefix, shape) in shapes {
@@ -43,7 +43,7 @@ impl Parameter {
         Self::new(all, parts, dtype)
     }
 
-    /// A table `[rows, columns]` of cut normal numbers.
+    /// A table `[rows, columns]` of truncated normal numbers.
     pub fn table(name: &str, rows: usize, columns: usize, rng: &mut ChaCha8Rng, dtype: DType) -> Result<Self> {
         let values = (0..rows * columns).map(|_| cut_normal(rng)).collect();
         Self::new(values, vec![(name.to_owned(), 0..rows * columns, vec![rows, columns])], dtype)
@@ -54,25 +54,25 @@ impl Parameter {
         Ok(Self { values, parts })
     }
 
-    /// Numbers in it.
+    /// Number of values.
     pub fn count(&self) -> usize {
         self.values.elem_count()
     }
 
-    /// Takes the values from a file's tensors, each named `prefix` + its name.
+    /// Loads the values from a file's tensors, whose names are `prefix` + those of the parts.
     ///
     /// # Errors
-    /// One is missing or of another shape.
+    /// A tensor that is missing or of another shape.
     pub fn load(&self, file: &TensorFile, prefix: &str) -> anyhow::Result<()> {
         let values = self.read(file, prefix)?;
         let values = Tensor::new(values, &Device::Cpu)?.to_dtype(self.values.dtype())?;
         Ok(self.values.set(&values)?)
     }
 
-    /// The numbers of all parts in a file, in their order.
+    /// The values of all parts in a file, in order.
     ///
     /// # Errors
-    /// One is missing, of another shape, or has a number that is none: rectifiers would hide it.
+    /// A tensor that is missing, of another shape, or not finite, which rectifiers would hide.
     pub fn read(&self, file: &TensorFile, prefix: &str) -> std::result::Result<Vec<f64>, FileError> {
         let mut values = vec![0.0; self.count()];
         for (name, at, shape) in &self.parts {
@@ -102,7 +102,7 @@ impl Parameter {
     }
 }
 
-/// Standard normal, cut at two deviations (rejection; Box and Muller).
+/// A standard normal number, truncated at two standard deviations (rejection; Box and Muller).
 fn cut_normal(rng: &mut ChaCha8Rng) -> f64 {
     loop {
         let radius = (-2.0 * (1.0 - uniform(rng)).ln()).sqrt();
@@ -113,25 +113,25 @@ fn cut_normal(rng: &mut ChaCha8Rng) -> f64 {
     }
 }
 
-/// A trainable network: features in, normalised acceleration (and temperature change) out.
+/// A trainable network: maps features to normalised acceleration (and temperature change).
 pub trait Network: Send + Sync {
     fn parameters(&self) -> &[Parameter];
 
-    /// `[N, D]` acceleration, and with learned heat one more column, the temperature's change; both normalised.
+    /// The normalised acceleration `[N, D]`, with learned heat followed by a column of the temperature's change.
     ///
-    /// `parameters` are those of [`Self::parameters`], as the caller wants them tracked.
+    /// `parameters` are those of [`Self::parameters`], tracked or not.
     ///
     /// # Errors
     /// Tensor errors.
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor>;
 }
 
-/// Parameters that a gradient is asked for.
+/// Parameters for gradients.
 pub fn tracked(network: &dyn Network) -> Vec<Tensor> {
     network.parameters().iter().map(|p| p.values.as_tensor().clone()).collect()
 }
 
-/// Parameters for predictions only: no graph is built.
+/// Parameters for predictions only, without a graph.
 pub fn detached(network: &dyn Network) -> Vec<Tensor> {
     network.parameters().iter().map(|p| p.values.as_detached_tensor()).collect()
 }

@@ -5,6 +5,30 @@
 
 use crate::numerics::lanes::{Lanes, WIDEST};
 
+/// The numbers of rows from `at` on. (Loops: of an array's `map` the compiler makes ten functions for each kind of lanes.)
+///
+/// # Safety
+/// All rows have at least `at + COUNT` numbers.
+#[inline(always)]
+unsafe fn load<L: Lanes, const K: usize>(rows: &[&[L::Real]; K], at: usize) -> [L; K] {
+    let mut lanes = [L::zero(); K];
+    for k in 0..K {
+        // SAFETY: as the caller promises.
+        lanes[k] = unsafe { L::load(rows[k].as_ptr().add(at)) };
+    }
+    lanes
+}
+
+/// Whether all rows are of one length.
+#[inline(always)]
+fn are_even<T, const K: usize>(rows: &[&[T]; K], length: usize) -> bool {
+    let mut even = true;
+    for k in 0..K {
+        even &= rows[k].len() == length;
+    }
+    even
+}
+
 /// x <- f(x, the numbers of the other rows at the same place).
 ///
 /// # Panics
@@ -12,18 +36,19 @@ use crate::numerics::lanes::{Lanes, WIDEST};
 #[inline(always)]
 pub fn each<L: Lanes, const K: usize>(x: &mut [L::Real], others: [&[L::Real]; K], f: impl Fn(L, [L; K]) -> L) {
     let length = x.len();
-    assert!(others.iter().all(|other| other.len() == length), "rows of different lengths");
+    assert!(are_even(&others, length), "rows of different lengths");
     let whole = length / L::COUNT * L::COUNT;
     for at in (0..whole).step_by(L::COUNT) {
         // SAFETY: all have at least `at + COUNT` numbers.
-        unsafe {
-            let others = others.map(|other| L::load(other.as_ptr().add(at)));
-            f(L::load(x.as_ptr().add(at)), others).store(x.as_mut_ptr().add(at));
-        }
+        unsafe { f(L::load(x.as_ptr().add(at)), load(&others, at)).store(x.as_mut_ptr().add(at)) };
     }
     if whole < length {
         let mut lanes = [L::Real::default(); WIDEST];
-        let last = f(L::load_part(&x[whole..]), others.map(|other| L::load_part(&other[whole..])));
+        let mut rest = [L::zero(); K];
+        for k in 0..K {
+            rest[k] = L::load_part(&others[k][whole..]);
+        }
+        let last = f(L::load_part(&x[whole..]), rest);
         // SAFETY: no lane type is wider than WIDEST.
         unsafe { last.store(lanes.as_mut_ptr()) };
         x[whole..].copy_from_slice(&lanes[..length - whole]);
@@ -61,7 +86,7 @@ pub fn sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::
 #[inline(always)]
 pub fn add_rows<L: Lanes, const K: usize>(sum: &mut [L::Real], rows: [&[L::Real]; K], f: impl Fn([L; K]) -> L) {
     let (width, length) = (sum.len(), rows[0].len());
-    assert!(width > 0 && length % width == 0 && rows.iter().all(|r| r.len() == length), "rows of different lengths");
+    assert!(width > 0 && length % width == 0 && are_even(&rows, length), "rows of different lengths");
     // Several sums at a time: each waits for its own last addition only, and none goes through memory.
     let mut at = 0;
     while at + 4 * L::COUNT <= width {
@@ -74,7 +99,11 @@ pub fn add_rows<L: Lanes, const K: usize>(sum: &mut [L::Real], rows: [&[L::Real]
     }
     if at < width {
         for row in (0..length).step_by(width) {
-            each::<L, K>(&mut sum[at..], rows.map(|r| &r[row + at..row + width]), |sum, x| sum + f(x));
+            let mut rest = rows;
+            for k in 0..K {
+                rest[k] = &rows[k][row + at..row + width];
+            }
+            each::<L, K>(&mut sum[at..], rest, |sum, x| sum + f(x));
         }
     }
 }
@@ -90,14 +119,17 @@ fn add_columns<L: Lanes, const K: usize, const BLOCKS: usize>(
     let width = sum.len();
     assert!(at + BLOCKS * L::COUNT <= width);
     // SAFETY (all): the columns end within a row, and each row within its slice.
-    let mut sums: [L; BLOCKS] = std::array::from_fn(|k| unsafe { L::load(sum.as_ptr().add(at + k * L::COUNT)) });
+    let mut sums = [L::zero(); BLOCKS];
+    for k in 0..BLOCKS {
+        sums[k] = unsafe { L::load(sum.as_ptr().add(at + k * L::COUNT)) };
+    }
     for row in (0..rows[0].len()).step_by(width) {
-        for (k, sum) in sums.iter_mut().enumerate() {
-            *sum += f(rows.map(|r| unsafe { L::load(r.as_ptr().add(row + at + k * L::COUNT)) }));
+        for k in 0..BLOCKS {
+            sums[k] += f(unsafe { load(&rows, row + at + k * L::COUNT) });
         }
     }
-    for (k, lanes) in sums.iter().enumerate() {
-        unsafe { lanes.store(sum.as_mut_ptr().add(at + k * L::COUNT)) };
+    for k in 0..BLOCKS {
+        unsafe { sums[k].store(sum.as_mut_ptr().add(at + k * L::COUNT)) };
     }
 }
 

@@ -1,11 +1,12 @@
-//! Loss and gradient of a batch, whose samples ranks may share out.
+//! Loss and gradient of a batch, whose samples may be distributed over ranks.
 //!
-//! With R ranks, rank r takes the places r, r + R, ... of a batch. It adds up the gradients of its own; those of its last
-//! sample set out parameter by parameter, while the backward pass is still on its way to the others, and MPI adds those of
-//! all ranks. Numbers of single precision are added in double: such a sum is exact unless they differ by more than 2^29, so
-//! its order hardly ever matters. (In single precision it would matter at once: AdamW's first steps are as long as the rate
-//! whatever the gradient, so the sign of the smallest decides.) In the ordered mode it cannot: the gradients of every sample
-//! are gathered and added in the order of the places, the same bits for any number of ranks, for R times the traffic.
+//! With R ranks, rank r has the places r, r + R, ... of a batch. It adds the gradients of its samples. Those of the
+//! last sample are sent parameter by parameter while the backward pass still continues, and MPI adds those of all
+//! ranks. Single-precision numbers are added in double precision: such a sum is exact unless they differ by more than
+//! 2^29, so its order hardly ever matters. (In single precision it would matter at once: AdamW's first steps are as
+//! long as the rate for any gradient, so the sign of the smallest decides.) In the ordered mode the order never
+//! matters: the gradients of all samples are gathered and added in the order of the places, with the same bits for any
+//! number of ranks, for R times the traffic.
 
 use crate::numerics::candle::read;
 use crate::numerics::interrupt;
@@ -16,7 +17,7 @@ use crate::surrogate::training::samples::{Sample, Samples};
 use candle_core::{CpuStorage, CustomOp1, DType, Device, Layout, Result, Shape, Tensor};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// What the ranks that train together agree on.
+/// Settings that all ranks of a training share.
 #[derive(Clone, Copy)]
 pub struct Team<'a> {
     pub ranks: &'a Ranks,
@@ -25,25 +26,25 @@ pub struct Team<'a> {
 }
 
 impl Team<'static> {
-    /// One process, on its own.
+    /// A single process.
     pub const ALONE: Self = Self { ranks: &Ranks::ALONE, is_ordered: false };
 }
 
-/// What came of a batch.
+/// The result of a batch.
 pub struct Found {
-    /// Mean over the batch.
+    /// Mean loss of the batch.
     pub loss: f64,
-    /// Its gradient, in the order of the parameters.
+    /// Gradient of the loss, in the order of the parameters.
     pub gradients: Vec<Tensor>,
-    /// Whether somebody asked any of the ranks to stop.
+    /// Whether any rank was asked to stop.
     pub is_to_stop: bool,
 }
 
 impl Team<'_> {
-    /// Mean loss and gradient of the batch of a step; the same on all ranks.
+    /// Mean loss and gradient of the batch of a step, the same on all ranks.
     ///
     /// # Errors
-    /// Samples that cannot be made, a parameter without a gradient, tensors.
+    /// Samples that cannot be made, a parameter without a gradient, tensor errors.
     pub fn gradient(
         &self,
         samples: &mut Samples,
@@ -111,7 +112,7 @@ impl Sums {
         Ok(())
     }
 
-    /// As gradients of the parameters.
+    /// The mean gradients of the parameters.
     fn mean(self, share: f64, network: &dyn Network) -> Result<Vec<Tensor>> {
         let of = |(sum, parameter): (Vec<f64>, &Parameter)| {
             let mean: Vec<f32> = sum.iter().map(|sum| (share * sum) as f32).collect();
@@ -125,7 +126,7 @@ fn widened(numbers: &Tensor) -> Result<Vec<f64>> {
     read(&numbers.contiguous()?, |numbers: &[f32]| Ok(numbers.iter().map(|&x| f64::from(x)).collect()))
 }
 
-/// Loss and gradient of one sample, in the order of the parameters; `parameters` are the network's, tracked.
+/// Loss and gradient of one sample, in the order of the parameters. `parameters` are the network's, tracked.
 ///
 /// # Errors
 /// A parameter without a gradient, tensor errors.
@@ -158,7 +159,7 @@ fn unreached(parameter: &Parameter) -> anyhow::Error {
     anyhow::anyhow!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "))
 }
 
-/// The parameters, each behind a tap: as soon as the backward pass has all of a parameter's gradient, it is sent.
+/// The parameters with taps. A tap sends the gradient of a parameter as soon as the backward pass has completed it.
 struct Taps {
     /// In the order of the parameters.
     tensors: Vec<Tensor>,
@@ -166,19 +167,19 @@ struct Taps {
 }
 
 impl Taps {
-    /// `before` is added to what is sent, if there is anything.
+    /// `before` is added to the gradients that are sent, if there is any.
     fn new(ranks: &Ranks, how: How, before: Sums, network: &dyn Network) -> Result<Self> {
         let sent = Arc::new(Mutex::new(network.parameters().iter().map(|_| None).collect()));
         let mut before = before.0.into_iter();
         let tensors = tracked(network).into_iter().enumerate().map(|(parameter, tensor)| {
             let before = Mutex::new(before.next());
-            // A tap lives in candle's graph, which wants it to be able to outlive everything.
+            // A tap is part of candle's graph, which needs a static lifetime.
             tensor.apply_op1(Tap { ranks: ranks.clone(), how, before, parameter, sent: sent.clone() })
         });
         Ok(Self { tensors: tensors.collect::<Result<_>>()?, sent })
     }
 
-    /// The sums of all ranks, or what each of them sent.
+    /// The sums of all ranks, or the gradients that each of them sent.
     fn wait(self, network: &dyn Network) -> anyhow::Result<Vec<Vec<Vec<f64>>>> {
         drop(self.tensors);
         let sent: Vec<_> = lock(&self.sent).drain(..).collect();

@@ -1,5 +1,4 @@
-//! What stands before the first step: data and settings that belong together, where the parameters come from, and a folder
-//! that nobody else writes to.
+//! The start of a training: checks of data and settings, and the origin of the parameters.
 
 use crate::config::device::Compute;
 use crate::config::difference::differences;
@@ -10,17 +9,15 @@ use crate::io::FileError;
 use crate::surrogate::evaluation::rollout::check_length;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::parameters::Network;
-use crate::surrogate::training::checkpoint::{Header, TrainingState};
-use crate::surrogate::training::train::fresh;
+use crate::surrogate::training::checkpoint::{fresh, Header, TrainingState};
 use candle_core::DType;
 use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The checkpoint that a resumed training goes on with.
+/// The checkpoint from which a training is resumed.
 pub const LAST: &str = "last.safetensors";
 
-/// What is trained on, and what is validated on.
 pub struct TrainingData {
     pub metadata: Metadata,
     pub train: Vec<Trajectory>,
@@ -38,7 +35,7 @@ impl TrainingData {
         Ok(Self { metadata, train, valid })
     }
 
-    /// An error if a split is empty, or validation looks further than the trajectories go.
+    /// Checks that no split is empty and that trajectories are long enough for validation.
     ///
     /// # Errors
     /// [`BadInput`].
@@ -58,22 +55,20 @@ impl TrainingData {
     }
 }
 
-/// Where the parameters come from.
 pub enum Origin {
-    /// Random numbers.
+    /// Random values.
     New,
-    /// An earlier run of the same training: its optimiser goes on, too.
+    /// An earlier run of the same training, including its optimiser.
     Resumed(Box<Header>),
-    /// Another training, of the same kind and sizes.
+    /// Another training of the same kind and sizes.
     TakenOver(Box<Header>),
 }
 
 impl Origin {
-    /// The training that a checkpoint is of.
+    /// Resumes the training of a checkpoint.
     ///
     /// # Errors
-    /// [`BadInput`]: it was begun with other settings or data, or is further than `settings.steps` (the error's key is then
-    /// `steps`).
+    /// [`BadInput`]: it has other settings or data, or is beyond `settings.steps` (the error's key is then `steps`).
     pub fn resumed(header: Header, settings: &Settings, setup: &Setup) -> Result<Self, BadInput> {
         resumes(&header.settings, settings, header.setup == *setup)?;
         if settings.steps < header.step {
@@ -83,7 +78,7 @@ impl Origin {
         Ok(Self::Resumed(Box::new(header)))
     }
 
-    /// Another training's parameters.
+    /// Takes the parameters of another training.
     ///
     /// # Errors
     /// [`BadInput`]: a model of another kind or of other sizes.
@@ -106,12 +101,12 @@ impl Origin {
             .allowed("a model of the same kind and sizes; data with heat for a model with heat"))
     }
 
-    /// Whether an earlier run is gone on with.
+    /// Whether an earlier run is resumed.
     pub fn resumes(&self) -> bool {
         matches!(self, Self::Resumed(_))
     }
 
-    /// The network with its parameters, and where its training stands.
+    /// The network with its parameters, and the state of its training.
     ///
     /// # Errors
     /// Tensors that a checkpoint lacks, or that have another shape.
@@ -137,7 +132,7 @@ impl Origin {
     }
 }
 
-/// An error if the settings differ in more than how long to go on and how often to say so.
+/// Checks that the settings differ only in the length of the training and the frequency of its output.
 fn resumes(before: &Settings, now: &Settings, same_setup: bool) -> Result<(), BadInput> {
     let found = differences(before, now, &FREE);
     if found.is_empty() && same_setup {

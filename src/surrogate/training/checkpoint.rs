@@ -11,26 +11,41 @@ use crate::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::{AdamW, Moments};
 use crate::surrogate::network::parameters::{Network, Parameter};
-use candle_core::{Device, Tensor};
+use candle_core::{Device, Tensor, Var};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 const FORMAT: &str = "hydrograd surrogate 1";
 const ALLOWED: &str = "a .safetensors file written by `hydrograd train`";
 
-/// Where a training stands.
 pub struct TrainingState {
-    /// Updates done.
+    /// Number of updates.
     pub step: u64,
-    /// Wall time so far.
+    /// Wall-clock time so far.
     pub seconds: f64,
     /// Best validation score so far; infinite before the first.
     pub best: f64,
-    /// Of the steps since the last row of the history.
+    /// Losses of the steps since the last row of the history.
     pub losses: Vec<f64>,
     pub optimiser: AdamW,
     /// Moving averages of the parameters, if kept.
     pub average: Option<Vec<Tensor>>,
+}
+
+/// The initial state of a training of a network.
+///
+/// # Errors
+/// Tensor errors.
+pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
+    let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
+    let mut optimiser = AdamW::new(&variables)?;
+    optimiser.weight_decay = settings.weight_decay;
+    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
+    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, losses: Vec::new(), optimiser, average })
+}
+
+fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
+    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
 }
 
 /// Writes a checkpoint, atomically.
@@ -76,7 +91,7 @@ pub fn write(
     Ok(write_tensors(path, &tensors, &metadata)?)
 }
 
-/// What a checkpoint's metadata says.
+/// The content of a checkpoint's metadata.
 pub struct Header {
     pub file: TensorFile,
     pub setup: Setup,
@@ -88,16 +103,16 @@ pub struct Header {
     pub losses: Vec<f64>,
 }
 
-/// Reads a checkpoint of ours.
+/// Reads a checkpoint of a training.
 ///
 /// # Errors
-/// [`BadInput`]: the file is missing, damaged, or no checkpoint of a training.
+/// [`BadInput`]: the file is missing, damaged, or not a checkpoint of a training.
 pub fn read(path: &Path) -> Result<Header, BadInput> {
     let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
     of_file(TensorFile::read(path).map_err(|error| bad(error.to_string()))?)
 }
 
-/// What a file says that is a checkpoint of ours.
+/// Reads the header of a file that is a checkpoint.
 ///
 /// # Errors
 /// As for [`read`].
@@ -116,11 +131,11 @@ pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
     if let Some(problem) = setup.sizes.beyond(&file) {
         return Err(bad(format!("its `setup`: {problem}")));
     }
-    // Models that say nothing of their data are from before there was a choice.
+    // Models without information on their data were trained before this choice existed.
     setup.features.unset_walls |= setup.data.is_none();
     let settings = toml::from_str(text("settings")?).map_err(|error| bad(format!("its `settings`: {error}")))?;
     let (step, seconds, best) = (number("step")? as u64, number("seconds")?, number("best")?);
-    // Earlier versions kept none.
+    // Earlier versions did not store the losses.
     let losses = match file.metadata.get("losses") {
         Some(losses) => serde_json::from_str(losses).map_err(|error| bad(format!("its `losses`: {error}")))?,
         None => Vec::new(),
@@ -132,7 +147,7 @@ impl Header {
     /// The optimiser and averages of the file, for the parameters of `network`.
     ///
     /// # Errors
-    /// Missing or misshapen tensors.
+    /// Missing tensors, and ones of another shape.
     pub fn state(&self, network: &dyn Network) -> anyhow::Result<TrainingState> {
         let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
             let values = parameter.read(&self.file, prefix);
@@ -155,10 +170,10 @@ impl Header {
         Ok(TrainingState { step, seconds, best, losses, optimiser, average })
     }
 
-    /// Puts the file's parameters into a network of the same sizes: the average if there is one and `averaged` is set.
+    /// Loads the file's parameters into a network of the same sizes, or with `averaged` their averages if they exist.
     ///
     /// # Errors
-    /// Missing or misshapen tensors.
+    /// Missing tensors, and ones of another shape.
     pub fn load_into(&self, network: &dyn Network, averaged: bool) -> anyhow::Result<()> {
         let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
         let loaded = network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix));

@@ -1,10 +1,10 @@
-//! What training minimises, and the numbers it is measured against.
+//! The loss of a training, and its targets.
 
 use crate::dataset::Metadata;
 use crate::surrogate::features::{displacement, Normalisation};
 use candle_core::{Device, Result, Tensor};
 
-/// (a - mean)/s of the acceleration from three frames `[N, D]` (f64), the last of them the one to be predicted.
+/// The normalised acceleration (a - mean)/s of three frames `[N, D]` (f64), the last of which is the target.
 pub fn target_acceleration(frames: [&Tensor; 3], normalisation: &Normalisation, metadata: &Metadata) -> Result<Tensor> {
     let [before, now, next] = frames;
     let change = (displacement(next, now, metadata)? - displacement(now, before, metadata)?)?;
@@ -16,7 +16,7 @@ pub fn target_acceleration(frames: [&Tensor; 3], normalisation: &Normalisation, 
 
 /// Mean over the particles with mask 1 of the sum over components of (prediction - target)^2.
 ///
-/// All `[N, C]`; a mask's column may leave out particles of its own.
+/// All are `[N, C]`. Each column of the mask may leave out different particles.
 pub fn loss(prediction: &Tensor, target: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let square = (prediction - target)?.sqr()?;
     let count = mask.sum(0)?.clamp(1.0, f64::INFINITY)?;

@@ -1,4 +1,4 @@
-//! Training: how it begins, samples, noise, loss, the loop, checkpoints.
+//! Training: its start, samples, noise, loss, the loop and checkpoints.
 pub mod batch;
 pub mod begin;
 pub mod checkpoint;

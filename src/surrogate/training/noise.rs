@@ -1,9 +1,9 @@
-//! Noise on the training inputs, so that a model learns to live with its own errors.
+//! Noise on the training inputs, which makes a model robust against its own errors.
 //!
 //! A random walk in the velocities (Sanchez-Gonzalez et al. 2020, as LagrangeBench): with z ~ N(0, 1) for each of the W - 1
 //! velocities, velocity noise = cumsum(z) sigma/sqrt(W - 1), position noise its cumsum, 0 at the first frame; the frames to
-//! be predicted get the last frame's. Particles that others move get none. Temperatures get independent noise in every
-//! frame of the window, and the target is measured from the noisy one, so that the model learns to undo it.
+//! be predicted get the last frame's. Kinematic particles get none. Temperatures get independent noise in every frame
+//! of the window, and the target is measured from the noisy one, so that the model learns to remove it.
 
 use crate::dataset::kind;
 

@@ -1,6 +1,6 @@
-//! Training samples: which window belongs to a step, and what the model sees and should say.
+//! Training samples: the window of each step, and the model's inputs and targets.
 //!
-//! All that is random follows from seed, step and place in the batch, so a resumed training goes on as if it had never
+//! All random numbers follow from seed, step and place in the batch, so a resumed training continues as if it had never
 //! stopped.
 
 use crate::config::training::{HeatModel, Settings};
@@ -17,27 +17,27 @@ use crate::surrogate::training::loss::target_acceleration;
 use crate::surrogate::training::noise;
 use candle_core::{Device, Result, Tensor};
 
-/// Windows of the training split, stride 1.
+/// Windows of the training split with stride 1.
 pub struct Samples<'a> {
     metadata: &'a Metadata,
     trajectories: &'a [Trajectory],
     settings: &'a Settings,
     setup: &'a Setup,
-    /// Frames of a window: inputs, target, unrolled steps.
+    /// Number of frames in a window: inputs, target, unrolled steps.
     length: usize,
-    /// Windows before each trajectory's first.
+    /// Number of windows before the first of each trajectory.
     before: Vec<usize>,
     count: usize,
-    /// The epoch whose order is known, and the order.
+    /// An epoch and the order of its windows.
     order: (u64, Vec<u32>),
 }
 
-/// One sample, ready for the model.
+/// A sample, ready for the model.
 pub struct Sample {
     pub inputs: Inputs,
-    /// `[N, outputs]`, normalised.
+    /// Normalised targets `[N, outputs]`.
     pub target: Tensor,
-    /// `[N, outputs]`: 1 where the loss counts.
+    /// Mask `[N, outputs]`, 1 where the loss counts.
     pub mask: Tensor,
 }
 
@@ -70,13 +70,12 @@ impl<'a> Samples<'a> {
         Ok(Self { metadata, trajectories, settings, setup, length, before, count, order: (u64::MAX, Vec::new()) })
     }
 
-    /// How many windows there are.
+    /// Number of windows.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Trajectory and first frame of the sample `number`, counted over all steps: every epoch goes through all windows, in
-    /// an order of its own.
+    /// Trajectory and first frame of sample `number`, counted over all steps. Every epoch orders all windows anew.
     fn window(&mut self, number: u64) -> (&'a Trajectory, usize) {
         let epoch = number / self.count as u64;
         if self.order.0 != epoch {
@@ -92,7 +91,7 @@ impl<'a> Samples<'a> {
         (&self.trajectories[index], window - self.before[index])
     }
 
-    /// The sample of a step and a place in its batch. `parameters` are detached: for the unrolled steps.
+    /// The sample of a step and a place in its batch. `parameters` are detached; the unrolled steps use them.
     ///
     /// # Errors
     /// Lost or clumped particles, tensor errors.
@@ -114,7 +113,7 @@ impl<'a> Samples<'a> {
         Ok(Sample { inputs, target, mask })
     }
 
-    /// The frames of the sample `number`, true and with noise.
+    /// The frames of sample `number`, true and with noise.
     fn draw(&mut self, number: u64) -> anyhow::Result<Draw<'a>> {
         let (trajectory, start) = self.window(number);
         let (setup, settings, frames) = (self.setup, self.settings, self.setup.features.frames);
@@ -137,13 +136,13 @@ impl<'a> Samples<'a> {
         Ok(Draw { trajectory, clean, noisy, temperature })
     }
 
-    /// `[N, D]`.
+    /// Positions as a tensor `[N, D]`.
     fn positions(&self, values: &[f64]) -> Result<Tensor> {
         let d = self.metadata.dim;
         Tensor::from_slice(values, (values.len() / d, d), &Device::Cpu)
     }
 
-    /// What the network sees after `unrolls` steps of its own, and the last temperatures `[N]` then, if it learns them.
+    /// The network's inputs after `unrolls` steps of its own, and the last temperatures `[N]` then, if it learns them.
     fn unroll(
         &self,
         draw: &Draw,
@@ -158,7 +157,7 @@ impl<'a> Samples<'a> {
             temperature: draw.temperature.iter().take(frames).map(|t| column(t)).collect::<Result<_>>()?,
         };
         let mut inputs = setup.features.inputs(&scenery, &setup.normalisation, &window, None, dtype)?;
-        // As LagrangeBench: the first unrolled step sees the noisy frames and moves the true ones.
+        // As in LagrangeBench: the first unrolled step sees the noisy frames and moves the true ones.
         let mut moved = draw.clean[..frames].iter().map(|p| self.positions(p)).collect::<Result<Vec<_>>>()?;
         for k in 0..unrolls {
             let output = network.apply(&inputs, parameters)?;
@@ -183,8 +182,8 @@ impl<'a> Samples<'a> {
         Ok((inputs, window.temperature.pop()))
     }
 
-    /// What the network should say, `[N, outputs]`, normalised: as measured from the noisy frames, so that it learns to undo
-    /// the noise.
+    /// The normalised targets `[N, outputs]`, measured from the noisy frames, so that the network learns to remove the
+    /// noise.
     fn target(&self, draw: &Draw, unrolls: usize, last_temperature: Option<&Tensor>) -> anyhow::Result<Tensor> {
         let (normalisation, frames) = (&self.setup.normalisation, self.setup.features.frames);
         let [before, last, next] = [2, 1, 0].map(|back| &draw.noisy[frames + unrolls - back]);
@@ -197,7 +196,7 @@ impl<'a> Samples<'a> {
         Ok(Tensor::cat(&[acceleration, column(&change)?.unsqueeze(1)?], 1)?)
     }
 
-    /// `[N, outputs]`: 1 where the loss counts, which is where the network moves or warms a particle.
+    /// The mask `[N, outputs]`, 1 where the loss counts, that is where the network changes a particle.
     fn mask(&self, draw: &Draw, unrolls: usize) -> Result<Tensor> {
         let (kinds, outputs, d) = (&draw.trajectory.kind, self.setup.sizes.outputs, self.metadata.dim);
         let next = self.setup.features.frames + unrolls;
@@ -206,7 +205,7 @@ impl<'a> Samples<'a> {
             mask[i * outputs..(i + 1) * outputs].fill(1.0);
         }
         if let Some(heat) = self.metadata.heat.as_ref().filter(|_| self.setup.heat == HeatModel::Learned) {
-            // What the inlet resets is no work of the flow; the rollout does it too.
+            // A reset by the inlet is not an effect of the flow; the rollout applies it too.
             for i in 0..kinds.len() {
                 let (from, to) = (draw.clean[next - 1][i * d], draw.clean[next][i * d]);
                 if heat.resets(from, to, self.metadata.bounds[0]) {
@@ -218,13 +217,13 @@ impl<'a> Samples<'a> {
     }
 }
 
-/// The frames of a sample: inputs, target, unrolled steps.
+/// The frames of a sample: inputs, target and unrolled steps.
 struct Draw<'a> {
     trajectory: &'a Trajectory,
     /// Positions `[N, D]`.
     clean: Vec<Vec<f64>>,
     noisy: Vec<Tensor>,
-    /// `[N]`, the inputs' with noise; empty where the network learns none.
+    /// Temperatures `[N]`, the inputs with noise; empty where the network learns none.
     temperature: Vec<Vec<f64>>,
 }
 
@@ -237,7 +236,7 @@ fn column(values: &[f64]) -> Result<Tensor> {
     Tensor::from_slice(values, values.len(), &Device::Cpu)
 }
 
-/// Particles that others move take the true positions `[N, D]`.
+/// Gives kinematic particles their true positions `[N, D]`.
 fn hold(next: &mut [f64], truth: &[f64], kinds: &[i32]) {
     let d = truth.len() / kinds.len();
     for (i, _) in kinds.iter().enumerate().filter(|(_, &k)| kind::is_kinematic(k)) {
@@ -245,7 +244,7 @@ fn hold(next: &mut [f64], truth: &[f64], kinds: &[i32]) {
     }
 }
 
-/// A seed of its own for each number (splitmix64's increment).
+/// A different seed for each number (splitmix64's increment).
 fn mixed(seed: u64, number: u64) -> u64 {
     seed.wrapping_add(number.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
 }

@@ -1,7 +1,7 @@
 //! The training loop.
 //!
-//! A step draws windows, adds noise, asks the model, and moves the parameters against the averaged gradient. What is random
-//! follows from seed and step, and a checkpoint holds the rest, so a training that was killed goes on bit for bit.
+//! A step draws windows, adds noise, applies the model, and updates the parameters by the mean gradient. Random numbers
+//! follow from seed and step, and a checkpoint has the rest, so an interrupted training continues bit for bit.
 
 use crate::config::device::Compute;
 use crate::config::training::Settings;
@@ -16,24 +16,23 @@ use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
 use crate::surrogate::models::constant_velocity::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
-use crate::surrogate::network::adamw::{learning_rate, AdamW};
+use crate::surrogate::network::adamw::learning_rate;
 use crate::surrogate::network::parameters::{Network, Parameter};
 use crate::surrogate::training::batch::{Found, Team};
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint;
 use crate::surrogate::training::checkpoint::TrainingState;
 use crate::surrogate::training::samples::Samples;
-use candle_core::{Tensor, Var};
+use candle_core::Var;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// The columns of history.csv.
 pub const HISTORY_COLUMNS: [&str; 4] = ["step", "seconds", "loss", "learning_rate"];
-/// Those of validation.csv, behind `step` and `seconds`.
+/// The columns of validation.csv after `step` and `seconds`.
 pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
 
-/// A training in progress.
 pub struct Training<'a> {
     pub settings: &'a Settings,
     pub setup: &'a Setup,
@@ -42,18 +41,18 @@ pub struct Training<'a> {
     pub valid: &'a [Trajectory],
     pub network: Arc<dyn Network>,
     pub state: TrainingState,
-    /// Ranks that train together.
+    /// The ranks that train together.
     pub team: Team<'a>,
     pub folder: PathBuf,
-    /// Whether somebody asked any of the ranks to stop.
+    /// Whether any rank was asked to stop.
     pub is_to_stop: bool,
-    /// Rows of history.csv and validation.csv so far.
+    /// The rows of history.csv and validation.csv so far.
     pub history: Vec<Vec<f64>>,
     pub validation: Vec<Vec<f64>>,
 }
 
 impl<'a> Training<'a> {
-    /// What [`Self::run`] goes on with. Nothing is written yet.
+    /// The initial state of [`Self::run`]. Nothing is written yet.
     ///
     /// # Errors
     /// Tensors that a checkpoint lacks, or that have another shape.
@@ -91,44 +90,28 @@ impl<'a> Training<'a> {
         })
     }
 
-    /// Numbers that are trained.
+    /// Number of trained values.
     pub fn parameters(&self) -> usize {
         self.network.parameters().iter().map(Parameter::count).sum()
     }
 }
 
-/// What came out.
+/// The result of a training.
 pub struct Outcome {
-    /// Of the last validation.
+    /// Scores of the last validation.
     pub scores: Scores,
     pub linear: Scores,
-    /// Step of the best validation; none if no validation came to an end.
+    /// Step of the best validation; none if no validation was completed.
     pub best_step: Option<u64>,
-    /// Per update, without validation.
+    /// Wall-clock time per update, without validation.
     pub seconds_per_step: f64,
 }
 
-/// A fresh state for a network.
-///
-/// # Errors
-/// Tensor errors.
-pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
-    let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
-    let mut optimiser = AdamW::new(&variables)?;
-    optimiser.weight_decay = settings.weight_decay;
-    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
-    Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, losses: Vec::new(), optimiser, average })
-}
-
-fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
-    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
-}
-
 impl Training<'_> {
-    /// Runs up to `settings.steps`; everything lands in the folder, the settings as config.toml among it.
+    /// Runs up to `settings.steps`. All files go to the folder, including the settings as config.toml.
     ///
     /// # Errors
-    /// Being asked to stop, a loss or gradient that is not finite, files, tensors.
+    /// A request to stop, a loss or gradient that is not finite, files, tensors.
     pub fn run(&mut self, bar: &Progress) -> anyhow::Result<Outcome> {
         let settings = self.settings;
         prepare_output_folder(&self.folder)?;
@@ -177,7 +160,7 @@ impl Training<'_> {
         Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
     }
 
-    /// What all ranks but the first do: the same updates, of which the first keeps all.
+    /// Runs the same updates on all ranks but the first, which writes the results.
     ///
     /// # Errors
     /// As for [`Self::run`].
@@ -197,7 +180,7 @@ impl Training<'_> {
         self.network.parameters().iter().map(|p| p.values.clone()).collect()
     }
 
-    /// Of the next step.
+    /// The learning rate of the next step.
     fn learning_rate(&self) -> f64 {
         let settings = self.settings;
         learning_rate(
@@ -209,7 +192,7 @@ impl Training<'_> {
         )
     }
 
-    /// An error if somebody asked any of the ranks to stop, and there would be something left to do.
+    /// Returns an error if any rank was asked to stop before the end.
     fn check_for_stop(&self) -> Result<(), Error> {
         match self.is_to_stop && self.state.step < self.settings.steps {
             true => Err(Error::Stopped),
@@ -217,7 +200,7 @@ impl Training<'_> {
         }
     }
 
-    /// One update; the mean loss of its batch.
+    /// Makes one update and returns the mean loss of its batch.
     ///
     /// # Errors
     /// A loss or gradient that is not finite, tensors.
@@ -252,7 +235,7 @@ impl Training<'_> {
         Ok(loss)
     }
 
-    /// The model as it would be used: with averaged parameters if there are any.
+    /// The trained model, with averaged parameters if there are any.
     pub fn predictor(&self) -> anyhow::Result<Learned> {
         let mut learned =
             Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.network.clone());
@@ -271,7 +254,7 @@ impl Training<'_> {
         evaluate_windows(predictor, self.metadata, self.valid, &options)
     }
 
-    /// How good it is: position MSE, and with heat temperature MSE, over the linear baseline's. Smaller is better.
+    /// The error of a model: position MSE, and with heat temperature MSE, over those of the linear baseline.
     fn merit(scores: &Scores, linear: &Scores) -> f64 {
         let heat = match (scores.temperature_mse, linear.temperature_mse) {
             (Some(ours), Some(linear)) if linear > 0.0 => ours / linear,
@@ -325,7 +308,7 @@ impl Training<'_> {
         Ok(scores)
     }
 
-    /// `curves.png` and `.svg` from the rows of both tables.
+    /// Plots `curves.png` and `.svg` from the rows of both tables.
     fn plot(&self, linear: &Scores) -> anyhow::Result<()> {
         let column = |rows: &[Vec<f64>], k: usize| rows.iter().map(|row| (row[0], row[k])).collect::<Vec<_>>();
         let errors = [
@@ -345,7 +328,6 @@ impl Training<'_> {
         Ok(())
     }
 
-    /// The step that the best checkpoint was taken at.
     fn best_step(&self) -> Option<u64> {
         Some(checkpoint::read(&self.folder.join("best.safetensors")).ok()?.step)
     }
@@ -355,7 +337,7 @@ impl Training<'_> {
     }
 }
 
-/// Rows of numbers, the first of them an integer, as a table.
+/// Writes rows of numbers as a table; the first number is an integer.
 fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result<()> {
     let cells = |row: &Vec<f64>| {
         row.iter()
@@ -375,7 +357,7 @@ fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result
     Ok(write_table(path, header, &rows)?)
 }
 
-/// Rows of a table of [`Training`], up to a step: what a resumed training goes on with. Empty cells are not-a-number.
+/// Reads the rows of a table up to a step, to resume a training. Empty cells are NaN.
 fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();

@@ -147,10 +147,10 @@ fn fixed_particles() -> Vec<Map> {
     };
     let amplitude = axis("amplitude", "design.amplitude", &["0", "0.01", "0.02", "0.03", "0.04"], 1, &[1, 4]);
     vec![
-        map("fixed-step", &["fluid.motion=fixed", "design.bound=0.04", "design.shape=sine"], courant(), amplitude),
+        map("fixed-step", &["method.name=fixed", "design.bound=0.04", "design.shape=sine"], courant(), amplitude),
         map(
             "fixed-wall",
-            &["fluid.motion=fixed"],
+            &["method.name=fixed"],
             axis("amplitude", "design.amplitude", &["0.005", "0.01", "0.015", "0.02"], 1, &[1, 3]),
             axis_of("shape", &SHAPES, 0),
         ),
@@ -223,7 +223,7 @@ fn dam_break() -> Vec<Map> {
         map(
             "viscosity",
             axis("CFL", "time.cfl", &["0.25", "0.5", "1", "1.5"], 0, &[0, 2]),
-            axis("artificial viscosity", "fluid.artificial_viscosity", &["0.5", "0.1", "0.02", "0.005"], 1, &[1, 3]),
+            axis("artificial viscosity", "method.artificial_viscosity", &["0.5", "0.1", "0.02", "0.005"], 1, &[1, 3]),
         ),
         map(
             "speed",

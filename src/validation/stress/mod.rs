@@ -7,9 +7,11 @@ pub mod maps;
 mod watch;
 
 pub use maps::{Axis, Map, Panel};
+pub use watch::Fault;
 
 use crate::adjoint::run::{go_on, Observer};
 use crate::adjoint::{Dynamics, RunError};
+use crate::config::layers::Setting;
 use crate::config::scene::{Config, Kernels, Precision};
 use crate::design::diagnostics::Measurement;
 use crate::scene::load::Loaded;
@@ -49,27 +51,6 @@ impl Verdict {
             Self::Diverged => "diverged",
         }
     }
-}
-
-/// What was wrong first.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Fault {
-    pub step: usize,
-    pub time: f64,
-    pub quantity: String,
-    pub value: f64,
-    /// Of a criterion.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub limit: Option<f64>,
-    /// Of a run that diverged: the particle that was found, what it is, and where it was in the last good state.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub particle: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub tag: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub position: Option<Vec<f64>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cause: Option<String>,
 }
 
 /// What came of a run.
@@ -133,7 +114,7 @@ impl Job {
                         map.settings.iter().chain(more).map(|setting| setting.to_string()).collect();
                     // A scene with one formulation does not hear which.
                     if map.formulations.len() > 1 {
-                        settings.push(format!("fluid.formulation={}", panel.formulation));
+                        settings.push(format!("method.name={}", panel.formulation));
                     }
                     settings.push(format!("run.precision={precision}"));
                     settings.extend(sets.iter().chain(&at_x.settings).chain(&at_y.settings).cloned());
@@ -150,7 +131,9 @@ impl Job {
     /// # Errors
     /// Settings that are not allowed.
     pub fn load(&self) -> Result<Loaded, crate::error::Error> {
-        Config::load(Some(self.scene), None, &self.settings)
+        // What the user sets for one method concerns its panels only.
+        let settings: Vec<Setting> = self.settings.iter().map(|text| Setting::set(text)).collect();
+        Config::load(Some(self.scene), None, &[])?.with(&settings)
     }
 
     /// Runs it. Not an error: a run that diverges.

@@ -10,7 +10,6 @@
 //!
 //! They are looked at a hundred times a run, from its tenth part on: before, a disordered start settles.
 
-use super::Fault;
 use crate::adjoint::run::Observer;
 use crate::config::scene::Config;
 use crate::design::diagnostics::Diagnostics;
@@ -19,6 +18,7 @@ use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
+use serde::{Deserialize, Serialize};
 
 const DENSITY: f64 = 0.03;
 const SPEED: f64 = 1.5;
@@ -28,6 +28,27 @@ const HEAT: f64 = 0.05;
 const LOOKS: usize = 100;
 /// Part of a run in which nothing is asked.
 const SETTLING: f64 = 0.1;
+
+/// What was wrong first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Fault {
+    pub step: usize,
+    pub time: f64,
+    pub quantity: String,
+    pub value: f64,
+    /// Of a criterion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<f64>,
+    /// Of a run that diverged: the particle that was found, what it is, and where it was in the last good state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub particle: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tag: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+}
 
 /// Looks at a run on its way, and keeps the first thing that is wrong.
 pub struct Watch<'a, R> {
@@ -55,11 +76,14 @@ impl<'a, R: Sweeps> Watch<'a, R> {
 
     /// What is wrong with a state: a quantity, its value, its limit.
     fn wrong(&mut self, solver: &mut Solver<R>) -> Option<(&'static str, f64, f64)> {
-        solver.look();
+        if let Err(error) = solver.look() {
+            log::warn!("{error}");
+            return None;
+        }
         let (model, n) = (&self.scene.model, self.scene.model.particles());
         let fluid: Vec<usize> = (0..n).filter(|&i| model.is_fluid(i)).collect();
         let reference = model.equation_of_state.reference_density;
-        let square: f64 = fluid.iter().map(|&i| (solver.primitives[i].f64() / reference - 1.0).powi(2)).sum();
+        let square: f64 = fluid.iter().map(|&i| (solver.looked.density[i].f64() / reference - 1.0).powi(2)).sum();
         let density = (square / fluid.len() as f64).sqrt();
         let time = solver.step as f64 * model.dt;
         let figures = self.scene.figures(&solver.state, time);

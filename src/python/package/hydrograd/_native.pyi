@@ -70,6 +70,9 @@ class Scene:
     def loss_and_gradient(
         self, design: _Array, progress: Optional[Callable[..., object]]
     ) -> tuple[float, _Array]: ...
+    def verify(
+        self, best: _Array, first: Optional[_Array], progress: Optional[Callable[..., object]]
+    ) -> str: ...
     def optimise(
         self, first: Optional[_Array], epochs: Optional[int], progress: Optional[Callable[..., object]]
     ) -> dict[str, Any]: ...

@@ -100,7 +100,11 @@ class Optimisation:
     designs: Array
     """``[E, K]``."""
     q_per_epoch: Array
-    """``[E]``, as are the following; not a number where the run of a design diverged."""
+    """``[E]``, as are the following, by whoever judged the epoch; not a number where the run of a design diverged."""
+    q_predicted_per_epoch: Array
+    """What a learned model predicted (``optimise.dynamics``); not a number where none was asked."""
+    q_solver_per_epoch: Array
+    """What the solver says; not a number where it was not asked."""
     loss_per_epoch: Array
     gradient_norm_per_epoch: Array
     seconds_per_epoch: Array
@@ -294,8 +298,8 @@ class Scene:
         epochs: Optional[int] = None,
         progress: Optional[Callable[[int, int, float], object]] = None,
     ) -> Optimisation:
-        """Improves a design by the scene's own optimiser (``optimise.method``), as ``hydrograd optimize`` does, and writes no
-        files.
+        """Improves a design as ``hydrograd optimize`` does, to the bit, and writes no files: by the scene's own optimiser
+        (``optimise.method``), judged by the solver, by a learned model or by both (``optimise.dynamics``).
 
         Args:
             design: ``[K]`` to begin with; the scene's own if None.
@@ -307,10 +311,12 @@ class Scene:
         best = found["best"]
         return Optimisation(
             design_best=found["designs"][best].copy(),
-            q_best=float(found["q"][best]),
+            q_best=float(found["q_solver"][best]),
             best=best,
             designs=found["designs"],
             q_per_epoch=found["q"],
+            q_predicted_per_epoch=found["q_predicted"],
+            q_solver_per_epoch=found["q_solver"],
             loss_per_epoch=found["loss"],
             gradient_norm_per_epoch=found["gradient_norm"],
             seconds_per_epoch=found["seconds"],
@@ -318,6 +324,27 @@ class Scene:
         )
 
     optimize = optimise
+
+    def verify(
+        self,
+        best: ArrayLike,
+        first: Optional[ArrayLike] = None,
+        *,
+        progress: Optional[Progress] = None,
+    ) -> dict[str, Any]:
+        """Evaluates a gain again with one thing changed at a time, as ``hydrograd verify`` does: at a finer spacing, with other
+        particles, over twice the time and from another seed.
+
+        Args:
+            best: ``[K]``, the design that is better.
+            first: ``[K]``, the design that it is compared with; the scene's own if None.
+            progress: as for :meth:`value_and_gradient`.
+
+        Returns:
+            What ``verification.json`` has: ``verification`` (a list of checks, each with both objectives and the ``gain``) and
+            ``gain_survives``, the least of the gains.
+        """
+        return dict(json.loads(self._native.verify(_numbers(best), None if first is None else _numbers(first), progress)))
 
 
 def _numbers(design: ArrayLike) -> Array:

@@ -1,0 +1,237 @@
+//! A search of `hydrograd optimize` in its own folder: started or resumed, stored after every epoch, and reported.
+
+use super::files::{self, CHECKPOINT};
+use super::optimize_report::{report, Outcome};
+use super::prepare::build;
+use super::run_folder::{is_unfinished, Earlier, RunFolder};
+use crate::config::scene::{DynamicsName, Precision};
+use crate::design::objectives::Figure;
+use crate::design::optimise::Epoch;
+use crate::design::search::Watch;
+use crate::design::{checkpoint, Judge, Optimisation, Search};
+use crate::error::BadInput;
+use crate::io::csv::write_rows;
+use crate::report::progress::{Progress, Tasks};
+use crate::scene::checkpoint::open;
+use crate::scene::load::Loaded;
+use crate::scene::search::solver;
+use crate::sph::Sweeps;
+use crate::surrogate::design::{model_of, SurrogateProblem};
+use crate::surrogate::models::load::identity;
+use std::path::Path;
+
+/// The kind of the folder of a single run.
+pub const KIND: &str = "optimize";
+/// Units of the progress bar per epoch.
+const UNITS: u64 = 1000;
+/// The key of the model's checksum in a checkpoint.
+const MODEL: &str = "model";
+
+/// How a run starts.
+#[derive(Clone, Copy)]
+pub struct Begin<'a> {
+    /// The folder of the run to resume.
+    pub resume: Option<&'a Path>,
+    pub earlier: Earlier,
+    /// Whether it is one of several runs, which may be finished while others are not.
+    pub is_part: bool,
+}
+
+impl<'a> Begin<'a> {
+    /// One of several runs in its own folder. If the whole is resumed, the run is resumed if it had started.
+    pub fn part(folder: &'a Path, earlier: Earlier) -> Self {
+        let is_begun = folder.join(CHECKPOINT).exists() || is_unfinished(folder, KIND);
+        let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
+        Self { resume, earlier, is_part: true }
+    }
+}
+
+/// Searches in a folder, shows the progress and writes all results. The caller marks the folder as finished.
+pub fn one(
+    loaded: &Loaded,
+    folder: &Path,
+    how: Begin<'_>,
+    label: &str,
+    tasks: &Tasks,
+) -> anyhow::Result<(RunFolder, Outcome)> {
+    match loaded.config.run.precision {
+        Precision::F32 => go::<f32>(loaded, folder, how, label, tasks),
+        Precision::F64 => go::<f64>(loaded, folder, how, label, tasks),
+    }
+}
+
+fn go<R: Sweeps>(
+    loaded: &Loaded,
+    folder: &Path,
+    how: Begin<'_>,
+    label: &str,
+    tasks: &Tasks,
+) -> anyhow::Result<(RunFolder, Outcome)> {
+    let config = &loaded.config;
+    let solver = solver::<R>(loaded)?;
+    // The scene for plots and reports, if it differs from that of the search.
+    let scene = match loaded.for_search()?.config == *config {
+        true => None,
+        false => Some(build::<R>(config)?.0),
+    };
+    let surrogate = SurrogateProblem::<R>::of_config(loaded)?;
+    let search = Search { config, solver: &solver, surrogate: surrogate.as_ref().map(|it| it as &dyn Judge) };
+    let mut optimisation = begin(&search, &solver.problem.first, how)?;
+    let mut notes = notes(loaded).to_vec();
+    if surrogate.is_some() {
+        notes.push((MODEL, identity(model_of(config))?));
+    }
+    let own = RunFolder::take(folder, KIND, how.earlier)?;
+    files::write_config(folder, loaded)?;
+    let done = optimisation.history.len();
+    // Several searches may run at once.
+    let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
+    let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
+    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
+    let mut kept =
+        Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, bar };
+    search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
+    kept.bar.finish();
+    Ok((own, report(loaded, folder, (&solver.problem, scene.as_ref()), &optimisation)?))
+}
+
+/// Stores a search in its folder and shows its progress.
+struct Kept<'a> {
+    folder: &'a Path,
+    /// Entries of the checkpoint's metadata.
+    notes: Vec<(&'static str, String)>,
+    figure: Figure,
+    /// Whether a surrogate is used.
+    predicts: bool,
+    /// Number of epochs of earlier sessions.
+    done: usize,
+    /// Prefix of the lines.
+    name: String,
+    bar: Progress,
+}
+
+impl Watch for Kept<'_> {
+    fn share(&mut self, now: &Optimisation, share: f64) {
+        let base = (now.history.len() - self.done) as u64 * UNITS;
+        self.bar.set_position(base + (share * UNITS as f64) as u64);
+    }
+
+    fn epoch(&mut self, now: &Optimisation) -> anyhow::Result<()> {
+        self.confirmed(now)?;
+        let Some(last) = now.history.last() else { return Ok(()) };
+        let Epoch { figure, loss, gradient_norm, seconds, failure, .. } = last;
+        let (epoch, symbol) = (format!("{}epoch {:3}", self.name, now.history.len()), self.figure.symbol);
+        if let Some(failure) = failure {
+            self.bar.log(&format!("{epoch}  rejected, the next step is shorter: {failure}  {seconds:.1} s"));
+            return Ok(());
+        }
+        self.bar.message(format!("{symbol} {figure:.6} |gradient| {gradient_norm:.2e}"));
+        let both = both_sides(last);
+        let line =
+            format!("{symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s");
+        self.bar.log(&format!("{epoch}  {line}"));
+        Ok(())
+    }
+
+    fn confirmed(&mut self, now: &Optimisation) -> anyhow::Result<()> {
+        checkpoint::write(&self.folder.join(CHECKPOINT), now, &self.notes)?;
+        write_history(self.folder, self.figure, self.predicts, now)
+    }
+}
+
+/// The results of surrogate and solver for an epoch, for its line.
+fn both_sides(epoch: &Epoch) -> String {
+    match (epoch.predicted, epoch.truth) {
+        (Some(predicted), Some(truth)) => format!("  (predicted {predicted:.6}, solver {:.6})", truth.figure),
+        (Some(_), None) => "  (predicted)".into(),
+        _ => String::new(),
+    }
+}
+
+/// A new or a resumed optimisation.
+fn begin(search: &Search<'_>, first: &[f64], how: Begin<'_>) -> anyhow::Result<Optimisation> {
+    let (config, new) = (search.config, |x: &[f64]| search.optimiser(x));
+    let Some(from) = how.resume else {
+        return Ok(Optimisation::new(new(first)));
+    };
+    let path = from.join(CHECKPOINT);
+    if !path.exists() && is_unfinished(from, KIND) {
+        // The run was interrupted during its first epoch.
+        return Ok(Optimisation::new(new(first)));
+    }
+    let file = open(&path, checkpoint::KIND, config, &FREE)?;
+    let optimisation = checkpoint::restore(&file, search.solver.parametrisation(), new)?;
+    if let Some(before) = file.metadata.get(MODEL).filter(|_| config.optimise.dynamics != DynamicsName::Solver) {
+        if *before != identity(model_of(config))? {
+            return Err(BadInput::new("the run was begun with another surrogate")
+                .place("--resume")
+                .allowed("the model file as it was")
+                .advice("a new run")
+                .into());
+        }
+    }
+    let epochs = optimisation.history.len();
+    let finished = match optimisation.is_finished(config.optimise.epochs) {
+        false => return Ok(optimisation),
+        // Plots, figures or checks are missing.
+        true if how.is_part || is_unfinished(from, KIND) => return Ok(optimisation),
+        true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
+            .allowed("a run whose optimiser has not stopped by itself")
+            .advice("a new run from another start shape"),
+        true => has_its_epochs(epochs),
+    };
+    Err(finished.place("--resume").into())
+}
+
+pub fn has_its_epochs(epochs: usize) -> BadInput {
+    BadInput::new(format!("the run has its {epochs} epochs already"))
+        .allowed("more epochs than it has")
+        .advice(format!("--epochs {}", 2 * epochs))
+}
+
+/// The metadata of a checkpoint besides the numbers.
+fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
+    [
+        // Random numbers are drawn only while the scene is built, from named streams of the seed.
+        ("rng.seed", loaded.config.run.seed.to_string()),
+        ("rng.position", "0".to_string()),
+        ("config", loaded.text.clone()),
+        ("version", files::VERSION.to_string()),
+    ]
+}
+
+fn write_history(folder: &Path, figure: Figure, predicts: bool, optimisation: &Optimisation) -> anyhow::Result<()> {
+    let rows: Vec<Vec<f64>> = optimisation
+        .history
+        .iter()
+        .enumerate()
+        .map(|(k, e)| {
+            let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
+            if predicts {
+                let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
+                row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
+            }
+            row
+        })
+        .collect();
+    let name = figure.symbol.to_lowercase();
+    let mut header = vec!["epoch", &name, "loss", "gradient_norm", "seconds"];
+    if predicts {
+        header.extend(["predicted", "solver", "solver_steps"]);
+    }
+    Ok(write_rows(&folder.join("history.csv"), &header, &rows)?)
+}
+
+/// Keys that may change when a run is resumed: its length and the way of computing it.
+pub const FREE: [&str; 10] = [
+    "output",
+    "run.threads",
+    "run.kernels",
+    "run.device",
+    "optimise.epochs",
+    "optimise.gradient",
+    "optimise.segment",
+    "optimise.memory",
+    "optimise.store",
+    "optimise.horizon",
+];

@@ -1,0 +1,251 @@
+//! Checks of the heated channels: spacing, sections along the channel, drive, and bounds of the wall.
+
+use crate::config::range::{countable, is_whole, spacings};
+use crate::config::scene::{BodyForceRegion, Config, DesignWalls, DriveName, Family};
+use crate::error::BadInput;
+
+/// Largest speed of a weakly compressible flow relative to the speed of sound.
+const FASTEST: f64 = 0.5;
+
+impl Config {
+    /// Checks that dx divides length and height, and the number of particles.
+    pub(super) fn check_spacing(&self) -> Result<(), BadInput> {
+        let (dx, channel) = (self.resolution.dx, &self.channel);
+        let span = (self.dimension() == 3).then_some(("channel.span", channel.span));
+        let layers = span.map_or(1.0, |(_, span)| span / dx);
+        let particles = channel.length / dx * (channel.height / dx + 2.0 * channel.wall_rows as f64) * layers;
+        countable(dx, particles)?;
+        let across = [Some(("channel.height", channel.height)), span].into_iter().flatten();
+        let across: Vec<(&str, f64)> = across.collect();
+        for &(key, extent) in [("channel.length", channel.length)].iter().chain(&across) {
+            if !is_whole(extent / dx) {
+                let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
+                let bad = BadInput::new(problem).key("resolution.dx").allowed(match span {
+                    None => "whole numbers of spacings in channel.length and channel.height",
+                    Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
+                });
+                let near = nearest_spacings(dx, channel.length, &across);
+                let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
+                return Err(match near.is_empty() {
+                    true => bad.advice("another channel.height: a simple fraction of channel.length"),
+                    false => bad.advice(near.join(" or ")),
+                });
+            }
+        }
+        // With periodic images, a particle must see each neighbour only once.
+        let support = self.support();
+        let shortest = 2.0 * (support + self.time.skin) * dx;
+        for (key, extent) in [("channel.length", channel.length)].into_iter().chain(span) {
+            if extent < shortest {
+                return Err(BadInput::new(format!("{key} = {extent} is too short"))
+                    .key(key)
+                    .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
+                    .advice("a smaller resolution.dx"));
+            }
+        }
+        Ok(())
+    }
+
+    /// A finer spacing for comparison: half; in three dimensions the largest up to four fifths that divides all
+    /// extents.
+    pub fn finer_spacing(&self) -> f64 {
+        let (dx, channel) = (self.resolution.dx, &self.channel);
+        if self.dimension() == 2 {
+            return 0.5 * dx;
+        }
+        if self.scene == Family::Custom {
+            let size = &self.region.size;
+            let divides = |finer: f64| size.iter().all(|size| is_whole(size / finer));
+            let first = (size[0] / (0.8 * dx) - 1e-9).ceil() as usize;
+            let finer = (first..=2 * (size[0] / dx).round() as usize).map(|count| size[0] / count as f64);
+            return finer.into_iter().find(|&finer| divides(finer)).unwrap_or(0.5 * dx);
+        }
+        let across = [("channel.height", channel.height), ("channel.span", channel.span)];
+        // Starts a millionth above four fifths, because the search excludes the given spacing.
+        let near = nearest_spacings(0.8 * dx * (1.0 + 1e-6), channel.length, &across);
+        near.into_iter().find(|&finer| finer <= 0.8 * dx * (1.0 + 1e-9)).unwrap_or(0.5 * dx)
+    }
+
+    /// Checks that inlet, hot section, target and outlet are in this order.
+    pub(super) fn check_channel(&self) -> Result<(), BadInput> {
+        let channel = &self.channel;
+        let outlet = channel.length - channel.outlet_length;
+        let target = self.objective.target_x;
+        let dx = self.resolution.dx;
+        // Sums such as hot_from + dx are rounded; a billionth of a spacing is no difference.
+        let slack = 1e-9 * dx;
+        let order = [
+            (
+                "channel.hot_from",
+                channel.hot_from,
+                channel.inlet_length,
+                channel.hot_to - dx,
+                "channel.inlet_length <= channel.hot_from <= channel.hot_to - dx",
+            ),
+            (
+                "channel.hot_to",
+                channel.hot_to,
+                channel.hot_from + dx,
+                outlet,
+                "channel.hot_from + dx <= channel.hot_to <= channel.length - channel.outlet_length",
+            ),
+            (
+                "objective.target_x",
+                target,
+                channel.hot_to,
+                outlet,
+                "channel.hot_to <= objective.target_x <= channel.length - channel.outlet_length",
+            ),
+        ];
+        for (key, value, low, high, rule) in order {
+            if value < low - slack || value > high + slack {
+                return Err(BadInput::new(format!("{key} = {value} is out of place"))
+                    .key(key)
+                    .allowed(format!("{rule}, here {low} ... {high}")));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that the flow is slow enough for the speed of sound.
+    pub(super) fn check_speed(&self) -> Result<(), BadInput> {
+        let (fastest, sound) = (self.plane_speed(), self.sound_speed());
+        if fastest <= FASTEST * sound {
+            return Ok(());
+        }
+        Err(BadInput::new(format!(
+            "the plane channel's flow would be as fast as {fastest:.3}, with a sound speed of {sound:.3}"
+        ))
+        .key("fluid.reference_velocity")
+        .allowed(format!("flows up to {FASTEST} of the sound speed, reference_velocity * sound_speed_factor"))
+        .advice(format!("fluid.reference_velocity={:.2} (smaller steps), or a smaller fluid.body_force", fastest)))
+    }
+
+    /// Checks the flow rate or the power that is held.
+    pub(super) fn check_drive(&self) -> Result<(), BadInput> {
+        let fluid = &self.fluid;
+        let given = [
+            ("fluid.flow_rate", fluid.flow_rate, DriveName::FlowRate, "flow-rate"),
+            ("fluid.pumping_power", fluid.pumping_power, DriveName::PumpingPower, "pumping-power"),
+        ];
+        for (key, value, drive, name) in given {
+            if value.is_some() && fluid.drive != drive {
+                return Err(BadInput::new(format!("{key} without what holds it"))
+                    .key(key)
+                    .allowed(format!("fluid.drive = {name} with it"))
+                    .advice(format!("fluid.drive={name}")));
+            }
+        }
+        if fluid.drive == DriveName::BodyForce {
+            return Ok(());
+        }
+        if fluid.body_force_region != BodyForceRegion::Fluid {
+            return Err(BadInput::new("fluid.body_force_region = original-channel with a force that is found")
+                .key("fluid.body_force_region")
+                .allowed("fluid, or fluid.drive = body-force"));
+        }
+        if self.plane_force() == 0.0 {
+            return Err(BadInput::new("fluid.drive without a flow rate or a power to hold")
+                .key("fluid.drive")
+                .allowed("a body force above 0, or fluid.flow_rate or fluid.pumping_power"));
+        }
+        Ok(())
+    }
+
+    /// Checks that a shape of the top wall is given only if that wall is shaped.
+    pub(super) fn check_walls(&self) -> Result<(), BadInput> {
+        match self.design.walls == DesignWalls::Bottom && self.design.top_offsets.is_some() {
+            false => Ok(()),
+            true => Err(BadInput::new("design.top_offsets with a top wall that is not shaped")
+                .key("design.top_offsets")
+                .allowed("design.walls = both with them")
+                .advice("design.walls=both")),
+        }
+    }
+
+    /// Checks how far the wall may move.
+    pub(super) fn check_bound(&self) -> Result<(), BadInput> {
+        let (bound, dx, channel) = (self.design.bound, self.resolution.dx, &self.channel);
+        let fail = |limit: f64, why: &str, advice: String| {
+            Err(BadInput::new(format!("design.bound = {bound} is too large: {why}"))
+                .key("design.bound")
+                .allowed(format!("0 ... {limit:.6}"))
+                .advice(advice))
+        };
+        let whole = 1.0 + 1e-9;
+        // The number of rows is constant, so the fluid between a raised wall and the top is squeezed. The walls' sums
+        // depend on its height.
+        let fewest = self.fluid_rows();
+        let walls = if self.design.walls == DesignWalls::Both { 2.0 } else { 1.0 };
+        let limit = (channel.height - fewest * dx) / walls;
+        if limit < -1e-9 * dx {
+            let lowest = fewest * dx;
+            return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
+                .key("channel.height")
+                .allowed(format!("at least {}, {lowest:.6}", spacings(fewest)))
+                .advice("a smaller resolution.dx"));
+        }
+        if bound > limit.max(0.0) * whole {
+            let advice = "a smaller resolution.dx, or a smaller design.bound";
+            let why = format!("the channel keeps {} of fluid", spacings(fewest));
+            return fail(limit.max(0.0), &why, advice.into());
+        }
+        // Dummy particles move with the surface of their column. At the ends of the hot section the surface steps to y
+        // = 0. The face of the step consists of the rows of the higher column; rows that end above the foot of the step
+        // would leave a hole. (Within the section the slope limit prevents this.)
+        let limit = channel.wall_rows as f64 * dx;
+        // (Walls of points on their surface have no steps.)
+        if bound > limit * whole && self.method.facts().wall_cells {
+            let rows = (bound / dx - 1e-9).ceil();
+            let why = format!("the {} wall rows must cover it", channel.wall_rows);
+            return fail(limit, &why, format!("channel.wall_rows={rows}"));
+        }
+        // Adjacent control points of a wall over x and z may differ by twice the bound, for a slope of at most 2.
+        if self.dimension() == 3 {
+            let limit = self.control_distances().into_iter().fold(f64::INFINITY, f64::min);
+            if bound > limit * whole {
+                let advice = "a smaller design.bound, or fewer design.control_points or design.control_points_across";
+                return fail(
+                    limit,
+                    "no more than the control points' distance, for a slope of 2 at most",
+                    advice.into(),
+                );
+            }
+        }
+        // In a dip the rows are stretched to (1 + bound / height) dx; beyond 1.5 dx fewer than two rows are within the
+        // usual support of 3 dx.
+        let limit = 0.5 * channel.height / walls;
+        if bound > limit * whole {
+            return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
+        }
+        Ok(())
+    }
+}
+
+/// The next larger and the next smaller spacing that divide the length and all extents across it, if they exist.
+fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
+    let divides = |columns: usize, extent: f64| is_whole(extent / length * columns as f64);
+    let fits = |columns: &usize| *columns > 0 && across.iter().all(|(_, extent)| divides(*columns, *extent));
+    let start = (length / dx).floor() as usize;
+    let larger = (start.saturating_sub(10_000)..=start).rev().find(fits);
+    let smaller = (start + 1..start + 10_000).find(fits);
+    let spacing = |columns: usize| length / columns as f64;
+    larger.into_iter().chain(smaller).map(spacing).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearest_spacings_divide_both() {
+        let near = |dx: f64, across: &[f64]| {
+            let across: Vec<(&str, f64)> = across.iter().map(|&extent| ("", extent)).collect();
+            nearest_spacings(dx, 1.0, &across)
+        };
+        assert_eq!(near(0.03, &[0.2]), [1.0 / 30.0, 1.0 / 35.0]);
+        assert_eq!(near(0.021, &[0.26]), [0.02]);
+        assert_eq!(near(0.03, &[0.2, 0.25]), [1.0 / 20.0, 1.0 / 40.0]);
+        assert!(near(0.02, &[std::f64::consts::FRAC_1_PI]).is_empty());
+    }
+}

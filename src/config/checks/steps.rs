@@ -1,0 +1,61 @@
+//! Checks of the time step, the number of steps, and the window of an objective.
+
+use crate::config::range::{MAX_STEPS, WHOLE};
+use crate::config::scene::Config;
+use crate::error::BadInput;
+
+impl Config {
+    /// Checks that the objective's window is a part of the run with enough steps.
+    ///
+    /// # Errors
+    /// A window that is not.
+    pub fn check_window(&self) -> Result<(), BadInput> {
+        let (window, duration) = (self.objective.window, self.duration());
+        if window > duration * (1.0 + 1e-9) {
+            return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
+                .key("objective.window")
+                .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
+                .advice("objective.window=0, or a larger time.end or time.steps"));
+        }
+        let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
+        if window > 0.0 && self.objective.samples > steps {
+            return Err(BadInput::new(format!(
+                "objective.samples = {} is more than the steps in objective.window = {window}",
+                self.objective.samples
+            ))
+            .key("objective.samples")
+            .allowed(format!("1 ... {steps}")));
+        }
+        Ok(())
+    }
+
+    /// Checks that the time step is a positive number, and the number of steps.
+    pub(super) fn check_steps(&self) -> Result<(), BadInput> {
+        let limit = self.time_step_limit();
+        if !(limit > 0.0 && limit.is_finite()) {
+            return Err(BadInput::new(format!("the fluid's numbers allow a time step of {limit}"))
+                .allowed("a sound speed, viscosity and thermal diffusivity whose time step is a positive number")
+                .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.name())));
+        }
+        if let Some(step) = self.time.step.filter(|&step| step > limit * (1.0 + WHOLE)) {
+            return Err(BadInput::new(format!("time.step = {step} is too large"))
+                .key("time.step")
+                .allowed(format!("steps of at most {limit:.4e}, which time.cfl and time.diffusion_number allow"))
+                .advice("leave time.step out: the largest steps are taken then"));
+        }
+        let needed = self.time.end / self.time.step.unwrap_or(limit);
+        if self.time.steps.is_none() && needed > MAX_STEPS {
+            let limits = self.time_step_limits();
+            // With a usual end time it is not the cause of too many steps.
+            let (key, value) = match self.time.step {
+                _ if self.time.end > 1e3 * self.scene.defaults().time.end => ("time.end", self.time.end),
+                Some(step) => ("time.step", step),
+                None if limits.diffusive < limits.acoustic => ("time.diffusion_number", self.time.diffusion_number),
+                None => ("time.cfl", self.time.cfl),
+            };
+            let problem = format!("{key} = {value}: the run to t = {} needs {needed:.1e} steps", self.time.end);
+            return Err(BadInput::new(problem).key(key).allowed(format!("at most {MAX_STEPS:.0e} steps")));
+        }
+        Ok(())
+    }
+}

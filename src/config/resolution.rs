@@ -1,0 +1,47 @@
+//! The section `[resolution]`: particle spacing and smoothing kernel.
+
+use crate::config::range::Range::{Positive, Within};
+use crate::config::section::section;
+use serde::{Deserialize, Serialize};
+
+section! {
+    /// The section `[resolution]`.
+    "resolution.": Resolution {
+        /// Particle spacing.
+        dx: f64 = 0.02, Positive;
+        kernel: KernelName = KernelName::QuinticSpline;
+        /// Smoothing length h, in spacings.
+        smoothing_length: f64 = 0.8, Within(0.5, 3.0);
+    }
+}
+
+/// The smoothing kernel W(r, h).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum KernelName {
+    /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
+    #[default]
+    QuinticSpline,
+    /// Cubic spline (Monaghan and Lattanzio 1985): reaches 2 h.
+    CubicSpline,
+    /// Wendland's C2 function (Wendland 1995; Dehnen and Aly 2012): reaches 2 h.
+    WendlandC2,
+    /// Wendland's C4 function: reaches 2 h.
+    WendlandC4,
+    /// Wendland's C6 function: reaches 2 h.
+    WendlandC6,
+    /// Gaussian (Gingold and Monaghan 1977), cut off at 3 h.
+    Gaussian,
+    /// Super-Gaussian (Monaghan 1992), negative in its outer part, cut off at 3 h.
+    SuperGaussian,
+}
+
+impl KernelName {
+    /// Radius beyond which the kernel is zero, in smoothing lengths.
+    pub fn support(self) -> f64 {
+        match self {
+            Self::QuinticSpline | Self::Gaussian | Self::SuperGaussian => 3.0,
+            Self::CubicSpline | Self::WendlandC2 | Self::WendlandC4 | Self::WendlandC6 => 2.0,
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! The section `[wall]`.
+
+use crate::config::range::Range::Finite;
+use crate::config::section::section;
+use serde::{Deserialize, Serialize};
+
+section! {
+    /// The section `[wall]`.
+    "wall.": Wall {
+        hot_temperature: f64 = 1.23, Finite;
+        /// Where the hot temperature holds: on the wall's surface, or in its dummy particles (as in JAX-SPH).
+        hot_isotherm: HotIsotherm = HotIsotherm::Surface;
+        /// Particle mass in a deformed column: scaled with the column's area, or constant (as in JAX-SPH).
+        mass: MassConvention = MassConvention::ColumnArea;
+        /// Standard method: the velocity condition at walls.
+        slip: SlipName = SlipName::NoSlip;
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum HotIsotherm {
+    #[default]
+    Surface,
+    Dummy,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum MassConvention {
+    #[default]
+    ColumnArea,
+    Constant,
+}
+
+/// The velocity condition at walls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlipName {
+    #[default]
+    NoSlip,
+    FreeSlip,
+}

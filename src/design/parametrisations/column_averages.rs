@@ -1,0 +1,75 @@
+//! Walls that are linear in their variables, and the least-squares fit of the variables to a wall.
+
+/// A linear map from variables to column averages as a sparse matrix, and its adjoint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnAverages {
+    variables: usize,
+    /// Pairs (variable, weight) of each column.
+    weights: Vec<Vec<(usize, f64)>>,
+}
+
+impl ColumnAverages {
+    pub fn new(variables: usize, weights: Vec<Vec<(usize, f64)>>) -> Self {
+        Self { variables, weights }
+    }
+
+    /// The map to the heights at points instead of column averages; `height` must be linear in the variables.
+    pub fn at_points(variables: usize, points: &[f64], height: impl Fn(&[f64], f64) -> f64) -> Self {
+        let mut weights = vec![vec![]; points.len()];
+        for k in 0..variables {
+            let mut unit = vec![0.0; variables];
+            unit[k] = 1.0;
+            for (weights, &x) in weights.iter_mut().zip(points) {
+                let weight = height(&unit, x);
+                if weight != 0.0 {
+                    weights.push((k, weight));
+                }
+            }
+        }
+        Self { variables, weights }
+    }
+
+    /// `[K]` -> `[C]`.
+    pub fn heights(&self, variables: &[f64]) -> Vec<f64> {
+        self.weights.iter().map(|w| w.iter().map(|(k, w)| w * variables[*k]).sum()).collect()
+    }
+
+    /// `[C]` -> `[K]`, summed in the order of the columns.
+    pub fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
+        let mut gradient = vec![0.0; self.variables];
+        for (weights, bar) in self.weights.iter().zip(heights_bar) {
+            for (k, w) in weights {
+                gradient[*k] += w * bar;
+            }
+        }
+        gradient
+    }
+}
+
+/// Number of steps of the conjugate gradients in [`fitted`], as a multiple of the number of variables.
+const FIT_STEPS: usize = 4;
+
+/// Variables whose heights are nearest to given ones by least squares, and among these, if heights are few, nearest to
+/// `first`. Heights that the map made give their variables back up to rounding if every variable affects a height. The
+/// method is conjugate gradients for least squares (Björck 1996, algorithm 7.4.1).
+pub(super) fn fitted(map: &ColumnAverages, heights: &[f64], first: Vec<f64>) -> Vec<f64> {
+    let square = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+    let mut variables = first;
+    let mut residual: Vec<f64> = map.heights(&variables).iter().zip(heights).map(|(y, o)| o - y).collect();
+    let mut slope = map.pull_back(&residual);
+    let mut direction = slope.clone();
+    let (mut norm, begin) = (square(&slope), square(&slope));
+    for _ in 0..FIT_STEPS * variables.len() {
+        if norm <= 1e-32 * begin || norm == 0.0 {
+            break;
+        }
+        let moved = map.heights(&direction);
+        let step = norm / square(&moved);
+        variables.iter_mut().zip(&direction).for_each(|(c, d)| *c += step * d);
+        residual.iter_mut().zip(&moved).for_each(|(r, m)| *r -= step * m);
+        slope = map.pull_back(&residual);
+        let before = std::mem::replace(&mut norm, square(&slope));
+        direction.iter_mut().zip(&slope).for_each(|(d, s)| *d = s + norm / before * *d);
+    }
+    variables
+}

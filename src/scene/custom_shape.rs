@@ -1,0 +1,77 @@
+//! The shapes of custom scenes, and which positions they contain.
+
+use crate::config::custom::{Kind, ShapeEntry};
+use crate::config::formula::{Formula, Function};
+use crate::error::BadInput;
+
+/// A shape with parsed formulas.
+pub(super) struct Shape<'a> {
+    pub entry: &'a ShapeEntry,
+    pub positive: Option<Function>,
+    pub velocity: Vec<Function>,
+    pub temperature: Option<Function>,
+}
+
+impl<'a> Shape<'a> {
+    pub fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
+        let key = |name: &str| format!("shapes[{place}].{name}");
+        let one = |name: &str, formula: &Option<Formula>| {
+            formula.as_ref().map(|formula| formula.function(&key(name), dimension)).transpose()
+        };
+        Ok(Self {
+            entry,
+            positive: one("positive", &entry.positive)?,
+            velocity: functions(&key("velocity"), entry.velocity.as_deref().unwrap_or_default(), dimension)?,
+            temperature: one("temperature", &entry.temperature)?,
+        })
+    }
+
+    /// Whether the shape contains a position, without periodic images.
+    pub fn contains(&self, p: [f64; 3], dimension: usize) -> bool {
+        let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = self.entry;
+        // A checked configuration has the keys that its kind needs.
+        let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
+        let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
+        let points = points.as_deref().unwrap_or_default();
+        match kind {
+            Kind::Box => (0..dimension).all(|d| lower[d] <= p[d] && p[d] < upper[d]),
+            Kind::Disc => (0..dimension).map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius,
+            Kind::Cylinder => {
+                let along = axis.unwrap_or_default().direction();
+                let across = (0..dimension).filter(|&d| d != along);
+                across.map(|d| (p[d] - centre[d]).powi(2)).sum::<f64>() < radius * radius
+            }
+            Kind::Polyline => {
+                let half = 0.5 * thickness.unwrap_or_default();
+                points.windows(2).any(|ends| distance([p[0], p[1]], ends[0], ends[1]) < half)
+            }
+            Kind::Polygon => is_inside([p[0], p[1]], points),
+            Kind::Where => self.positive.as_ref().is_some_and(|positive| positive.at(p) > 0.0),
+        }
+    }
+}
+
+/// The distance of a point from the segment between two others.
+pub(super) fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let (along, to) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let square = along[0] * along[0] + along[1] * along[1];
+    let part = if square > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
+    (to[0] - part * along[0]).hypot(to[1] - part * along[1])
+}
+
+/// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
+pub(super) fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
+    let mut inside = false;
+    let mut from = points[points.len() - 1];
+    for &to in points {
+        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
+            inside = !inside;
+        }
+        from = to;
+    }
+    inside
+}
+
+pub(super) fn functions(key: &str, formulas: &[Formula], dimension: usize) -> Result<Vec<Function>, BadInput> {
+    formulas.iter().enumerate().map(|(d, formula)| formula.function(&format!("{key}[{d}]"), dimension)).collect()
+}

@@ -1,0 +1,255 @@
+//! The figures of a run in `summary.json`, written by commands and Python, and read by commands, pages and comparisons.
+
+use super::figures::FlowFigures;
+use super::load::Loaded;
+use super::warnings::{self, Warning};
+use super::Scene;
+use crate::config::scene::Family;
+use crate::design::diagnostics::Diagnostics;
+use crate::design::objectives::Figure;
+use crate::design::optimise::Epoch;
+use crate::design::{Optimisation, Parametrisation, Problem};
+use crate::numerics::lanes::Real;
+use crate::report::memory::peak_memory_bytes;
+use crate::report::VERSION;
+use crate::sph::division::Divided;
+use serde::{Deserialize, Serialize};
+use serde_json::{json, Map, Value};
+
+/// Figures of a summary and their names, the most important first.
+pub const FIGURES: [(&str, &str); 10] = [
+    ("q", "outflowing heat Q"),
+    ("wall_heat_flux", "wall heat flux"),
+    ("stored_heat_rate", "heat stored per time"),
+    ("energy_imbalance", "energy imbalance / wall heat flux"),
+    ("flow_rate", "flow rate"),
+    ("body_force", "body force"),
+    ("pumping_power", "pumping power"),
+    ("mean_outlet_temperature", "mixed outlet temperature"),
+    ("mean_density", "mean density"),
+    ("u_max", "fastest particle"),
+];
+
+/// Figures that exist only with heat.
+const HEAT: [&str; 6] =
+    ["q", "q_sum", "mean_outlet_temperature", "wall_heat_flux", "stored_heat_rate", "energy_imbalance"];
+
+/// The figures of a run by name, in insertion order. Files of every version can be read: unknown figures are missing.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Record(pub Map<String, Value>);
+
+impl Record {
+    /// The fields of a struct of figures, such as [`Diagnostics`].
+    pub fn of(figures: &impl Serialize) -> Self {
+        match json!(figures) {
+            Value::Object(map) => Self(map),
+            _ => Self::default(),
+        }
+    }
+
+    /// The record of a run of a scene with a design.
+    pub fn of_design(loaded: &Loaded, found: &Diagnostics, steps: usize, seconds: f64) -> Self {
+        let mut record = Self::of(found);
+        record.put_run(loaded, steps, seconds);
+        if loaded.config.dimension() == 2 {
+            record.put("q_sum", found.q / loaded.config.resolution.dx);
+        }
+        record
+    }
+
+    /// The record of a run of a verification flow or a custom scene.
+    pub fn of_flow<R: Real>(
+        loaded: &Loaded,
+        scene: &Scene<R>,
+        found: &FlowFigures,
+        divided: Divided,
+        seconds: f64,
+    ) -> Self {
+        let mut record = Self::default();
+        record.put("scene", loaded.config.scene);
+        record.put("particles", scene.model.particles());
+        record.put("steps", scene.steps);
+        record.put("time_step", loaded.config.time_step());
+        record.put("divided_steps", divided.steps);
+        record.put("most_parts", divided.most.max(1));
+        record.0.extend(Self::of(found).0);
+        record.put_run(loaded, scene.steps, seconds);
+        record
+    }
+
+    /// Adds the figures that every run has.
+    fn put_run(&mut self, loaded: &Loaded, steps: usize, seconds: f64) {
+        let config = &loaded.config;
+        self.put("steps", steps);
+        self.put("time_step", config.time_step());
+        self.put("wall_seconds", seconds);
+        self.put("peak_memory_bytes", peak_memory_bytes());
+        self.put("version", VERSION);
+        self.put("seed", config.run.seed);
+        self.put("precision", config.run.precision);
+        self.put("scene", config.scene);
+        // A continued run has its own file, whose name has no meaning.
+        let file = loaded.source.name();
+        if config.scene == Family::Custom && file != "config" {
+            self.put("scene_file", file);
+        }
+    }
+
+    /// The record of a search, from the records of the runs of its first and its best design.
+    pub fn of_search<R>(problem: &Problem<R>, optimisation: &Optimisation, [mut before, mut after]: [Self; 2]) -> Self {
+        let (history, best) = (&optimisation.history, optimisation.best);
+        let name = problem.figure.symbol.to_lowercase();
+        // Uses the objective's samples, so that the best value is one of those per epoch.
+        for (record, epoch) in [(&mut before, 0), (&mut after, best)] {
+            record.put(&name, history[epoch].shown());
+            if record.0.contains_key("q_sum") {
+                record.put("q_sum", record.number("q").map(|q| q / problem.outlet.spacing));
+            }
+        }
+        after.put(&format!("{name}_first"), history[0].shown());
+        after.put("solver_steps", optimisation.solver_steps());
+        after.put("best_epoch", best);
+        after.put("rejected_epochs", optimisation.rejected());
+        after.put(&format!("{name}_per_epoch"), optimisation.column(|epoch| epoch.figure));
+        if history.iter().any(|epoch| epoch.predicted.is_some()) {
+            let column = |of: fn(&Epoch) -> Option<f64>| history.iter().map(of).collect::<Vec<_>>();
+            after.put(&format!("{name}_predicted_per_epoch"), column(|epoch| epoch.predicted));
+            after.put(&format!("{name}_solver_per_epoch"), column(|epoch| epoch.truth.map(|truth| truth.figure)));
+            after.put("solver_from", optimisation.solver_from);
+        }
+        after.put("loss_per_epoch", optimisation.column(|epoch| epoch.loss));
+        after.put("gradient_norm_per_epoch", optimisation.column(|epoch| epoch.gradient_norm));
+        after.put("seconds_per_epoch", optimisation.column(|epoch| epoch.seconds));
+        after.put("before", before);
+        let limits = problem.parametrisation.limits();
+        let width = limits.upper.iter().zip(&limits.lower).map(|(upper, lower)| upper - lower).fold(0.0, f64::max);
+        after.put("warnings", warnings::of_search(optimisation, width));
+        after
+    }
+
+    /// Adds the variables of a search's walls.
+    pub fn put_walls(&mut self, parametrisation: &dyn Parametrisation, optimisation: &Optimisation) {
+        let history = &optimisation.history;
+        self.put("nodes", parametrisation.positions());
+        if let Some(across) = parametrisation.across() {
+            self.put("nodes_z", across);
+        }
+        self.put("offsets_first", &history[0].variables);
+        self.put("offsets_best", &history[optimisation.best].variables);
+        self.put("offsets_last", history.last().map(|epoch| &epoch.variables));
+    }
+
+    /// Removes the figures of heat.
+    pub fn without_heat(mut self) -> Self {
+        HEAT.iter().for_each(|key| drop(self.0.shift_remove(*key)));
+        self
+    }
+
+    /// Adds or replaces a figure.
+    pub fn put(&mut self, key: &str, value: impl Serialize) {
+        self.0.insert(key.into(), json!(value));
+    }
+
+    pub fn number(&self, key: &str) -> Option<f64> {
+        self.0.get(key).and_then(Value::as_f64)
+    }
+
+    pub fn text(&self, key: &str) -> Option<&str> {
+        self.0.get(key).and_then(Value::as_str)
+    }
+
+    /// The rows of a figure, if it exists.
+    pub fn rows(&self, key: &str) -> Option<&Vec<Value>> {
+        self.0.get(key).and_then(Value::as_array)
+    }
+
+    /// A figure per epoch; none where it was not finite.
+    pub fn per_epoch(&self, key: &str) -> Option<Vec<Option<f64>>> {
+        Some(self.rows(key)?.iter().map(Value::as_f64).collect())
+    }
+
+    /// The record of the run of a search's first design.
+    pub fn before(&self) -> Self {
+        self.0.get("before").map(Self::of).unwrap_or_default()
+    }
+
+    pub fn warnings(&self) -> Vec<Warning> {
+        let all = self.rows("warnings").into_iter().flatten();
+        all.filter_map(|one| Warning::deserialize(one).ok()).collect()
+    }
+
+    /// The result of a search for an objective; none for other runs.
+    pub fn search(&self, figure: Figure) -> Option<Search> {
+        let name = figure.symbol.to_lowercase();
+        Some(Search {
+            figure,
+            first: self.number(&format!("{name}_first"))?,
+            best: self.number(&name)?,
+            best_epoch: self.number("best_epoch")? as usize,
+            values: self.per_epoch(&format!("{name}_per_epoch"))?,
+            survives: self.number("gain_survives"),
+        })
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Search {
+    pub figure: Figure,
+    /// The objective of the first and of the best design.
+    pub first: f64,
+    pub best: f64,
+    /// Index of the best epoch, from zero.
+    pub best_epoch: usize,
+    /// The objective of each epoch; none where its run failed.
+    pub values: Vec<Option<f64>>,
+    /// The smallest gain under all checks.
+    pub survives: Option<f64>,
+}
+
+impl Search {
+    /// Best over first, minus one.
+    pub fn gain(&self) -> f64 {
+        self.best / self.first - 1.0
+    }
+}
+
+/// A divergence from which a run recovered.
+#[derive(Debug, Clone, Serialize)]
+pub struct Recovery {
+    /// The step in which it was found.
+    pub step: usize,
+    /// The step to which the run went back.
+    pub from_step: usize,
+    /// Number of parts of every step from there.
+    pub parts: usize,
+    pub cause: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::scene::Config;
+
+    #[test]
+    fn what_was_put_is_read_again() {
+        let mut record = Record::of(&Diagnostics { q: 0.0237, energy_imbalance: f64::NAN, ..Diagnostics::default() });
+        record.put("q_first", 0.0234);
+        record.put("best_epoch", 1);
+        record.put("q_per_epoch", [0.0234, 0.0237, f64::NAN]);
+        record.put("warnings", [Warning { problem: "a".into(), advice: "b".into() }]);
+        record.put("before", Record::of(&Diagnostics { q: 0.0234, ..Diagnostics::default() }));
+        let text = serde_json::to_string(&record).unwrap();
+        let read: Record = serde_json::from_str(&text).unwrap();
+        assert_eq!(read, record);
+        assert_eq!((read.number("energy_imbalance"), read.number("u_max")), (None, Some(0.0)));
+        assert_eq!((read.before().number("q"), read.warnings()[0].advice.as_str()), (Some(0.0234), "b"));
+        let search = read.search(Figure::of_config(&Config::default())).unwrap();
+        assert_eq!((search.best_epoch, search.values.len(), search.values[2], search.survives), (1, 3, None, None));
+        assert!((search.gain() - 0.0003 / 0.0234).abs() < 1e-12);
+        // A record of an earlier version, without some figures.
+        let older: Record = serde_json::from_str(r#"{ "q": 0.02 }"#).unwrap();
+        assert!(older.search(Figure::of_config(&Config::default())).is_none() && older.warnings().is_empty());
+        assert_eq!(record.without_heat().number("q"), None);
+    }
+}

@@ -1,0 +1,220 @@
+//! What every sweep over pairs shares: rows, differences, masses, packing.
+
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::particles::domain::Images;
+use crate::particles::Domain;
+use crate::particles::NeighbourList;
+use crate::sph::flow::Flow;
+use std::ops::Range;
+
+/// Differences of positions, in lanes.
+pub struct RowGeometry<L: Lanes, const D: usize> {
+    images: Images<L, D>,
+    /// Between these no neighbour within the cut-off lies across a periodic edge.
+    low: [L::Real; D],
+    high: [L::Real; D],
+}
+
+impl<L: Lanes, const D: usize> RowGeometry<L, D> {
+    #[inline(always)]
+    pub fn new(domain: &Domain, cutoff: f64) -> Self {
+        let of = L::Real::of;
+        let edge = |d: usize, at: f64, none: f64| of(if domain.periodic[d] { at } else { none });
+        Self {
+            images: Images::new(domain),
+            low: std::array::from_fn(|d| edge(d, cutoff, f64::NEG_INFINITY)),
+            high: std::array::from_fn(|d| edge(d, domain.size[d] - cutoff, f64::INFINITY)),
+        }
+    }
+
+    /// Whether a particle at the start of this record may have neighbours across a periodic edge. The others need no
+    /// nearest image: who lies behind the edge is out of reach either way.
+    #[inline(always)]
+    pub fn at_edge(&self, record: &[L::Real]) -> bool {
+        let mut edge = false;
+        for d in 0..D {
+            edge |= record[d] < self.low[d] || record[d] > self.high[d];
+        }
+        edge
+    }
+
+    /// r_i - r_j (its nearest image, if `EDGE`) and its square.
+    #[inline(always)]
+    pub fn difference<const EDGE: bool>(&self, here: &[L], there: &[L]) -> ([L; D], L) {
+        let mut r2 = L::zero();
+        let mut difference = [L::zero(); D];
+        for d in 0..D {
+            let raw = here[d] - there[d];
+            let dr = if EDGE { self.images.nearest(d, raw) } else { raw };
+            r2 = dr.mul_add(dr, r2);
+            difference[d] = dr;
+        }
+        (difference, r2)
+    }
+}
+
+/// Zeroes the lanes of a vector that lie outside the part of the row that is summed.
+#[derive(Clone, Copy)]
+pub struct Mask<L> {
+    lane: L,
+    begin: L,
+    end: L,
+    whole: bool,
+}
+
+impl<L: Lanes> Mask<L> {
+    #[inline(always)]
+    pub fn apply(&self, value: L) -> L {
+        if self.whole {
+            value
+        } else {
+            let inside = self.lane.select_less(self.begin, L::zero(), value);
+            self.lane.select_less(self.end, inside, L::zero())
+        }
+    }
+}
+
+impl<L: Lanes> Mask<L> {
+    /// The same vector's lanes up to the entry `end` only.
+    #[inline(always)]
+    pub fn up_to(&self, at: usize, end: usize) -> Self {
+        let whole = self.whole && at + L::COUNT <= end;
+        Self { end: L::splat(L::Real::of(end as f64)), whole, ..*self }
+    }
+}
+
+/// The vectors of row i: where their particle numbers stand, and their mask.
+#[inline(always)]
+pub fn row<L: Lanes>(list: &NeighbourList, i: usize) -> Vectors<'_, L> {
+    part(list, i, 0, list.count[i] as usize)
+}
+
+/// [`row`] for the entries `from..to` only.
+#[inline(always)]
+pub fn part<L: Lanes>(list: &NeighbourList, i: usize, from: usize, to: usize) -> Vectors<'_, L> {
+    Vectors { row: list.row(i), at: from / L::COUNT * L::COUNT, from, to, lanes: std::marker::PhantomData }
+}
+
+/// Iterator of [`row`]. Not a function that takes a closure: big closures are not inlined, and an AVX-512 body outside
+/// of its `target_feature` function runs five times slower.
+pub struct Vectors<'a, L> {
+    row: &'a [u32],
+    at: usize,
+    from: usize,
+    to: usize,
+    lanes: std::marker::PhantomData<L>,
+}
+
+impl<L: Lanes> Iterator for Vectors<'_, L> {
+    type Item = (*const u32, Mask<L>);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.at >= self.to {
+            return None;
+        }
+        let number = |x: usize| L::splat(L::Real::of(x as f64));
+        let at = self.at;
+        let mask = Mask {
+            lane: L::ramp() + number(at),
+            begin: number(self.from),
+            end: number(self.to),
+            whole: at >= self.from && at + L::COUNT <= self.to,
+        };
+        self.at += L::COUNT;
+        // Rows are padded to a multiple of every lane count, with valid particle numbers.
+        Some((self.row[at..at + L::COUNT].as_ptr(), mask))
+    }
+}
+
+/// Rows of all particles that take part in pairs: fluid, then reachable walls.
+pub fn all_rows(list: &NeighbourList) -> usize {
+    list.fluid_rows.len() + list.wall_rows.len()
+}
+
+/// The particle of a row of [`all_rows`].
+#[inline(always)]
+pub fn particle_of_row(list: &NeighbourList, row: usize) -> usize {
+    let fluids = list.fluid_rows.len();
+    (if row < fluids { list.fluid_rows[row] } else { list.wall_rows[row - fluids] }) as usize
+}
+
+/// A record's fields in lanes: up to four groups of 4, of which the compiler keeps those that are used.
+pub type Fields<L> = [[L; 4]; 4];
+
+/// Records are whole groups of 4 numbers.
+pub const fn stride(fields: usize) -> usize {
+    fields.next_multiple_of(4)
+}
+
+/// The records of COUNT particles, loaded whole and transposed.
+///
+/// # Safety
+/// `index` must be readable for COUNT numbers of particles that have a record in `records`, `stride(fields)` long.
+#[inline(always)]
+pub unsafe fn gather_fields<L: Lanes>(records: *const L::Real, fields: usize, index: *const u32) -> Fields<L> {
+    let width = stride(fields);
+    let nothing = [L::zero(); 4];
+    // SAFETY: as the caller promises.
+    unsafe {
+        [
+            L::gather4(records, width, index),
+            if fields > 4 { L::gather4(records.add(4), width, index) } else { nothing },
+            if fields > 8 { L::gather4(records.add(8), width, index) } else { nothing },
+            if fields > 12 { L::gather4(records.add(12), width, index) } else { nothing },
+        ]
+    }
+}
+
+/// A record in every lane.
+// Loops, not `array::from_fn`: its closures are not always inlined, and then run without AVX.
+#[inline(always)]
+pub fn splat_fields<L: Lanes>(record: &[L::Real], fields: usize) -> Fields<L> {
+    let mut all = [[L::zero(); 4]; 4];
+    for group in 0..4 {
+        for q in 0..4 {
+            if 4 * group + q < fields {
+                all[group][q] = L::splat(record[4 * group + q]);
+            }
+        }
+    }
+    all
+}
+
+struct Packing<'a, R> {
+    flow: &'a Flow<R>,
+    moved: &'a [R],
+    extra: Option<&'a (dyn Fn(usize) -> R + Sync)>,
+    records: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Packing<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (n, dimension) = (self.flow.particles(), self.flow.dimension());
+        let (x, y) = (&self.moved[..n], &self.moved[n..2 * n]);
+        let z = if dimension == 3 { &self.moved[2 * n..3 * n] } else { x };
+        for i in rows {
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(4 * i..4 * i + 4) };
+            let extra = self.extra.map_or(R::default(), |f| f(i));
+            record[0] = x[i];
+            record[1] = y[i];
+            record[2] = if dimension == 3 { z[i] } else { extra };
+            record[3] = extra;
+        }
+    }
+}
+
+/// Positions as records of 4: x y (z), then `extra`.
+pub fn pack_positions<R: Real>(
+    flow: &Flow<R>,
+    moved: &[R],
+    extra: Option<&(dyn Fn(usize) -> R + Sync)>,
+    records: &mut Vec<R>,
+) {
+    let n = flow.particles();
+    records.resize(4 * n, R::default());
+    run_rows(&Packing { flow, moved, extra, records: Shared::new(records) }, n);
+}

@@ -1,0 +1,574 @@
+//! The pair pass: acceleration, transport acceleration and temperature rate in one sweep.
+//!
+//! Every rate has the form x_i' = (1/m_i) sum_j P_ij with P_ij = -P_ji, so fluid-fluid pairs conserve momentum and heat:
+//!
+//! * acceleration: P = c e, c = (V_i^2 + V_j^2) W'(d)/d, e the sum of the laws' contributions (Adami, Hu and
+//!   Adams 2013, eq. 8): [`crate::sph::laws::pressure`], [`crate::sph::laws::viscosity`], [`crate::sph::laws::transport_velocity`];
+//! * transport acceleration: P = c p(0) r_ij (their eq. 13);
+//! * temperature: [`crate::sph::laws::conduction`] (Cleary 1998).
+//!
+//! The adjoint is gathered too. A pair adds l = c (alpha.e + beta.r) + gamma V_i V_j F (T_i - T_j) to the
+//! scalar product of cotangent and rates, alpha = a_bar_i/m_i - a_bar_j/m_j and beta, gamma likewise; row i
+//! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
+
+use super::chain::Masses;
+use super::chain::{Chain, Step};
+use super::pair_cache::PairCache;
+use super::records::{record_fields, record_temperature};
+use super::sweeps::Sweeps;
+use super::{density, evolution};
+use crate::numerics::candle::Operator;
+use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::sph::composed;
+use crate::sph::flow::{Heat, Materials};
+use crate::sph::kernels::KernelLanes;
+use crate::sph::laws::riemann::Surroundings;
+use crate::sph::laws::{
+    conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
+    Sums, TransportVelocity,
+};
+use crate::sph::masks;
+use crate::sph::pairs;
+use crate::sph::pairs::{gather_fields, splat_fields, stride, Fields, RowGeometry};
+use candle_core::{Result, Shape, Tensor};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// moved `[M, N]`, primitives `[C, N]` -> rates `[A, N]`, zero for walls.
+pub struct Rates<R: Sweeps>(pub Arc<Chain<R>>);
+
+/// Packs the records of particles whose primitives are known.
+struct Packing<'a, R> {
+    step: &'a Step<R>,
+    moved: &'a [R],
+    primitives: &'a [R],
+    mass: Masses<'a, R>,
+    records: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for Packing<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (n, l) = (self.step.model.particles(), self.step.model.layout);
+        let d = l.dimension;
+        let width = stride(record_fields(d, l.transport, l.heat));
+        for i in rows {
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            let density = self.primitives[i];
+            for k in 0..d {
+                record[k] = self.moved[k * n + i];
+                record[d + 2 + k] = self.primitives[(l.primitive_velocity() + k) * n + i];
+                if l.transport {
+                    record[2 * d + 2 + k] = self.primitives[(l.primitive_shift() + k) * n + i];
+                }
+            }
+            record[d] = self.mass.of(i) / density;
+            record[d + 1] = density;
+            if l.heat {
+                let at = record_temperature(d, l.transport);
+                record[at] = self.primitives[l.primitive_temperature() * n + i];
+                record[at + 1] = self.moved[l.moved_old_temperature() * n + i];
+            }
+        }
+    }
+}
+
+/// [`PairCache`]'s records for an operator that is used without the primitives in front of it.
+pub fn keep_records<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], kept: &mut PairCache<R>) {
+    if !kept.has_records {
+        let (n, l) = (step.model.particles(), step.model.layout);
+        kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
+        let mass = Masses::new(&step.model, moved);
+        run_rows(&Packing { step, moved, primitives, mass, records: Shared::new(&mut kept.records) }, n);
+        kept.has_records = true;
+    }
+}
+
+#[inline(always)]
+fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
+    let get = |q: usize| f[q / 4][q % 4];
+    let density = get(D + 1);
+    let half = L::splat(L::Real::of(0.5)) * density;
+    let mut side = Side {
+        volume: get(D),
+        density,
+        velocity: [L::zero(); D],
+        transport: [L::zero(); D],
+        temperature: if W::HEAT { get(record_temperature(D, W::TRANSPORT)) } else { L::zero() },
+        conductivity: L::zero(),
+    };
+    for d in 0..D {
+        side.velocity[d] = get(D + 2 + d);
+        if W::TRANSPORT {
+            side.transport[d] = half * get(2 * D + 2 + d);
+        }
+    }
+    side
+}
+
+/// The conductivities of particles; empty where `W` reads none.
+fn conductivities<R: Real, W: PairLaw>(step: &Step<R>) -> &[R] {
+    let all = step.model.heat.as_ref().and_then(Heat::conductivities);
+    all.filter(|_| W::MATERIALS).unwrap_or_default()
+}
+
+/// The position stands first in a record.
+#[inline(always)]
+fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
+    let mut position = [L::zero(); D];
+    position.copy_from_slice(&f[0][..D]);
+    position
+}
+
+struct Forward<'a, R, W, const D: usize> {
+    step: &'a Step<R>,
+    laws: W,
+    kept: &'a PairCache<R>,
+    mass: Masses<'a, R>,
+    rates: Shared<'a, R>,
+}
+
+impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        geometry: &RowGeometry<L, D>,
+        own: &Fields<L>,
+        i: usize,
+    ) -> Sums<L, D> {
+        let list = &*self.step.list;
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        let conductivities = conductivities::<R, W>(self.step);
+        let (here, mut a) = (position::<L, D>(own), side::<L, W, D>(own));
+        if W::MATERIALS {
+            a.conductivity = L::splat(conductivities[i]);
+        }
+        let prepared = self.laws.prepare(&a);
+        let volume2 = a.volume * a.volume;
+        let from = i * list.capacity;
+        let zero = [L::zero(); D];
+        let mut sums = Sums { common: zero, force: zero, spread: zero, warmth: L::zero() };
+        let fluids = list.fluid_count[i] as usize;
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: `row` gives valid particle numbers; F is kept for every pair of the list, 0 in the padding.
+            let (other, slope) = unsafe {
+                let slope = L::load(self.kept.slope.as_ptr().add(from + k * L::COUNT));
+                (gather_fields::<L>(self.kept.records.as_ptr(), fields, index), slope)
+            };
+            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            if W::MATERIALS {
+                // SAFETY: as above; every particle has a conductivity.
+                b.conductivity = unsafe { L::gather(conductivities.as_ptr(), index) };
+            }
+            let (difference, square) = geometry.difference::<EDGE>(&here, &there);
+            let weight = b.volume.mul_add(b.volume, volume2) * slope;
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
+            sums.common = zero;
+            self.laws.add(&prepared, &pair, &mut sums);
+            for d in 0..D {
+                sums.force[d] = weight.mul_add(sums.common[d], sums.force[d]);
+            }
+        }
+        sums
+    }
+}
+
+impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> {
+    const SHORT: bool = D == 2;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let n = model.particles();
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        let vacuum = R::of(model.equation_of_state.at_vacuum());
+        let conduction = R::of(conduction::factor(model));
+        for row in rows {
+            let i = list.fluid_rows[row] as usize;
+            let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
+            let own = splat_fields::<L>(record, fields);
+            let sums = if geometry.at_edge(record) {
+                self.row::<L, true>(&geometry, &own, i)
+            } else {
+                self.row::<L, false>(&geometry, &own, i)
+            };
+            let inverse_mass = R::of(1.0) / self.mass.of(i);
+            // SAFETY (all writes): each fluid row writes its own particle.
+            unsafe {
+                for d in 0..D {
+                    let given = R::of(model.body_force.along(d, record[1].f64()));
+                    self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
+                    if W::TRANSPORT {
+                        self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
+                    }
+                }
+                if W::HEAT {
+                    let rate = conduction * inverse_mass * sums.warmth.sum() / conduction::capacity(model, i);
+                    let open = conduction::conducts(model, record[0]);
+                    self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
+                }
+            }
+        }
+    }
+}
+
+/// The forward pass, on plain numbers, from [`PairCache`]'s pairs and records. `rates` must be zero for walls.
+pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates: &mut [R]) {
+    let mass = Masses::new(&step.model, moved);
+    let rates = Shared::new(rates);
+    with_laws!(&*step.model, |laws, D| run_rows(
+        &Forward::<R, _, D> { step, laws, kept, mass, rates },
+        step.list.fluid_rows.len(),
+    ))
+}
+
+/// The rates from the state at the step's end, which has them.
+pub fn known<R: Real>(step: &Step<R>, state: &[R], rates: &mut [R]) {
+    let (n, l) = (step.model.particles(), step.model.layout);
+    let accelerations = l.rate_temperature() * n;
+    rates[..accelerations].copy_from_slice(&state[l.acceleration() * n..][..accelerations]);
+    if l.heat {
+        rates[accelerations..].copy_from_slice(&state[l.temperature_rate() * n..][..n]);
+    }
+}
+
+struct Backward<'a, R, W, const D: usize> {
+    step: &'a Step<R>,
+    laws: W,
+    kept: &'a PairCache<R>,
+    /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
+    bars: &'a [R],
+    mass: Masses<'a, R>,
+    moved_bar: Shared<'a, R>,
+    primitives_bar: Shared<'a, R>,
+}
+
+const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
+    d + if transport { d } else { 0 } + heat as usize
+}
+
+/// The cotangents of a pair from the records of both sides.
+#[inline(always)]
+fn bars_of<L: Lanes, W: PairLaw, const D: usize>(own: &Fields<L>, other: &Fields<L>, along: &[L; D]) -> Bars<L, D> {
+    let difference = |q: usize| own[q / 4][q % 4] - other[q / 4][q % 4];
+    let zero = [L::zero(); D];
+    let mut bars = Bars { acceleration: zero, along: L::zero(), transport: zero, temperature: L::zero() };
+    for d in 0..D {
+        bars.acceleration[d] = difference(d);
+        if W::TRANSPORT {
+            bars.transport[d] = difference(D + d);
+        }
+    }
+    bars.along = dot(&bars.acceleration, along);
+    if W::HEAT {
+        bars.temperature = difference(if W::TRANSPORT { 2 * D } else { D });
+    }
+    bars
+}
+
+impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
+    #[inline(always)]
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(
+        &self,
+        kernel: &KernelLanes<L>,
+        geometry: &RowGeometry<L, D>,
+        own: &Fields<L>,
+        i: usize,
+    ) -> SideBar<L, D> {
+        let list = &*self.step.list;
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        let bar_fields = const { bar_fields(D, W::TRANSPORT, W::HEAT) };
+        let width = stride(bar_fields);
+        let two = L::splat(R::of(2.0));
+        let conductivities = conductivities::<R, W>(self.step);
+        let (here, mut a) = (position::<L, D>(own), side::<L, W, D>(own));
+        if W::MATERIALS {
+            a.conductivity = L::splat(conductivities[i]);
+        }
+        let prepared = self.laws.prepare(&a);
+        let own_bar = splat_fields::<L>(&self.bars[i * width..(i + 1) * width], bar_fields);
+        let volume2 = a.volume * a.volume;
+        let (zero, none) = ([L::zero(); D], L::zero());
+        let mut bar =
+            SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
+        let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
+        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
+            // SAFETY: `row` gives valid particle numbers.
+            let (other, other_bar) = unsafe {
+                (
+                    gather_fields::<L>(self.kept.records.as_ptr(), fields, index),
+                    gather_fields::<L>(self.bars.as_ptr(), bar_fields, index),
+                )
+            };
+            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            if W::MATERIALS {
+                // SAFETY: as above; every particle has a conductivity.
+                b.conductivity = unsafe { L::gather(conductivities.as_ptr(), index) };
+            }
+            let (difference, square) = geometry.difference::<EDGE>(&here, &there);
+            let (_, slope, curvature) = kernel.all(square);
+            let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
+            let volumes2 = b.volume.mul_add(b.volume, volume2);
+            let weight = volumes2 * slope;
+            let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
+            let fluid = mask.up_to(k * L::COUNT, fluids);
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
+            let mut pair_bar = PairBar { scalar: none, by_difference: zero, by_slope: none };
+            self.laws.adjoint(&prepared, &pair, &bars, &mut pair_bar, &mut bar);
+            bar.volume = (slope * pair_bar.scalar).mul_add(two * a.volume, bar.volume);
+            let radial = volumes2.mul_add(pair_bar.scalar, pair_bar.by_slope) * curvature;
+            for d in 0..D {
+                bar.position[d] += radial.mul_add(difference[d], weight * pair_bar.by_difference[d]);
+            }
+        }
+        bar
+    }
+}
+
+impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D> {
+    const SHORT: bool = D == 2;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let (model, list) = (&*self.step.model, &*self.step.list);
+        let (n, l) = (model.particles(), model.layout);
+        let kernel = model.kernel.lanes::<L>();
+        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
+        for row in rows {
+            let i = pairs::particle_of_row(list, row);
+            let record = &self.kept.records[i * stride(fields)..(i + 1) * stride(fields)];
+            let own = splat_fields::<L>(record, fields);
+            let bar = if geometry.at_edge(record) {
+                self.row::<L, true>(&kernel, &geometry, &own, i)
+            } else {
+                self.row::<L, false>(&kernel, &geometry, &own, i)
+            };
+            // From the record's fields back to the operator's inputs, all of them particle i's own.
+            let (volume, density) = (record[D], record[D + 1]);
+            let mut density_bar = bar.density.sum();
+            let volume_bar = bar.volume.sum();
+            density_bar -= volume_bar * volume / density;
+            // SAFETY (all writes): each row writes its own particle.
+            unsafe {
+                for d in 0..D {
+                    self.moved_bar.add(d * n + i, bar.position[d].sum());
+                    self.primitives_bar.set((l.primitive_velocity() + d) * n + i, bar.velocity[d].sum());
+                    if W::TRANSPORT {
+                        // transport = rho w / 2
+                        let t = bar.transport[d].sum();
+                        let half = R::of(0.5) * t;
+                        density_bar += half * record[2 * D + 2 + d];
+                        self.primitives_bar.set((l.primitive_shift() + d) * n + i, half * density);
+                    }
+                }
+                if W::HEAT {
+                    self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
+                }
+                self.primitives_bar.set(i, density_bar);
+                if l.mass {
+                    self.moved_bar.add(l.moved_mass() * n + i, volume_bar * volume / self.mass.of(i));
+                }
+            }
+        }
+    }
+}
+
+/// Packs the cotangents, and adds the share of the factor 1/m_i to the cotangent of the mass.
+struct PackingBars<'a, R> {
+    step: &'a Step<R>,
+    moved: &'a [R],
+    /// Read where particles have masses of their own.
+    rates: &'a [R],
+    rates_bar: &'a [R],
+    mass: Masses<'a, R>,
+    bars: Shared<'a, R>,
+    moved_bar: Shared<'a, R>,
+}
+
+impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        let model = &*self.step.model;
+        let (n, l) = (model.particles(), model.layout);
+        let d = l.dimension;
+        let width = stride(bar_fields(d, l.transport, l.heat));
+        let vacuum = R::of(model.equation_of_state.at_vacuum());
+        let conduction = R::of(conduction::factor(model));
+        for i in rows {
+            // SAFETY: each row writes its own record.
+            let bar = unsafe { self.bars.slice(i * width..(i + 1) * width) };
+            bar.fill(R::default());
+            if !model.is_fluid(i) {
+                continue;
+            }
+            let inverse_mass = R::of(1.0) / self.mass.of(i);
+            // Cotangent . (pair part of the rates).
+            let mut power = R::default();
+            for k in 0..d {
+                let a = self.rates_bar[k * n + i];
+                bar[k] = a * inverse_mass;
+                let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
+                if l.mass {
+                    power += a * (self.rates[k * n + i] - given);
+                }
+                if l.transport {
+                    let b = self.rates_bar[(d + k) * n + i];
+                    bar[d + k] = vacuum * b * inverse_mass;
+                    if l.mass {
+                        power += b * self.rates[(d + k) * n + i];
+                    }
+                }
+            }
+            if l.heat && conduction::conducts(model, self.moved[i]) {
+                let t = self.rates_bar[l.rate_temperature() * n + i];
+                bar[if l.transport { 2 * d } else { d }] =
+                    conduction * t * inverse_mass / conduction::capacity(model, i);
+                if l.mass {
+                    power += t * self.rates[l.rate_temperature() * n + i];
+                }
+            }
+            if l.mass {
+                // SAFETY: each row writes its own particle.
+                unsafe { self.moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass) };
+            }
+        }
+    }
+}
+
+/// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero for particles without a row. `rates` are read where
+/// particles have masses of their own.
+pub fn backward<R: Real>(
+    step: &Step<R>,
+    moved: &[R],
+    kept: &PairCache<R>,
+    rates: &[R],
+    rates_bar: &[R],
+    moved_bar: &mut [R],
+    primitives_bar: &mut [R],
+) {
+    let model = &*step.model;
+    let (n, l) = (model.particles(), model.layout);
+    let mass = Masses::new(model, moved);
+    let mut bars = model.scratch.buffers.buffer(stride(bar_fields(l.dimension, l.transport, l.heat)) * n);
+    let packing = PackingBars {
+        step,
+        moved,
+        rates,
+        rates_bar,
+        mass,
+        bars: Shared::new(&mut bars),
+        moved_bar: Shared::new(moved_bar),
+    };
+    run_rows(&packing, n);
+    let (moved_bar, primitives_bar) = (Shared::new(moved_bar), Shared::new(primitives_bar));
+    with_laws!(model, |laws, D| run_rows(
+        &Backward::<R, _, D> { step, laws, kept, bars: &bars, mass, moved_bar, primitives_bar },
+        pairs::all_rows(&step.list),
+    ));
+}
+
+impl<R: Sweeps> Operator<2> for Rates<R> {
+    type Real = R;
+    const NAME: &'static str = "rates";
+
+    fn forward(&self, [moved, primitives]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
+        let step = &self.0.step;
+        let (rows, n) = (step.model.layout.rate_rows(), step.model.particles());
+        let mut rates = vec![R::default(); rows * n];
+        let mut kept = self.0.kept();
+        density::keep_pairs(step, moved, &mut kept);
+        R::keep_records(step, moved, primitives, &mut kept);
+        R::rates(step, moved, &kept, &mut rates);
+        Ok((rates, (rows, n).into()))
+    }
+
+    fn adjoint(&self, [moved, _]: [&[R]; 2], rates: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+        let step = &self.0.step;
+        let mut moved_bar = self.0.moved_bar();
+        let mut primitives_bar = vec![R::default(); step.model.layout.primitive_rows() * step.model.particles()];
+        R::rates_bar(step, moved, &self.0.kept(), rates, bar, &mut moved_bar, &mut primitives_bar);
+        Ok([Some(moved_bar), Some(primitives_bar)])
+    }
+}
+
+/// The same from ordinary candle ops: the oracle.
+pub fn composed<R: Real>(
+    step: &Step<R>,
+    pairs: &composed::Pairs,
+    moved: &Tensor,
+    primitives: &Tensor,
+) -> Result<Tensor> {
+    let model = &*step.model;
+    let (l, d) = (model.layout, model.layout.dimension);
+    let mass = step.mass(moved)?;
+    let density = primitives.narrow(0, 0, 1)?;
+    let volume = mass.div(&density)?;
+    let slope = model.kernel.composed(&pairs.distance)?.1.mul(&pairs.mask)?;
+    let weight = (pairs.own(&volume)?.sqr()? + pairs.other(&volume)?.sqr()?)?.mul(&slope)?;
+    let optional =
+        |wanted: bool, row: usize, count: usize| wanted.then(|| primitives.narrow(0, row, count)).transpose();
+    let materials = model.heat.as_ref().and_then(|heat| heat.materials.as_ref());
+    let of_materials = |what: fn(&Materials<R>) -> &Vec<R>| {
+        materials.map(|materials| masks::per_particle(what(materials).clone(), moved)).transpose()
+    };
+    let fields = PairFields {
+        volume,
+        density,
+        velocity: primitives.narrow(0, l.primitive_velocity(), d)?,
+        shift: optional(l.transport, l.primitive_shift(), d)?,
+        temperature: optional(l.heat, l.primitive_temperature(), 1)?,
+        conductivity: of_materials(|materials| &materials.conductivity)?,
+        slope,
+        weight,
+        mass: mass.clone(),
+    };
+    let mut sums = PairTensors::default();
+    let given = model.body_force.vector(&moved.narrow(0, 0, d)?)?;
+    if let Flux::Riemann(law) = &model.laws.flux {
+        let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
+        let velocity = moved.narrow(0, l.velocity(), d)?;
+        let around = Surroundings { pairs, state, given: &given, normals: &normals, velocity: &velocity };
+        PairTensors::add(&mut sums.force, law.force(&around, &fields, model.viscosity)?)?;
+        if l.transport {
+            TransportVelocity::spread(pairs, &fields, &mut sums)?;
+        }
+        if l.heat {
+            // (With the conductivities that the fields have.)
+            Conduction::<false>.composed(pairs, &fields, &mut sums)?;
+        }
+        if let Some(artificial) = model.laws.artificial_viscosity {
+            artificial.composed(pairs, &fields, &mut sums)?;
+        }
+    } else {
+        with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
+    }
+    if let Flux::Delta(_, diffusion) = &model.laws.flux {
+        PairTensors::add(&mut sums.force, diffusion.composed(pairs, &fields)?)?;
+    }
+    if let Some(common) = &sums.common {
+        PairTensors::add(&mut sums.force, common.broadcast_mul(&fields.weight)?.sum(2)?)?;
+    }
+    let nothing = || fields.velocity.zeros_like();
+    let only_fluid = pairs.is_fluid.clone();
+    let per_mass = |sum: Tensor| sum.broadcast_div(&mass)?.broadcast_mul(&only_fluid);
+    let pair_forces = per_mass(sums.force.map_or_else(nothing, Ok)?)?;
+    let acceleration = (pair_forces + given.broadcast_mul(&only_fluid)?)?;
+    let mut rates = vec![acceleration];
+    if let Some(spread) = sums.spread {
+        rates.push(per_mass(spread.affine(model.equation_of_state.at_vacuum(), 0.0)?)?);
+    }
+    if let Some(warmth) = sums.warmth {
+        let open = conduction::conducts_composed(model, &moved.narrow(0, 0, 1)?)?;
+        let rate = per_mass(warmth.affine(conduction::factor(model), 0.0)?)?.mul(&open)?;
+        rates.push(match of_materials(|materials| &materials.capacity)? {
+            Some(capacity) => rate.div(&capacity)?,
+            None => rate,
+        });
+    }
+    Tensor::cat(&rates, 0)
+}
