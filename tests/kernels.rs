@@ -1,10 +1,13 @@
 //! Every smoothing kernel in every kind of lanes: against JAX-SPH, against central differences, at its knots.
 
 use crate::support::jax_sph::{number, reference_file};
+use crate::support::lanes::{each_lane_type, Visit};
 use candle_core::{Device, Tensor};
 use hydrograd::numerics::exponential::exponential;
-use hydrograd::numerics::lanes::{Lanes, PortableF32, PortableF64, Real};
+use hydrograd::numerics::lanes::{Lanes, PortableF64, Real};
 use hydrograd::sph::kernels::{Kernel, KernelName};
+use hydrograd::surrogate::network::row::{activate, add_rows, each, sum};
+use std::sync::Mutex;
 
 /// W, F and G at distances, through one lane type.
 struct Values {
@@ -38,30 +41,26 @@ fn read<L: Lanes>(lanes: L) -> Vec<f64> {
     numbers.into_iter().map(|x| x.f64()).collect()
 }
 
-type Evaluate = fn(&Kernel, &[f64]) -> Values;
+/// How a lane type computes a kernel.
+struct Type {
+    name: String,
+    /// Rounding error of its numbers.
+    epsilon: f64,
+    values: Vec<Values>,
+}
 
-/// Every lane type that this machine can run, with its name and its rounding error.
-fn lane_types() -> Vec<(&'static str, f64, Evaluate)> {
-    let mut types: Vec<(&'static str, f64, Evaluate)> = vec![
-        ("portable f64", f64::EPSILON, values::<PortableF64>),
-        ("portable f32", f32::EPSILON as f64, values::<PortableF32>),
-    ];
-    #[cfg(target_arch = "x86_64")]
-    {
-        use hydrograd::numerics::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            types.push(("AVX2 f64", f64::EPSILON, values::<Avx2F64>));
-            types.push(("AVX2 f32", f32::EPSILON as f64, values::<Avx2F32>));
-        }
-        if is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512dq")
-        {
-            types.push(("AVX-512 f64", f64::EPSILON, values::<Avx512F64>));
-            types.push(("AVX-512 f32", f32::EPSILON as f64, values::<Avx512F32>));
+/// The values of a kernel at lists of distances, by every lane type that this processor can run.
+fn by_every_type(kernel: &Kernel, distances: &[&[f64]]) -> Vec<Type> {
+    struct Evaluate<'a>(&'a Kernel, &'a [&'a [f64]], Mutex<Vec<Type>>);
+    impl Visit for Evaluate<'_> {
+        fn visit<L: Lanes>(&self, name: &str, epsilon: f64) {
+            let values = self.1.iter().map(|distances| values::<L>(self.0, distances)).collect();
+            self.2.lock().unwrap().push(Type { name: name.into(), epsilon, values });
         }
     }
-    types
+    let evaluate = Evaluate(kernel, distances, Mutex::new(vec![]));
+    each_lane_type(&evaluate);
+    evaluate.2.into_inner().unwrap()
 }
 
 /// The shapes, JAX-SPH's name of each, where their formulas change (the support last), and whether they are cut off there:
@@ -115,8 +114,8 @@ fn agrees_with_jax_sph() {
             let w = select(theirs.dataset("w").unwrap().read_raw::<f64>().unwrap());
             let slope = select(theirs.dataset("grad_w").unwrap().read_raw::<f64>().unwrap());
             assert!((kernel.at_zero() / w[0] - 1.0).abs() < 1e-14);
-            for (name, epsilon, values) in lane_types() {
-                let ours = values(&kernel, &distance);
+            for Type { name, epsilon, values } in by_every_type(&kernel, &[&distance]) {
+                let ours = &values[0];
                 // Their w' loses digits near 0 (a difference of numbers of size 100), so it is compared as w' = F d.
                 let ours_slope: Vec<f64> = ours.f.iter().zip(&distance).map(|(f, d)| f * d).collect();
                 let name = format!("{shape:?}, {name}, {dimension}D, h = {h}");
@@ -151,8 +150,8 @@ fn slopes_are_derivatives() {
             (0..distance.len()).map(|k| (a[k] - 8.0 * b[k] + 8.0 * c[k] - d[k]) / (12.0 * step)).collect()
         };
         let (w_slope, f_slope) = (derivative(|v| &v.w), derivative(|v| &v.f));
-        for (name, epsilon, values) in lane_types() {
-            let ours = values(&kernel, &distance);
+        for Type { name, epsilon, values } in by_every_type(&kernel, &[&distance]) {
+            let ours = &values[0];
             let times_distance = |x: &[f64]| -> Vec<f64> { x.iter().zip(&distance).map(|(x, d)| x * d).collect() };
             let name = format!("{shape:?}, {name}, {dimension}D");
             close(&format!("F d, {name}"), &times_distance(&ours.f), &w_slope, (100.0 * epsilon).max(1e-10));
@@ -163,34 +162,40 @@ fn slopes_are_derivatives() {
 
 #[test]
 fn no_jump_at_the_knots_and_nothing_behind_the_cutoff() {
-    for (shape, knots, cut, (name, epsilon, values)) in
-        SHAPES.iter().flat_map(|s| lane_types().into_iter().map(move |lanes| (s.0, s.2, s.3, lanes)))
-    {
+    for (shape, knots, cut) in SHAPES.map(|s| (s.0, s.2, s.3)) {
         let kernel = Kernel::new(shape, 2, 1.0);
-        let name = format!("{shape:?}, {name}");
-        let scale = values(&kernel, &[0.0]);
-        // F and G are finite at distance 0: the self pair and the padding have it.
-        let (w, f, g) = (scale.w[0], scale.f[0].abs(), scale.g[0].abs());
-        assert!(w > 0.0 && f > 0.0 && g > 0.0 && (w + f + g).is_finite(), "{name}: {w} {f} {g} at 0");
-        for &knot in knots {
-            let gap = 4.0 * epsilon;
-            let sides = values(&kernel, &[knot * (1.0 - gap), knot, knot * (1.0 + gap)]);
-            // A Gaussian that is cut off jumps to zero from exp(-9), the super-Gaussian from that times 2 - 9.
-            let cut_off = kernel.sigma * (-9.0f64).exp() * if shape == KernelName::SuperGaussian { -7.0 } else { 1.0 };
-            if cut {
-                let jump = sides.w[0] - cut_off;
-                assert!(jump.abs() <= 200.0 * epsilon * cut_off.abs(), "{name}: {} before the cut-off", sides.w[0]);
-                assert_eq!((sides.w[2], sides.f[2], sides.g[2]), (0.0, 0.0, 0.0), "{name}");
-                continue;
+        let outside = [1.00004, 1.1, 2.0, 10.0].map(|x| x * shape.support());
+        // A distance to either side of a knot, by the rounding of each type.
+        let sides = |epsilon: f64| {
+            knots.iter().flat_map(move |&k| [1.0 - 4.0 * epsilon, 1.0, 1.0 + 4.0 * epsilon].map(|x| k * x))
+        };
+        let (double, single): (Vec<f64>, Vec<f64>) =
+            (sides(f64::EPSILON).collect(), sides(f32::EPSILON as f64).collect());
+        for Type { name, epsilon, values } in by_every_type(&kernel, &[&[0.0], &outside, &double, &single]) {
+            let name = format!("{shape:?}, {name}");
+            // F and G are finite at distance 0: the self pair and the padding have it.
+            let (w, f, g) = (values[0].w[0], values[0].f[0].abs(), values[0].g[0].abs());
+            assert!(w > 0.0 && f > 0.0 && g > 0.0 && (w + f + g).is_finite(), "{name}: {w} {f} {g} at 0");
+            let sides = &values[if epsilon == f64::EPSILON { 2 } else { 3 }];
+            for (k, &knot) in knots.iter().enumerate() {
+                let [w_side, f_side, g_side] = [&sides.w, &sides.f, &sides.g].map(|all| &all[3 * k..3 * k + 3]);
+                // A Gaussian that is cut off jumps to zero from exp(-9), the super-Gaussian from that times 2 - 9.
+                let cut_off =
+                    kernel.sigma * (-9.0f64).exp() * if shape == KernelName::SuperGaussian { -7.0 } else { 1.0 };
+                if cut {
+                    let jump = w_side[0] - cut_off;
+                    assert!(jump.abs() <= 200.0 * epsilon * cut_off.abs(), "{name}: {} before the cut-off", w_side[0]);
+                    assert_eq!((w_side[2], f_side[2], g_side[2]), (0.0, 0.0, 0.0), "{name}");
+                    continue;
+                }
+                for (what, side, scale) in [("W", w_side, w), ("F", f_side, f), ("G", g_side, g)] {
+                    let jump = (side[0] - side[1]).abs().max((side[2] - side[1]).abs());
+                    assert!(jump <= 100.0 * epsilon * scale, "{name}: {what} jumps by {jump:e} at q = {knot}");
+                }
             }
-            for (what, side, scale) in [("W", &sides.w, w), ("F", &sides.f, f), ("G", &sides.g, g)] {
-                let jump = (side[0] - side[1]).abs().max((side[2] - side[1]).abs());
-                assert!(jump <= 100.0 * epsilon * scale, "{name}: {what} jumps by {jump:e} at q = {knot}");
+            for x in values[1].w.iter().chain(&values[1].f).chain(&values[1].g) {
+                assert_eq!(x.abs(), 0.0, "{name}: {x:e} behind the cut-off");
             }
-        }
-        let outside = values(&kernel, &[1.00004, 1.1, 2.0, 10.0].map(|x| x * shape.support()));
-        for x in outside.w.iter().chain(&outside.f).chain(&outside.g) {
-            assert_eq!(x.abs(), 0.0, "{name}: {x:e} behind the cut-off");
         }
     }
 }
@@ -248,16 +253,15 @@ fn all_forms_agree() {
 #[test]
 fn instruction_sets_agree() {
     let distance: Vec<f64> = sweep().iter().map(|q| q * 0.02).collect();
-    for (shape, (name, epsilon, values)) in
-        SHAPES.iter().flat_map(|s| lane_types().into_iter().map(move |lanes| (s.0, lanes)))
-    {
+    for shape in SHAPES.map(|s| s.0) {
         let kernel = Kernel::new(shape, 2, 0.02);
-        let exact = self::values::<PortableF64>(&kernel, &distance);
-        let ours = values(&kernel, &distance);
-        let name = format!("{shape:?}, {name}");
-        close(&format!("W, {name}"), &ours.w, &exact.w, 20.0 * epsilon);
-        close(&format!("F, {name}"), &ours.f, &exact.f, 20.0 * epsilon);
-        close(&format!("G, {name}"), &ours.g, &exact.g, 60.0 * epsilon);
+        let exact = values::<PortableF64>(&kernel, &distance);
+        for Type { name, epsilon, values } in by_every_type(&kernel, &[&distance]) {
+            let (ours, name) = (&values[0], format!("{shape:?}, {name}"));
+            close(&format!("W, {name}"), &ours.w, &exact.w, 20.0 * epsilon);
+            close(&format!("F, {name}"), &ours.f, &exact.f, 20.0 * epsilon);
+            close(&format!("G, {name}"), &ours.g, &exact.g, 60.0 * epsilon);
+        }
     }
 }
 
@@ -283,28 +287,17 @@ fn exponential_is_exact_to_rounding() {
         }
         worst
     }
-    // An f32's exponential in f64 is exact beside it.
-    type Worst = fn(f64) -> f64;
-    let mut all: Vec<(&str, f64, f64, Worst)> =
-        vec![("portable f64", 700.0, 1e-15, worst::<PortableF64>), ("portable f32", 87.0, 1e-7, worst::<PortableF32>)];
-    #[cfg(target_arch = "x86_64")]
-    {
-        use hydrograd::numerics::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
-        let names: Vec<&str> = lane_types().iter().map(|t| t.0).collect();
-        if names.contains(&"AVX2 f64") {
-            all.push(("AVX2 f64", 700.0, 1e-15, worst::<Avx2F64>));
-            all.push(("AVX2 f32", 87.0, 1e-7, worst::<Avx2F32>));
-        }
-        if names.contains(&"AVX-512 f64") {
-            all.push(("AVX-512 f64", 700.0, 1e-15, worst::<Avx512F64>));
-            all.push(("AVX-512 f32", 87.0, 1e-7, worst::<Avx512F32>));
+    struct Exponential;
+    impl Visit for Exponential {
+        fn visit<L: Lanes>(&self, name: &str, epsilon: f64) {
+            // An f32's exponential in f64 is exact beside it.
+            let (end, allowed) = if epsilon == f64::EPSILON { (700.0, 1e-15) } else { (87.0, 1e-7) };
+            let worst = worst::<L>(end);
+            println!("{name}: {worst:.1e}");
+            assert!(worst <= allowed, "{name}: {worst:e}");
         }
     }
-    for (name, end, allowed, worst) in all {
-        let worst = worst(end);
-        println!("{name}: {worst:.1e}");
-        assert!(worst <= allowed, "{name}: {worst:e}");
-    }
+    each_lane_type(&Exponential);
 }
 
 /// The lanes' own arithmetic, against plain numbers.
@@ -347,19 +340,50 @@ fn lanes_compute_what_numbers_compute() {
         let plain: Vec<f64> = index.iter().map(|&r| records[r as usize].f64()).collect();
         assert_eq!(read(one), plain, "{name}: gather");
     }
-    check::<PortableF64>("portable f64");
-    check::<PortableF32>("portable f32");
-    #[cfg(target_arch = "x86_64")]
-    {
-        use hydrograd::numerics::lanes::{Avx2F32, Avx2F64, Avx512F32, Avx512F64};
-        let names: Vec<&str> = lane_types().iter().map(|t| t.0).collect();
-        if names.contains(&"AVX2 f64") {
-            check::<Avx2F64>("AVX2 f64");
-            check::<Avx2F32>("AVX2 f32");
+    struct Arithmetic;
+    impl Visit for Arithmetic {
+        fn visit<L: Lanes>(&self, name: &str, _: f64) {
+            check::<L>(name);
         }
-        if names.contains(&"AVX-512 f64") {
-            check::<Avx512F64>("AVX-512 f64");
-            check::<Avx512F32>("AVX-512 f32");
+    }
+    each_lane_type(&Arithmetic);
+}
+
+/// Loops over rows of numbers, of every length around the widths of the lanes, against plain loops.
+#[test]
+fn rows_of_every_length() {
+    struct Rows;
+    impl Visit for Rows {
+        fn visit<L: Lanes>(&self, _: &str, _: f64) {
+            check_rows::<L>();
+        }
+    }
+    each_lane_type(&Rows);
+}
+
+fn check_rows<L: Lanes>() {
+    for length in [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 64, 100, 128] {
+        let numbers = |shift: f64| -> Vec<L::Real> {
+            (0..length).map(|c| L::Real::of(((c as f64 * 0.7 + shift).sin() * 64.0).round() / 8.0)).collect()
+        };
+        let (mut x, a, b) = (numbers(0.1), numbers(1.3), numbers(2.9));
+        let product: f64 = a.iter().zip(&b).map(|(a, b)| (a.f64() + 1.0) * (b.f64() - 2.0)).sum();
+        let one = L::splat(L::Real::of(1.0));
+        // Multiples of 1/8 below 10: both are exact.
+        assert_eq!(sum::<L>(&a, &b, |a, b| (a + one) * (b - one - one)).f64(), product, "{length}");
+        let wanted: Vec<f64> = (0..length).map(|c| x[c].f64() + a[c].f64() * b[c].f64()).collect();
+        each::<L, 2>(&mut x, [&a, &b], |x, [a, b]| x + a * b);
+        assert_eq!(x.iter().map(|x| x.f64()).collect::<Vec<_>>(), wanted);
+        let mut rows = [a.clone(), b.clone()].concat();
+        activate::<L>(&mut rows, &a);
+        let wanted: Vec<f64> =
+            [&a, &b].iter().flat_map(|r| r.iter().zip(&a)).map(|(x, b)| (x.f64() + b.f64()).max(0.0)).collect();
+        assert_eq!(rows.iter().map(|x| x.f64()).collect::<Vec<_>>(), wanted);
+        let mut total = a.clone();
+        add_rows::<L, 2>(&mut total, [&rows, &[b.clone(), a.clone()].concat()], |[x, y]| x * y);
+        for c in 0..length {
+            let products = rows[c].f64() * b[c].f64() + rows[length + c].f64() * a[c].f64();
+            assert_eq!(total[c].f64(), a[c].f64() + products);
         }
     }
 }

@@ -1,99 +1,15 @@
 //! Sweeps over rows: a kernel compiled for every instruction set, run by all threads.
 
-use super::lanes::{Lanes, Real};
+pub use super::lanes::RowKernel;
+use super::lanes::{InstructionSet, Lanes, Real};
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The instruction sets that kernels are compiled for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum InstructionSet {
-    Portable,
-    Avx2,
-    Avx512,
-}
-
-impl InstructionSet {
-    /// The best one that this machine has. `HYDROGRAD_SIMD=portable|avx2|avx512` lowers it (for tests).
-    pub fn detect() -> Self {
-        static CHOICE: std::sync::OnceLock<InstructionSet> = std::sync::OnceLock::new();
-        *CHOICE.get_or_init(|| {
-            let limit = std::env::var("HYDROGRAD_SIMD").unwrap_or_default();
-            #[cfg(target_arch = "x86_64")]
-            {
-                let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-                let avx512 = is_x86_feature_detected!("avx512f")
-                    && is_x86_feature_detected!("avx512vl")
-                    && is_x86_feature_detected!("avx512dq");
-                if avx2 && avx512 && limit != "avx2" && limit != "portable" {
-                    return Self::Avx512;
-                }
-                if avx2 && limit != "portable" {
-                    return Self::Avx2;
-                }
-            }
-            let _ = limit;
-            Self::Portable
-        })
-    }
-}
-
-/// A kernel over rows: computes the rows of a range independently of each other, so that the result does
-/// not depend on how ranges are dealt to threads.
-pub trait RowKernel<R: Real>: Sync {
-    /// Whether it sums over rows of about 30 neighbours, as those of two dimensions are: of the second vector of 16 lanes
-    /// much would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
-    const SHORT: bool = false;
-    /// Whether it is so long that without vector instructions it is better compiled for one number at a time: the compiler
-    /// would take minutes to turn arrays into vectors again.
-    const LARGE: bool = false;
-    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>);
-}
-
-// Never inlined: so a program that uses this library calls the library's own and compiles no kernel again. The unit tests, which are
-// compiled with a library of their own, do with the portable kernels: tests/ has the others.
-
-#[cfg(all(target_arch = "x86_64", not(test)))]
-#[inline(never)]
-#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
-fn rows_avx512<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    if K::SHORT {
-        kernel.rows::<R::Avx512Short>(rows);
-    } else {
-        kernel.rows::<R::Avx512>(rows);
-    }
-}
-
-#[cfg(all(target_arch = "x86_64", not(test)))]
-#[inline(never)]
-#[target_feature(enable = "avx2,fma")]
-fn rows_avx2<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    kernel.rows::<R::Avx2>(rows);
-}
-
-/// One number at a time for large kernels, and on x86-64 for all of them: what has no AVX2 there is older than 2013, and a third
-/// of the time to compile this crate went into turning arrays into its vectors.
-#[inline(never)]
-fn rows_portable<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    if K::LARGE || cfg!(target_arch = "x86_64") {
-        kernel.rows::<R::Single>(rows);
-    } else {
-        kernel.rows::<R::Portable>(rows);
-    }
-}
-
 /// Runs a kernel over some rows on this thread alone, with the best instruction set: for sweeps so short that waking others
 /// costs more than they save.
 pub fn run_rows_alone<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
-    match InstructionSet::detect() {
-        // SAFETY: `detect` found these features on this CPU.
-        #[cfg(all(target_arch = "x86_64", not(test)))]
-        InstructionSet::Avx512 => unsafe { rows_avx512(kernel, rows) },
-        #[cfg(all(target_arch = "x86_64", not(test)))]
-        InstructionSet::Avx2 => unsafe { rows_avx2(kernel, rows) },
-        _ => rows_portable::<R, K>(kernel, rows),
-    }
+    R::run(kernel, rows, InstructionSet::best());
 }
 
 /// Most threads that share a sweep; more would have nothing to do in the sizes that this program is for.

@@ -5,7 +5,7 @@
 use super::inventory::{dropped, Dropped, Field, Operator};
 use super::method::Model;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
-use crate::numerics::sweep::InstructionSet;
+use crate::numerics::lanes::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::Neighbourhood;
 use crate::report::table::Table;
@@ -109,7 +109,7 @@ impl Plan {
         let with_neighbours = list.count.iter().filter(|&&c| c > 0).count();
         Ok(Self {
             precision: if std::mem::size_of::<R>() == 4 { "f32" } else { "f64" },
-            instruction_set: format!("{:?}", InstructionSet::detect()).to_lowercase(),
+            instruction_set: InstructionSet::best().name().into(),
             threads: candle_core::utils::barrier_pool().n_workers() + 1,
             dimension: model.dimension(),
             particles,

@@ -5,5 +5,6 @@ pub mod data_set;
 pub mod differences;
 pub mod final_sum;
 pub mod jax_sph;
+pub mod lanes;
 pub mod program;
 pub mod random_scene;

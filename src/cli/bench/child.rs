@@ -13,7 +13,7 @@ use crate::cli::prepare::{build, compute};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
-use crate::numerics::sweep::InstructionSet;
+use crate::numerics::lanes::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
@@ -166,7 +166,7 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         forward_seconds: vec![],
         peak_memory_bytes: 0,
         predicted_bytes: None,
-        instruction_set: format!("{:?}", InstructionSet::detect()),
+        instruction_set: InstructionSet::best().name().into(),
         time_step: ready.dynamics.model.dt,
         difference: None,
         gflop: None,

@@ -22,7 +22,7 @@ use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
 use crate::cli::prepare::compute;
 use crate::config::training::{ModelSettings, Settings};
 use crate::dataset::{Metadata, Trajectory};
-use crate::numerics::sweep::InstructionSet;
+use crate::numerics::lanes::InstructionSet;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
@@ -141,7 +141,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
         forward_seconds: vec![],
         peak_memory_bytes,
         predicted_bytes: None,
-        instruction_set: format!("{:?}", InstructionSet::detect()),
+        instruction_set: InstructionSet::best().name().into(),
         time_step: metadata.dt,
         difference: None,
         gflop: Some(gflop),
