@@ -57,6 +57,7 @@ mod study;
 mod surrogate;
 mod surrogate_design;
 mod surrogate_inverse;
+mod thread_pool;
 mod train;
 mod validation;
 mod verify;

@@ -10,4 +10,5 @@ pub mod pool;
 pub mod random;
 pub mod ranks;
 pub mod sweep;
+pub mod thread_pool;
 pub mod threads;

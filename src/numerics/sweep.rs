@@ -2,6 +2,7 @@
 
 pub use super::lanes::RowKernel;
 use super::lanes::{InstructionSet, Lanes, Real};
+use super::thread_pool::ThreadPool;
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,26 +22,26 @@ const PIECES: usize = 8;
 #[repr(align(128))]
 struct Cursor(AtomicUsize);
 
-/// Runs a kernel over `count` rows on candle's own spinning thread pool, with the best instruction set.
+/// Runs a kernel over `count` rows on all threads, with the best instruction set.
 ///
 /// Every thread begins with the same share of the rows in every sweep, so what it wrote in the last one is still in its
-/// core's cache; who is done takes pieces of the others' shares. (The pool's own `execute_chunked` gives rows to whoever
-/// comes first: in a step of 950 particles the second thread then gains nothing.)
+/// core's cache; who is done takes pieces of the others' shares. (If rows went to whoever comes first, the second thread
+/// would gain nothing in a step of 950 particles.)
 pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     deal(count, &|rows| run_rows_alone(kernel, rows));
 }
 
 /// [`run_rows`], compiled once for all kernels.
 fn deal(count: usize, run: &(dyn Fn(Range<usize>) + Sync)) {
-    let pool = candle_core::utils::barrier_pool();
-    let threads = (pool.n_workers() + 1).min(MOST_THREADS);
+    let pool = ThreadPool::global();
+    let threads = pool.threads().min(MOST_THREADS);
     if threads == 1 {
         return run(0..count);
     }
     let piece = count.div_ceil(threads * PIECES).max(1);
     let share = piece * PIECES;
     let cursors: [Cursor; MOST_THREADS] = std::array::from_fn(|_| Cursor(AtomicUsize::new(0)));
-    pool.execute(|thread| {
+    pool.run(&|thread| {
         for k in 0..threads {
             let owner = (thread + k) % threads;
             let end = count.min((owner + 1) * share);

@@ -1,13 +1,38 @@
 //! How many threads compute.
 
-/// Sets the number of worker threads; 0 takes every core. Must come before the first operator: candle's pools read it once.
+use std::thread::available_parallelism;
+
+/// Environment variables with the number of threads of candle's pools and of ours.
+const POOLS: [&str; 2] = ["CANDLE_NUM_THREADS", "RAYON_NUM_THREADS"];
+/// Environment variables by which a user or a batch system gives a process a number of cores.
+const GIVEN: [&str; 2] = ["SLURM_CPUS_PER_TASK", "OMP_NUM_THREADS"];
+
+fn number(variable: &str) -> Option<usize> {
+    std::env::var(variable).ok()?.parse().ok().filter(|&number| number > 0)
+}
+
+/// The number of cores that this process may use: those of its affinity and its control group's quota, and no more than
+/// Slurm or `OMP_NUM_THREADS` gives it.
+pub fn cores() -> usize {
+    let own = available_parallelism().map_or(1, usize::from);
+    GIVEN.into_iter().filter_map(number).fold(own, usize::min)
+}
+
+/// The number of threads that compute: `CANDLE_NUM_THREADS` if it is set, as [`use_threads`] does, or [`cores`].
+pub fn count() -> usize {
+    number(POOLS[0]).unwrap_or_else(cores)
+}
+
+/// Sets the number of threads; 0 takes [`cores`], or what the environment variables of the pools say. Must come before
+/// the first operator, because the pools read it once.
 pub fn use_threads(threads: usize) {
-    if threads > 0 {
-        // More than that only wait for each other, and the results do not depend on their number.
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = threads.min(2 * cores);
-        let threads = threads.to_string();
-        std::env::set_var("CANDLE_NUM_THREADS", &threads);
-        std::env::set_var("RAYON_NUM_THREADS", &threads);
+    for pool in POOLS {
+        // More than twice the cores only wait for each other, and the results do not depend on their number.
+        let threads = match (threads, number(pool)) {
+            (0, Some(given)) => given,
+            (0, None) => cores(),
+            (wanted, _) => wanted.min(2 * available_parallelism().map_or(1, usize::from)),
+        };
+        std::env::set_var(pool, threads.to_string());
     }
 }

@@ -6,6 +6,7 @@ use super::inventory::{dropped, Dropped, Field, Operator};
 use super::method::Model;
 use crate::adjoint::schedule::{Costs, Counts, Schedule};
 use crate::numerics::lanes::InstructionSet;
+use crate::numerics::thread_pool::ThreadPool;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::Neighbourhood;
 use crate::report::table::Table;
@@ -110,7 +111,7 @@ impl Plan {
         Ok(Self {
             precision: if std::mem::size_of::<R>() == 4 { "f32" } else { "f64" },
             instruction_set: InstructionSet::best().name().into(),
-            threads: candle_core::utils::barrier_pool().n_workers() + 1,
+            threads: ThreadPool::global().threads(),
             dimension: model.dimension(),
             particles,
             list: List {

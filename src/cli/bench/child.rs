@@ -14,6 +14,7 @@ use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
 use crate::numerics::lanes::InstructionSet;
+use crate::numerics::thread_pool::ThreadPool;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
@@ -37,7 +38,7 @@ pub fn run(request: &str) -> anyhow::Result<()> {
         Request::Row(case) => case.threads,
         Request::Accuracy { threads, .. } => *threads,
     };
-    let threads = candle_core::utils::barrier_pool().n_workers() + 1;
+    let threads = ThreadPool::global().threads();
     if threads != wanted {
         let problem = format!("candle has {threads} threads instead of {wanted}");
         return Err(Error::run(problem, "CANDLE_NUM_THREADS sets their number").into());
