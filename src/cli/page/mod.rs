@@ -7,7 +7,7 @@ mod data_set;
 mod designs;
 mod folder;
 mod leads;
-mod names;
+pub mod names;
 mod others;
 mod series;
 mod tables;
