@@ -1,6 +1,6 @@
 //! `hydrograd slurm`: job files for Slurm, for any command whose work can be divided or resumed.
 //!
-//! A job is an array if the command has shares (see [`super::shard`]); another job merges them after all have
+//! A job is an array if the command has shares (see `shard.rs`); another job merges them after all have
 //! succeeded. Every job may be stopped and requeued at any time: its results are kept, and it continues with the rest.
 
 use super::arguments::at_least_one;

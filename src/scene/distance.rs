@@ -162,7 +162,7 @@ impl Walls<'_> {
         std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
     }
 
-    /// The position, or if it is nearer to a wall than [`BESIDE`], the one at that distance from the wall.
+    /// The position, or if it is nearer to a wall than `BESIDE`, the one at that distance from the wall.
     pub fn away_from_walls(&self, p: [f64; 3]) -> [f64; 3] {
         let least = BESIDE * self.spacing;
         let s = self.distance(p);
@@ -172,7 +172,7 @@ impl Walls<'_> {
         }
     }
 
-    /// The feet of positions, each at least [`APART`] from all before it. There are none in a corner between walls,
+    /// The feet of positions, each at least `APART` from all before it. There are none in a corner between walls,
     /// which may have different conditions.
     pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
         let mut feet: Vec<Foot> = Vec::new();
