@@ -5,6 +5,18 @@ use std::process::Output;
 
 use crate::support::program::{printed, refused};
 use assert_cmd::Command;
+use hydrograd::cli::bench::accuracy::{fronts, ComparedRun};
+use hydrograd::cli::bench::case::{Network, Size};
+use hydrograd::cli::bench::child::{count_pairs, taylor_green};
+use hydrograd::cli::bench::rows::median;
+use hydrograd::cli::bench::surrogate::{flow, products};
+use hydrograd::config::scene::{Config, Precision};
+use hydrograd::particles::Domain;
+use hydrograd::scene::accuracy::{half_life, Run};
+use hydrograd::sph::Model;
+use hydrograd::surrogate::models::sizes::Sizes;
+use hydrograd::surrogate::network::graph::Graph;
+use hydrograd::surrogate::predictor::Frame;
 use serde_json::{json, Value};
 use tempfile::TempDir;
 
@@ -293,4 +305,129 @@ fn bad_input_is_refused() {
     refuses(at, &["--memory-limit", "0", "--out", "unwritten"], &["--memory-limit"]);
     std::fs::write(at.join("file"), "").unwrap();
     refuses(at, &["--out", "file"], &["--out file", "is a file"]);
+}
+
+fn point(dx: f64, cfl: f64, seconds: f64) -> ComparedRun {
+    ComparedRun {
+        code: "hydrograd".into(),
+        scene: "s".into(),
+        dx,
+        cfl,
+        precision: Precision::F64,
+        particles: None,
+        steps: None,
+        threads: None,
+        seconds,
+        error: Some(1e-2),
+        stable: true,
+    }
+}
+
+#[test]
+fn only_runs_that_none_beats_are_shown() {
+    let point = |seconds, error, precision| ComparedRun { error: Some(error), precision, ..point(0.1, 1.0, seconds) };
+    let (f64, f32) = (Precision::F64, Precision::F32);
+    // 4 s for an error that takes 2 s, a run as slow as another with a larger error, and a separate run of another
+    // type.
+    let mut points = vec![
+        point(4.0, 1e-2, f64),
+        point(2.0, 1e-2, f64),
+        point(9.0, 1e-3, f64),
+        point(1.0, 0.1, f64),
+        point(1.0, 0.2, f64),
+        point(5.0, 0.5, f32),
+    ];
+    points.push(ComparedRun { stable: false, ..point(0.1, 1e-9, f64) });
+    let found = fronts(points.iter());
+    assert_eq!(found.len(), 2);
+    assert_eq!(found[0], ("hydrograd f64".to_string(), vec![(1.0, 0.1), (2.0, 1e-2), (9.0, 1e-3)]));
+    assert_eq!(found[1], ("hydrograd f32".to_string(), vec![(5.0, 0.5)]));
+}
+
+#[test]
+fn sizes_are_a_side_and_a_dimension() {
+    assert_eq!(Size::parse("100^2").map(Size::particles), Ok(10_000));
+    assert_eq!(Size::parse("20^3").map(Size::particles), Ok(8_000));
+    for bad in ["100", "7^2", "100^4", "100^1", "x^2", "100000^2", "^2", "9999999999^3"] {
+        assert!(Size::parse(bad).is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn as_many_pairs_as_all_against_all() {
+    for (dimension, per_side) in [(2, 8), (2, 13), (3, 8)] {
+        let (model, state) = taylor_green::<f64>(Size { per_side, dimension });
+        let n = model.particles();
+        let square = |i: usize, j: usize| -> f64 {
+            let along = |d: usize| {
+                let (dr, size) = (state[d * n + i] - state[d * n + j], model.domain.size[d]);
+                dr - size * (dr / size).round()
+            };
+            (0..dimension).map(|d| along(d).powi(2)).sum()
+        };
+        let near = |i: usize, j: usize| j != i && square(i, j) < model.reach().cutoff.powi(2);
+        let expected: usize = (0..n).map(|i| (0..n).filter(|&j| near(i, j)).count()).sum();
+        assert_eq!(count_pairs(&Model::new(model), &state).unwrap(), expected);
+    }
+}
+
+#[test]
+fn median_of_even_and_odd_counts() {
+    assert_eq!(median(&[3.0]), 3.0);
+    assert_eq!(median(&[1.0, 2.0, 9.0]), 2.0);
+    assert_eq!(median(&[1.0, 2.0, 4.0, 9.0]), 3.0);
+}
+
+#[test]
+fn work_is_that_of_the_split_form() {
+    let sizes =
+        Sizes { node_features: 10, edge_features: 3, outputs: 2, latent: 128, rounds: 10, linears: 2, embedding: 16 };
+    let (n, e, l, f) = (950.0, 24_690.0, 128.0, 26.0);
+    let gflop = |training| {
+        products(&sizes, 950, 24_690, training).iter().map(|(p, times)| 1e-9 * *times as f64 * p.operations()).sum()
+    };
+    let encoders = n * (f * l + l * l) + e * (3.0 * l + l * l);
+    let rounds = 10.0 * (n * 5.0 * l * l + e * 2.0 * l * l);
+    let forward = 2e-9 * (encoders + rounds + n * (l * l + 2.0 * l));
+    let found: [f64; 2] = [gflop(false), gflop(true)];
+    assert!((found[0] / forward - 1.0).abs() < 1e-12, "{found:?}");
+    assert!((found[1] / (3.0 * forward - 2e-9 * e * 3.0 * l) - 1.0).abs() < 1e-12, "{found:?}");
+}
+
+#[test]
+fn the_graph_has_the_neighbours_of_a_fluid() {
+    let (metadata, trajectory) = flow(1);
+    let domain = Domain { dimension: 2, size: metadata.size(), periodic: metadata.periodic() };
+    let graph = |radius: f64| Graph::build(&Frame::of(&trajectory, 0).position, &domain, radius * metadata.dx).unwrap();
+    let per_node = |radius: f64| graph(radius).edges() as f64 / Network::PARTICLES as f64;
+    assert!((6.0..9.0).contains(&per_node(1.45)) && (25.0..30.0).contains(&per_node(3.0)));
+}
+
+#[test]
+fn a_diverged_run_is_reported() {
+    // Ten times beyond the limit of stability.
+    let run = |sets: &[&str]| {
+        let sets: Vec<String> = ["resolution.dx=0.1"].iter().chain(sets).map(|set| set.to_string()).collect();
+        let config = Config::load(Some("taylor-green"), None, &sets).unwrap().config;
+        Run { code: "ours".into(), config }.point::<f64>(Precision::F64).unwrap()
+    };
+    let end = format!("time.end={}", half_life(100.0));
+    let point = run(&[&end, "method.name=standard", "time.cfl=4", "fluid.sound_speed_factor=1"]);
+    assert!(!point.stable, "{point:?}");
+    assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
+    let stable = run(&[&end]);
+    assert!(stable.stable && stable.cfl <= 1.0 && stable.cfl > 0.98, "{stable:?}");
+    assert!((stable.steps as f64 * stable.time_step - 0.8779).abs() < 1e-4);
+}
+
+#[test]
+fn the_error_of_the_heated_channel_is_that_of_q() {
+    let sets = ["time.end=0.3".to_string(), "objective.window=0.05".into()];
+    let config = Config::load(None, None, &sets).unwrap().config;
+    let point = Run { code: "ours".into(), config }.point::<f32>(Precision::F32).unwrap();
+    // The state is far from steady: the outflow has just begun to warm up.
+    assert!(point.stable && point.error.unwrap() > 0.1, "{point:?}");
+    // Fluid and two rows of dummy particles in each wall; on the walls' surfaces vertices, hot points and no-flux
+    // points.
+    assert_eq!(point.particles, 50 * (10 + 4) + 100 + 26 + 24 + 50 + 50);
 }

@@ -9,6 +9,7 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::{Dynamics, Objective};
 use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::diagnostics::simulate;
+use hydrograd::numerics::lanes::{Lanes, Real};
 use hydrograd::numerics::random::{stream, uniform, Normal};
 use hydrograd::particles::{tag, Neighbourhood};
 use hydrograd::scene::Scene;
@@ -18,10 +19,14 @@ use hydrograd::sph::consistent::blocks::Blocks;
 use hydrograd::sph::consistent::geometry::Geometry;
 use hydrograd::sph::consistent::kept::Kept;
 use hydrograd::sph::consistent::kinds::{NO_FLUX, VELOCITY};
-use hydrograd::sph::consistent::stencil::{monomials, quadratic};
+use hydrograd::sph::consistent::layout::Layout;
+use hydrograd::sph::consistent::stencil::{
+    accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, quadratic, solve, values,
+};
 use hydrograd::sph::consistent::Consistent;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::pace::TimeSteps;
+use hydrograd::sph::rows::Quantity;
 use hydrograd::sph::solver::Solver;
 use hydrograd::sph::Sweeps;
 
@@ -597,4 +602,78 @@ fn a_truncated_gradient_drops_what_the_fluid_was() {
             place % n
         );
     }
+}
+
+#[test]
+fn the_rows_of_a_state_are_those_of_the_layout() {
+    for (dimension, heat, rates) in [(2, false, false), (2, true, true), (3, true, false), (3, false, true)] {
+        let l = Layout { dimension, heat, rates };
+        let rows = l.rows();
+        assert_eq!((rows.count(), rows.velocity()), (l.state_rows(), l.velocity()));
+        assert_eq!(rows.row(Quantity::Pressure), Some(l.pressure()));
+        assert_eq!(rows.temperature(), heat.then(|| l.temperature()));
+        assert_eq!(rows.row(Quantity::Acceleration), rates.then(|| l.last_rates()));
+    }
+}
+
+type L = <f64 as Real>::Portable;
+
+fn lane(x: L) -> f64 {
+    x.largest()
+}
+
+#[test]
+fn monomials_have_their_places_and_derivatives() {
+    assert_eq!((monomials(2), monomials(3), packed(5), packed(9)), (5, 9, 15, 45));
+    let s = [L::splat(0.3), L::splat(-0.7), L::splat(1.1)];
+    let q = values::<L, 3, 9>(&s).map(lane);
+    let right = [0.3, -0.7, 1.1, 0.045, -0.21, 0.33, 0.245, -0.77, 0.605];
+    assert!(q.iter().zip(right).all(|(a, b)| (a - b).abs() < 1e-15), "{q:?}");
+    let c: [L; 9] = std::array::from_fn(|k| L::splat(0.1 * k as f64 - 0.2));
+    let n = [L::splat(0.5), L::splat(0.2), L::splat(-0.6)];
+    let (s_bar, n_bar) = pull_back_along::<L, 3, 9>(&s, &n, &c);
+    for a in 0..3 {
+        let f = |by_s: f64, by_n: f64| {
+            let (mut s, mut n) = (s, n);
+            s[a] += L::splat(by_s);
+            n[a] += L::splat(by_n);
+            lane(dot(&along::<L, 3, 9>(&s, &n), &c))
+        };
+        assert!((lane(s_bar[a]) - (f(1e-5, 0.0) - f(-1e-5, 0.0)) / 2e-5).abs() < 1e-9, "{a}");
+        assert!((lane(n_bar[a]) - (f(0.0, 1e-5) - f(0.0, -1e-5)) / 2e-5).abs() < 1e-9, "{a}");
+        let g = |h: f64| {
+            let moved = std::array::from_fn(|k| s[k] + L::splat(h) * n[k]);
+            lane(values::<L, 3, 9>(&moved)[a + 3])
+        };
+        assert!((lane(along::<L, 3, 9>(&s, &n)[a + 3]) - (g(1e-5) - g(-1e-5)) / 2e-5).abs() < 1e-9, "{a}");
+    }
+    let bar = pull_back::<L, 3, 9>(&s, &c).map(lane);
+    for a in 0..3 {
+        let f = |h: f64| {
+            let mut moved = s;
+            moved[a] += L::splat(h);
+            lane(dot(&values::<L, 3, 9>(&moved), &c))
+        };
+        let difference = (f(1e-5) - f(-1e-5)) / 2e-5;
+        assert!((bar[a] - difference).abs() < 1e-9, "{a}");
+    }
+}
+
+#[test]
+fn a_factorised_matrix_is_solved() {
+    let mut matrix = [L::zero(); 15];
+    let points: Vec<[f64; 2]> = (0..9).map(|k| [(k as f64).sin(), (1.7 * k as f64).cos()]).collect();
+    let mut b = [L::zero(); 5];
+    let x = [1.0, -2.0, 0.5, 3.0, -0.25];
+    for p in &points {
+        let q = values::<L, 2, 5>(&[L::splat(p[0]), L::splat(p[1])]);
+        accumulate::<L, 5, 15>(&mut matrix, L::splat(0.7), &q);
+        let f: f64 = q.iter().zip(x).map(|(q, x)| lane(*q) * x).sum();
+        for k in 0..5 {
+            b[k] = (L::splat(0.7) * q[k]).mul_add(L::splat(f), b[k]);
+        }
+    }
+    factorise::<L, 5, 15>(&mut matrix, L::splat(1e-12));
+    let found = solve::<L, 5, 15>(&matrix, b).map(lane);
+    assert!(found.iter().zip(x).all(|(a, b)| (a - b).abs() < 1e-11), "{found:?}");
 }

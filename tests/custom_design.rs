@@ -3,9 +3,11 @@
 
 use assert_cmd::Command;
 use hydrograd::adjoint::schedule::Schedule;
+use hydrograd::config::custom::{Fill, Kind, Part, ShapeEntry, ShapeNumber};
 use hydrograd::config::scene::Config;
+use hydrograd::design::shapes::{At, Dummy, On, Point, Shapes};
 use hydrograd::design::Problem;
-use hydrograd::particles::tag;
+use hydrograd::particles::{tag, Domain};
 use hydrograd::scene::Scene;
 use std::path::Path;
 
@@ -248,5 +250,145 @@ fn optimize_finds_a_better_shape() {
             !done && text.contains("of a scene of one's own") && !folder.path().join("unwritten").exists(),
             "{text}"
         );
+    }
+}
+
+/// A place so far away along a normal.
+fn beyond(place: [f64; 3], distance: f64, normal: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|d| place[d] + distance * normal[d])
+}
+
+/// A shape of each kind.
+fn shape_of(kind: Kind) -> ShapeEntry {
+    let two = |x: f64, y: f64| Some(vec![x, y]);
+    let points = || Some(vec![[0.2, 0.2], [0.7, 0.3], [0.4, 0.8]]);
+    let entry = ShapeEntry { kind, fill: Fill::Wall, ..ShapeEntry::default() };
+    match kind {
+        Kind::Disc => ShapeEntry { centre: two(0.4, 0.5), radius: Some(0.2), ..entry },
+        Kind::Box => ShapeEntry { lower: two(0.3, 0.2), upper: two(0.6, 0.7), ..entry },
+        Kind::Polyline => ShapeEntry { points: points(), thickness: Some(0.1), ..entry },
+        _ => ShapeEntry { points: points(), ..entry },
+    }
+}
+
+/// A shape with a point, a dummy particle and some fluid, whose numbers are all variables; and its first state.
+fn moving(kind: Kind, place: [f64; 2], normal: [f64; 2]) -> (Shapes, Vec<f64>) {
+    let entry = shape_of(kind);
+    let parts: Vec<Part> = match kind {
+        Kind::Disc => vec![Part::Centre(0), Part::Centre(1), Part::Radius],
+        Kind::Box => vec![Part::Lower(0), Part::Lower(1), Part::Upper(0), Part::Upper(1)],
+        Kind::Polyline => (0..6).map(|k| Part::Point(k / 2, k % 2)).chain([Part::Thickness]).collect(),
+        _ => (0..6).map(|k| Part::Point(k / 2, k % 2)).collect(),
+    };
+    let numbers = parts.into_iter().map(|part| ShapeNumber { shape: 0, part }).collect();
+    let (place, normal) = ([place[0], place[1], 0.0], [normal[0], normal[1], 0.0]);
+    let on = On::of(0, &entry, place, normal).unwrap();
+    let point = |particle, on, leans| Point { particle, on, leans, leads: true };
+    let domain = Domain { dimension: 2, size: [2.0; 3], periodic: [true, false, false] };
+    let shapes = Shapes {
+        entries: vec![entry],
+        numbers,
+        domain,
+        vector: 2,
+        points: vec![point(0, Some(on), true), point(1, None, false)],
+        dummies: vec![Dummy { particle: 2, foot: on, depth: 0.03 }],
+        fluid: vec![3, 4],
+    };
+    let mut state = vec![0.0; 20];
+    let mut put = |i: usize, at: [f64; 3], vector: [f64; 3]| {
+        for d in 0..2 {
+            (state[d * 5 + i], state[(2 + d) * 5 + i]) = (at[d], vector[d]);
+        }
+    };
+    put(0, place, normal);
+    put(1, [1.5, 1.2, 0.0], [0.0; 3]);
+    put(2, beyond(place, -0.03, normal), beyond(place, 0.03, normal));
+    put(3, beyond(place, 0.1, normal), [0.3, 0.1, 0.0]);
+    put(4, [1.2, 0.9, 0.0], [0.2, 0.4, 0.0]);
+    (shapes, state)
+}
+
+/// Places on each kind of shape, with normals: on edges and sides, at a corner and at a round end.
+fn places() -> Vec<(Kind, [f64; 2], [f64; 2])> {
+    let edge = [0.5 / 0.26f64.sqrt(), 0.1 / 0.26f64.sqrt()];
+    let below = [edge[1], -edge[0]];
+    vec![
+        (Kind::Disc, [0.4 + 0.2 * 0.6, 0.5 + 0.2 * 0.8], [0.6, 0.8]),
+        (Kind::Box, [0.6, 0.45], [1.0, 0.0]),
+        (Kind::Polygon, [0.45, 0.25], below),
+        (Kind::Polygon, [0.2, 0.2], [-0.8, -0.6]),
+        (Kind::Polyline, [0.45 + 0.05 * below[0], 0.25 + 0.05 * below[1]], below),
+        (Kind::Polyline, [0.2 - 0.05 * 0.8, 0.2 - 0.05 * 0.6], [-0.8, -0.6]),
+    ]
+}
+
+fn deformed(shapes: &Shapes, base: &[f64], changes: &[f64]) -> Vec<f64> {
+    let mut state = base.to_vec();
+    shapes.deform(5, changes, &mut state);
+    state
+}
+
+#[test]
+fn what_is_moved_stays_on_its_shape() {
+    for (kind, place, normal) in places() {
+        let (shapes, base) = moving(kind, place, normal);
+        assert_eq!(deformed(&shapes, &base, &vec![0.0; shapes.numbers.len()]), base);
+        let changes: Vec<f64> = (0..shapes.numbers.len()).map(|k| 0.02 * ((k * k + 1) as f64).sin()).collect();
+        let state = deformed(&shapes, &base, &changes);
+        let at = |i: usize, row: usize| [state[row * 5 + i], state[(row + 1) * 5 + i], 0.0];
+        // The place on the changed shape is the same, and the opposite changes lead back from there.
+        let entries = shapes.changed(&changes);
+        let (found, before) = (On::of(0, &entries[0], at(0, 0), at(0, 2)).unwrap(), shapes.points[0].on.unwrap());
+        let back = Shapes {
+            entries: entries.clone(),
+            points: vec![Point { on: Some(found), ..shapes.points[0] }, shapes.points[1]],
+            ..shapes.clone()
+        };
+        let returned = deformed(&back, &state, &changes.iter().map(|change| -change).collect::<Vec<f64>>());
+        let close = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!([0, 5, 10, 15].iter().all(|&at| close(returned[at], base[at])), "{kind:?}");
+        match (found.at, before.at) {
+            (At::Round(a), At::Round(b)) | (At::Box(a), At::Box(b)) => {
+                assert!((0..2).all(|d| close(a[d], b[d])), "{a:?} {b:?}")
+            }
+            (At::Edge { to, share, away, faces }, At::Edge { to: to_b, share: b, away: away_b, faces: faces_b }) => {
+                assert!(to == to_b && close(share, b) && faces == faces_b);
+                assert!(kind == Kind::Polygon || away == away_b);
+            }
+            (At::Corner(a, u), At::Corner(b, v)) => {
+                assert!(a == b && (kind == Kind::Polygon || (0..2).all(|d| close(u[d], v[d]))))
+            }
+            other => panic!("{other:?}"),
+        }
+        // The dummy particle keeps its depth, and its mirror image the same distance in front, along the normal.
+        let (dummy, mirror) = (at(2, 0), at(2, 2));
+        let middle: [f64; 2] = std::array::from_fn(|d| 0.5 * (dummy[d] + mirror[d]));
+        assert!((0..2).all(|d| close(middle[d], at(0, 0)[d])));
+        let across: [f64; 2] = std::array::from_fn(|d| 0.5 / 0.03 * (mirror[d] - dummy[d]));
+        assert!(close(across[0].hypot(across[1]), 1.0) && (0..2).all(|d| close(across[d], at(0, 2)[d])), "{kind:?}");
+        // Near fluid moves more than distant fluid, and the wall at rest stays.
+        let step = |i: usize| (state[i] - base[i]).hypot(state[5 + i] - base[5 + i]);
+        assert!(step(1) == 0.0 && step(3) > 5.0 * step(4), "{} {}", step(3), step(4));
+    }
+}
+
+#[test]
+fn the_adjoint_of_moved_shapes_is_the_derivative() {
+    for (kind, place, normal) in places() {
+        let (shapes, base) = moving(kind, place, normal);
+        let count = shapes.numbers.len();
+        let changes: Vec<f64> = (0..count).map(|k| 0.02 * ((k * k + 2) as f64).cos()).collect();
+        let bar: Vec<f64> = (0..20).map(|k| ((3 * k + 1) as f64).sin()).collect();
+        let mut found = vec![0.0; count];
+        shapes.pull_back(5, &base, &changes, &bar, &mut found);
+        for k in 0..count {
+            let value = |h: f64| -> f64 {
+                let mut changes = changes.clone();
+                changes[k] += h;
+                deformed(&shapes, &base, &changes).iter().zip(&bar).map(|(x, bar)| x * bar).sum()
+            };
+            let difference = (value(1e-5) - value(-1e-5)) / 2e-5;
+            assert!((found[k] - difference).abs() < 1e-8, "{kind:?}, {k}: {} {difference}", found[k]);
+        }
     }
 }

@@ -3,8 +3,13 @@
 use crate::support;
 use assert_cmd::Command;
 use hydrograd::adjoint::run::run;
+use hydrograd::config::custom::{Fill, Kind, ShapeEntry};
+use hydrograd::config::formula::Formula;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::particles::tag;
+use hydrograd::particles::{tag, Domain};
+use hydrograd::scene::custom_shape::Shape;
+use hydrograd::scene::distance::{images, Walls};
+use hydrograd::scene::plausible::Findings;
 use hydrograd::scene::Scene;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::Solver;
@@ -467,4 +472,160 @@ fn stated_solutions_are_followed() {
         let all = ["simulate", "custom", "--set", set];
         support::program::refused(&all, &support::program::hydrograd(folder.path(), &all), &[part]);
     }
+}
+
+fn shape_of(kind: Kind, fill: Fill) -> ShapeEntry {
+    ShapeEntry { kind, fill, ..ShapeEntry::default() }
+}
+
+fn with_walls<T>(entries: &[ShapeEntry], periodic: [bool; 3], dimension: usize, go: impl Fn(&Walls) -> T) -> T {
+    let shapes: Vec<Shape> =
+        entries.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, dimension).unwrap()).collect();
+    let domain = Domain { dimension, size: [1.0; 3], periodic };
+    go(&Walls { shapes: &shapes, images: images(&domain), domain, spacing: 0.02 })
+}
+
+fn disc(radius: f64, fill: Fill) -> ShapeEntry {
+    ShapeEntry { centre: Some(vec![0.5, 0.5]), radius: Some(radius), ..shape_of(Kind::Disc, fill) }
+}
+
+#[test]
+fn distances_are_those_of_geometry() {
+    let all = [true; 3];
+    let boxed =
+        ShapeEntry { lower: Some(vec![0.2, 0.2]), upper: Some(vec![0.6, 0.4]), ..shape_of(Kind::Box, Fill::Wall) };
+    let bent = ShapeEntry {
+        points: Some(vec![[0.2, 0.5], [0.8, 0.5]]),
+        thickness: Some(0.1),
+        ..shape_of(Kind::Polyline, Fill::Wall)
+    };
+    let corner =
+        ShapeEntry { points: Some(vec![[0.2, 0.2], [0.8, 0.2], [0.2, 0.8]]), ..shape_of(Kind::Polygon, Fill::Wall) };
+    let formula = ShapeEntry { positive: Some(Formula("2*(0.3 - y)".into())), ..shape_of(Kind::Where, Fill::Wall) };
+    for (shape, place, expected) in [
+        (&disc(0.2, Fill::Wall), [0.9, 0.5], 0.2),
+        (&disc(0.2, Fill::Wall), [0.5, 0.4], -0.1),
+        (&boxed, [0.7, 0.3], 0.1),
+        (&boxed, [0.63, 0.44], 0.05),
+        (&boxed, [0.3, 0.35], -0.05),
+        (&bent, [0.5, 0.62], 0.07),
+        (&bent, [0.83, 0.54], 0.0),
+        (&corner, [0.3, 0.3], -0.1),
+        (&corner, [0.5, 0.1], 0.1),
+        (&formula, [0.1, 0.35], 0.05),
+    ] {
+        let found = with_walls(std::slice::from_ref(shape), all, 2, |walls| walls.distance([place[0], place[1], 0.0]));
+        assert!((found - expected).abs() < 1e-9, "{shape:?} at {place:?}: {found} is not {expected}");
+    }
+    // A box at a side of the domain extends into it.
+    let standing = ShapeEntry { lower: Some(vec![0.2, 0.0]), ..boxed.clone() };
+    let inside =
+        |periodic| with_walls(std::slice::from_ref(&standing), periodic, 2, |walls| walls.distance([0.4, 0.05, 0.0]));
+    assert!((inside([true, false, true]) + 0.2).abs() < 1e-12 && (inside([true; 3]) + 0.05).abs() < 1e-12);
+    // Through a periodic side; beside a closed side; fluid cut out of a wall.
+    let near = [0.05, 0.5, 0.0];
+    let at_edge = ShapeEntry { centre: Some(vec![0.95, 0.5]), ..disc(0.02, Fill::Wall) };
+    assert!((with_walls(&[at_edge], all, 2, |walls| walls.distance(near)) - 0.08).abs() < 1e-12);
+    assert!((with_walls(&[], [false, true, true], 2, |walls| walls.distance(near)) - 0.05).abs() < 1e-12);
+    let ring = [disc(0.4, Fill::Wall), disc(0.3, Fill::Fluid)];
+    for (x, expected) in [(0.5, 0.3), (0.75, 0.05), (0.85, -0.05), (0.95, 0.05)] {
+        let found = with_walls(&ring, all, 2, |walls| walls.distance([x, 0.5, 0.0]));
+        assert!((found - expected).abs() < 1e-12, "{x}: {found}");
+    }
+}
+
+#[test]
+fn points_lie_on_the_surface_about_a_spacing_apart() {
+    let cells = |count: usize| (0..count * count).map(move |k| [k % count, k / count]);
+    with_walls(&[disc(0.2, Fill::Wall)], [true; 3], 2, |walls| {
+        let place = |[i, j]: [usize; 2]| [(i as f64 + 0.5) * 0.02, (j as f64 + 0.5) * 0.02, 0.0];
+        let beside = cells(50).map(place).filter(|&p| walls.distance(p).abs() < 0.02);
+        let feet = walls.points(beside);
+        for foot in &feet {
+            let away = [foot.place[0] - 0.5, foot.place[1] - 0.5];
+            assert!((away[0].hypot(away[1]) - 0.2).abs() < 1e-9);
+            let normal = [away[0] / 0.2, away[1] / 0.2];
+            assert!((0..2).all(|d| (normal[d] - foot.normal[d]).abs() < 1e-6), "{foot:?}");
+        }
+        // Gaps are at most a spacing and a half, and at least the given distance.
+        let mut angles: Vec<f64> = feet.iter().map(|foot| (foot.place[1] - 0.5).atan2(foot.place[0] - 0.5)).collect();
+        angles.sort_by(f64::total_cmp);
+        angles.push(angles[0] + std::f64::consts::TAU);
+        let gaps = angles.windows(2).map(|pair| 2.0 * 0.2 * (0.5 * (pair[1] - pair[0])).sin());
+        assert!(gaps.clone().all(|gap| (0.45 * 0.02..1.5 * 0.02).contains(&gap)), "{:?}", gaps.collect::<Vec<_>>());
+        let nearest = walls.finder(&feet);
+        let found = nearest([0.7, 0.5, 0.0]).unwrap();
+        assert!((feet[found].place[0] - 0.7).abs() < 0.02 && nearest([0.9, 0.9, 0.0]).is_none());
+        assert_eq!(walls.away_from_walls([0.9, 0.5, 0.0]), [0.9, 0.5, 0.0]);
+        assert!((walls.away_from_walls([0.702, 0.5, 0.0])[0] - 0.707).abs() < 1e-12);
+    });
+}
+
+/// The findings of a custom scene with this text.
+fn findings(text: &str) -> Findings {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), format!("scene = \"custom\"\n{text}")).unwrap();
+    let loaded = Config::load(file.path().to_str(), None, &[]).unwrap_or_else(|error| panic!("{error}"));
+    Findings::of(&loaded.config, &Scene::<f64>::from_config(&loaded.config).unwrap()).unwrap()
+}
+
+fn warns(findings: &Findings, part: &str) -> bool {
+    findings.warnings.iter().any(|warning| warning.contains(part))
+}
+
+#[test]
+fn a_plane_channel_is_plausible_and_as_fast_as_poiseuille() {
+    let plane = findings("");
+    // g H^2 / (8 nu) = 0.64 * 0.25 / 0.16.
+    assert!((plane.speed - 1.0).abs() < 1e-9, "{}", plane.speed);
+    assert_eq!((plane.narrowest, plane.thinnest), (Some(20), None));
+    assert_eq!(plane.particles, [("fluid", 800), ("wall at rest", 240), ("point on a wall's surface", 80)]);
+    assert_eq!(plane.warnings, [] as [&str; 0]);
+    let dts: Vec<f64> = plane.criteria.iter().map(|criterion| criterion.dt).collect();
+    let expected = [0.025 / 11.0, 0.25 * 0.025 * 0.025 / 0.02, 0.25 * (0.025_f64 / 0.64).sqrt()];
+    assert!(dts.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-12), "{dts:?}");
+    assert_eq!(plane.rules(), "sound");
+}
+
+#[test]
+fn each_criterion_can_rule() {
+    assert_eq!(findings("[fluid]\nviscosity = 0.2\n").rules(), "viscosity");
+    assert_eq!(findings("[fluid]\nconductivity = 0.2\n").rules(), "sound", "without heat");
+    assert_eq!(findings("[initial]\ntemperature = 1\n[fluid]\nconductivity = 0.2\n").rules(), "heat");
+    assert_eq!(findings("[region]\nacceleration = [2000, 0]\n").rules(), "body force");
+}
+
+#[test]
+fn implausible_numbers_are_found() {
+    assert!(warns(&findings("[region]\nacceleration = [6.4, 0]\n"), "as fast as 10.000, a Mach number of 1.00"));
+    assert!(warns(&findings("[region]\nacceleration = [0.03, 0]\n"), "is 21 times the fastest flow"));
+    let fast = findings("[initial]\nvelocity = [3, 0]\n");
+    assert!(warns(&fast, "as fast as 3.000") && fast.speed == 3.0);
+    assert!(warns(&findings("[fluid]\nviscosity = 0.001\n"), "cell Reynolds number"));
+    let heat = "[initial]\ntemperature = 1\n[fluid]\nconductivity = 1e-5\n";
+    assert!(warns(&findings(heat), "cell Peclet number"));
+    assert!(!warns(&findings("[fluid]\nconductivity = 1e-5\n"), "Peclet"), "without heat");
+    assert!(warns(&findings("[region]\nacceleration = [0.64, -10]\n"), "compresses the fluid by 5 %"));
+    assert!(warns(&findings("[time]\nend = 0.5\n"), "before the flow has crossed"));
+    assert!(warns(&findings("[method]\nname = \"standard\"\nbackground_pressure_factor = 0\n"), "background pressure"));
+}
+
+#[test]
+fn passages_and_walls_are_measured() {
+    // A plate of two particles, with four particles of fluid above it.
+    let plate = findings("[[shapes]]\nkind = \"box\"\nlower = [0.2, 0.35]\nupper = [0.8, 0.4]\n");
+    assert_eq!((plate.narrowest, plate.thinnest), (Some(4), Some(2)));
+    assert!(warns(&plate, "4 particles wide") && warns(&plate, "2.0 particles thick"));
+    // The thickness of a disc is its diameter, not that of its caps.
+    let disc = findings("[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n");
+    assert_eq!((disc.narrowest, disc.thinnest), (Some(6), Some(8)));
+    assert!(disc.warnings.is_empty(), "{:?}", disc.warnings);
+    assert!(disc.speed < 1.0 && disc.speed > 0.3, "narrow gaps hold the flow: {}", disc.speed);
+    let line = "[[shapes]]\nkind = \"polyline\"\npoints = [[0.2, 0.1], [0.8, 0.4]]\nthickness = 0.05\n";
+    assert!(warns(&findings(line), "2.0 particles thick"));
+    // A wall across the channel stops the flow; fluid without walls is accelerated during the whole run.
+    let closed = findings("[[shapes]]\nkind = \"box\"\nlower = [0.4, -1.0]\nupper = [0.5, 1.0]\n");
+    assert_eq!(closed.speed, 0.0);
+    let open = findings("[region]\nperiodic = [true, true]\n[time]\nend = 2\n");
+    assert!((open.speed - 1.28).abs() < 1e-9, "{}", open.speed);
 }

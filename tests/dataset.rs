@@ -4,8 +4,10 @@ use crate::support::program::{printed, refused};
 use assert_cmd::Command;
 use hydrograd::config::scene::Config;
 use hydrograd::dataset::store::{read_provenance, Store};
+use hydrograd::dataset::walls::{wall, Section, Walls};
 use hydrograd::dataset::{kind, read_split, Metadata, Split, Trajectory};
-use hydrograd::design::shape::Shape;
+use hydrograd::design::shape::{default_nodes, Shape};
+use hydrograd::numerics::random::numbered;
 use std::path::Path;
 
 /// Small: 200 particles, 3 frames of 4 coarse steps.
@@ -387,4 +389,33 @@ fn bad_input_is_explained_and_nothing_is_written() {
     std::fs::write(foreign.join("train.h5"), "theirs").unwrap();
     refuses(folder.path(), &small(&["--out", "foreign"]), &[], &["did not make", "another --out"]);
     assert_eq!(std::fs::read(foreign.join("train.h5")).unwrap(), b"theirs");
+}
+
+#[test]
+fn every_wall_is_within_the_limits() {
+    for (bound, dx) in [(0.02, 0.02), (0.06, 0.02), (0.0, 0.02), (0.1, 0.01)] {
+        let nodes = default_nodes(0.25, 0.75, dx);
+        let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound };
+        for walls in [Walls::Mix, Walls::Report, Walls::Columns, Walls::Smooth] {
+            for index in 0..60 {
+                let mut rng = numbered(3, "wall", index);
+                let (name, offsets) = wall(walls, Split::Valid, index as usize, &mut rng, section).unwrap();
+                let shape = Shape::new(nodes.clone(), offsets, 0.25, 0.75).unwrap();
+                shape.check_bound(bound).unwrap_or_else(|bad| panic!("{name}: {bad}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn the_report_s_functions_are_ten() {
+    let nodes = default_nodes(0.25, 0.75, 0.02);
+    let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound: 0.02 };
+    let all: Vec<Vec<f64>> = (0..10)
+        .map(|i| wall(Walls::Report, Split::Train, i, &mut numbered(0, "wall", 0), section).unwrap().1)
+        .collect();
+    for (i, one) in all.iter().enumerate() {
+        assert!(all[..i].iter().all(|other| other != one), "function {i} comes twice");
+    }
+    assert!(all[0].iter().all(|o| *o == 0.0) && all[1].iter().all(|o| *o == 0.02));
 }

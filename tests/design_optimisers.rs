@@ -1,8 +1,11 @@
 //! Optimisers on functions whose minima are known; resuming between any two evaluations.
 
+use hydrograd::design::cma_es;
 use hydrograd::design::limits::Limits;
-use hydrograd::design::optimisers::{Adam, LBfgsB, Optimiser, Record};
-use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::design::optimisers::{Adam, BarzilaiBorwein, LBfgsB, Optimiser, Record, TrustRegion};
+use hydrograd::design::problem::Evaluation;
+use hydrograd::error::Error;
+use hydrograd::io::tensor_file::{Data, TensorFile};
 use hydrograd::numerics::random::{stream, uniform};
 
 type Function<'a> = &'a dyn Fn(&[f64]) -> (f64, Vec<f64>);
@@ -289,4 +292,230 @@ fn broken_records_are_refused() {
     let mut other = LBfgsB::new(0.1, &[0.0; 3]);
     assert!(other.restore(&whole).is_err());
     assert!(Adam::new(0.1, &[0.0, 0.0]).restore(&whole).unwrap_err().to_string().contains("adam.first_moment"));
+}
+
+#[test]
+fn cma_es_finds_a_minimum_within_limits_and_again() {
+    // (x - 3)^2 + (y + 1)^2 over x <= 2: the minimum is at (2, -1).
+    let limits = Limits::within(vec![-5.0, -5.0], vec![2.0, 5.0]);
+    let mut loss = |x: &[f64]| Ok((x[0] - 3.0).powi(2) + (x[1] + 1.0).powi(2));
+    let mut run = || cma_es::search(&[0.0, 0.0], 0.5, 300, 7, &limits, &mut loss).unwrap();
+    let seen = run();
+    assert!(seen.iter().all(|one| limits.contains(&one.variables)));
+    let best = seen.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)).unwrap();
+    assert!((best.variables[0] - 2.0).abs() < 1e-3 && (best.variables[1] + 1.0).abs() < 1e-2, "{best:?}");
+    assert_eq!(run(), seen, "the same seed, the same search");
+}
+
+#[test]
+fn cma_es_follows_a_bent_valley() {
+    // Rosenbrock's function in six dimensions: its minimum of 0 is at 1, 1, ...
+    let limits = Limits::within(vec![-5.0; 6], vec![5.0; 6]);
+    let mut loss =
+        |x: &[f64]| Ok(x.windows(2).map(|x| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2)).sum::<f64>());
+    let seen = cma_es::search(&[0.0; 6], 0.5, 6000, 3, &limits, &mut loss).unwrap();
+    let best = seen.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)).unwrap();
+    assert!(best.loss < 1e-10, "{best:?}");
+}
+
+#[test]
+fn the_axes_of_cma_es_are_those_of_the_matrix() {
+    let matrix = vec![vec![4.0, 1.0, -2.0], vec![1.0, 3.0, 0.5], vec![-2.0, 0.5, 2.0]];
+    let (values, vectors) = cma_es::axes(matrix.clone());
+    for (value, vector) in values.iter().zip(&vectors) {
+        for (row, x) in matrix.iter().zip(vector) {
+            let product: f64 = row.iter().zip(vector).map(|(a, b)| a * b).sum();
+            assert!((product - value * x).abs() < 1e-13, "{value} {vector:?}");
+        }
+    }
+}
+
+#[test]
+fn an_error_ends_cma_es() {
+    let limits = Limits::within(vec![-1.0], vec![1.0]);
+    let mut calls = 0;
+    let mut loss = |x: &[f64]| {
+        calls += 1;
+        match calls {
+            4 => Err(Error::run("no", "nothing")),
+            _ => Ok(x[0]),
+        }
+    };
+    assert!(cma_es::search(&[0.5], 0.1, 50, 1, &limits, &mut loss).is_err());
+    assert_eq!(calls, 4);
+}
+
+#[test]
+fn projection_limits_slopes() {
+    let limits = Limits::symmetric(0.04, &[0.0, 0.01, 0.02, 0.03], 2.0);
+    let mut x = [0.05, -0.05, 0.05, 0.0];
+    limits.project(&mut x);
+    for k in 1..4 {
+        assert!((x[k] - x[k - 1]).abs() <= 0.02, "{x:?}");
+    }
+    assert_eq!(x[2], 0.04);
+    assert!(limits.contains(&x) && !limits.contains(&[0.0, 0.03, 0.0, 0.0]));
+}
+
+/// The nearest point p of a convex set is the one with (x - p).(z - p) <= 0 for every z of the set.
+#[test]
+fn the_nearest_point_is_nearest() {
+    let mut random = stream(3, "limits");
+    let mut number = |width: f64| width * (2.0 * uniform(&mut random) - 1.0);
+    let positions: Vec<f64> = (0..9).map(|k| 0.1 * k as f64).collect();
+    let limits = Limits::symmetric(0.5, &positions, 2.0);
+    for _ in 0..40 {
+        let x: Vec<f64> = (0..9).map(|_| number(1.0)).collect();
+        let mut nearest = x.clone();
+        limits.nearest(&mut nearest);
+        assert!(limits.contains(&nearest));
+        limits.check("x", &nearest).unwrap();
+        for _ in 0..200 {
+            let mut other: Vec<f64> = (0..9).map(|_| number(1.0)).collect();
+            limits.project(&mut other);
+            let product: f64 = (0..9).map(|k| (x[k] - nearest[k]) * (other[k] - nearest[k])).sum();
+            assert!(product < 1e-10, "{product:e}");
+        }
+        let mut again = nearest.clone();
+        limits.nearest(&mut again);
+        assert_eq!(again, nearest);
+    }
+}
+
+#[test]
+fn what_is_out_of_the_limits_is_named() {
+    let limits = Limits::symmetric(0.02, &[0.0, 0.005, 0.01], 2.0);
+    for (values, expected) in [
+        ([0.0, f64::NAN, 0.0], "offsets[1] = NaN is not a number"),
+        ([0.0, 0.0, 0.03], "offsets[2] = 0.03 is out of bounds"),
+        ([0.0, 0.0, 0.012], "too steep between [1] and [2]"),
+    ] {
+        let error = limits.check("offsets", &values).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    limits.check("offsets", &[0.0, 0.01, 0.02]).unwrap();
+}
+
+#[test]
+fn the_first_steps_of_adam_by_hand() {
+    // The first step is lr * sign(g); the second, with g = (1, -1) then (1, 3), follows from the formulas.
+    let mut adam = Adam::new(0.1, &[0.0, 0.0]);
+    let limits = free(2);
+    adam.tell(&limits, 0.0, &[1.0, -1.0]);
+    assert!((adam.ask()[0] + 0.1).abs() < 1e-9 && (adam.ask()[1] - 0.1).abs() < 1e-9);
+    adam.tell(&limits, 0.0, &[1.0, 3.0]);
+    let (m, v) = ((0.9 * -0.1 + 0.1 * 3.0) / 0.19, (0.999 * 0.001 + 0.001 * 9.0) / (1.0 - 0.999f64.powi(2)));
+    assert!((adam.ask()[0] + 0.2).abs() < 1e-9);
+    assert!((adam.ask()[1] - (0.1 - 0.1 * m / v.sqrt())).abs() < 1e-9);
+}
+
+#[test]
+fn adam_finds_the_minimum_of_a_quadratic_within_bounds() {
+    let target = [0.3, -5.0, 0.02];
+    let limits = Limits::symmetric(1.0, &[0.0, 100.0, 200.0], 2.0);
+    let mut adam = Adam::new(0.02, &[0.0; 3]);
+    for _ in 0..400 {
+        let gradient: Vec<f64> = adam.ask().iter().zip(target).map(|(x, t)| 2.0 * (x - t)).collect();
+        adam.tell(&limits, 0.0, &gradient);
+    }
+    let x = adam.ask();
+    assert!((x[0] - 0.3).abs() < 1e-2 && x[1] == -1.0 && (x[2] - 0.02).abs() < 1e-2, "{x:?}");
+}
+
+#[test]
+fn adam_steps_back_from_where_there_is_no_value() {
+    let limits = Limits::symmetric(10.0, &[0.0, 100.0], 2.0);
+    let mut adam = Adam::new(0.1, &[1.0, 2.0]);
+    adam.tell(&limits, 3.0, &[1.0, -1.0]);
+    let away = adam.ask().to_vec();
+    adam.tell(&limits, f64::INFINITY, &[0.0, 0.0]);
+    assert!((adam.ask()[0] - 0.5 * (1.0 + away[0])).abs() < 1e-15);
+    let mut record = Record::default();
+    adam.save(&mut record);
+    assert_eq!(record.tensors["adam.first_moment"], (vec![2], Data::F64(vec![0.0, 0.0])));
+    for _ in 0..60 {
+        adam.tell(&limits, f64::NAN, &[0.0, 0.0]);
+    }
+    assert!((adam.ask()[0] - 1.0).abs() < 1e-12 && (adam.ask()[1] - 2.0).abs() < 1e-12, "{adam:?}");
+    adam.tell(&limits, 3.0, &[1.0, 1.0]);
+    assert!(adam.ask()[0] < 1.0 && adam.ask()[1] < 2.0, "goes on from there");
+}
+
+#[test]
+fn barzilai_borwein_finds_the_minimum_of_a_quadratic_of_many_variables() {
+    let n = 200;
+    let limits = free(n);
+    let curvature = |k: usize| 1.0 + 30.0 * k as f64 / n as f64;
+    let mut optimiser = BarzilaiBorwein::new(0.1, &vec![0.0; n]);
+    for _ in 0..60 {
+        let x = optimiser.ask().to_vec();
+        let value = (0..n).map(|k| 0.5 * curvature(k) * (x[k] - 1.0).powi(2)).sum();
+        let gradient: Vec<f64> = (0..n).map(|k| curvature(k) * (x[k] - 1.0)).collect();
+        optimiser.tell(&limits, value, &gradient);
+    }
+    assert!(optimiser.ask().iter().all(|x| (x - 1.0).abs() < 1e-4), "{:?}", &optimiser.ask()[..3]);
+}
+
+#[test]
+fn a_step_of_barzilai_borwein_that_is_too_long_is_taken_again() {
+    let limits = Limits::within(vec![-9.0], vec![9.0]);
+    let mut optimiser = BarzilaiBorwein::new(1.0, &[2.0]);
+    optimiser.tell(&limits, 4.0, &[1.0]);
+    assert_eq!(optimiser.ask(), [1.0]);
+    optimiser.tell(&limits, f64::NAN, &[1.0]);
+    assert_eq!(optimiser.ask(), [1.75]);
+    optimiser.tell(&limits, 5.0, &[1.0]);
+    assert_eq!(optimiser.ask(), [1.9375]);
+}
+
+/// f(x) = sum (x - a)^2 + 0.3 sin(3 x), and a model that has half the curvature and another minimum.
+fn waves(x: &[f64]) -> Evaluation {
+    let term = |x: f64, a: f64| (x - a).powi(2) + 0.3 * (3.0 * x).sin();
+    let slope = |x: f64, a: f64| 2.0 * (x - a) + 0.9 * (3.0 * x).cos();
+    let loss = term(x[0], 0.4) + term(x[1], -0.2);
+    Evaluation { figure: -loss, loss, gradient: vec![slope(x[0], 0.4), slope(x[1], -0.2)], ..Default::default() }
+}
+
+fn bowl(x: &[f64]) -> Evaluation {
+    let loss = 0.5 * ((x[0] - 1.0).powi(2) + (x[1] - 0.5).powi(2));
+    Evaluation { figure: -loss, loss, gradient: vec![x[0] - 1.0, x[1] - 0.5], ..Default::default() }
+}
+
+#[test]
+fn a_trust_region_finds_the_minimum_with_a_wrong_model() {
+    let limits = Limits::within(vec![-1.0, -1.0], vec![1.0, 1.0]);
+    let mut region = TrustRegion::new(0.3, 20, &[0.9, 0.9]);
+    let mut evaluations = 0;
+    for _ in 0..60 {
+        region.propose(&limits, |x| Ok(bowl(x))).unwrap();
+        if region.is_done() {
+            break;
+        }
+        let found = waves(region.ask());
+        evaluations += 1;
+        region.tell(&limits, found.loss, &found.gradient);
+    }
+    let found = waves(region.ask());
+    let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    assert!(norm < 2e-3, "{evaluations} evaluations: {region:?}");
+}
+
+#[test]
+fn a_trust_region_shrinks_where_prediction_and_truth_part() {
+    let limits = Limits::within(vec![-1.0, -1.0], vec![1.0, 1.0]);
+    let mut region = TrustRegion::new(0.3, 20, &[0.9, 0.9]);
+    region.tell(&limits, 1.0, &[1.0, 0.0]);
+    region.propose(&limits, |x| Ok(bowl(x))).unwrap();
+    let asked = region.ask().to_vec();
+    assert!(asked[0] < 0.9 && region.expectation().unwrap() < 1.0);
+    let step = (0.9 - asked[0]).abs().max((0.9 - asked[1]).abs());
+    region.tell(&limits, 2.0, &[1.0, 0.0]);
+    assert!(region.ask() == [0.9, 0.9] && (region.radius() - 0.5 * step).abs() < 1e-12);
+    // A point without a value is rejected.
+    region.propose(&limits, |x| Ok(bowl(x))).unwrap();
+    region.tell(&limits, f64::INFINITY, &[0.0, 0.0]);
+    assert!(region.radius() < 0.5 * step);
+    let mut record = Record::default();
+    region.save(&mut record);
+    assert_eq!(record.tensors["trust_region.numbers"], (vec![2], Data::F64(vec![1.0, region.radius()])));
 }

@@ -2,8 +2,10 @@
 
 use candle_core::{Device, Tensor, Var};
 use hydrograd::config::scene::KernelName;
-use hydrograd::numerics::lanes::Real;
+use hydrograd::numerics::lanes::{Lanes, Real};
+use hydrograd::sph::fixed::grid::{Fields, Grid};
 use hydrograd::sph::fixed::steady::SteadyOptions;
+use hydrograd::sph::fixed::stencil::{derivative, stencil, Weight};
 use hydrograd::sph::fixed::{row, Channel, Fixed};
 use hydrograd::sph::kernels::Kernel;
 use hydrograd::sph::laws::drive::Drive;
@@ -515,5 +517,49 @@ fn the_heated_channel_against_finite_elements() {
             );
         }
         assert!(worst(&errors) < 1.2);
+    }
+}
+
+#[test]
+fn a_row_of_the_grid_and_its_copies() {
+    let grid = Grid::new(11, 4);
+    let mut numbers = vec![0.0f64; 2 * grid.field()];
+    let fields = Fields::new(grid, 2, &mut numbers);
+    for column in (0..11).step_by(4) {
+        // SAFETY: one thread, field 1 exists.
+        unsafe { fields.put(1, -2, column, <f64 as Real>::Portable::ramp() + Lanes::splat(column as f64)) };
+    }
+    let row: Vec<f64> = (-2..13).map(|c| numbers[grid.field() + grid.place(-2, c)]).collect();
+    let mut expected: Vec<f64> = (-2..13).map(|c: isize| c.rem_euclid(11) as f64).collect();
+    assert_eq!(row, expected);
+    let mut line = vec![0.0; grid.stride];
+    (0..11).for_each(|c| line[grid.column(c)] = c as f64);
+    grid.wrap(&mut line);
+    assert_eq!((-2..13).map(|c| line[grid.column(c)]).collect::<Vec<_>>(), expected);
+    expected.clear();
+    assert!(grid.reach_of(-2).eq(0..1) && grid.reach_of(0).eq(-2..3) && grid.reach_of(4).eq(2..4));
+}
+
+#[test]
+fn derivatives_of_quadratics_are_exact() {
+    for shape in [KernelName::QuinticSpline, KernelName::WendlandC2] {
+        let dx = 0.02;
+        let s = stencil::<f64>(&Kernel::new(shape, 2, 1.2 * dx), dx);
+        let sum = |field: &dyn Fn(f64, f64) -> f64, weight: &dyn Fn(&Weight<f64>) -> f64| -> f64 {
+            (0..25)
+                .map(|k| (k % 5, k / 5))
+                .map(|(i, j)| weight(&s[j][i]) * field((i as f64 - 2.0) * dx, (j as f64 - 2.0) * dx))
+                .sum()
+        };
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+        let f = |x: f64, y: f64| 1.0 + 2.0 * x - 3.0 * y + 4.0 * x * x + 5.0 * x * y - 6.0 * y * y;
+        close(sum(&f, &|w| w.gx), 2.0);
+        close(sum(&f, &|w| w.gy), -3.0);
+        let still = |x: f64, y: f64| f(x, y) - 1.0;
+        close(sum(&still, &|w| 2.0 * w.lxx), 8.0);
+        close(sum(&still, &|w| 2.0 * w.lyy), -12.0);
+        close(sum(&still, &|w| w.lxy), 5.0);
+        let line = derivative(&s);
+        close((0..5).map(|i| line[i] * (i as f64 - 2.0) * dx).sum(), 1.0);
     }
 }

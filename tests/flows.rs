@@ -1,6 +1,8 @@
 //! Verification flows against their exact solutions.
 
-use hydrograd::config::scene::Config;
+use hydrograd::config::scene::{Config, UpperWall};
+use hydrograd::scene::composite_slab::Series;
+use hydrograd::scene::developed::{parabola, Developed};
 use hydrograd::scene::figures::FlowFigures;
 use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
 use hydrograd::scene::poiseuille::Poiseuille;
@@ -10,6 +12,7 @@ use hydrograd::scene::Scene;
 use hydrograd::sph::rows::Quantity;
 use hydrograd::sph::solver::Solver;
 use hydrograd::sph::Sweeps;
+use std::f64::consts::PI;
 
 /// Figures after every step up to `end`, the start first.
 fn run<R: Sweeps>(flow: &Scene<R>, end: f64) -> Vec<FlowFigures> {
@@ -336,4 +339,98 @@ fn opposite_streams_in_three_dimensions_follow_the_exact_solution() {
     println!("{:?}", found);
     assert!(found.velocity_error.unwrap() < 0.01, "{found:?}");
     assert!((found.kinetic_energy / found.exact_kinetic_energy.unwrap() - 1.0).abs() < 0.02, "{found:?}");
+}
+
+#[test]
+fn one_material_has_the_series_of_a_plate() {
+    // T = 1 - y - sum 2/(n pi) sin(n pi y) exp(-n^2 pi^2 t) (Carslaw and Jaeger 1959, section 3.4).
+    let series = Series::new(1.0, 1.0);
+    for [y, t] in [[0.1, 0.003], [0.3, 0.01], [0.5, 0.05], [0.77, 0.1], [0.9, 1.0]] {
+        let term = |n: f64| 2.0 / (n * PI) * (n * PI * y).sin() * (-n * n * PI * PI * t).exp();
+        let plate = 1.0 - y - (1..300).map(|n| term(n as f64)).sum::<f64>();
+        assert!((series.temperature(y, t) - plate).abs() < 1e-12, "{y}, {t}");
+    }
+    assert!(series.temperature(0.3, 0.0005).abs() < 1e-12, "the heat has not come yet");
+    let flux = series.wall_flux(0.001);
+    assert!((flux[0] - 1.0 / (PI * 0.001).sqrt()).abs() < 1e-6 && flux[1].abs() < 1e-9, "{flux:?}");
+}
+
+#[test]
+fn two_materials_obey_the_equation_and_the_interface() {
+    for (k, c) in [(1000.0, 1000.0), (10.0, 1.0), (0.01, 0.5), (3.0, 7.0)] {
+        let series = Series::new(k, c);
+        let (h, alpha) = (1e-4, [1.0, k / c]);
+        let t = 0.07 / alpha[1].max(1.0);
+        for y in [0.05, 0.2, 0.41, 0.6, 0.8, 0.95] {
+            let at = |y: f64, t: f64| series.temperature(y, t);
+            let by_t = (at(y, t * 1.001) - at(y, t * 0.999)) / (0.002 * t);
+            let spread = (at(y + h, t) - 2.0 * at(y, t) + at(y - h, t)) / (h * h);
+            let residual = by_t - alpha[(y > 0.5) as usize] * spread;
+            assert!(residual.abs() < 1e-3 * by_t.abs().max(1.0), "{k}, {c}: {residual} of {by_t} at {y}");
+        }
+        let near = |y: f64| series.temperature(y, t);
+        assert!((near(0.5 - 1e-9) - near(0.5)).abs() < 1e-6);
+        let slope = |y: f64| (near(y + 2.0 * h) - near(y)) / (2.0 * h);
+        let (below, above) = (-slope(0.5 - 3.0 * h), -k * slope(0.5 + h));
+        assert!((below - above).abs() < 0.02 * below.abs().max(0.05), "{k}, {c}: {below}, {above}");
+        assert!((near(0.0) - 1.0).abs() < 1e-9 && near(1.0).abs() < 1e-9);
+        // The steady flux is that of two resistances in series.
+        let [lower, upper] = series.wall_flux(1e4);
+        assert!((lower - 1.0 / (0.5 + 0.5 / k)).abs() < 1e-9 && (lower - upper).abs() < 1e-9);
+        // The heat that has passed through the walls equals the heat in the slab.
+        let held: f64 = (0..4000)
+            .map(|j| (j as f64 + 0.5) / 4000.0)
+            .map(|y| (if y < 0.5 { 1.0 } else { c }) * near(y) / 4000.0)
+            .sum();
+        let steps = 20_000;
+        let come: f64 = (0..steps)
+            .map(|j| {
+                // Even in sqrt(t), because the flux begins as 1/sqrt(t).
+                let (a, b) = (j as f64 / steps as f64, (j + 1) as f64 / steps as f64);
+                let [lower, upper] = series.wall_flux(t * (0.5 * (a + b)).powi(2));
+                (lower - upper) * t * (b * b - a * a)
+            })
+            .sum();
+        // (The series of the flux is truncated at the start.)
+        assert!((come / held - 1.0).abs() < 0.02, "{k}, {c}: {come} of {held}");
+    }
+}
+
+#[test]
+fn nusselt_numbers_are_those_of_the_literature() {
+    let of = |diffusivity, upper_wall| Developed::new(diffusivity, upper_wall, [0.0, 10.0]);
+    // Peclet number 4/3 / diffusivity.
+    let both = of(1e-4, UpperWall::Isothermal).nusselt;
+    assert!((both - 7.5407).abs() < 1e-4, "{both}");
+    let one = of(1e-4, UpperWall::Adiabatic).nusselt;
+    assert!((one - 4.8608).abs() < 1e-4, "{one}");
+    // With conduction only it is 8.1174 (Shah and London 1978, eq. 308).
+    let slow = of(1e4, UpperWall::Isothermal).nusselt;
+    assert!((slow - 8.1174).abs() < 1e-3, "{slow}");
+}
+
+#[test]
+fn the_balance_of_an_exact_profile_is_its_nusselt_number() {
+    const DIFFUSIVITY: f64 = 1.0 / 60.0;
+    for upper_wall in [UpperWall::Isothermal, UpperWall::Adiabatic] {
+        let developed = Developed::new(DIFFUSIVITY, upper_wall, [1.0, 20.0]);
+        let b = developed.decay(0);
+        // The exact profile at the positions of particles.
+        let profile = |y: f64| {
+            let (steps, mut f, mut slope) = (4000, 0.0, 1.0);
+            let h = y / steps as f64;
+            for k in 0..steps {
+                let middle = (k as f64 + 0.5) * h;
+                let half = f + 0.5 * h * slope;
+                slope -= h * (b * b + b * parabola(middle) / DIFFUSIVITY) * half;
+                f = half + 0.5 * h * slope;
+            }
+            f
+        };
+        let rows: Vec<(f64, f64)> = (0..100).map(|k| (k as f64 + 0.5) / 100.0).map(|y| (y, profile(y))).collect();
+        let all = (0..2000).flat_map(|c| rows.iter().map(move |&(y, f)| (0.01 * (c as f64 + 0.5), y, f)));
+        let particles = all.map(|(x, y, f)| [x, 1e-4 * parabola(y), 1e-4, f * (-b * x).exp()]);
+        let (found, exact) = (developed.measured(particles).unwrap(), developed.nusselt);
+        assert!((found / exact - 1.0).abs() < 3e-4, "{found} {exact}");
+    }
 }

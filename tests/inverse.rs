@@ -4,8 +4,12 @@ use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::Config;
 use hydrograd::dataset::{read_split, Metadata, Split};
+use hydrograd::design::limits::Limits;
+use hydrograd::design::optimisers::BarzilaiBorwein;
+use hydrograd::error::Error;
 use hydrograd::inverse::calibration::{Calibration, Parameter};
 use hydrograd::inverse::initial_state::{InitialState, Unknown};
+use hydrograd::inverse::search::{search, Epoch, Found};
 use std::path::Path;
 
 /// A scene with some settings, a part of whose start is unknown; with a guess of it, unless it is at rest.
@@ -212,4 +216,37 @@ fn viscosity_and_conductivity_are_found_again() {
         let difference = (at(1e-5) - at(-1e-5)) / 2e-5;
         assert!((difference / gradient[k] - 1.0).abs() < 1e-6, "{k}: {} {difference}", gradient[k]);
     }
+}
+
+/// (x - 3)^2, which diverges beyond `edge`.
+fn parabola(edge: f64) -> impl FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> {
+    move |_, x| match x[0] <= edge {
+        true => Ok(((x[0] - 3.0).powi(2), vec![2.0 * (x[0] - 3.0)])),
+        false => Err(Error::diverged("beyond the edge", "less")),
+    }
+}
+
+fn searched(first: f64, edge: f64, epochs: usize) -> (Result<Found, Error>, Vec<f64>) {
+    let limits = Limits::within(vec![f64::NEG_INFINITY], vec![f64::INFINITY]);
+    let mut losses = vec![];
+    let mut optimiser = BarzilaiBorwein::new(8.0, &[first]);
+    let mut see = |epoch: Epoch<'_>| losses.push(epoch.loss);
+    let found = search(&mut optimiser, &limits, epochs, &mut parabola(edge), &mut see);
+    (found, losses)
+}
+
+#[test]
+fn a_run_that_diverges_is_a_step_too_far() {
+    let (best, losses) = searched(0.0, 5.0, 30);
+    let best = best.unwrap();
+    // The first step is by 8, then 2, and to the minimum.
+    assert_eq!(losses[..3], [9.0, f64::INFINITY, 1.0]);
+    assert_eq!((best.at, best.loss), (vec![3.0], 0.0));
+    assert!(best.epochs == losses.len() && best.epochs < 30, "{losses:?}");
+}
+
+#[test]
+fn the_best_of_the_epochs_is_kept_and_a_first_run_must_not_diverge() {
+    assert_eq!(searched(0.0, 5.0, 2).0.unwrap(), Found { at: vec![0.0], loss: 9.0, epochs: 2 });
+    assert!(matches!(searched(6.0, 5.0, 2).0, Err(Error::Diverged { .. })));
 }

@@ -5,10 +5,12 @@ use hydrograd::io::atomic::{prepare_output_folder, write_atomically, write_bytes
 use hydrograd::io::csv::{read_columns, write_columns, write_table, Cell};
 use hydrograd::io::state_file::{read_state, write_state, State};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
+use hydrograd::io::tensorboard::EventFile;
 use hydrograd::io::vtk::{read_list, read_vtp, write_vtp, ParticleFrame, Precision, VtkSeries};
-use hydrograd::io::FileError;
+use hydrograd::io::{hdf5_file, FileError};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
+use std::fs;
 use std::io::Write;
 use std::path::Path;
 
@@ -508,4 +510,70 @@ fn samples_for_python() -> TestResult {
     let (tensors, metadata) = tensors();
     write_tensors(&folder.join("checkpoint.safetensors"), &tensors, &metadata)?;
     Ok(())
+}
+
+#[test]
+fn a_changed_byte_of_hdf5_is_found_wherever_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.h5");
+    hdf5_file::write_file(&path, |file| hdf5_file::write_dataset(&path, file, "numbers", &[50], &[1.5f64; 50]))
+        .unwrap();
+    let numbers = |path: &Path| -> Vec<f64> {
+        hdf5_file::open(path, "file").unwrap().dataset("numbers").unwrap().read_raw().unwrap()
+    };
+    assert_eq!(numbers(&path), [1.5; 50]);
+    let whole = fs::read(&path).unwrap();
+    let is_refused = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        matches!(hdf5_file::open(&path, "file"), Err(FileError::Damaged { what, .. }) if what.contains("checksum"))
+    };
+    // The text of the user block is followed by zeros, and the block by what HDF5 wrote.
+    let mark = whole.iter().position(|&byte| byte == b'\n').unwrap() + 1;
+    let end = whole.iter().position(|&byte| byte == 0).unwrap();
+    for place in (mark..end).chain(512..whole.len()) {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 4;
+        assert!(is_refused(&bytes), "byte {place} of {}", whole.len());
+    }
+    for length in [511, 512, whole.len() - 1] {
+        assert!(is_refused(&whole[..length]), "cut to {length}");
+    }
+    // What does not begin so is HDF5 as any other.
+    let mut other = whole.clone();
+    other[0] = 0;
+    fs::write(&path, other).unwrap();
+    assert_eq!(numbers(&path), [1.5; 50]);
+}
+
+#[test]
+fn a_full_disk_is_one_line_of_hdf5() {
+    let text =
+        "H5F__close_cb(): can't close file: file write failed: time = Mon Nov 23 00:54:54 2026\n, filename = 'a.h5', \
+                file descriptor = 3, errno = 28, error message = 'No space left on device', buf = 0x55f0";
+    let failed = |text: &str| hdf5_file::failed(Path::new("a.h5"), "write")("the end of the file")(text.into());
+    let found = failed(text);
+    assert!(
+        matches!(&found, FileError::Write { source, .. } if source.kind() == std::io::ErrorKind::StorageFull),
+        "{found:?}"
+    );
+    assert!(matches!(failed("no such dataset"), FileError::Hdf5 { .. }));
+}
+
+#[test]
+fn a_record_of_tensorboard_by_hand() {
+    // CRC-32C of "123456789" is 0xe3069283 (the Castagnoli check value); the mask is TensorFlow's.
+    assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
+    let masked = |data: &[u8]| crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8);
+    let folder = tempfile::tempdir().unwrap();
+    let mut events = EventFile::create(folder.path()).unwrap();
+    events.scalars(300, &[("loss", 0.5)]).unwrap();
+    let file = std::fs::read(folder.path().join(&names_in(folder.path())[0])).unwrap();
+    let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
+    let second = &file[16 + length..];
+    let length = u64::from_le_bytes(second[..8].try_into().unwrap()) as usize;
+    let data = &second[12..12 + length];
+    assert_eq!(masked(data).to_le_bytes(), second[12 + length..]);
+    // Behind the time: step 300 in seven bits a byte, then a summary of one value.
+    assert_eq!(data[9..12], [0x10, 0xac, 0x02]);
+    assert_eq!(data[12..], [&[0x2a, 13, 0x0a, 11, 0x0a, 4][..], b"loss", &[0x15], &0.5f32.to_le_bytes()].concat());
 }

@@ -83,7 +83,13 @@ fn imports_go_only_downwards() {
         }
         let own = LAYERS.iter().position(|l| *l == layer);
         let own = own.unwrap_or_else(|| panic!("{} belongs to no layer", name.display()));
-        for import in imports(&std::fs::read_to_string(&path).unwrap()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(
+            !text.contains("#[test]"),
+            "{}: a test that never runs, because tests belong into tests/",
+            name.display()
+        );
+        for import in imports(&text) {
             match LAYERS.iter().position(|l| *l == import) {
                 Some(other) if other > own => wrong.push(format!("{} imports {import}", name.display())),
                 // Macros are at the root; everything else is a layer.
@@ -199,25 +205,6 @@ fn behind(tokens: &[String], open: usize) -> usize {
     tokens.len()
 }
 
-/// Without what is compiled for tests alone.
-fn without_tests(tokens: Vec<String>) -> Vec<String> {
-    let (mut kept, mut k) = (Vec::new(), 0);
-    while k < tokens.len() {
-        let is_test = tokens[k..].iter().take(7).map(String::as_str).eq(["#", "[", "cfg", "(", "test", ")", "]"]);
-        if !is_test {
-            kept.push(tokens[k].clone());
-            k += 1;
-            continue;
-        }
-        // The item behind it, to its bracket or its semicolon.
-        k += 7;
-        let end = |token: &String| token == "{" || token == ";";
-        let end = tokens[k..].iter().position(end).map_or(tokens.len(), |offset| k + offset);
-        k = if tokens.get(end).is_some_and(|token| token == "{") { behind(&tokens, end) } else { end + 1 };
-    }
-    kept
-}
-
 type Names = Vec<String>;
 
 /// What a file takes by name, as words from the root of the crate on.
@@ -236,7 +223,7 @@ struct Source {
 impl Source {
     /// Reads a file; `is_parent`: a `mod.rs`, which may declare and hand on what is below it.
     fn read(module: Names, text: &str, is_parent: bool) -> Self {
-        let tokens = without_tests(tokens(text));
+        let tokens = tokens(text);
         let is_child = |three: &&[String]| three[0] == "mod" && three[2] == ";";
         let children: BTreeSet<&String> = tokens.windows(3).filter(is_child).map(|three| &three[1]).collect();
         let mut source = Self::default();
@@ -525,10 +512,8 @@ fn circles_are_found() {
     // What a parent defines itself is taken from it.
     let parent_with_code = ("a/mod.rs", "mod b;\npub struct Here;\npub fn f() { b::g() }");
     assert_eq!(circles(&[parent_with_code, ("a/b.rs", "use super::Here;\npub fn g() {}")]), ["a a::b"]);
-    // Comments, texts, tests, and a parent that only hands on make none.
-    for text in
-        ["// use super::b::X;", "const T: &str = \"super::b::X\";", "#[cfg(test)]\nmod tests { use crate::a::b::X; }"]
-    {
+    // Comments, texts, and a parent that only hands on make none.
+    for text in ["// use super::b::X;", "const T: &str = \"super::b::X\";"] {
         let files = [
             ("a/mod.rs", "mod b;\nmod c;\npub use b::X;"),
             ("a/b.rs", "use super::c;\npub struct X;"),

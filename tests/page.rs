@@ -1,7 +1,13 @@
 //! The pages of runs: what they say is what the files say, and they ask for nothing outside of themselves.
 
 use crate::support::program::{hydrograd, refused, succeeds};
+use base64::Engine;
+use hydrograd::cli::page::names::{counted, label, rounded, sized};
 use hydrograd::dataset::{read_split, Metadata, Split};
+use hydrograd::report::page::{
+    link, short, Body, Cell, Chart, Column, Fields, File, Note, Page, RawFrame, RawPanel, Series, Table, Text,
+    GENERATOR,
+};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -429,5 +435,142 @@ fn starts_have_a_page_together_and_each() {
     for name in ["flat", "linear", "random", "sine"] {
         assert!(text.contains(&format!("href=\"{name}/report.html\"")));
         page(&at.join("all").join(name).join("report.html"));
+    }
+}
+
+#[test]
+fn keys_have_names() {
+    for (key, expected) in [
+        ("q", "outflowing heat Q"),
+        ("mse_20", "position MSE over 20 steps"),
+        ("best_mse_1", "least position MSE over 1 step"),
+        ("no change: e_kin", "no change: kinetic energy, squared error"),
+        ("before.flow_rate", "before: flow rate"),
+        ("some_key", "some key"),
+    ] {
+        assert_eq!(label(key), expected);
+    }
+}
+
+#[test]
+fn numbers_have_few_digits() {
+    for (value, expected) in
+        [(0.2595789, "0.2596"), (77.014123, "77.01"), (12.0, "12"), (3.2e-7, "3.200e-7"), (12345.6, "12346")]
+    {
+        assert_eq!(rounded(Cell::number(value), 4).text, expected);
+    }
+    assert_eq!(sized("peak_memory_bytes", Cell::number(164904960.0)).text, "164.9 MB");
+    assert_eq!((counted(1, "epoch"), counted(2, "epoch")), ("1 epoch".into(), "2 epochs".into()));
+}
+
+#[test]
+fn numbers_are_short() {
+    for (value, expected) in [
+        (0.0, "0"),
+        (13.0, "13"),
+        (0.25, "0.25"),
+        (123456.7, "123457"),
+        (0.99999999, "1"),
+        (0.023431234, "0.0234312"),
+        (-1234.5678, "-1234.57"),
+        (1.5e-9, "1.5000e-9"),
+        (f64::NAN, "-"),
+    ] {
+        assert_eq!(short(value), expected);
+    }
+}
+
+#[test]
+fn columns_are_aligned_alike() {
+    let mut table = Table::new("", ["name", "figure", "kind", "what", "nothing"]);
+    for (figure, kind) in [(Cell::number(1.0), "a"), (Cell::number(2.0), "b"), (Cell::text("failed"), "")] {
+        let long = Cell::text("a text of more than one line, if it has to be");
+        table.rows.push(vec![Cell::text("row"), figure, Cell::text(kind), long, Cell::text("-")]);
+    }
+    let expected = [Column::Text, Column::Numbers, Column::Text, Column::Words, Column::Numbers];
+    assert_eq!(table.found_columns(), expected);
+}
+
+#[test]
+fn addresses_keep_their_meaning() {
+    assert_eq!(link("a b/100%.csv"), "a%20b/100%25.csv");
+    assert_eq!(link("<script>.toml"), "%3Cscript%3E.toml");
+}
+
+#[test]
+fn text_stays_text() {
+    let nasty = "<script>alert(1)</script>\"'";
+    let page = Page {
+        title: nasty.into(),
+        lead: nasty.into(),
+        tables: vec![Table { rows: vec![vec![Cell::text(nasty)]], ..Table::new(nasty, [nasty]) }],
+        charts: vec![Chart { title: nasty.into(), series: vec![Series::new(nasty, [])], ..Chart::default() }],
+        texts: vec![Text { title: nasty.into(), text: nasty.into() }],
+        files: vec![File { name: nasty.into(), link: link(nasty), size: String::new(), what: nasty.into() }],
+        ..Page::default()
+    };
+    for body in [Body::Run, Body::Compare] {
+        let html = Page { body, ..page.clone() }.to_html().unwrap();
+        assert!(!html.contains("<script>alert"), "{html}");
+        // Its two own scripts: data and code.
+        assert_eq!(html.matches("<script").count(), 2);
+        assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(GENERATOR));
+    }
+}
+
+#[test]
+fn what_a_file_says_is_shown_as_it_may_be() {
+    let nasty = format!("a\u{1b}[2J\u{202e}b{}", "x".repeat(9000));
+    let page = Page {
+        title: nasty.clone(),
+        warnings: vec![Note { problem: nasty.clone(), advice: nasty.clone() }],
+        tables: vec![Table { rows: vec![vec![Cell::text(&nasty)]], ..Table::new(&nasty, [&nasty]) }],
+        texts: vec![Text { title: "all".into(), text: format!("[a]\n\tb = 1\u{7}\n{nasty}") }],
+        ..Page::default()
+    };
+    let html = page.to_html().unwrap();
+    assert!(html.contains("a\\u{1b}[2J\\u{202e}bxxx"), "{html}");
+    assert!(html.chars().all(|c| c == '\n' || !c.is_control()) && !html.contains('\u{202e}'));
+    // A text is quoted whole, its lines up to a length that no configuration has; all else is cut.
+    let longest = html.split(|c| c != 'x').map(str::len).filter(|&length| length > 1000).collect::<Vec<_>>();
+    assert_eq!(longest.iter().filter(|&&length| length == 9000).count(), 1);
+    assert!(longest.iter().all(|&length| length == 9000 || length < 2000) && longest.len() > 5, "{longest:?}");
+    assert!(html.contains("[a]\n    b = 1\\u{7}\n"), "{html}");
+}
+
+#[test]
+fn frames_of_particles_are_chosen_evenly() {
+    assert_eq!(Fields::chosen(41, 1000, 2, 3), (0..=40).step_by(2).collect::<Vec<_>>());
+    assert_eq!(Fields::chosen(3, 1000, 2, 3), [0, 1, 2]);
+    assert_eq!(Fields::chosen(1, 1000, 1, 3), [0]);
+    assert_eq!(Fields::chosen(0, 1000, 1, 3), [0; 0]);
+    let few = Fields::chosen(41, 40_000, 2, 3);
+    assert!(few.len() == 4 && few[0] == 0 && few[3] == 40, "{few:?}");
+    assert!(Fields::chosen(41, 10_000_000, 2, 3).len() >= 2);
+    assert_eq!(Fields::chosen_within(500_000, 41, 40_000, 1, 2), [0, 40]);
+}
+
+#[test]
+fn particles_survive_to_a_share_of_their_range() {
+    let frame = RawFrame {
+        time: 0.5,
+        position: vec![[0.0, 0.0], [1.0, 0.25], [2.0, 1.0]],
+        tag: vec![0, 0, 1],
+        values: vec![vec![1.0, 3.0, 99.0]],
+    };
+    let panels = vec![RawPanel { title: "after".into(), frames: vec![frame.clone(), frame] }];
+    let fields = Fields::new(panels, &[("temperature", "K")], 0.1, String::new()).unwrap();
+    // Walls have no share in the colours.
+    assert_eq!((fields.quantities[0].low, fields.quantities[0].high), (1.0, 3.0));
+    assert_eq!((fields.x, fields.y), ((-0.05, 2.05), (-0.05, 1.05)));
+    let bytes = |text: &str| base64::engine::general_purpose::STANDARD.decode(text).unwrap();
+    let frames = &fields.panels[0].frames;
+    assert_eq!(bytes(&frames[0].values[0]), [0, 255, 255]);
+    assert_eq!((bytes(&frames[0].tag), frames[1].tag.as_str()), (vec![0, 0, 1], ""));
+    let position = bytes(&frames[1].position);
+    let place = |k: usize| f64::from(u16::from_le_bytes([position[2 * k], position[2 * k + 1]])) / 65535.0;
+    for (k, (expected, ends)) in [(1.0, fields.x), (0.25, fields.y)].into_iter().enumerate() {
+        let found = ends.0 + place(2 + k) * (ends.1 - ends.0);
+        assert!((found - expected).abs() < 2e-5, "{found} {expected}");
     }
 }

@@ -6,6 +6,8 @@ use hydrograd::particles::tag;
 use hydrograd::particles::NeighbourList;
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::plan::Plan;
+use hydrograd::sph::rows::{Quantity, Rows};
+use hydrograd::sph::standard::layout::Layout;
 use hydrograd::sph::Model;
 
 fn plan_of(scene: &RandomScene) -> Plan {
@@ -142,4 +144,28 @@ fn the_part_of_the_gradient_is_that_of_its_schedule() {
     assert_eq!(json["gradient"]["recomputed_steps"], schedule.counts().recomputed_steps);
     assert_eq!(json["particles"]["total"], scene.particles());
     assert!(plan.to_string().contains("binomial"));
+}
+
+#[test]
+fn rows_of_a_state_follow_each_other() {
+    let rows = Rows::new(3, &[Quantity::Pressure, Quantity::Temperature, Quantity::Acceleration]);
+    assert_eq!((rows.count(), rows.velocity()), (11, 3));
+    assert_eq!((rows.row(Quantity::Pressure), rows.temperature()), (Some(6), Some(7)));
+    assert_eq!((rows.row(Quantity::Acceleration), rows.row(Quantity::Mass)), (Some(8), None));
+    assert_eq!((rows.quantity(10), rows.quantity(11)), (Some(Quantity::Acceleration), None));
+    assert_eq!(rows.names()[5..9], ["velocity z", "pressure", "temperature", "acceleration x"]);
+}
+
+#[test]
+fn the_rows_of_a_state_are_those_of_the_layout() {
+    for bits in 0..32u8 {
+        let has = |bit: u8| bits >> bit & 1 == 1;
+        let dimension = if has(4) { 3 } else { 2 };
+        let l = Layout { dimension, transport: has(0), heat: has(1), mass: has(2), density: has(3) };
+        let rows = l.rows();
+        assert_eq!((rows.count(), rows.velocity()), (l.state_rows(), l.velocity()));
+        assert_eq!(rows.temperature(), l.heat.then(|| l.temperature()));
+        assert_eq!(rows.row(Quantity::Mass), l.mass.then(|| l.state_mass()));
+        assert_eq!(rows.row(Quantity::Density), l.density.then(|| l.state_density()));
+    }
 }

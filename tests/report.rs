@@ -1,8 +1,12 @@
 //! Plots and tables. Set HYDROGRAD_PLOTS=folder to keep the pictures and look at them.
 
 use hydrograd::io::FileError;
+use hydrograd::report::memory::peak_from_status;
 use hydrograd::report::plots::{compare, history, temperature_particles, wall_shapes, HistoryPoint, TemperaturePanel};
+use hydrograd::report::progress::{Progress, TEMPLATE};
 use hydrograd::report::table::Table;
+use hydrograd::report::text::{bytes, shown, shown_within};
+use indicatif::ProgressStyle;
 use std::path::{Path, PathBuf};
 
 type TestResult = Result<(), Box<dyn std::error::Error>>;
@@ -256,4 +260,44 @@ fn tables_are_aligned() {
          | wave\\|2 |  12.5 | +30 % |\n\
          | dip     |       |       |\n"
     );
+}
+
+#[test]
+fn peak_memory_is_read_of_linux() {
+    let status = "VmPeak:\t  999 kB\nVmHWM:\t    1234 kB\nVmRSS:\t 7 kB\n";
+    assert_eq!(peak_from_status(status), Some(1234 * 1024));
+    assert_eq!(peak_from_status("VmRSS:\t 7 kB\n"), None);
+    assert_eq!(peak_from_status("VmHWM:\t many kB\n"), None);
+}
+
+#[test]
+fn the_bar_counts_while_hidden() {
+    let progress = Progress::hidden(10);
+    assert!(progress.is_hidden());
+    progress.set_position(3);
+    progress.done(2);
+    assert_eq!(progress.position(), 5);
+    assert_eq!(progress.suspend(|| 7), 7);
+}
+
+#[test]
+fn the_template_is_valid() {
+    assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
+}
+
+#[test]
+fn messages_can_be_shown() {
+    let plain = "error: bad\n  allowed: 0 ... 1, \u{e4}";
+    assert_eq!(shown(plain), plain);
+    assert_eq!(shown("a\u{1b}[2J\u{7}b\tc"), "a\\u{1b}[2J\\u{7}b\\tc");
+    assert_eq!(shown("a\u{202e}b"), "a\\u{202e}b");
+    let long = "x".repeat(9000) + "\nnext";
+    assert_eq!(shown(&long), "x".repeat(2000) + " ...\nnext");
+    assert_eq!(shown_within("abcd", 3), "abc ...");
+}
+
+#[test]
+fn sizes_of_memory_have_their_unit() {
+    let sizes = [0, 9_999, 10_000, 164_904_960, 12_300_000_000].map(bytes);
+    assert_eq!(sizes, ["0 B", "9999 B", "10.0 kB", "164.9 MB", "12.3 GB"]);
 }

@@ -1,7 +1,17 @@
 //! Whole runs of the command line: files, figures that fit together, resuming, broken checkpoints.
 
 use crate::support::program::{hydrograd, refused, succeeds};
+use hydrograd::adjoint::run::run;
+use hydrograd::config::scene::Config;
+use hydrograd::design::diagnostics::{simulate, Diagnostics};
+use hydrograd::design::objectives::Figure;
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
+use hydrograd::scene::record::Record;
+use hydrograd::scene::warnings::Warning;
+use hydrograd::scene::{checkpoint, Scene};
+use hydrograd::sph::dynamics::Sph;
+use hydrograd::sph::solver::Solver;
+use hydrograd::sph::Sweeps;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::TempDir;
@@ -496,4 +506,68 @@ fn a_flow_that_diverges_says_so() {
     assert_eq!(output.status.code(), Some(3), "{error}");
     assert!(error.contains("diverged") && error.contains("time.diffusion_number"), "{error}");
     assert!(!folder.path().join("out/summary.json").exists());
+}
+
+/// Continues a run where the averages begin, so that they must be the same too.
+fn resumes<R: Sweeps>(precision: &str) {
+    let sets = ["time.steps=40", "design.shape=\"sine\"", &format!("run.precision=\"{precision}\"")].map(String::from);
+    let loaded = Config::load(None, None, &sets).unwrap();
+    let mut config = loaded.config;
+    config.objective.window = 10.0 * config.time_step();
+    let text = toml::to_string(&config).unwrap();
+    let scene = Scene::<R>::from_config(&config).unwrap();
+    let design = scene.design.as_ref().unwrap();
+    assert_eq!(design.window, 10);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint.safetensors");
+    let mut keep = |_: &Sph<R>, solver: &mut Solver<R>| {
+        if solver.step == 30 {
+            checkpoint::write(&path, &solver.model, &solver.snapshot(), &text)?;
+        }
+        Ok(())
+    };
+    let whole = simulate(design, config.run.kernels, &scene.start, &mut [&mut keep]).unwrap();
+    let from = checkpoint::read(&path, &config, &scene.model).unwrap();
+    assert_eq!(from.step, 30);
+    let rest = simulate(design, config.run.kernels, &from, &mut []).unwrap();
+    let bits = |state: &[R]| state.iter().map(|x| x.f64().to_bits()).collect::<Vec<u64>>();
+    assert!(bits(&whole.solver.state) == bits(&rest.solver.state));
+    assert_eq!(whole.diagnostics, rest.diagnostics);
+    // A checkpoint of another scene or another kind is rejected.
+    let other = Config { scene: config.scene, ..Config::default() };
+    let error = checkpoint::read(&path, &other, &scene.model).map(|_| ()).unwrap_err().to_string();
+    assert!(error.contains("checkpoint of another scene: it has"), "{error}");
+    let error = checkpoint::open(&path, "hydrograd optimisation", &config, &[]).unwrap_err().to_string();
+    assert!(error.contains("holds hydrograd simulation, not a hydrograd optimisation"), "{error}");
+    // A run that ends where it begins returns its start.
+    let dynamics = Sph::new(scene.model.clone(), config.run.kernels);
+    assert!(bits(&run(&dynamics, &from, 30, &mut []).unwrap().state) == bits(&from.state));
+}
+
+#[test]
+fn a_simulation_goes_on_to_the_bit() {
+    resumes::<f64>("f64");
+    resumes::<f32>("f32");
+}
+
+#[test]
+fn what_was_put_into_a_summary_is_read_again() {
+    let mut record = Record::of(&Diagnostics { q: 0.0237, energy_imbalance: f64::NAN, ..Diagnostics::default() });
+    record.put("q_first", 0.0234);
+    record.put("best_epoch", 1);
+    record.put("q_per_epoch", [0.0234, 0.0237, f64::NAN]);
+    record.put("warnings", [Warning { problem: "a".into(), advice: "b".into() }]);
+    record.put("before", Record::of(&Diagnostics { q: 0.0234, ..Diagnostics::default() }));
+    let text = serde_json::to_string(&record).unwrap();
+    let read: Record = serde_json::from_str(&text).unwrap();
+    assert_eq!(read, record);
+    assert_eq!((read.number("energy_imbalance"), read.number("u_max")), (None, Some(0.0)));
+    assert_eq!((read.before().number("q"), read.warnings()[0].advice.as_str()), (Some(0.0234), "b"));
+    let search = read.search(Figure::of_config(&Config::default())).unwrap();
+    assert_eq!((search.best_epoch, search.values.len(), search.values[2], search.survives), (1, 3, None, None));
+    assert!((search.gain() - 0.0003 / 0.0234).abs() < 1e-12);
+    // A record of an earlier version, without some figures.
+    let older: Record = serde_json::from_str(r#"{ "q": 0.02 }"#).unwrap();
+    assert!(older.search(Figure::of_config(&Config::default())).is_none() && older.warnings().is_empty());
+    assert_eq!(record.without_heat().number("q"), None);
 }

@@ -10,8 +10,12 @@ use hydrograd::config::scene::{
 use hydrograd::config::schema::{described, description, known_keys};
 use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::scene::load::Source;
+use hydrograd::scene::observers::EvenSteps;
 use hydrograd::scene::Scene;
+use hydrograd::sph::kernels::Kernel;
+use hydrograd::sph::laws::ArtificialViscosity;
 use hydrograd::sph::rows::Quantity;
+use hydrograd::sph::Model;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -548,4 +552,58 @@ fn flows_follow_the_configuration() {
     assert_eq!(flow.model.particles(), 12 * 46 + 24);
     assert!((flow.model.dt - 0.25 * 0.025 * 0.025 * 0.0125).abs() < 1e-18);
     assert!(flow.design.is_none() && Scene::<f64>::from_config(&Config::default()).unwrap().design.is_some());
+}
+
+fn scene_of(name: &str, sets: &[&str]) -> Scene<f64> {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    let loaded = Config::load(Some(name), None, &sets).unwrap_or_else(|error| panic!("{name}: {error}"));
+    Scene::from_config(&loaded.config).unwrap()
+}
+
+/// The method for this test, because other methods have no artificial viscosity.
+const STANDARD: &str = "method.name=standard";
+
+fn artificial_viscosity(model: &Model<f64>) -> Option<ArtificialViscosity> {
+    model.of_type::<hydrograd::sph::standard::Standard<f64>>().unwrap().laws.artificial_viscosity
+}
+
+#[test]
+fn configured_kernels_and_laws_reach_every_scene() {
+    // The slab is at rest, without artificial viscosity, and one scene does not support the standard method.
+    for built_in in SCENES.iter().filter(|built_in| !["slab", "heated-channel-3d"].contains(&built_in.name)) {
+        let usual = scene_of(built_in.name, &[STANDARD]);
+        assert_eq!(usual.name, built_in.name);
+        assert_eq!(artificial_viscosity(&usual.model).is_some(), built_in.name.starts_with("dam-break"));
+        assert_eq!(usual.model.kernel.smoothing_length, usual.spacing);
+        let sets = ["resolution.kernel=\"wendland-c2\"", "resolution.smoothing_length=1.5"];
+        let other = scene_of(built_in.name, &[STANDARD, sets[0], sets[1], "method.artificial_viscosity=0.1"]);
+        let kernel = Kernel::new(KernelName::WendlandC2, other.model.dimension(), 1.5 * other.spacing);
+        assert_eq!(other.model.kernel, kernel);
+        let artificial = artificial_viscosity(&other.model).unwrap();
+        assert_eq!((artificial.alpha, artificial.smoothing_length), (0.1, 1.5 * other.spacing));
+        assert!((artificial.sound_speed - other.sound_speed()).abs() < 1e-12 * artificial.sound_speed);
+        assert_eq!(other.model.tags, usual.model.tags);
+    }
+}
+
+#[test]
+fn walls_are_as_thick_as_the_kernel_needs() {
+    let wide = ["resolution.smoothing_length=1.3"];
+    let particles = |name: &str| scene_of(name, &wide).model.particles();
+    assert_eq!((particles("poiseuille"), particles("lid-driven-cavity")), (12 * (40 + 8) + 2 * 12, 58 * 58 + 4 * 50));
+    assert_eq!(scene_of("heated-channel", &[STANDARD, wide[0]]).model.particles(), 50 * (10 + 8));
+    // A particle half a spacing from the wall has four rows in reach; 250 points are on the walls' surfaces.
+    assert_eq!(particles("heated-channel"), 50 * (10 + 8) + 250);
+    assert_eq!(scene_of("poiseuille", &wide).corner, [0.0, -0.1, 0.0]);
+}
+
+#[test]
+fn observed_steps_are_even_and_end_with_the_last() {
+    let of = |steps: usize, count: usize| {
+        let even = EvenSteps::new(steps, count);
+        (0..=steps).filter(|&step| even.contains(step)).collect::<Vec<usize>>()
+    };
+    assert_eq!(of(10, 4), [0, 3, 6, 9, 10]);
+    assert_eq!(of(3, 100), [0, 1, 2, 3]);
+    assert_eq!(of(5, 0), [0; 0]);
 }

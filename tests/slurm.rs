@@ -1,6 +1,9 @@
 //! `hydrograd slurm`: its job files, run by bash as Slurm runs them; what shares that run side by side leave, and what one process does.
 
 use crate::support::program::{hydrograd, refused, succeeds};
+use clap::Parser;
+use hydrograd::cli::slurm::{jobs, next, Job, Wanted};
+use hydrograd::cli::{self, Cli};
 use hydrograd::io::tensor_file::TensorFile;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -329,4 +332,178 @@ fn jobs_are_given_to_slurm() {
     assert!(text.contains("simulate --resume run --set time.end=0.1 --out run") && !text.contains("if [ -e"), "{text}");
     let stderr = slurm(&["slurm", "simulate", "--help"]);
     assert!(stderr.status.success() && String::from_utf8_lossy(&stderr.stdout).contains("--recover"));
+}
+
+fn wanted() -> Wanted {
+    Wanted {
+        time: "01:00:00".into(),
+        cpus: 2,
+        partition: None,
+        memory: Some("4G".into()),
+        options: vec!["--comment=two words".into()],
+        program: vec!["/opt/my programs/hydrograd".into()],
+        folder: "/home/a \"b\"".into(),
+    }
+}
+
+fn words(line: &str) -> Vec<String> {
+    line.split(' ').map(str::to_string).collect()
+}
+
+/// The jobs of a command line, in a folder without runs.
+fn jobs_of(line: &str) -> anyhow::Result<(Job, Option<Job>)> {
+    let typed = words(line);
+    let cli = Cli::try_parse_from(["hydrograd", "slurm"].into_iter().chain(typed.iter().map(String::as_str)))?;
+    let cli::Command::Slurm(arguments) = cli.command else { panic!("not slurm") };
+    Ok(jobs(&arguments)?.unwrap())
+}
+
+/// The output of a script in bash.
+fn bash(script: &str, variables: &[(&str, &str)]) -> String {
+    let mut bash = Command::new("bash");
+    let output = bash.arg("-c").arg(script).envs(variables.iter().copied()).output().unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn an_array_is_written_as_sbatch_and_bash_read_it() {
+    let job = Job { name: "generate".into(), tasks: Some(4), command: words("generate --out data"), ..Job::default() };
+    let text = job.text(&wanted(), Path::new("jobs/a.sh")).unwrap();
+    for line in [
+        "#!/bin/bash",
+        "#SBATCH --array=0-3",
+        "#SBATCH --cpus-per-task=2",
+        "#SBATCH --mem=4G",
+        "#SBATCH --chdir=\"/home/a \\\"b\\\"\"",
+        "#SBATCH --output=jobs/a-%A_%a.log",
+        "#SBATCH --signal=B:TERM@60",
+        "#SBATCH --requeue",
+        "#SBATCH --open-mode=append",
+        "#SBATCH --comment=\"two words\"",
+        "set -- '/opt/my programs/hydrograd' generate --out data --shard \"$SLURM_ARRAY_TASK_ID/4\"",
+    ] {
+        assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
+    }
+    assert!(!text.contains("afterok") && !text.contains("kill-on-invalid-dep"), "{text}");
+}
+
+/// The words of a command reach it as typed, and its exit code is returned.
+#[test]
+fn words_reach_the_command() {
+    let odd = ["%s\\n", "a b", "it's", "$HOME `date`", "", "\"x\"", "*"];
+    let job = Job { command: odd.map(str::to_string).to_vec(), ..Job::default() };
+    let text = job.text(&Wanted { program: vec!["printf".into()], ..wanted() }, Path::new("a.sh")).unwrap();
+    let said = bash(&text, &[("SLURM_JOB_ID", "7")]);
+    assert!(said.ends_with("a b\nit's\n$HOME `date`\n\n\"x\"\n*\n"), "{said}");
+    let lines = Job { command: vec!["a\nb".into()], ..Job::default() }.text(&wanted(), Path::new("a.sh"));
+    assert!(lines.unwrap_err().to_string().contains("line break"));
+}
+
+/// An existing run is resumed, and a finished one stays as it is.
+#[test]
+fn a_job_goes_on_with_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let job = Job {
+        command: words("begin"),
+        resumed: Some((at("it's begun"), words("again"))),
+        marker: Some(at("marker")),
+        ..Job::default()
+    };
+    let text = job.text(&Wanted { program: vec!["echo".into()], ..wanted() }, Path::new("a.sh")).unwrap();
+    let last = || bash(&text, &[("SLURM_JOB_ID", "7")]).lines().last().unwrap().to_string();
+    assert_eq!(last(), "begin");
+    std::fs::write(at("it's begun"), "").unwrap();
+    std::fs::write(at("marker"), "simulate\n").unwrap();
+    assert_eq!(last(), "again");
+    std::fs::write(at("marker"), "simulate\nfinished\n").unwrap();
+    assert_eq!(last(), "nothing is left to do");
+}
+
+#[test]
+fn ranks_are_started_and_told_by_slurm() {
+    let (job, merge) = jobs_of("--ranks 3 --cpus 2 train --data data --init old.safetensors --out runs/none").unwrap();
+    assert_eq!((job.ranks, job.tasks, merge), (Some(3), None, None));
+    let text = job
+        .text(
+            &Wanted { program: vec!["python3".into(), "-m".into(), "hydrograd".into()], ..wanted() },
+            Path::new("a.sh"),
+        )
+        .unwrap();
+    let srun = "set -- srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 python3 -m hydrograd train --data data";
+    for line in [
+        "#SBATCH --ntasks=3".to_string(),
+        format!("    {srun} --init old.safetensors --out runs/none --threads 2 --overwrite"),
+        // Parameters are taken over only once.
+        format!("    {srun} --out runs/none --threads 2 --resume"),
+        "trap 'scancel --signal=TERM \"$job\"' TERM".to_string(),
+    ] {
+        assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
+    }
+}
+
+#[test]
+fn what_an_array_means_follows_from_the_command() {
+    let command = |job: &Job| job.command.join(" ");
+    let (main, merge) = jobs_of("generate --trajectories 3/1/1 --out runs/none").unwrap();
+    assert_eq!((main.tasks, command(&merge.unwrap())), (Some(5), "merge runs/none".into()));
+    assert_eq!(command(&main), "generate --trajectories 3/1/1 --out runs/none --threads 1");
+    let (main, merge) = jobs_of("--tasks 3 --cpus 2 stress taylor-green --quick --out runs/none").unwrap();
+    assert_eq!(main.tasks, Some(3));
+    assert_eq!(command(&merge.unwrap()), "stress taylor-green --quick --out runs/none --threads 2 --resume");
+    let (main, merge) = jobs_of("validate --quick --threads=0 --out runs/none").unwrap();
+    assert_eq!((main.tasks, command(&main)), (Some(8), "validate --quick --threads=0 --out runs/none".into()));
+    assert_eq!(command(&merge.unwrap()), "validate --quick --threads=0 --out runs/none --resume");
+    let (main, merge) = jobs_of("optimise --start all --no-verify --out runs/none").unwrap();
+    assert_eq!(main.tasks, Some(4));
+    assert_eq!(command(&merge.unwrap()), "optimize --start all --no-verify --resume runs/none");
+    let (main, merge) = jobs_of("simulate --recover --out runs/none --set time.end=1 --json").unwrap();
+    assert_eq!((main.tasks, merge), (None, None));
+    let (begun, again) = main.resumed.unwrap();
+    assert_eq!(begun, Path::new("runs/none/checkpoint.safetensors"));
+    assert_eq!(again.join(" "), "simulate --recover --resume runs/none --json");
+    // Without a given folder, the job has the command's default one.
+    let (main, _) = jobs_of("optimize --epochs 3").unwrap();
+    assert!(command(&main).starts_with("optimize --epochs 3 --out runs/optimize-heated-channel"), "{main:?}");
+}
+
+#[test]
+fn mistakes_are_told_before_the_queue() {
+    for (line, parts) in [
+        ("generate --no-such-option", ["--no-such-option", "hydrograd generate"]),
+        ("generate --set time.cfl=99", ["time.cfl", "99"]),
+        ("evaluate --model a --data b", ["no shares", "generate, stress, study"]),
+        ("slurm generate", ["no shares", "sbatch --wrap"]),
+        ("--tasks 2 simulate", ["--tasks 2", "generate, stress"]),
+        ("--tasks 5 optimize --start all --out runs/none", ["--tasks 5", "1 ... 4"]),
+        ("--ranks 2 generate --out runs/none", ["--ranks 2", "train"]),
+        ("stress --shard 0/4", ["--shard", "share of its own"]),
+        ("optimize --overwrite", ["--overwrite", "lose"]),
+        ("study --data nowhere --grid noise=1 --steps 5", ["--data nowhere", "data set"]),
+    ] {
+        let message = jobs_of(line).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| message.contains(part)), "{line}: {message}");
+    }
+}
+
+#[test]
+fn times_and_sizes_are_slurms() {
+    let typed = |option: &str, value: &str| {
+        let cli = Cli::try_parse_from(["hydrograd", "slurm", &format!("--{option}={value}"), "generate"])?;
+        let cli::Command::Slurm(arguments) = cli.command else { panic!("not slurm") };
+        Ok::<_, clap::Error>(arguments)
+    };
+    for good in ["5", "03:00", "01:00:00", "1-0", "2-12:30", "7-00:00:00", "90"] {
+        assert_eq!(typed("time", good).unwrap().time, good);
+    }
+    for bad in ["", "2", "00:02:59", "1h", "1-", "1:2:3:4", "-1", "99999999999999999999", "1 0"] {
+        assert!(typed("time", bad).is_err(), "{bad}");
+    }
+    for good in ["4G", "512M", "1000"] {
+        assert_eq!(typed("memory", good).unwrap().memory.as_deref(), Some(good));
+    }
+    assert!(["4GB", "0", "G", "-1G", "four"].iter().all(|size| typed("memory", size).is_err()));
+    assert_eq!(typed("option", "--qos=long").unwrap().options, ["--qos=long"]);
+    assert!(typed("option", "qos").is_err());
+    assert_eq!(next(&[("a b.sh".into(), "".into())]), "sbatch 'a b.sh'");
 }

@@ -5,7 +5,7 @@ use hydrograd::config::layers::Setting;
 use hydrograd::config::scene::Config;
 use hydrograd::scene::Scene;
 use hydrograd::sph::divergence::Cause;
-use hydrograd::validation::stress::maps;
+use hydrograd::validation::stress::{maps, Job};
 use serde_json::Value;
 use std::path::Path;
 
@@ -133,5 +133,20 @@ fn causes_are_told_apart() {
     for (scene, sets, why, advice) in cases {
         let found = cause(scene, sets);
         assert!(found.why.contains(why) && found.advice.contains(advice), "{scene}: {found:?}");
+    }
+}
+
+#[test]
+fn every_run_is_a_configuration_and_axes_have_quick_and_usual_values() {
+    for map in maps::all() {
+        for axis in [&map.x, &map.y] {
+            assert!(axis.usual < axis.values.len(), "{}", map.id());
+            assert!(axis.values.iter().filter(|value| value.is_quick).count() > 1, "{}", map.id());
+        }
+        for quick in [false, true] {
+            for job in Job::of(&map, quick, &[]) {
+                Config::load(Some(map.scene), None, &job.settings).unwrap_or_else(|e| panic!("{job:?}: {e}"));
+            }
+        }
     }
 }

@@ -1,7 +1,11 @@
 //! `hydrograd validate`: what it runs, writes and says.
 
 use crate::support::program::{hydrograd, refused, succeeds};
+use hydrograd::config::scene::Config;
+use hydrograd::scene::Scene;
 use hydrograd::validation::cases::{self, Level};
+use hydrograd::validation::probe;
+use hydrograd::validation::reference::{between, heated_channel, lid_driven_cavity, taylor_green_3d};
 
 #[test]
 fn a_case_is_run_and_written() {
@@ -52,4 +56,81 @@ fn what_is_wrong_fails() {
     assert!(!one.passed && one.error.unwrap() > 1e-9 && one.failure.is_none(), "{one:?}");
     assert!(!two.passed && two.error.is_none() && two.failure.is_some() && two.order.is_none(), "{two:?}");
     assert!(shares.windows(2).all(|pair| pair[0] <= pair[1]) && *shares.last().unwrap() <= 1.0);
+}
+
+#[test]
+fn every_case_is_a_configuration_and_has_a_quick_run_unless_it_is_long() {
+    for case in cases::all() {
+        assert!(!case.levels.is_empty(), "{}", case.name);
+        for level in &case.levels {
+            let settings: Vec<String> =
+                [case.settings, level.settings].concat().iter().map(|s| s.to_string()).collect();
+            Config::load(Some(case.scene), None, &settings).unwrap_or_else(|e| panic!("{}: {e}", case.name));
+            assert!(level.tolerance > 0.0);
+        }
+    }
+    let mut names: Vec<_> = cases::all().iter().map(|case| case.name).collect();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), cases::all().len());
+}
+
+#[test]
+fn a_quadratic_flow_is_found_anywhere() {
+    let loaded = Config::load(Some("taylor-green"), None, &["resolution.dx=0.05".into()]).unwrap();
+    let scene = Scene::<f64>::from_config(&loaded.config).unwrap();
+    let (model, mut state) = (&scene.model, scene.start.state.clone());
+    let n = model.particles();
+    let flow = |x: f64, y: f64| [1.0 + x - 2.0 * x * y + y * y, 0.5 * x * x - y];
+    for i in 0..n {
+        let u = flow(state[i], state[n + i]);
+        (0..2).for_each(|d| state[(model.rows.velocity() + d) * n + i] = u[d]);
+    }
+    for [x, y] in [[0.5, 0.5], [0.313, 0.671], [0.7, 0.25]] {
+        let found = probe::velocity(model, &state, [x, y, 0.0]).unwrap();
+        let exact = flow(x, y);
+        assert!((0..2).all(|d| (found[d] - exact[d]).abs() < 1e-10) && found[2] == 0.0, "{found:?} for {exact:?}");
+    }
+    // Nobody is around.
+    let shifted: Vec<f64> = state.iter().enumerate().map(|(k, x)| if k < n { 0.1 * x } else { *x }).collect();
+    assert_eq!(probe::velocity(model, &shifted, [0.5, 0.5, 0.0]), None);
+}
+
+#[test]
+fn a_quadratic_flow_is_found_in_three_dimensions() {
+    let loaded = Config::load(Some("lid-driven-cavity-3d"), None, &["resolution.dx=0.125".into()]).unwrap();
+    let scene = Scene::<f64>::from_config(&loaded.config).unwrap();
+    let (model, mut state) = (&scene.model, scene.start.state.clone());
+    let n = model.particles();
+    let flow = |x: f64, y: f64, z: f64| [1.0 - 2.0 * x * z + y * y, z * z - y, x * y + 0.5 * z];
+    for i in 0..n {
+        let u = flow(state[i], state[n + i], state[2 * n + i]);
+        (0..3).for_each(|d| state[(model.rows.velocity() + d) * n + i] = u[d]);
+    }
+    for [x, y, z] in [[0.9, 0.8, 0.9], [1.0, 0.6, 0.7]] {
+        let found = probe::velocity(model, &state, [x, y, z]).unwrap();
+        let exact = flow(x, y, z);
+        assert!((0..3).all(|d| (found[d] - exact[d]).abs() < 1e-9), "{found:?} for {exact:?}");
+    }
+}
+
+#[test]
+fn references_are_read() {
+    let energy = taylor_green_3d().column("kinetic_energy");
+    // A quarter of the square of the amplitude, halved; and falling.
+    assert!((energy[0] - 0.125).abs() < 1e-12 && energy.windows(2).all(|pair| pair[1] < pair[0]));
+    let (s, u, v) = {
+        let table = lid_driven_cavity();
+        (table.column("s"), table.column("u"), table.column("v"))
+    };
+    assert!((between(&s, &u, 1.0) - 1.0).abs() < 1e-12 && v[0].abs() < 1e-3);
+    // No fluid is made or lost across a line.
+    let mean: f64 = u.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]) / 128.0).sum();
+    assert!(mean.abs() < 1e-3, "{mean}");
+    let channel = heated_channel();
+    assert_eq!(
+        (channel.texts("shape")[0], channel.column("Q")[0], channel.column("o24").len()),
+        ("flat", 0.0234764, 51)
+    );
+    assert!(channel.column("none").is_empty());
 }

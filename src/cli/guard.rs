@@ -99,23 +99,3 @@ fn message(payload: &(dyn Any + Send)) -> &str {
         .or_else(|| payload.downcast_ref::<&str>().copied())
         .unwrap_or("panic")
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::error::{BadInput, Error};
-    use anyhow::Context;
-
-    #[test]
-    fn exit_codes() {
-        assert_eq!(guarded(|| Ok(())), 0);
-        assert_eq!(guarded(|| Err(Error::run("disk full", "another disk").into())), 1);
-        assert_eq!(guarded(|| Err(Error::diverged("diverged", "a smaller time.cfl").into())), 3);
-        assert_eq!(guarded(|| Err(Error::diverged("diverged", "less")).context("in case 7")), 3);
-        assert_eq!(guarded(|| Err(anyhow::anyhow!("disk full"))), 1);
-        assert_eq!(guarded(|| Err(Error::from(BadInput::new("bad")).into())), 2);
-        assert_eq!(guarded(|| Err(BadInput::new("bad")).context("while reading")), 2);
-        assert_eq!(guarded(|| panic!("a bug")), EXIT_INTERNAL);
-        assert_eq!(guarded(|| panic!("failed printing to stdout: Broken pipe")), EXIT_BROKEN_PIPE);
-    }
-}

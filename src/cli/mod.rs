@@ -1,7 +1,7 @@
 //! The command line: one file per subcommand.
 
-mod arguments;
-mod bench;
+pub mod arguments;
+pub mod bench;
 mod calibrate;
 mod check_gradient;
 mod completions;
@@ -20,7 +20,7 @@ mod optimize_compare;
 mod optimize_report;
 mod optimize_search;
 mod optimize_starts;
-mod page;
+pub mod page;
 mod prepare;
 pub mod program;
 mod recover;
@@ -30,7 +30,7 @@ mod scenes;
 mod shard;
 mod simulate;
 mod simulate_report;
-mod slurm;
+pub mod slurm;
 mod stress;
 mod study;
 mod train;
@@ -171,71 +171,5 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::New(arguments) => new::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::{Config, GradientMode, Kernels, Precision};
-    use clap::CommandFactory;
-    use std::path::Path;
-
-    #[test]
-    fn command_line_is_consistent() {
-        Cli::command().debug_assert();
-    }
-
-    fn parse(line: &str) -> Command {
-        Cli::try_parse_from(line.split(' ')).unwrap().command
-    }
-
-    #[test]
-    fn options_override_keys() {
-        let line = "hydrograd optimize --precision f32 --threads 2 --seed 9 --kernels composed --gradient truncated \
-                    --segment 7 --memory 1.5GiB --store f32 --horizon 30 --epochs 3 --start random --set run.threads=5 --set time.end=1";
-        let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
-        let loaded = arguments.load().unwrap();
-        let mut expected = Config::default();
-        expected.run.precision = Precision::F32;
-        expected.run.threads = 2;
-        expected.run.seed = 9;
-        expected.run.kernels = Kernels::Composed;
-        expected.optimise.gradient = GradientMode::Truncated;
-        expected.optimise.segment = 7;
-        expected.optimise.memory = crate::config::memory_size::MemorySize(3 << 29);
-        expected.optimise.store = Precision::F32;
-        expected.optimise.horizon = 30;
-        expected.optimise.epochs = 3;
-        expected.design.shape = crate::config::scene::ShapeName::Random;
-        expected.time.end = 1.0;
-        assert_eq!(loaded.config, expected);
-        let folder = arguments.folder(&loaded).unwrap();
-        assert_eq!(folder, Path::new("runs/optimize-heated-channel"));
-    }
-
-    #[test]
-    fn check_gradient_takes_the_last_step_unless_told() {
-        let Command::CheckGradient(arguments) = parse("hydrograd check-gradient --steps 20") else {
-            panic!("not check-gradient")
-        };
-        let config = arguments.load().unwrap().config;
-        assert_eq!((config.time.steps, config.objective.window), (Some(20), 0.0));
-        let line = "hydrograd check-gradient --steps 200 --set objective.window=0.1";
-        let Command::CheckGradient(arguments) = parse(line) else { panic!("not check-gradient") };
-        let config = arguments.load().unwrap().config;
-        assert_eq!((config.time.steps, config.objective.window), (Some(200), 0.1));
-    }
-
-    #[test]
-    fn resume_reads_the_run_and_stays_in_its_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        let text = Config::load(None, None, &["run.seed=4".into()]).unwrap().text;
-        std::fs::write(folder.path().join("config.toml"), text).unwrap();
-        let line = format!("hydrograd optimize --epochs 40 --resume {}", folder.path().display());
-        let Command::Optimize(arguments) = parse(&line) else { panic!("not optimize") };
-        let loaded = arguments.load().unwrap();
-        assert_eq!((loaded.config.run.seed, loaded.config.optimise.epochs), (4, 40));
-        assert_eq!(arguments.folder(&loaded).unwrap(), folder.path());
     }
 }

@@ -30,17 +30,3 @@ pub fn command(words: &[OsString]) -> Command {
     command.args(words.get(1..).unwrap_or_default());
     command
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn words_before_the_arguments_stay_there() {
-        // Without other words it is the test itself.
-        assert_eq!(words().unwrap(), [std::env::current_exe().unwrap().into_os_string()]);
-        let words = ["echo", "-m", "hydrograd"].map(OsString::from);
-        let output = command(&words).arg("study").output().unwrap();
-        assert_eq!(String::from_utf8(output.stdout).unwrap().trim(), "-m hydrograd study");
-    }
-}

@@ -85,24 +85,3 @@ impl Shard {
         Ok(Some(Self { index, count }))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shares_are_all_pieces_once() {
-        let all: Vec<usize> = (0..11).collect();
-        for count in 1..14 {
-            let mut found: Vec<usize> = Vec::new();
-            for index in 0..count {
-                let shard = Shard::parse(&format!("{index}/{count}")).unwrap();
-                let own: Vec<usize> = shard.of(&all).copied().collect();
-                assert!(all.iter().all(|&k| shard.has(k) == own.contains(&k)));
-                found.extend(own);
-            }
-            found.sort_unstable();
-            assert_eq!(found, all);
-        }
-    }
-}

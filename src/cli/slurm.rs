@@ -1,6 +1,6 @@
 //! `hydrograd slurm`: job files for Slurm, for any command whose work can be divided or resumed.
 //!
-//! A job is an array if the command has shares (see [`super::shard`]); another job merges them after all have
+//! A job is an array if the command has shares (see `shard.rs`); another job merges them after all have
 //! succeeded. Every job may be stopped and requeued at any time: its results are kept, and it continues with the rest.
 
 use super::arguments::at_least_one;
@@ -83,33 +83,33 @@ const OURS: &str = "# Written by `hydrograd slurm`";
 
 /// A job: its command, and how it is resumed.
 #[derive(Debug, Clone, PartialEq, Default)]
-struct Job {
+pub struct Job {
     /// The job's name without `hydrograd-`.
-    name: String,
+    pub name: String,
     /// Number of tasks of an array.
-    tasks: Option<usize>,
+    pub tasks: Option<usize>,
     /// Number of MPI processes.
-    ranks: Option<usize>,
+    pub ranks: Option<usize>,
     /// The command without `hydrograd`, and for an array without the share.
-    command: Vec<String>,
+    pub command: Vec<String>,
     /// If this file exists, the job is resumed with this command.
-    resumed: Option<(PathBuf, Vec<String>)>,
+    pub resumed: Option<(PathBuf, Vec<String>)>,
     /// If this file says that the run is finished, nothing is left to do.
-    marker: Option<PathBuf>,
+    pub marker: Option<PathBuf>,
 }
 
 /// Resources and settings of the jobs.
 #[derive(Debug, Clone, PartialEq)]
-struct Wanted {
-    time: String,
-    cpus: usize,
-    partition: Option<String>,
-    memory: Option<String>,
-    options: Vec<String>,
+pub struct Wanted {
+    pub time: String,
+    pub cpus: usize,
+    pub partition: Option<String>,
+    pub memory: Option<String>,
+    pub options: Vec<String>,
     /// The words that start this program.
-    program: Vec<String>,
+    pub program: Vec<String>,
     /// The working directory of the command, to which its paths are relative.
-    folder: String,
+    pub folder: String,
 }
 
 pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
@@ -163,7 +163,7 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
 }
 
 /// The shell command that submits the jobs.
-fn next(scripts: &[(PathBuf, String)]) -> String {
+pub fn next(scripts: &[(PathBuf, String)]) -> String {
     let words: Vec<String> = scripts.iter().map(|(file, _)| quoted(&file.display().to_string())).collect();
     match &words[..] {
         [main, merge] => format!("job=$(sbatch --parsable {main}) && sbatch --dependency=afterok:$job {merge}"),
@@ -199,7 +199,7 @@ fn check_ours(file: &Path) -> Result<(), BadInput> {
 }
 
 /// The job of the command, and the job that merges its shares. None if only help was requested.
-fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Job>)>> {
+pub fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Job>)>> {
     let mut typed = arguments.command.as_slice();
     if typed.first().is_some_and(|word| word == "hydrograd") {
         typed = &typed[1..];
@@ -459,7 +459,7 @@ fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
 
 impl Job {
     /// The text of the job file.
-    fn text(&self, wanted: &Wanted, file: &Path) -> Result<String, BadInput> {
+    pub fn text(&self, wanted: &Wanted, file: &Path) -> Result<String, BadInput> {
         let is_array = self.tasks.is_some();
         let log = file.with_extension("").display().to_string().replace('%', "%%");
         let mut options = vec![format!("--job-name=hydrograd-{}", self.name)];
@@ -625,177 +625,5 @@ fn sbatch_option(text: &str) -> Result<String, String> {
     match text.starts_with('-') && !text.contains(char::is_control) {
         true => Ok(text.to_string()),
         false => Err("allowed: an option of sbatch's, such as --option=--qos=long".into()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn wanted() -> Wanted {
-        Wanted {
-            time: "01:00:00".into(),
-            cpus: 2,
-            partition: None,
-            memory: Some("4G".into()),
-            options: vec!["--comment=two words".into()],
-            program: vec!["/opt/my programs/hydrograd".into()],
-            folder: "/home/a \"b\"".into(),
-        }
-    }
-
-    fn words(line: &str) -> Vec<String> {
-        line.split(' ').map(str::to_string).collect()
-    }
-
-    /// The jobs of a command line, in a folder without runs.
-    fn of(line: &str) -> anyhow::Result<(Job, Option<Job>)> {
-        let typed = words(line);
-        let cli = Cli::try_parse_from(["hydrograd", "slurm"].into_iter().chain(typed.iter().map(String::as_str)))?;
-        let Command::Slurm(arguments) = cli.command else { panic!("not slurm") };
-        Ok(jobs(&arguments)?.unwrap())
-    }
-
-    /// The output of a script in bash.
-    fn bash(script: &str, variables: &[(&str, &str)]) -> String {
-        let mut bash = process::Command::new("bash");
-        let output = bash.arg("-c").arg(script).envs(variables.iter().copied()).output().unwrap();
-        String::from_utf8(output.stdout).unwrap()
-    }
-
-    #[test]
-    fn an_array_is_written_as_sbatch_and_bash_read_it() {
-        let job =
-            Job { name: "generate".into(), tasks: Some(4), command: words("generate --out data"), ..Job::default() };
-        let text = job.text(&wanted(), Path::new("jobs/a.sh")).unwrap();
-        for line in [
-            "#!/bin/bash",
-            "#SBATCH --array=0-3",
-            "#SBATCH --cpus-per-task=2",
-            "#SBATCH --mem=4G",
-            "#SBATCH --chdir=\"/home/a \\\"b\\\"\"",
-            "#SBATCH --output=jobs/a-%A_%a.log",
-            "#SBATCH --signal=B:TERM@60",
-            "#SBATCH --requeue",
-            "#SBATCH --open-mode=append",
-            "#SBATCH --comment=\"two words\"",
-            "set -- '/opt/my programs/hydrograd' generate --out data --shard \"$SLURM_ARRAY_TASK_ID/4\"",
-        ] {
-            assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
-        }
-        assert!(!text.contains("afterok") && !text.contains("kill-on-invalid-dep"), "{text}");
-    }
-
-    /// The words of a command reach it as typed, and its exit code is returned.
-    #[test]
-    fn words_reach_the_command() {
-        let odd = ["%s\\n", "a b", "it's", "$HOME `date`", "", "\"x\"", "*"];
-        let job = Job { command: odd.map(str::to_string).to_vec(), ..Job::default() };
-        let text = job.text(&Wanted { program: vec!["printf".into()], ..wanted() }, Path::new("a.sh")).unwrap();
-        let said = bash(&text, &[("SLURM_JOB_ID", "7")]);
-        assert!(said.ends_with("a b\nit's\n$HOME `date`\n\n\"x\"\n*\n"), "{said}");
-        let lines = Job { command: vec!["a\nb".into()], ..Job::default() }.text(&wanted(), Path::new("a.sh"));
-        assert!(lines.unwrap_err().to_string().contains("line break"));
-    }
-
-    /// An existing run is resumed, and a finished one stays as it is.
-    #[test]
-    fn a_job_goes_on_with_what_is_there() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| folder.path().join(name);
-        let job = Job {
-            command: words("begin"),
-            resumed: Some((at("it's begun"), words("again"))),
-            marker: Some(at("marker")),
-            ..Job::default()
-        };
-        let text = job.text(&Wanted { program: vec!["echo".into()], ..wanted() }, Path::new("a.sh")).unwrap();
-        let last = || bash(&text, &[("SLURM_JOB_ID", "7")]).lines().last().unwrap().to_string();
-        assert_eq!(last(), "begin");
-        std::fs::write(at("it's begun"), "").unwrap();
-        std::fs::write(at("marker"), "simulate\n").unwrap();
-        assert_eq!(last(), "again");
-        std::fs::write(at("marker"), "simulate\nfinished\n").unwrap();
-        assert_eq!(last(), "nothing is left to do");
-    }
-
-    #[test]
-    fn ranks_are_started_and_told_by_slurm() {
-        let (job, merge) = of("--ranks 3 --cpus 2 train --data data --init old.safetensors --out runs/none").unwrap();
-        assert_eq!((job.ranks, job.tasks, merge), (Some(3), None, None));
-        let text = job
-            .text(
-                &Wanted { program: vec!["python3".into(), "-m".into(), "hydrograd".into()], ..wanted() },
-                Path::new("a.sh"),
-            )
-            .unwrap();
-        let srun = "set -- srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 python3 -m hydrograd train --data data";
-        for line in [
-            "#SBATCH --ntasks=3".to_string(),
-            format!("    {srun} --init old.safetensors --out runs/none --threads 2 --overwrite"),
-            // Parameters are taken over only once.
-            format!("    {srun} --out runs/none --threads 2 --resume"),
-            "trap 'scancel --signal=TERM \"$job\"' TERM".to_string(),
-        ] {
-            assert!(text.lines().any(|own| own == line), "no `{line}` in {text}");
-        }
-    }
-
-    #[test]
-    fn what_an_array_means_follows_from_the_command() {
-        let command = |job: &Job| job.command.join(" ");
-        let (main, merge) = of("generate --trajectories 3/1/1 --out runs/none").unwrap();
-        assert_eq!((main.tasks, command(&merge.unwrap())), (Some(5), "merge runs/none".into()));
-        assert_eq!(command(&main), "generate --trajectories 3/1/1 --out runs/none --threads 1");
-        let (main, merge) = of("--tasks 3 --cpus 2 stress taylor-green --quick --out runs/none").unwrap();
-        assert_eq!(main.tasks, Some(3));
-        assert_eq!(command(&merge.unwrap()), "stress taylor-green --quick --out runs/none --threads 2 --resume");
-        let (main, merge) = of("validate --quick --threads=0 --out runs/none").unwrap();
-        assert_eq!((main.tasks, command(&main)), (Some(8), "validate --quick --threads=0 --out runs/none".into()));
-        assert_eq!(command(&merge.unwrap()), "validate --quick --threads=0 --out runs/none --resume");
-        let (main, merge) = of("optimise --start all --no-verify --out runs/none").unwrap();
-        assert_eq!(main.tasks, Some(4));
-        assert_eq!(command(&merge.unwrap()), "optimize --start all --no-verify --resume runs/none");
-        let (main, merge) = of("simulate --recover --out runs/none --set time.end=1 --json").unwrap();
-        assert_eq!((main.tasks, merge), (None, None));
-        let (begun, again) = main.resumed.unwrap();
-        assert_eq!(begun, Path::new("runs/none/checkpoint.safetensors"));
-        assert_eq!(again.join(" "), "simulate --recover --resume runs/none --json");
-        // Without a given folder, the job has the command's default one.
-        let (main, _) = of("optimize --epochs 3").unwrap();
-        assert!(command(&main).starts_with("optimize --epochs 3 --out runs/optimize-heated-channel"), "{main:?}");
-    }
-
-    #[test]
-    fn mistakes_are_told_before_the_queue() {
-        for (line, parts) in [
-            ("generate --no-such-option", ["--no-such-option", "hydrograd generate"]),
-            ("generate --set time.cfl=99", ["time.cfl", "99"]),
-            ("evaluate --model a --data b", ["no shares", "generate, stress, study"]),
-            ("slurm generate", ["no shares", "sbatch --wrap"]),
-            ("--tasks 2 simulate", ["--tasks 2", "generate, stress"]),
-            ("--tasks 5 optimize --start all --out runs/none", ["--tasks 5", "1 ... 4"]),
-            ("--ranks 2 generate --out runs/none", ["--ranks 2", "train"]),
-            ("stress --shard 0/4", ["--shard", "share of its own"]),
-            ("optimize --overwrite", ["--overwrite", "lose"]),
-            ("study --data nowhere --grid noise=1 --steps 5", ["--data nowhere", "data set"]),
-        ] {
-            let message = of(line).unwrap_err().to_string();
-            assert!(parts.iter().all(|part| message.contains(part)), "{line}: {message}");
-        }
-    }
-
-    #[test]
-    fn times_and_sizes_are_slurms() {
-        for good in ["5", "03:00", "01:00:00", "1-0", "2-12:30", "7-00:00:00", "90"] {
-            assert_eq!(time(good), Ok(good.to_string()));
-        }
-        for bad in ["", "2", "00:02:59", "1h", "1-", "1:2:3:4", "-1", "99999999999999999999", "1 0"] {
-            assert!(time(bad).is_err(), "{bad}");
-        }
-        assert!(["4G", "512M", "1000"].iter().all(|size| memory(size).is_ok()));
-        assert!(["4GB", "0", "G", "-1G", "four"].iter().all(|size| memory(size).is_err()));
-        assert!(sbatch_option("--qos=long").is_ok() && sbatch_option("qos").is_err());
-        assert_eq!(next(&[("a b.sh".into(), "".into())]), "sbatch 'a b.sh'");
     }
 }

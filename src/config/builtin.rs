@@ -255,23 +255,3 @@ pub fn unknown(kind: &str, name: &str, known: &[BuiltIn]) -> BadInput {
         None => bad.advice("`hydrograd scenes` describes them"),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn families_and_their_scenes_have_the_same_name() {
-        for built_in in SCENES {
-            let family = built_in.family();
-            assert_eq!(family.name(), built_in.name);
-            assert_eq!(family.built_in(), built_in);
-            assert_eq!(family.defaults().scene, family);
-            assert_eq!(
-                toml::Value::try_from(family).unwrap().as_str(),
-                Some(built_in.name),
-                "as the key `scene` has it"
-            );
-        }
-    }
-}

@@ -138,35 +138,3 @@ impl From<Kernels> for Compute {
         Self::new(kernels, Device::Cpu)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_read_back() {
-        for (text, device) in
-            [("cpu", DeviceName::Cpu), ("cuda:0", DeviceName::Cuda(0)), ("cuda:13", DeviceName::Cuda(13))]
-        {
-            assert_eq!(text.parse(), Ok(device));
-            assert_eq!(device.to_string(), text);
-        }
-        assert_eq!("cuda".parse(), Ok(DeviceName::Cuda(0)));
-    }
-
-    #[test]
-    fn what_is_no_device_is_refused() {
-        for text in ["", "gpu", "CPU", "cuda:", "cuda:-1", "cuda:+1", "cuda:x", "cuda:99999", "cuda 0", "cpu:0"] {
-            let error = text.parse::<DeviceName>().unwrap_err();
-            assert!(error.contains(&format!("`{text}`")) && error.contains("cuda:N"), "{error}");
-        }
-    }
-
-    #[test]
-    fn on_the_cpu_kernels_are_those_that_were_asked_for() {
-        for kernels in [Kernels::Fused, Kernels::Composed] {
-            let compute = Compute::from(kernels);
-            assert!(compute.kernels() == kernels && compute.device().is_cpu());
-        }
-    }
-}

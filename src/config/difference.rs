@@ -43,37 +43,3 @@ pub fn differences<S: Schema>(before: &S, now: &S, free: &[&str]) -> Vec<Differe
 pub fn difference<S: Schema>(before: &S, now: &S, free: &[&str]) -> Option<String> {
     differences(before, now, free).first().map(Difference::to_string)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::{Config, Family};
-    use crate::config::training::Settings;
-
-    #[test]
-    fn scenes_differ_where_it_counts() {
-        let before = Config::default();
-        let mut now = before.clone();
-        assert_eq!(difference(&before, &now, &[]), None);
-        now.time.steps = Some(7);
-        now.output.frames = 3;
-        now.run.threads = 2;
-        now.run.seed = 1;
-        let found = differences(&before, &now, &["output", "run.threads"]);
-        let words: Vec<String> = found.iter().map(Difference::to_string).collect();
-        assert_eq!(words, ["run.seed = 0, not 1", "time.steps = nothing, not 7"]);
-        now.scene = Family::TaylorGreen;
-        let words = difference(&before, &now, &["output", "run", "time"]);
-        assert_eq!(words.as_deref(), Some("scene = \"heated-channel\", not \"taylor-green\""));
-    }
-
-    #[test]
-    fn trainings_differ_key_by_key() {
-        let before = Settings::default();
-        let mut now = before.clone();
-        now.steps += 1;
-        now.model.latent = 8;
-        let found = differences(&before, &now, &["steps"]);
-        assert_eq!(found, [Difference { key: "model.latent".into(), before: "64".into(), now: "8".into() }]);
-    }
-}

@@ -22,17 +22,3 @@ impl Config {
         table.try_into()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::method::Method;
-
-    #[test]
-    fn a_record_reads_back() {
-        for name in Method::names() {
-            let config = Config { method: Method::named(name).unwrap(), ..Config::default() };
-            assert_eq!(Config::from_record(&config.recorded().unwrap()).unwrap(), config);
-        }
-    }
-}

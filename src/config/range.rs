@@ -82,20 +82,3 @@ pub fn spacings(count: f64) -> String {
         _ => format!("{} spacings", (1e6 * count).round() / 1e6),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ends_belong_or_not() {
-        assert!(Range::Within(0.0, 1.0).contains(0.0) && Range::Within(0.0, 1.0).contains(1.0));
-        assert!(!Range::Above(0.0, 1.0).contains(0.0) && Range::Above(0.0, 1.0).contains(1.0));
-        assert!(Range::Below(0.0, 1.0).contains(0.0) && !Range::Below(0.0, 1.0).contains(1.0));
-        assert!(Range::AtLeast(2.0).contains(2.0) && !Range::AtLeast(2.0).contains(1.0));
-        assert!(!Range::Positive.contains(0.0) && Range::NotNegative.contains(0.0));
-        for value in [f64::NAN, f64::INFINITY] {
-            assert!(!Range::Finite.contains(value) && !Range::AtLeast(0.0).contains(value));
-        }
-    }
-}

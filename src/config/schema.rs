@@ -133,37 +133,3 @@ pub fn described<S: Schema>(text: &str) -> Vec<(String, String)> {
     }
     found
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::Config;
-    use crate::config::training::Settings;
-
-    /// Checks that every number has a range, except for the seed. A key without one would never be checked.
-    fn every_number_has_a_range<S: Schema>(seed: &str) {
-        for complete in S::complete() {
-            let numbers = complete.numbers();
-            let with_range: Vec<&str> = numbers.iter().map(|(key, _, _)| *key).collect();
-            let mut expected = Vec::new();
-            for (path, value) in values(&complete) {
-                if (value.is_integer() || value.is_float()) && path != seed {
-                    assert!(with_range.contains(&path.as_str()), "{path} has no range");
-                    expected.push(path);
-                }
-            }
-            assert_eq!(expected.len(), with_range.len(), "a key is there twice, or is none");
-        }
-        S::default().check().unwrap();
-    }
-
-    #[test]
-    fn every_number_of_a_scene_has_a_range() {
-        every_number_has_a_range::<Config>("run.seed");
-    }
-
-    #[test]
-    fn every_number_of_a_training_has_a_range() {
-        every_number_has_a_range::<Settings>("seed");
-    }
-}

@@ -193,39 +193,3 @@ impl Section<'_> {
         offsets
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::design::shape::{default_nodes, Shape};
-    use crate::numerics::random::numbered;
-
-    #[test]
-    fn every_wall_is_within_the_limits() {
-        for (bound, dx) in [(0.02, 0.02), (0.06, 0.02), (0.0, 0.02), (0.1, 0.01)] {
-            let nodes = default_nodes(0.25, 0.75, dx);
-            let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound };
-            for walls in [Walls::Mix, Walls::Report, Walls::Columns, Walls::Smooth] {
-                for index in 0..60 {
-                    let mut rng = numbered(3, "wall", index);
-                    let (name, offsets) = wall(walls, Split::Valid, index as usize, &mut rng, section).unwrap();
-                    let shape = Shape::new(nodes.clone(), offsets, 0.25, 0.75).unwrap();
-                    shape.check_bound(bound).unwrap_or_else(|bad| panic!("{name}: {bad}"));
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn the_report_s_functions_are_ten() {
-        let nodes = default_nodes(0.25, 0.75, 0.02);
-        let section = Section { nodes: &nodes, hot_from: 0.25, hot_to: 0.75, bound: 0.02 };
-        let all: Vec<Vec<f64>> = (0..10)
-            .map(|i| wall(Walls::Report, Split::Train, i, &mut numbered(0, "wall", 0), section).unwrap().1)
-            .collect();
-        for (i, one) in all.iter().enumerate() {
-            assert!(all[..i].iter().all(|other| other != one), "function {i} comes twice");
-        }
-        assert!(all[0].iter().all(|o| *o == 0.0) && all[1].iter().all(|o| *o == 0.02));
-    }
-}

@@ -174,7 +174,7 @@ impl Cloud {
 }
 
 /// Eigenvalues and eigenvectors of a symmetric matrix by Jacobi's rotations.
-fn axes(mut matrix: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
+pub fn axes(mut matrix: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
     let n = matrix.len();
     let mut vectors: Vec<Vec<f64>> = (0..n).map(|i| (0..n).map(|k| f64::from(u8::from(i == k))).collect()).collect();
     // Each sweep squares the off-diagonal part once it is small, so ten suffice.
@@ -206,61 +206,4 @@ fn axes(mut matrix: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
         }
     }
     ((0..n).map(|i| matrix[i][i]).collect(), vectors)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn finds_a_minimum_within_limits_and_again() {
-        // (x - 3)^2 + (y + 1)^2 over x <= 2: the minimum is at (2, -1).
-        let limits = Limits::within(vec![-5.0, -5.0], vec![2.0, 5.0]);
-        let mut loss = |x: &[f64]| Ok((x[0] - 3.0).powi(2) + (x[1] + 1.0).powi(2));
-        let mut run = || search(&[0.0, 0.0], 0.5, 300, 7, &limits, &mut loss).unwrap();
-        let seen = run();
-        assert!(seen.iter().all(|one| limits.contains(&one.variables)));
-        let best = seen.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)).unwrap();
-        assert!((best.variables[0] - 2.0).abs() < 1e-3 && (best.variables[1] + 1.0).abs() < 1e-2, "{best:?}");
-        assert_eq!(run(), seen, "the same seed, the same search");
-    }
-
-    #[test]
-    fn it_follows_a_bent_valley() {
-        // Rosenbrock's function in six dimensions: its minimum of 0 is at 1, 1, ...
-        let limits = Limits::within(vec![-5.0; 6], vec![5.0; 6]);
-        let mut loss = |x: &[f64]| {
-            Ok(x.windows(2).map(|x| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2)).sum::<f64>())
-        };
-        let seen = search(&[0.0; 6], 0.5, 6000, 3, &limits, &mut loss).unwrap();
-        let best = seen.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)).unwrap();
-        assert!(best.loss < 1e-10, "{best:?}");
-    }
-
-    #[test]
-    fn axes_are_those_of_the_matrix() {
-        let matrix = vec![vec![4.0, 1.0, -2.0], vec![1.0, 3.0, 0.5], vec![-2.0, 0.5, 2.0]];
-        let (values, vectors) = axes(matrix.clone());
-        for (value, vector) in values.iter().zip(&vectors) {
-            for (row, x) in matrix.iter().zip(vector) {
-                let product: f64 = row.iter().zip(vector).map(|(a, b)| a * b).sum();
-                assert!((product - value * x).abs() < 1e-13, "{value} {vector:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn an_error_ends_it() {
-        let limits = Limits::within(vec![-1.0], vec![1.0]);
-        let mut calls = 0;
-        let mut loss = |x: &[f64]| {
-            calls += 1;
-            match calls {
-                4 => Err(Error::run("no", "nothing")),
-                _ => Ok(x[0]),
-            }
-        };
-        assert!(search(&[0.5], 0.1, 50, 1, &limits, &mut loss).is_err());
-        assert_eq!(calls, 4);
-    }
 }

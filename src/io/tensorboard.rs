@@ -94,28 +94,3 @@ fn varint(mut value: u64) -> Vec<u8> {
     bytes.push(value as u8);
     bytes
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_record_by_hand() {
-        // CRC-32C of "123456789" is 0xe3069283 (the Castagnoli check value); the mask is TensorFlow's.
-        assert_eq!(crc32c::crc32c(b"123456789"), 0xe306_9283);
-        assert_eq!(varint(300), [0xac, 0x02]);
-        assert_eq!(bytes(1, b"ab"), [0x0a, 2, b'a', b'b']);
-        let folder = tempfile::tempdir().unwrap();
-        let mut events = EventFile::create(folder.path()).unwrap();
-        events.scalars(300, &[("loss", 0.5)]).unwrap();
-        let file = std::fs::read(&events.path).unwrap();
-        let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
-        let second = &file[16 + length..];
-        let length = u64::from_le_bytes(second[..8].try_into().unwrap()) as usize;
-        let data = &second[12..12 + length];
-        assert_eq!(masked(data).to_le_bytes(), second[12 + length..]);
-        // Behind the time: step 300, then a summary of one value.
-        assert_eq!(data[9..12], [0x10, 0xac, 0x02]);
-        assert_eq!(data[12..], [&[0x2a, 13, 0x0a, 11, 0x0a, 4][..], b"loss", &[0x15], &0.5f32.to_le_bytes()].concat());
-    }
-}

@@ -151,24 +151,3 @@ impl Stop {
         work()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_stop_ends_its_own_work_alone() {
-        let (stop, other) = (Stop::default(), Stop::default());
-        stop.ask();
-        assert!(check().is_ok());
-        Stop::ends(Some(stop.clone()), || {
-            assert!(matches!(check(), Err(Error::Stopped)) && matches!(check_own(), Err(Error::Stopped)));
-            Stop::ends(Some(other), || assert!(check().is_ok()));
-            // Handed on to a thread that does a part of it.
-            let own = Stop::of_this_thread();
-            let stopped = std::thread::spawn(|| Stop::ends(own, is_asked_here)).join().unwrap();
-            assert!(stopped && !std::thread::spawn(is_asked_here).join().unwrap());
-        });
-        assert!(check().is_ok());
-    }
-}

@@ -329,7 +329,7 @@ portable!(SingleF32, f32, 1, EXPONENT_F32);
 portable!(PortableF64, f64, 4, EXPONENT_F64);
 portable!(PortableF32, f32, 8, EXPONENT_F32);
 
-#[cfg(all(target_arch = "x86_64", not(test)))]
+#[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::*;
     use std::arch::x86_64::*;
@@ -636,8 +636,8 @@ macro_rules! real {
             type Portable = $portable;
             fn run<K: RowKernel<Self>>(kernel: &K, rows: Range<usize>, with: InstructionSet) {
                 // None of these is inlined, so a program that uses this library calls the library's own and compiles no
-                // kernel again. Unit tests, which are compiled with a library of their own, only have portable kernels.
-                #[cfg(all(target_arch = "x86_64", not(test)))]
+                // kernel again.
+                #[cfg(target_arch = "x86_64")]
                 #[inline(never)]
                 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
                 fn avx512<K: RowKernel<$real>>(kernel: &K, rows: Range<usize>) {
@@ -647,7 +647,7 @@ macro_rules! real {
                         kernel.rows::<x86::$avx512>(rows);
                     }
                 }
-                #[cfg(all(target_arch = "x86_64", not(test)))]
+                #[cfg(target_arch = "x86_64")]
                 #[inline(never)]
                 #[target_feature(enable = "avx2,fma")]
                 fn avx2<K: RowKernel<$real>>(kernel: &K, rows: Range<usize>) {
@@ -665,11 +665,11 @@ macro_rules! real {
                 }
                 match with.0 {
                     // SAFETY: an instruction set is only there if this processor has it.
-                    #[cfg(all(target_arch = "x86_64", not(test)))]
+                    #[cfg(target_arch = "x86_64")]
                     Set::Avx512 => unsafe { avx512(kernel, rows) },
-                    #[cfg(all(target_arch = "x86_64", not(test)))]
+                    #[cfg(target_arch = "x86_64")]
                     Set::Avx2 => unsafe { avx2(kernel, rows) },
-                    _ => portable(kernel, rows),
+                    Set::Portable => portable(kernel, rows),
                 }
             }
             #[inline(always)]

@@ -89,37 +89,3 @@ impl<R: Real> DerefMut for Buffer<R> {
         &mut self.numbers
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_buffer_comes_back_to_who_had_it() {
-        let pool = Buffers::<f64>::default();
-        let place = |length: usize| pool.buffer(length).as_ptr() as usize;
-        let (long, short) = (place(1000), place(100));
-        assert_ne!(long, short);
-        for _ in 0..3 {
-            assert_eq!((place(1000), place(100)), (long, short));
-        }
-        // About as long.
-        assert_eq!(place(950), long);
-        // Two at a time are two.
-        let (a, b) = (pool.buffer(100), pool.buffer(100));
-        assert_ne!(a.as_ptr(), b.as_ptr());
-        assert_eq!((a.len(), b.len()), (100, 100));
-    }
-
-    #[test]
-    fn lengths_that_change_a_little_do_not_pile_up() {
-        let pool = Buffers::<f64>::default();
-        for step in 0..500 {
-            // Up and down by some per cent, with a stride that repeats late.
-            let lengths = [1, 2, 3].map(|k| 1000 * k + 37 * step % 101);
-            let held = lengths.map(|length| pool.buffer(length));
-            assert_eq!(held.each_ref().map(|buffer| buffer.len()), lengths);
-        }
-        assert!(pool.lock().len() <= 4, "{} buffers for three at a time", pool.lock().len());
-    }
-}

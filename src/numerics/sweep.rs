@@ -57,7 +57,7 @@ fn deal(count: usize, run: &(dyn Fn(Range<usize>) + Sync)) {
 }
 
 /// Numbers that are copied or zeroed at a time.
-const STRETCH: usize = 4096;
+pub const STRETCH: usize = 4096;
 
 /// Fills a stretch of memory with numbers of another, or with zeros.
 struct Filling<'a, R> {
@@ -194,22 +194,5 @@ impl<'a, T: Copy> Shared<'a, T> {
         assert!(range.start <= range.end && range.end <= self.length);
         // SAFETY: in bounds, and exclusively ours by the contract.
         unsafe { std::slice::from_raw_parts_mut(self.pointer.add(range.start), range.len()) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_are_filled_to_the_last() {
-        for count in [0, 1, STRETCH - 1, STRETCH, 5 * STRETCH + 7] {
-            let from: Vec<f64> = (0..count).map(|k| k as f64).collect();
-            let mut to = vec![-1.0; count];
-            copy(&from, &mut to);
-            assert!(to == from && copied(&from) == from, "{count}");
-            clear(&mut to);
-            assert!(to == vec![0.0; count] && zeros::<f64>(count) == to, "{count}");
-        }
     }
 }

@@ -12,21 +12,8 @@ pub fn reset_peak_memory() {
 }
 
 /// The line `VmHWM:     1234 kB`, in bytes.
-fn peak_from_status(status: &str) -> Option<u64> {
+pub fn peak_from_status(status: &str) -> Option<u64> {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kibibytes * 1024)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::peak_from_status;
-
-    #[test]
-    fn reads_the_line() {
-        let status = "VmPeak:\t  999 kB\nVmHWM:\t    1234 kB\nVmRSS:\t 7 kB\n";
-        assert_eq!(peak_from_status(status), Some(1234 * 1024));
-        assert_eq!(peak_from_status("VmRSS:\t 7 kB\n"), None);
-        assert_eq!(peak_from_status("VmHWM:\t many kB\n"), None);
-    }
 }

@@ -4,7 +4,8 @@ use super::text::shown;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
-const TEMPLATE: &str = "{prefix} [{bar:30}] {pos}/{len} {elapsed} (left {eta}) {msg}";
+/// How a bar looks, in the language of `indicatif`.
+pub const TEMPLATE: &str = "{prefix} [{bar:30}] {pos}/{len} {elapsed} (left {eta}) {msg}";
 
 /// Progress of a task of known length.
 #[derive(Debug)]
@@ -101,23 +102,3 @@ impl Progress {
 /// Tasks that go on at the same time, each with a bar.
 #[derive(Debug, Default)]
 pub struct Tasks(MultiProgress);
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_bar_counts_while_hidden() {
-        let progress = Progress::hidden(10);
-        assert!(progress.is_hidden());
-        progress.set_position(3);
-        progress.done(2);
-        assert_eq!(progress.position(), 5);
-        assert_eq!(progress.suspend(|| 7), 7);
-    }
-
-    #[test]
-    fn the_template_is_valid() {
-        assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
-    }
-}

@@ -34,25 +34,3 @@ pub fn bytes(count: usize) -> String {
 fn is_safe(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn messages_can_be_shown() {
-        let plain = "error: bad\n  allowed: 0 ... 1, \u{e4}";
-        assert_eq!(shown(plain), plain);
-        assert_eq!(shown("a\u{1b}[2J\u{7}b\tc"), "a\\u{1b}[2J\\u{7}b\\tc");
-        assert_eq!(shown("a\u{202e}b"), "a\\u{202e}b");
-        let long = "x".repeat(9000) + "\nnext";
-        assert_eq!(shown(&long), "x".repeat(LONGEST_LINE) + " ...\nnext");
-        assert_eq!(shown_within("abcd", 3), "abc ...");
-    }
-
-    #[test]
-    fn sizes_have_their_unit() {
-        let sizes = [0, 9_999, 10_000, 164_904_960, 12_300_000_000].map(bytes);
-        assert_eq!(sizes, ["0 B", "9999 B", "10.0 kB", "164.9 MB", "12.3 GB"]);
-    }
-}

@@ -43,10 +43,10 @@ pub struct AccuracyPoint {
 }
 
 /// A run to be done.
-struct Run {
+pub struct Run {
     /// Name of the program and the method.
-    code: String,
-    config: Config,
+    pub code: String,
+    pub config: Config,
 }
 
 /// Runs all cases. `progress` is called with the completed fraction of the predicted work.
@@ -146,7 +146,11 @@ impl Run {
         particles * config.steps() as f64
     }
 
-    fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<AccuracyPoint> {
+    /// Runs it and measures time and error.
+    ///
+    /// # Errors
+    /// Bad input; not a run that diverges.
+    pub fn point<R: Sweeps>(&self, precision: Precision) -> anyhow::Result<AccuracyPoint> {
         let scene = Scene::<R>::from_config(&self.config)?;
         let dt = scene.model.dt;
         let clock = Instant::now();
@@ -190,39 +194,5 @@ fn diverged(error: anyhow::Error) -> anyhow::Result<Option<f64>> {
     match error.downcast::<RunError>()? {
         error if error.is_divergence() => Ok(None),
         error => Err(error.into()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_diverged_run_is_reported() {
-        // Ten times beyond the limit of stability.
-        let run = |sets: &[&str]| {
-            let sets: Vec<String> = ["resolution.dx=0.1"].iter().chain(sets).map(|set| set.to_string()).collect();
-            let config = Config::load(Some("taylor-green"), None, &sets).unwrap().config;
-            Run { code: "ours".into(), config }.point::<f64>(Precision::F64).unwrap()
-        };
-        let end = format!("time.end={}", half_life(100.0));
-        let point = run(&[&end, "method.name=standard", "time.cfl=4", "fluid.sound_speed_factor=1"]);
-        assert!(!point.stable, "{point:?}");
-        assert!(serde_json::to_string(&point).unwrap().contains("\"stable\":false"));
-        let stable = run(&[&end]);
-        assert!(stable.stable && stable.cfl <= 1.0 && stable.cfl > 0.98, "{stable:?}");
-        assert!((stable.steps as f64 * stable.time_step - 0.8779).abs() < 1e-4);
-    }
-
-    #[test]
-    fn error_of_the_heated_channel_is_that_of_q() {
-        let sets = ["time.end=0.3".to_string(), "objective.window=0.05".into()];
-        let config = Config::load(None, None, &sets).unwrap().config;
-        let point = Run { code: "ours".into(), config }.point::<f32>(Precision::F32).unwrap();
-        // The state is far from steady: the outflow has just begun to warm up.
-        assert!(point.stable && point.error.unwrap() > 0.1, "{point:?}");
-        // Fluid and two rows of dummy particles in each wall; on the walls' surfaces vertices, hot points and no-flux
-        // points.
-        assert_eq!(point.particles, 50 * (10 + 4) + 100 + 26 + 24 + 50 + 50);
     }
 }

@@ -5,7 +5,7 @@ use crate::config::formula::{Formula, Function};
 use crate::error::BadInput;
 
 /// A shape with parsed formulas.
-pub(super) struct Shape<'a> {
+pub struct Shape<'a> {
     pub entry: &'a ShapeEntry,
     pub positive: Option<Function>,
     pub velocity: Vec<Function>,

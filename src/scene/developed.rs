@@ -3,7 +3,7 @@
 use crate::config::scene::UpperWall;
 
 /// The velocity profile of developed flow.
-pub(super) fn parabola(y: f64) -> f64 {
+pub fn parabola(y: f64) -> f64 {
     (4.0 * y * (1.0 - y)).max(0.0)
 }
 /// Mean of [`parabola`].
@@ -66,7 +66,7 @@ impl Developed {
     }
 
     /// The decay rate b of the temperature difference: the smallest one (0), or the next ones.
-    fn decay(&self, number: usize) -> f64 {
+    pub fn decay(&self, number: usize) -> f64 {
         let end = |b: f64| self.across(b).0[(self.upper_wall == UpperWall::Adiabatic) as usize];
         let step = 0.2 * self.diffusivity.min(1.0);
         let (mut low, mut left) = (0.0, number);
@@ -120,48 +120,5 @@ impl Developed {
         let per_height = b * MEAN_VELOCITY + self.diffusivity * b * b * shape;
         let nusselt = per_height * HYDRAULIC_DIAMETER / (self.diffusivity * walls);
         nusselt.is_finite().then_some(nusselt)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nusselt_numbers_are_those_of_the_literature() {
-        let of = |diffusivity, upper_wall| Developed::new(diffusivity, upper_wall, [0.0, 10.0]);
-        // Peclet number 4/3 / diffusivity.
-        let both = of(1e-4, UpperWall::Isothermal).nusselt;
-        assert!((both - 7.5407).abs() < 1e-4, "{both}");
-        let one = of(1e-4, UpperWall::Adiabatic).nusselt;
-        assert!((one - 4.8608).abs() < 1e-4, "{one}");
-        // With conduction only it is 8.1174 (Shah and London 1978, eq. 308).
-        let slow = of(1e4, UpperWall::Isothermal).nusselt;
-        assert!((slow - 8.1174).abs() < 1e-3, "{slow}");
-    }
-
-    #[test]
-    fn the_balance_of_an_exact_profile_is_its_nusselt_number() {
-        for upper_wall in [UpperWall::Isothermal, UpperWall::Adiabatic] {
-            let developed = Developed::new(1.0 / 60.0, upper_wall, [1.0, 20.0]);
-            let b = developed.decay(0);
-            // The exact profile at the positions of particles.
-            let profile = |y: f64| {
-                let (steps, mut f, mut slope) = (4000, 0.0, 1.0);
-                let h = y / steps as f64;
-                for k in 0..steps {
-                    let middle = (k as f64 + 0.5) * h;
-                    let half = f + 0.5 * h * slope;
-                    slope -= h * (b * b + b * parabola(middle) / developed.diffusivity) * half;
-                    f = half + 0.5 * h * slope;
-                }
-                f
-            };
-            let rows: Vec<(f64, f64)> = (0..100).map(|k| (k as f64 + 0.5) / 100.0).map(|y| (y, profile(y))).collect();
-            let all = (0..2000).flat_map(|c| rows.iter().map(move |&(y, f)| (0.01 * (c as f64 + 0.5), y, f)));
-            let particles = all.map(|(x, y, f)| [x, 1e-4 * parabola(y), 1e-4, f * (-b * x).exp()]);
-            let (found, exact) = (developed.measured(particles).unwrap(), developed.nusselt);
-            assert!((found / exact - 1.0).abs() < 3e-4, "{found} {exact}");
-        }
     }
 }

@@ -11,7 +11,7 @@ use crate::particles::Domain;
 use std::collections::HashMap;
 
 /// Walls in a box with its corner at 0.
-pub(super) struct Walls<'a> {
+pub struct Walls<'a> {
     pub shapes: &'a [Shape<'a>],
     pub domain: Domain,
     /// See [`images`].
@@ -20,7 +20,7 @@ pub(super) struct Walls<'a> {
 }
 
 /// Offsets of the periodic images of a shape in a box, including the shape itself.
-pub(super) fn images(domain: &Domain) -> Vec<[f64; 3]> {
+pub fn images(domain: &Domain) -> Vec<[f64; 3]> {
     let has = |d: usize| d < domain.dimension && domain.periodic[d];
     (0..27)
         .map(|k| [k % 3, k / 3 % 3, k / 9])
@@ -43,7 +43,7 @@ const BESIDE: f64 = 0.35;
 
 /// A point on the surface, and the unit normal there into the fluid.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Foot {
+pub struct Foot {
     pub place: [f64; 3],
     pub normal: [f64; 3],
 }
@@ -162,7 +162,7 @@ impl Walls<'_> {
         std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
     }
 
-    /// The position, or if it is nearer to a wall than [`BESIDE`], the one at that distance from the wall.
+    /// The position, or if it is nearer to a wall than `BESIDE`, the one at that distance from the wall.
     pub fn away_from_walls(&self, p: [f64; 3]) -> [f64; 3] {
         let least = BESIDE * self.spacing;
         let s = self.distance(p);
@@ -172,7 +172,7 @@ impl Walls<'_> {
         }
     }
 
-    /// The feet of positions, each at least [`APART`] from all before it. There are none in a corner between walls,
+    /// The feet of positions, each at least `APART` from all before it. There are none in a corner between walls,
     /// which may have different conditions.
     pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
         let mut feet: Vec<Foot> = Vec::new();
@@ -297,99 +297,5 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
         }
         // See `of_formula`.
         Kind::Where => f64::INFINITY,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::formula::Formula;
-
-    fn entry(kind: Kind, fill: Fill) -> ShapeEntry {
-        ShapeEntry { kind, fill, ..ShapeEntry::default() }
-    }
-
-    fn with<T>(entries: &[ShapeEntry], periodic: [bool; 3], dimension: usize, go: impl Fn(&Walls) -> T) -> T {
-        let shapes: Vec<Shape> =
-            entries.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, dimension).unwrap()).collect();
-        let domain = Domain { dimension, size: [1.0; 3], periodic };
-        go(&Walls { shapes: &shapes, images: images(&domain), domain, spacing: 0.02 })
-    }
-
-    fn disc(radius: f64, fill: Fill) -> ShapeEntry {
-        ShapeEntry { centre: Some(vec![0.5, 0.5]), radius: Some(radius), ..entry(Kind::Disc, fill) }
-    }
-
-    #[test]
-    fn distances_are_those_of_geometry() {
-        let all = [true; 3];
-        let boxed =
-            ShapeEntry { lower: Some(vec![0.2, 0.2]), upper: Some(vec![0.6, 0.4]), ..entry(Kind::Box, Fill::Wall) };
-        let bent = ShapeEntry {
-            points: Some(vec![[0.2, 0.5], [0.8, 0.5]]),
-            thickness: Some(0.1),
-            ..entry(Kind::Polyline, Fill::Wall)
-        };
-        let corner =
-            ShapeEntry { points: Some(vec![[0.2, 0.2], [0.8, 0.2], [0.2, 0.8]]), ..entry(Kind::Polygon, Fill::Wall) };
-        let formula = ShapeEntry { positive: Some(Formula("2*(0.3 - y)".into())), ..entry(Kind::Where, Fill::Wall) };
-        for (shape, place, expected) in [
-            (&disc(0.2, Fill::Wall), [0.9, 0.5], 0.2),
-            (&disc(0.2, Fill::Wall), [0.5, 0.4], -0.1),
-            (&boxed, [0.7, 0.3], 0.1),
-            (&boxed, [0.63, 0.44], 0.05),
-            (&boxed, [0.3, 0.35], -0.05),
-            (&bent, [0.5, 0.62], 0.07),
-            (&bent, [0.83, 0.54], 0.0),
-            (&corner, [0.3, 0.3], -0.1),
-            (&corner, [0.5, 0.1], 0.1),
-            (&formula, [0.1, 0.35], 0.05),
-        ] {
-            let found = with(std::slice::from_ref(shape), all, 2, |walls| walls.distance([place[0], place[1], 0.0]));
-            assert!((found - expected).abs() < 1e-9, "{shape:?} at {place:?}: {found} is not {expected}");
-        }
-        // A box at a side of the domain extends into it.
-        let standing = ShapeEntry { lower: Some(vec![0.2, 0.0]), ..boxed.clone() };
-        let inside =
-            |periodic| with(std::slice::from_ref(&standing), periodic, 2, |walls| walls.distance([0.4, 0.05, 0.0]));
-        assert!((inside([true, false, true]) + 0.2).abs() < 1e-12 && (inside([true; 3]) + 0.05).abs() < 1e-12);
-        // Through a periodic side; beside a closed side; fluid cut out of a wall.
-        let near = [0.05, 0.5, 0.0];
-        let at_edge = ShapeEntry { centre: Some(vec![0.95, 0.5]), ..disc(0.02, Fill::Wall) };
-        assert!((with(&[at_edge], all, 2, |walls| walls.distance(near)) - 0.08).abs() < 1e-12);
-        assert!((with(&[], [false, true, true], 2, |walls| walls.distance(near)) - 0.05).abs() < 1e-12);
-        let ring = [disc(0.4, Fill::Wall), disc(0.3, Fill::Fluid)];
-        for (x, expected) in [(0.5, 0.3), (0.75, 0.05), (0.85, -0.05), (0.95, 0.05)] {
-            let found = with(&ring, all, 2, |walls| walls.distance([x, 0.5, 0.0]));
-            assert!((found - expected).abs() < 1e-12, "{x}: {found}");
-        }
-    }
-
-    #[test]
-    fn points_lie_on_the_surface_about_a_spacing_apart() {
-        let cells = |count: usize| (0..count * count).map(move |k| [k % count, k / count]);
-        with(&[disc(0.2, Fill::Wall)], [true; 3], 2, |walls| {
-            let place = |[i, j]: [usize; 2]| [(i as f64 + 0.5) * 0.02, (j as f64 + 0.5) * 0.02, 0.0];
-            let beside = cells(50).map(place).filter(|&p| walls.distance(p).abs() < 0.02);
-            let feet = walls.points(beside);
-            for foot in &feet {
-                let away = [foot.place[0] - 0.5, foot.place[1] - 0.5];
-                assert!((away[0].hypot(away[1]) - 0.2).abs() < 1e-9);
-                let normal = [away[0] / 0.2, away[1] / 0.2];
-                assert!((0..2).all(|d| (normal[d] - foot.normal[d]).abs() < 1e-6), "{foot:?}");
-            }
-            // Gaps are at most a spacing and a half, and at least the given distance.
-            let mut angles: Vec<f64> =
-                feet.iter().map(|foot| (foot.place[1] - 0.5).atan2(foot.place[0] - 0.5)).collect();
-            angles.sort_by(f64::total_cmp);
-            angles.push(angles[0] + std::f64::consts::TAU);
-            let gaps = angles.windows(2).map(|pair| 2.0 * 0.2 * (0.5 * (pair[1] - pair[0])).sin());
-            assert!(gaps.clone().all(|gap| (0.45 * 0.02..1.5 * 0.02).contains(&gap)), "{:?}", gaps.collect::<Vec<_>>());
-            let nearest = walls.finder(&feet);
-            let found = nearest([0.7, 0.5, 0.0]).unwrap();
-            assert!((feet[found].place[0] - 0.7).abs() < 0.02 && nearest([0.9, 0.9, 0.0]).is_none());
-            assert_eq!(walls.away_from_walls([0.9, 0.5, 0.0]), [0.9, 0.5, 0.0]);
-            assert!((walls.away_from_walls([0.702, 0.5, 0.0])[0] - 0.707).abs() < 1e-12);
-        });
     }
 }

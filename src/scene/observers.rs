@@ -156,19 +156,3 @@ impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn steps_are_even_and_end_with_the_last() {
-        let of = |steps: usize, count: usize| {
-            let even = EvenSteps::new(steps, count);
-            (0..=steps).filter(|&step| even.contains(step)).collect::<Vec<usize>>()
-        };
-        assert_eq!(of(10, 4), [0, 3, 6, 9, 10]);
-        assert_eq!(of(3, 100), [0, 1, 2, 3]);
-        assert_eq!(of(5, 0), [0; 0]);
-    }
-}

@@ -225,31 +225,3 @@ pub struct Recovery {
     pub parts: usize,
     pub cause: String,
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::Config;
-
-    #[test]
-    fn what_was_put_is_read_again() {
-        let mut record = Record::of(&Diagnostics { q: 0.0237, energy_imbalance: f64::NAN, ..Diagnostics::default() });
-        record.put("q_first", 0.0234);
-        record.put("best_epoch", 1);
-        record.put("q_per_epoch", [0.0234, 0.0237, f64::NAN]);
-        record.put("warnings", [Warning { problem: "a".into(), advice: "b".into() }]);
-        record.put("before", Record::of(&Diagnostics { q: 0.0234, ..Diagnostics::default() }));
-        let text = serde_json::to_string(&record).unwrap();
-        let read: Record = serde_json::from_str(&text).unwrap();
-        assert_eq!(read, record);
-        assert_eq!((read.number("energy_imbalance"), read.number("u_max")), (None, Some(0.0)));
-        assert_eq!((read.before().number("q"), read.warnings()[0].advice.as_str()), (Some(0.0234), "b"));
-        let search = read.search(Figure::of_config(&Config::default())).unwrap();
-        assert_eq!((search.best_epoch, search.values.len(), search.values[2], search.survives), (1, 3, None, None));
-        assert!((search.gain() - 0.0003 / 0.0234).abs() < 1e-12);
-        // A record of an earlier version, without some figures.
-        let older: Record = serde_json::from_str(r#"{ "q": 0.02 }"#).unwrap();
-        assert!(older.search(Figure::of_config(&Config::default())).is_none() && older.warnings().is_empty());
-        assert_eq!(record.without_heat().number("q"), None);
-    }
-}

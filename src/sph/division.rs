@@ -67,30 +67,3 @@ impl Divided {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn steps_are_divided_where_the_flow_asks_for_it() {
-        let division = Division { spacing: 0.01, sound_speed: 10.0, courant_number: 1.0 };
-        let dt = 0.01 / 11.0;
-        // Not divided at rest, at the reference velocity and well above it.
-        for speed in [0.0, 1.0, 2.5] {
-            assert_eq!(division.parts(dt, speed, 0.0), 1, "{speed}");
-        }
-        // At a speed of 2.75 a particle moves by a quarter of a spacing in a step.
-        assert_eq!((division.parts(dt, 2.76, 0.0), division.parts(dt, 5.6, 0.0)), (2, 3));
-        // At a = dx / (4 dt)^2, 1/4 sqrt(dx / a) = dt.
-        let a = 0.01 / (4.0 * dt).powi(2);
-        assert_eq!((division.parts(dt, 0.0, a), division.parts(dt, 0.0, 1.01 * a)), (1, 2));
-        assert_eq!(division.parts(dt, 0.0, 9.01 * a), 4);
-        // With a slow speed of sound c + u decides.
-        let slow = Division { sound_speed: 1.0, courant_number: 0.1, ..division };
-        assert_eq!((slow.parts(5e-4, 1.4, 0.0), slow.parts(5e-4, 1.6, 0.0)), (1, 2));
-        for nonsense in [f64::NAN, f64::INFINITY] {
-            assert!((1..=MOST).contains(&division.parts(dt, nonsense, nonsense)));
-        }
-    }
-}

@@ -117,18 +117,3 @@ pub fn components(name: &str, width: usize) -> Vec<String> {
         _ => ["x", "y", "z"][..width].iter().map(|axis| format!("{name} {axis}")).collect(),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_follow_each_other() {
-        let rows = Rows::new(3, &[Quantity::Pressure, Quantity::Temperature, Quantity::Acceleration]);
-        assert_eq!((rows.count(), rows.velocity()), (11, 3));
-        assert_eq!((rows.row(Quantity::Pressure), rows.temperature()), (Some(6), Some(7)));
-        assert_eq!((rows.row(Quantity::Acceleration), rows.row(Quantity::Mass)), (Some(8), None));
-        assert_eq!((rows.quantity(10), rows.quantity(11)), (Some(Quantity::Acceleration), None));
-        assert_eq!(rows.names()[5..9], ["velocity z", "pressure", "temperature", "acceleration x"]);
-    }
-}

@@ -256,26 +256,3 @@ pub fn all() -> Vec<Case> {
         },
     ]
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::Config;
-
-    #[test]
-    fn every_case_is_a_configuration_and_has_a_quick_run_unless_it_is_long() {
-        for case in all() {
-            assert!(!case.levels.is_empty(), "{}", case.name);
-            for level in &case.levels {
-                let settings: Vec<String> =
-                    [case.settings, level.settings].concat().iter().map(|s| s.to_string()).collect();
-                Config::load(Some(case.scene), None, &settings).unwrap_or_else(|e| panic!("{}: {e}", case.name));
-                assert!(level.tolerance > 0.0);
-            }
-        }
-        let mut names: Vec<_> = all().iter().map(|case| case.name).collect();
-        names.sort_unstable();
-        names.dedup();
-        assert_eq!(names.len(), all().len());
-    }
-}

@@ -69,29 +69,3 @@ pub fn between(x: &[f64], y: &[f64], at: f64) -> f64 {
     let share = (at - x[right - 1]) / (x[right] - x[right - 1]);
     y[right - 1] + share * (y[right] - y[right - 1])
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn references_are_read() {
-        let energy = taylor_green_3d().column("kinetic_energy");
-        // A quarter of the square of the amplitude, halved; and falling.
-        assert!((energy[0] - 0.125).abs() < 1e-12 && energy.windows(2).all(|pair| pair[1] < pair[0]));
-        let (s, u, v) = {
-            let table = lid_driven_cavity();
-            (table.column("s"), table.column("u"), table.column("v"))
-        };
-        assert!((between(&s, &u, 1.0) - 1.0).abs() < 1e-12 && v[0].abs() < 1e-3);
-        // No fluid is made or lost across a line.
-        let mean: f64 = u.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]) / 128.0).sum();
-        assert!(mean.abs() < 1e-3, "{mean}");
-        let channel = heated_channel();
-        assert_eq!(
-            (channel.texts("shape")[0], channel.column("Q")[0], channel.column("o24").len()),
-            ("flat", 0.0234764, 51)
-        );
-        assert!(channel.column("none").is_empty());
-    }
-}

@@ -137,7 +137,7 @@ pub fn draw(folder: &Path, points: &[ComparedRun]) -> Result<Vec<PathBuf>, FileE
 }
 
 /// For each code and type, the points that no other run beats in both time and error, the fastest first.
-fn fronts<'a>(points: impl Iterator<Item = &'a ComparedRun>) -> Series {
+pub fn fronts<'a>(points: impl Iterator<Item = &'a ComparedRun>) -> Series {
     let mut fronts = vec![];
     for point in points {
         if let Some(place) = point.place() {
@@ -154,47 +154,4 @@ fn fronts<'a>(points: impl Iterator<Item = &'a ComparedRun>) -> Series {
         });
     }
     fronts
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn point(dx: f64, cfl: f64, seconds: f64) -> ComparedRun {
-        ComparedRun {
-            code: ours(),
-            scene: "s".into(),
-            dx,
-            cfl,
-            precision: Precision::F64,
-            particles: None,
-            steps: None,
-            threads: None,
-            seconds,
-            error: Some(1e-2),
-            stable: true,
-        }
-    }
-
-    #[test]
-    fn only_runs_that_none_beats_are_shown() {
-        let point =
-            |seconds, error, precision| ComparedRun { error: Some(error), precision, ..point(0.1, 1.0, seconds) };
-        let (f64, f32) = (Precision::F64, Precision::F32);
-        // 4 s for an error that takes 2 s, a run as slow as another with a larger error, and a separate run of another
-        // type.
-        let mut points = vec![
-            point(4.0, 1e-2, f64),
-            point(2.0, 1e-2, f64),
-            point(9.0, 1e-3, f64),
-            point(1.0, 0.1, f64),
-            point(1.0, 0.2, f64),
-            point(5.0, 0.5, f32),
-        ];
-        points.push(ComparedRun { stable: false, ..point(0.1, 1e-9, f64) });
-        let found = fronts(points.iter());
-        assert_eq!(found.len(), 2);
-        assert_eq!(found[0], ("hydrograd f64".to_string(), vec![(1.0, 0.1), (2.0, 1e-2), (9.0, 1e-3)]));
-        assert_eq!(found[1], ("hydrograd f32".to_string(), vec![(5.0, 0.5)]));
-    }
 }

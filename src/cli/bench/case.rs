@@ -360,17 +360,3 @@ pub enum Outcome {
 pub fn particles(config: &Config) -> usize {
     config.columns() * (config.rows() + 2 * config.channel.wall_rows)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_are_a_side_and_a_dimension() {
-        assert_eq!(Size::parse("100^2").map(Size::particles), Ok(10_000));
-        assert_eq!(Size::parse("20^3").map(Size::particles), Ok(8_000));
-        for bad in ["100", "7^2", "100^4", "100^1", "x^2", "100000^2", "^2", "9999999999^3"] {
-            assert!(Size::parse(bad).is_err(), "{bad}");
-        }
-    }
-}

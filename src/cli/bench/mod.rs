@@ -6,18 +6,18 @@
 //! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, compare, plots, runner  <-  tables  <-  run
 //! ```
 
-mod accuracy;
+pub mod accuracy;
 mod arguments;
-mod case;
+pub mod case;
 mod cases;
-mod child;
+pub mod child;
 mod compare;
 mod goal;
 mod needs;
 mod plots;
-mod rows;
+pub mod rows;
 mod runner;
-mod surrogate;
+pub mod surrogate;
 mod tables;
 
 pub use arguments::BenchArguments;

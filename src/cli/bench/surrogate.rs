@@ -42,7 +42,7 @@ const JITTER: f64 = 0.2;
 const SPEED: f64 = 0.02;
 
 /// A jittered lattice that moves; scripts/peers/surrogate.py makes the same.
-fn flow(frames: usize) -> (Metadata, Trajectory) {
+pub fn flow(frames: usize) -> (Metadata, Trajectory) {
     let size = [COLUMNS as f64 * SPACING, ROWS as f64 * SPACING];
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let mut position = vec![];
@@ -182,7 +182,7 @@ enum Form {
 
 /// A product of a linear layer on some rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Product {
+pub struct Product {
     rows: usize,
     inputs: usize,
     outputs: usize,
@@ -190,7 +190,7 @@ struct Product {
 }
 
 /// All products of a step, and how often each is there.
-fn products(sizes: &Sizes, nodes: usize, edges: usize, training: bool) -> Vec<(Product, usize)> {
+pub fn products(sizes: &Sizes, nodes: usize, edges: usize, training: bool) -> Vec<(Product, usize)> {
     let Sizes { latent: l, rounds, linears, .. } = *sizes;
     let mut layers = vec![
         (nodes, sizes.node_features + sizes.embedding, l, 1),
@@ -216,7 +216,8 @@ fn products(sizes: &Sizes, nodes: usize, edges: usize, training: bool) -> Vec<(P
 }
 
 impl Product {
-    fn operations(&self) -> f64 {
+    /// Multiplications and additions.
+    pub fn operations(&self) -> f64 {
         2.0 * (self.rows * self.inputs * self.outputs) as f64
     }
 
@@ -260,42 +261,5 @@ impl Product {
             clock.elapsed().as_secs_f64()
         };
         (0..10).map(|_| run()).fold(f64::INFINITY, f64::min)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn work_is_that_of_the_split_form() {
-        let sizes = Sizes {
-            node_features: 10,
-            edge_features: 3,
-            outputs: 2,
-            latent: 128,
-            rounds: 10,
-            linears: 2,
-            embedding: 16,
-        };
-        let (n, e, l, f) = (950.0, 24_690.0, 128.0, 26.0);
-        let gflop = |training| {
-            products(&sizes, 950, 24_690, training).iter().map(|(p, times)| 1e-9 * *times as f64 * p.operations()).sum()
-        };
-        let encoders = n * (f * l + l * l) + e * (3.0 * l + l * l);
-        let rounds = 10.0 * (n * 5.0 * l * l + e * 2.0 * l * l);
-        let forward = 2e-9 * (encoders + rounds + n * (l * l + 2.0 * l));
-        let found: [f64; 2] = [gflop(false), gflop(true)];
-        assert!((found[0] / forward - 1.0).abs() < 1e-12, "{found:?}");
-        assert!((found[1] / (3.0 * forward - 2e-9 * e * 3.0 * l) - 1.0).abs() < 1e-12, "{found:?}");
-    }
-
-    #[test]
-    fn the_graph_has_the_neighbours_of_a_fluid() {
-        let (metadata, trajectory) = flow(1);
-        let domain = crate::particles::Domain { dimension: 2, size: metadata.size(), periodic: metadata.periodic() };
-        let graph = |radius: f64| Graph::build(&Frame::of(&trajectory, 0).position, &domain, radius * SPACING).unwrap();
-        let per_node = |radius: f64| graph(radius).edges() as f64 / Network::PARTICLES as f64;
-        assert!((6.0..9.0).contains(&per_node(1.45)) && (25.0..30.0).contains(&per_node(3.0)));
     }
 }

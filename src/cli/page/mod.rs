@@ -7,7 +7,7 @@ mod data_set;
 mod designs;
 mod folder;
 mod leads;
-mod names;
+pub mod names;
 mod others;
 mod series;
 mod tables;
@@ -35,7 +35,7 @@ pub fn write(folder: &Path) -> anyhow::Result<()> {
 /// Rewrites the page of a folder, if it has one, after a file was added.
 ///
 /// # Errors
-/// As for [`write`].
+/// As for [`write()`].
 pub fn refresh(folder: &Path) -> anyhow::Result<()> {
     match folder.join(PAGE).exists() {
         true => write(folder),

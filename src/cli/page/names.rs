@@ -94,33 +94,3 @@ pub fn rounded(cell: Cell, digits: usize) -> Cell {
 pub fn counted(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn keys_have_names() {
-        for (key, expected) in [
-            ("q", "outflowing heat Q"),
-            ("mse_20", "position MSE over 20 steps"),
-            ("best_mse_1", "least position MSE over 1 step"),
-            ("no change: e_kin", "no change: kinetic energy, squared error"),
-            ("before.flow_rate", "before: flow rate"),
-            ("some_key", "some key"),
-        ] {
-            assert_eq!(label(key), expected);
-        }
-    }
-
-    #[test]
-    fn numbers_have_few_digits() {
-        for (value, expected) in
-            [(0.2595789, "0.2596"), (77.014123, "77.01"), (12.0, "12"), (3.2e-7, "3.200e-7"), (12345.6, "12346")]
-        {
-            assert_eq!(rounded(Cell::number(value), 4).text, expected);
-        }
-        assert_eq!(sized("peak_memory_bytes", Cell::number(164904960.0)).text, "164.9 MB");
-        assert_eq!((counted(1, "epoch"), counted(2, "epoch")), ("1 epoch".into(), "2 epochs".into()));
-    }
-}

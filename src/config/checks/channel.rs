@@ -223,7 +223,7 @@ impl Config {
 }
 
 /// The next larger and the next smaller spacing that divide the length and all extents across it, if they exist.
-fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
+pub fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
     let divides = |columns: usize, extent: f64| is_whole(extent / length * columns as f64);
     let fits = |columns: &usize| *columns > 0 && across.iter().all(|(_, extent)| divides(*columns, *extent));
     let start = (length / dx).floor() as usize;
@@ -231,21 +231,4 @@ fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
     let smaller = (start + 1..start + 10_000).find(fits);
     let spacing = |columns: usize| length / columns as f64;
     larger.into_iter().chain(smaller).map(spacing).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nearest_spacings_divide_both() {
-        let near = |dx: f64, across: &[f64]| {
-            let across: Vec<(&str, f64)> = across.iter().map(|&extent| ("", extent)).collect();
-            nearest_spacings(dx, 1.0, &across)
-        };
-        assert_eq!(near(0.03, &[0.2]), [1.0 / 30.0, 1.0 / 35.0]);
-        assert_eq!(near(0.021, &[0.26]), [0.02]);
-        assert_eq!(near(0.03, &[0.2, 0.25]), [1.0 / 20.0, 1.0 / 40.0]);
-        assert!(near(0.02, &[std::f64::consts::FRAC_1_PI]).is_empty());
-    }
 }

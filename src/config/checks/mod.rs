@@ -1,6 +1,6 @@
 //! Checks of the consistency of a scene's sections, by family. Each section is checked alone in its own file.
 
-mod channel;
+pub mod channel;
 mod custom;
 mod flows;
 mod steps;

@@ -94,35 +94,3 @@ impl Optimiser for BarzilaiBorwein {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn finds_the_minimum_of_a_quadratic_of_many_variables() {
-        let n = 200;
-        let limits = Limits::within(vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);
-        let curvature = |k: usize| 1.0 + 30.0 * k as f64 / n as f64;
-        let mut optimiser = BarzilaiBorwein::new(0.1, &vec![0.0; n]);
-        for _ in 0..60 {
-            let x = optimiser.ask().to_vec();
-            let value = (0..n).map(|k| 0.5 * curvature(k) * (x[k] - 1.0).powi(2)).sum();
-            let gradient: Vec<f64> = (0..n).map(|k| curvature(k) * (x[k] - 1.0)).collect();
-            optimiser.tell(&limits, value, &gradient);
-        }
-        assert!(optimiser.ask().iter().all(|x| (x - 1.0).abs() < 1e-4), "{:?}", &optimiser.ask()[..3]);
-    }
-
-    #[test]
-    fn a_step_that_is_too_long_is_taken_again() {
-        let limits = Limits::within(vec![-9.0], vec![9.0]);
-        let mut optimiser = BarzilaiBorwein::new(1.0, &[2.0]);
-        optimiser.tell(&limits, 4.0, &[1.0]);
-        assert_eq!(optimiser.ask(), [1.0]);
-        optimiser.tell(&limits, f64::NAN, &[1.0]);
-        assert_eq!(optimiser.ask(), [1.75]);
-        optimiser.tell(&limits, 5.0, &[1.0]);
-        assert_eq!(optimiser.ask(), [1.9375]);
-    }
-}

@@ -81,21 +81,3 @@ impl Parametrisation for Numbers {
         (0.0, vec![0.0; variables.len()])
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn variables_are_shares_of_the_way() {
-        let numbers = Numbers::new(vec![0.3, -1.0], vec![0.1, -2.0], vec![0.5, 2.0]);
-        let start = numbers.start();
-        assert!((start[0] - 0.5).abs() < 1e-15 && start[1] == 0.25, "{start:?}");
-        assert_eq!(numbers.values(&numbers.start()), [0.3, -1.0]);
-        let ends = numbers.values(&[0.0, 1.0]);
-        assert!((ends[0] - 0.1).abs() < 1e-15 && (ends[1] - 2.0).abs() < 1e-15);
-        assert_eq!(numbers.pull_back(&[1.0, 10.0]), [0.4, 40.0]);
-        let changes = numbers.column_heights(&[1.0, 0.0]);
-        assert!((changes[0] - 0.2).abs() < 1e-15 && (changes[1] + 1.0).abs() < 1e-15);
-    }
-}

@@ -28,7 +28,7 @@ pub struct Ranks(Option<Arc<engine::World>>);
 const SIZES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
 
 /// How many processes somebody started together.
-fn started(variable: impl Fn(&str) -> Option<String>) -> usize {
+pub fn started(variable: impl Fn(&str) -> Option<String>) -> usize {
     let sizes = SIZES.iter().filter_map(|name| variable(name)?.parse().ok());
     sizes.max().unwrap_or(1)
 }
@@ -87,31 +87,5 @@ impl Ranks {
         if let Some(world) = &self.0 {
             world.abort(code);
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn one_process_is_alone() {
-        let ranks = Ranks::ALONE;
-        assert_eq!((ranks.rank(), ranks.size(), ranks.threads()), (0, 1, None));
-        assert_eq!(ranks.all(&[1.0, 2.0]), [1.0, 2.0]);
-        assert!(ranks.begin(vec![3.0], How::Sum).is_none());
-        ranks.abort(1);
-    }
-
-    #[test]
-    fn how_many_were_started() {
-        let size = |known: &'static [(&str, &str)]| {
-            started(|name| known.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_string()))
-        };
-        assert_eq!(size(&[]), 1);
-        assert_eq!(size(&[("OMPI_COMM_WORLD_SIZE", "4")]), 4);
-        // mpirun inside of a step of Slurm's.
-        assert_eq!(size(&[("SLURM_STEP_NUM_TASKS", "1"), ("OMPI_COMM_WORLD_SIZE", "2")]), 2);
-        assert_eq!(size(&[("PMI_SIZE", "x")]), 1);
     }
 }

@@ -151,7 +151,7 @@ pub enum Column {
 
 impl Table {
     /// What its columns hold: most of a column's cells say it, so that all of them are aligned alike.
-    fn found_columns(&self) -> Vec<Column> {
+    pub fn found_columns(&self) -> Vec<Column> {
         const LONG: usize = 28;
         let of = |k: usize| {
             let cells = || {
@@ -338,85 +338,5 @@ impl Page {
     /// System errors.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         Ok(write_bytes_atomically(path, self.to_html()?.as_bytes())?)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_are_short() {
-        for (value, expected) in [
-            (0.0, "0"),
-            (13.0, "13"),
-            (0.25, "0.25"),
-            (123456.7, "123457"),
-            (0.99999999, "1"),
-            (0.023431234, "0.0234312"),
-            (-1234.5678, "-1234.57"),
-            (1.5e-9, "1.5000e-9"),
-            (f64::NAN, "-"),
-        ] {
-            assert_eq!(short(value), expected);
-        }
-    }
-
-    #[test]
-    fn columns_are_aligned_alike() {
-        let mut table = Table::new("", ["name", "figure", "kind", "what", "nothing"]);
-        for (figure, kind) in [(Cell::number(1.0), "a"), (Cell::number(2.0), "b"), (Cell::text("failed"), "")] {
-            let long = Cell::text("a text of more than one line, if it has to be");
-            table.rows.push(vec![Cell::text("row"), figure, Cell::text(kind), long, Cell::text("-")]);
-        }
-        let expected = [Column::Text, Column::Numbers, Column::Text, Column::Words, Column::Numbers];
-        assert_eq!(table.found_columns(), expected);
-    }
-
-    #[test]
-    fn addresses_keep_their_meaning() {
-        assert_eq!(link("a b/100%.csv"), "a%20b/100%25.csv");
-        assert_eq!(link("<script>.toml"), "%3Cscript%3E.toml");
-    }
-
-    #[test]
-    fn text_stays_text() {
-        let nasty = "<script>alert(1)</script>\"'";
-        let page = Page {
-            title: nasty.into(),
-            lead: nasty.into(),
-            tables: vec![Table { rows: vec![vec![Cell::text(nasty)]], ..Table::new(nasty, [nasty]) }],
-            charts: vec![Chart { title: nasty.into(), series: vec![Series::new(nasty, [])], ..Chart::default() }],
-            texts: vec![Text { title: nasty.into(), text: nasty.into() }],
-            files: vec![File { name: nasty.into(), link: link(nasty), size: String::new(), what: nasty.into() }],
-            ..Page::default()
-        };
-        for body in [Body::Run, Body::Compare] {
-            let html = Page { body, ..page.clone() }.to_html().unwrap();
-            assert!(!html.contains("<script>alert"), "{html}");
-            // Its two own scripts: data and code.
-            assert_eq!(html.matches("<script").count(), 2);
-            assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(GENERATOR));
-        }
-    }
-
-    #[test]
-    fn what_a_file_says_is_shown_as_it_may_be() {
-        let nasty = format!("a\u{1b}[2J\u{202e}b{}", "x".repeat(9000));
-        let page = Page {
-            title: nasty.clone(),
-            warnings: vec![Note { problem: nasty.clone(), advice: nasty.clone() }],
-            tables: vec![Table { rows: vec![vec![Cell::text(&nasty)]], ..Table::new(&nasty, [&nasty]) }],
-            texts: vec![Text { title: "all".into(), text: format!("[a]\n\tb = 1\u{7}\n{nasty}") }],
-            ..Page::default()
-        };
-        let html = page.to_html().unwrap();
-        assert!(html.contains("a\\u{1b}[2J\\u{202e}bxxx"), "{html}");
-        assert!(html.chars().all(|c| c == '\n' || !c.is_control()) && !html.contains('\u{202e}'));
-        // A text is quoted whole, its lines up to a length that no configuration has; all else is cut.
-        let longest = html.split(|c| c != 'x').map(str::len).filter(|&length| length > 1000).collect::<Vec<_>>();
-        assert_eq!(longest.iter().filter(|&&length| length == 9000).count(), 1);
-        assert!(longest.iter().all(|&length| length == 9000 || length < 2000) && longest.len() > 5, "{longest:?}");
-        assert!(html.contains("[a]\n    b = 1\\u{7}\n"), "{html}");
     }
 }

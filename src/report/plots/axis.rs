@@ -136,7 +136,7 @@ fn linear_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
 }
 
 /// Whole decades; within few decades also 2 and 5 times them. `low` and `high` are decadic logarithms.
-fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
+pub fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     // All labels of an axis in the same way.
     let small = low > -3.1 && high < 4.1;
     let stride = (((high - low) / 8.0).ceil() as i32).max(1);
@@ -266,67 +266,5 @@ impl PlotArea {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
         let corners = [(self.left, self.top), (right, self.top), (right, bottom), (self.left, bottom)];
         drawing.line([&corners[..], &corners[..1]].concat(), INK, 1.2);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn labels(ticks: &[(f64, String)]) -> Vec<&str> {
-        ticks.iter().map(|(_, label)| label.as_str()).collect()
-    }
-
-    #[test]
-    fn tick_labels_are_round() {
-        assert_eq!(labels(&linear_ticks(-0.021, 0.021, 6)), ["−0.02", "−0.01", "0", "0.01", "0.02"]);
-        assert_eq!(labels(&linear_ticks(0.0, 1.0, 6)), ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
-        assert_eq!(labels(&linear_ticks(0.0, 47.0, 6)), ["0", "10", "20", "30", "40"]);
-        assert_eq!(labels(&linear_ticks(0.0, 4e-7, 4)), ["0", "10⁻⁷", "2·10⁻⁷", "3·10⁻⁷", "4·10⁻⁷"]);
-        assert_eq!(labels(&linear_ticks(1.0, 1.0, 6)), ["1.000"]);
-    }
-
-    #[test]
-    fn logarithmic_ticks_are_decades() {
-        assert_eq!(labels(&log_ticks(-4.1, 0.1)), ["10⁻⁴", "10⁻³", "10⁻²", "10⁻¹", "10⁰"]);
-        assert_eq!(labels(&log_ticks(0.2, 1.1)), ["2", "5", "10"]);
-        assert!(labels(&log_ticks(-16.0, 0.0)).len() <= 9);
-        assert!(!Axis::around_log([3.0, 3.1]).ticks().is_empty());
-        assert!(!Axis::around_log([3.0]).ticks().is_empty());
-    }
-
-    #[test]
-    fn ranges_survive_poor_data() {
-        for values in
-            [vec![], vec![f64::NAN], vec![0.0], vec![5.0, 5.0], vec![f64::INFINITY, 2.0], vec![0.3, 0.1 + 0.2]]
-        {
-            let axis = Axis::around(values.clone());
-            assert!(axis.high > axis.low && axis.low.is_finite(), "{values:?}");
-            assert!(!axis.ticks().is_empty() && axis.ticks().len() < 20, "{values:?} {axis:?}");
-        }
-        assert!(!Axis::around_log([]).ticks().is_empty());
-        assert!(!Axis::around_log([0.0, -1.0]).ticks().is_empty());
-    }
-
-    #[test]
-    fn long_labels_get_a_wide_margin() {
-        assert_eq!(Axis::linear(0.0, 1.0).margin(), 110.0);
-        assert!(Axis::linear(0.041_200_00, 0.041_200_02).margin() > 115.0);
-    }
-
-    #[test]
-    fn data_map_to_the_frame() {
-        let frame = PlotArea {
-            left: 10.0,
-            top: 20.0,
-            width: 100.0,
-            height: 50.0,
-            x: Axis::linear(0.0, 2.0),
-            y: Axis::linear(0.0, 1.0),
-        };
-        assert_eq!(frame.map((0.0, 0.0)), (10.0, 70.0));
-        assert_eq!(frame.map((2.0, 1.0)), (110.0, 20.0));
-        let lines = frame.map_lines(&[(0.0, 0.0), (1.0, f64::NAN), (2.0, 0.0), (2.0, 1.0)]);
-        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [1, 2]);
     }
 }

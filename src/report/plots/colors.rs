@@ -48,19 +48,3 @@ fn mix(from: Color, to: Color, part: f64) -> Color {
         (from + part * (to - from)).round() as u8
     })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn heat_gets_lighter_and_stays_in_range() {
-        let lightness =
-            |[red, green, blue]: Color| 0.2126 * f64::from(red) + 0.7152 * f64::from(green) + 0.0722 * f64::from(blue);
-        let shades: Vec<f64> = (0..=20).map(|i| lightness(heat(f64::from(i) / 20.0))).collect();
-        assert!(shades.windows(2).all(|pair| pair[1] > pair[0]), "{shades:?}");
-        assert_eq!(heat(-3.0), heat(0.0));
-        assert_eq!(heat(9.0), PLASMA[15]);
-        assert_ne!(heat(f64::NAN), heat(0.0));
-    }
-}

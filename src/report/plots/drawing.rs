@@ -39,8 +39,9 @@ pub enum Anchor {
     Upwards,
 }
 
+/// What a picture is made of.
 #[derive(Clone, Debug)]
-enum Shape {
+pub enum Shape {
     Line { points: Vec<Point>, color: Color, width: f64 },
     Area { points: Vec<Point>, color: Color, opacity: f64 },
     Disc { centre: Point, radius: f64, color: Color },
@@ -52,7 +53,7 @@ enum Shape {
 pub struct Drawing {
     width: f64,
     height: f64,
-    shapes: Vec<Shape>,
+    pub shapes: Vec<Shape>,
 }
 
 impl Drawing {
@@ -219,7 +220,7 @@ fn with_ending(stem: &Path, ending: &str) -> PathBuf {
 }
 
 /// Mean over squares of SMOOTHING x SMOOTHING pixels.
-fn averaged(pixels: &[u8], width: usize) -> Vec<u8> {
+pub fn averaged(pixels: &[u8], width: usize) -> Vec<u8> {
     let row = 3 * width;
     let mut smooth = Vec::with_capacity(pixels.len() / (SMOOTHING * SMOOTHING));
     for rows in pixels.chunks_exact(row * SMOOTHING) {
@@ -296,46 +297,5 @@ fn draw_shape<B: DrawingBackend>(
             let style = TextStyle::from(font).color(&color).pos(Pos::new(horizontal, vertical));
             area.draw(&Text::new(text.as_str(), fine_point(at), style))
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn dashes_cover_their_share_of_the_line() {
-        let mut drawing = Drawing::new(100.0, 100.0);
-        drawing.dashed(&[(0.0, 0.0), (30.0, 0.0), (30.0, 70.0)], [0; 3], 1.0, (6.0, 4.0));
-        let length: f64 = drawing
-            .shapes
-            .iter()
-            .map(|shape| match shape {
-                Shape::Line { points, .. } => {
-                    points.windows(2).map(|pair| (pair[1].0 - pair[0].0).hypot(pair[1].1 - pair[0].1)).sum()
-                }
-                _ => 0.0,
-            })
-            .sum();
-        assert_eq!(drawing.shapes.len(), 10);
-        assert!((length - 60.0).abs() < 1e-9, "{length}");
-    }
-
-    #[test]
-    fn averaging_takes_the_mean_of_squares() {
-        // One square: 0, 4 / 8, 8 in red; the other channels are 0.
-        let pixels = [0, 0, 0, 4, 0, 0, 8, 0, 0, 8, 0, 0];
-        assert_eq!(averaged(&pixels, 2), [5, 0, 0]);
-    }
-
-    #[test]
-    fn a_dot_in_the_stem_stays() {
-        assert_eq!(with_ending(Path::new("a/dx_0.02"), ".png"), Path::new("a/dx_0.02.png"));
-    }
-
-    #[test]
-    fn the_embedded_font_measures() {
-        let width = text_width("mmmm", 20.0);
-        assert!(text_width("ii", 20.0) < width && width > 40.0 && width < 120.0, "{width}");
     }
 }

@@ -30,7 +30,7 @@ pub const THIN: (f64, f64) = (5.0, 4.0);
 const MOST_MARKERS: usize = 40;
 const TEXT_SIZE: f64 = 15.0;
 /// Height of a name.
-const ROW: f64 = 20.0;
+pub const ROW: f64 = 20.0;
 /// Length of the piece of line in front of a name that stands beside the frame.
 const SAMPLE: f64 = 34.0;
 
@@ -132,18 +132,18 @@ fn marker(drawing: &mut Drawing, (x, y): Point, shape: usize, color: Color) {
 
 /// Where the name of a line stands: middle of its left edge.
 #[derive(Debug)]
-struct Label {
-    line: usize,
+pub struct Label {
+    pub line: usize,
     /// The rightmost point of the line.
-    end: Point,
-    at: Point,
+    pub end: Point,
+    pub at: Point,
     /// Right of the frame, in a row with others; else in the frame beside the line's end.
-    is_beside: bool,
+    pub is_beside: bool,
 }
 
 /// A name stands beside its line's end where nothing is in the way, else right of the frame at that height; there names
 /// move apart as little as they must.
-fn labels(frame: &PlotArea, lines: &[Line], placed: &[Vec<Vec<Point>>]) -> Vec<Label> {
+pub fn labels(frame: &PlotArea, lines: &[Line], placed: &[Vec<Vec<Point>>]) -> Vec<Label> {
     let widths: Vec<f64> = lines.iter().map(|line| text_width(&line.name, TEXT_SIZE)).collect();
     let mut is_sent: Vec<bool> = vec![false; lines.len()];
     loop {
@@ -220,7 +220,7 @@ fn crosses(run: &[Point], is_in: impl Fn(Point) -> bool) -> bool {
 }
 
 /// Ascending heights moved by as little as puts them a row apart (least squares, by pooling neighbours), within limits.
-fn apart(heights: &[f64], (low, high): (f64, f64)) -> Vec<f64> {
+pub fn apart(heights: &[f64], (low, high): (f64, f64)) -> Vec<f64> {
     // Less a row each, heights need only not descend; pools hold a sum and a count.
     let mut pools: Vec<(f64, f64)> = vec![];
     for (k, height) in heights.iter().enumerate() {
@@ -236,73 +236,4 @@ fn apart(heights: &[f64], (low, high): (f64, f64)) -> Vec<f64> {
     let means = pools.iter().flat_map(|&(sum, count)| std::iter::repeat_n(sum / count, count as usize));
     let high = high - (heights.len() as f64 - 1.0) * ROW;
     means.enumerate().map(|(k, mean)| mean.min(high).max(low) + k as f64 * ROW).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::axis::Axis;
-    use super::*;
-
-    /// Relative luminance (WCAG 2).
-    fn luminance(color: Color) -> f64 {
-        let linear = color.map(|c| f64::from(c) / 255.0).map(|c| {
-            if c <= 0.04045 {
-                c / 12.92
-            } else {
-                ((c + 0.055) / 1.055).powf(2.4)
-            }
-        });
-        0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    }
-
-    #[test]
-    fn series_differ_also_in_grey() {
-        let contrast = |a: f64, b: f64| (a.max(b) + 0.05) / (a.min(b) + 0.05);
-        for k in 0..MOST {
-            let (own, next) = (luminance(COLORS[k]), luminance(COLORS[(k + 1) % MOST]));
-            assert!(contrast(own, next) > 1.5, "{k}: {}", contrast(own, next));
-            assert!(contrast(own, 1.0) > 2.0, "{k} on white");
-            for other in 0..k {
-                assert_ne!(Look::series(k).marker, Look::series(other).marker);
-                let distance: i32 =
-                    (0..3).map(|c| (i32::from(COLORS[k][c]) - i32::from(COLORS[other][c])).pow(2)).sum();
-                assert!(distance > 60 * 60, "{k} and {other}");
-            }
-        }
-        assert_eq!(Look::series(MOST), Look::series(0));
-    }
-
-    #[test]
-    fn names_move_apart_as_little_as_they_must() {
-        assert_eq!(apart(&[50.0, 100.0], (0.0, 200.0)), [50.0, 100.0]);
-        assert_eq!(apart(&[100.0, 100.0, 100.0], (0.0, 200.0)), [80.0, 100.0, 120.0]);
-        assert_eq!(apart(&[0.0, 0.0, 199.0, 200.0], (0.0, 200.0)), [0.0, 20.0, 180.0, 200.0]);
-        assert_eq!(apart(&[], (0.0, 200.0)), [0.0; 0]);
-    }
-
-    #[test]
-    fn names_are_where_nothing_else_is() {
-        let frame = PlotArea {
-            left: 0.0,
-            top: 0.0,
-            width: 600.0,
-            height: 400.0,
-            x: Axis::linear(0.0, 6.0),
-            y: Axis::linear(0.0, 4.0),
-        };
-        let line = |name: &str, points: &[Point]| Line::new(name, points.to_vec(), Look::series(0));
-        let lines = [
-            line("free", &[(0.0, 1.0), (1.0, 1.0)]),
-            line("another line is in its way", &[(2.0, 2.0), (3.0, 2.0)]),
-            line("to the edge", &[(0.0, 3.0), (6.0, 3.0)]),
-            line("to the edge as well", &[(0.0, 2.9), (6.0, 2.99)]),
-            line("", &[(3.15, 0.0), (3.15, 4.0)]),
-        ];
-        let placed: Vec<_> = lines.iter().map(|line| frame.map_lines(&line.points)).collect();
-        let labels = labels(&frame, &lines, &placed);
-        assert_eq!(labels.iter().map(|label| label.is_beside).collect::<Vec<_>>(), [false, true, true, true]);
-        assert_eq!(labels[0].at, (113.0, 300.0));
-        // The two that end together are a row apart, in the order of their ends.
-        assert!((labels[3].at.1 - labels[2].at.1 - ROW).abs() < 1e-9 && labels[2].at.0 > 600.0, "{labels:?}");
-    }
 }

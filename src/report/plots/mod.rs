@@ -2,12 +2,12 @@
 //!
 //! A figure is first a list of shapes (`drawing::Drawing`), laid out once; both formats show the same picture.
 
-mod axis;
-mod colors;
+pub mod axis;
+pub mod colors;
 mod compare;
-mod drawing;
+pub mod drawing;
 mod history;
-mod lines;
+pub mod lines;
 mod relief;
 mod side_by_side;
 mod stability;

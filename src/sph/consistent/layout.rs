@@ -46,20 +46,3 @@ impl Layout {
         self.dimension + self.fields()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_rows_of_a_state_are_those_of_the_layout() {
-        for (dimension, heat, rates) in [(2, false, false), (2, true, true), (3, true, false), (3, false, true)] {
-            let l = Layout { dimension, heat, rates };
-            let rows = l.rows();
-            assert_eq!((rows.count(), rows.velocity()), (l.state_rows(), l.velocity()));
-            assert_eq!(rows.row(Quantity::Pressure), Some(l.pressure()));
-            assert_eq!(rows.temperature(), heat.then(|| l.temperature()));
-            assert_eq!(rows.row(Quantity::Acceleration), rates.then(|| l.last_rates()));
-        }
-    }
-}

@@ -188,28 +188,3 @@ pub unsafe fn store_part<L: Lanes>(to: &Shared<'_, L::Real>, place: usize, value
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_row_and_its_copies() {
-        let grid = Grid::new(11, 4);
-        let mut numbers = vec![0.0f64; 2 * grid.field()];
-        let fields = Fields::new(grid, 2, &mut numbers);
-        for column in (0..11).step_by(4) {
-            // SAFETY: one thread, field 1 exists.
-            unsafe { fields.put(1, -2, column, <f64 as Real>::Portable::ramp() + Lanes::splat(column as f64)) };
-        }
-        let row: Vec<f64> = (-2..13).map(|c| numbers[grid.field() + grid.place(-2, c)]).collect();
-        let mut expected: Vec<f64> = (-2..13).map(|c: isize| c.rem_euclid(11) as f64).collect();
-        assert_eq!(row, expected);
-        let mut line = vec![0.0; grid.stride];
-        (0..11).for_each(|c| line[grid.column(c)] = c as f64);
-        grid.wrap(&mut line);
-        assert_eq!((-2..13).map(|c| line[grid.column(c)]).collect::<Vec<_>>(), expected);
-        expected.clear();
-        assert!(grid.reach_of(-2).eq(0..1) && grid.reach_of(0).eq(-2..3) && grid.reach_of(4).eq(2..4));
-    }
-}

@@ -65,33 +65,3 @@ pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
 pub fn derivative<R: Real>(stencil: &Stencil<R>) -> [f64; WIDTH] {
     std::array::from_fn(|i| stencil.iter().map(|row| row[i].gx.f64()).sum())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::sph::kernels::KernelName;
-
-    #[test]
-    fn derivatives_of_quadratics_are_exact() {
-        for shape in [KernelName::QuinticSpline, KernelName::WendlandC2] {
-            let dx = 0.02;
-            let s = stencil::<f64>(&Kernel::new(shape, 2, 1.2 * dx), dx);
-            let sum = |field: &dyn Fn(f64, f64) -> f64, weight: &dyn Fn(&Weight<f64>) -> f64| -> f64 {
-                (0..25)
-                    .map(|k| (k % 5, k / 5))
-                    .map(|(i, j)| weight(&s[j][i]) * field((i as f64 - 2.0) * dx, (j as f64 - 2.0) * dx))
-                    .sum()
-            };
-            let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
-            let f = |x: f64, y: f64| 1.0 + 2.0 * x - 3.0 * y + 4.0 * x * x + 5.0 * x * y - 6.0 * y * y;
-            close(sum(&f, &|w| w.gx), 2.0);
-            close(sum(&f, &|w| w.gy), -3.0);
-            let still = |x: f64, y: f64| f(x, y) - 1.0;
-            close(sum(&still, &|w| 2.0 * w.lxx), 8.0);
-            close(sum(&still, &|w| 2.0 * w.lyy), -12.0);
-            close(sum(&still, &|w| w.lxy), 5.0);
-            let line = derivative(&s);
-            close((0..5).map(|i| line[i] * (i as f64 - 2.0) * dx).sum(), 1.0);
-        }
-    }
-}

@@ -68,31 +68,3 @@ impl Drive {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn holds_what_it_says_and_knows_its_derivatives() {
-        let dt = 0.01;
-        for drive in [Drive::Momentum(0.7), Drive::Power(0.4)] {
-            for (momentum, mass) in [(0.5, 0.2), (-0.3, 0.2), (0.0, 1.3), (4.0, 0.1)] {
-                let found = drive.kick(dt, momentum, mass);
-                let after = momentum + mass * found.kick;
-                let (held, wanted) = match drive {
-                    Drive::Momentum(wanted) => (after, wanted),
-                    Drive::Power(wanted) => (found.kick / dt * after, wanted),
-                };
-                assert!((held / wanted - 1.0).abs() < 1e-12, "{drive:?} {held}");
-                let h = 1e-6;
-                let by_momentum =
-                    (drive.kick(dt, momentum + h, mass).kick - drive.kick(dt, momentum - h, mass).kick) / (2.0 * h);
-                let by_mass =
-                    (drive.kick(dt, momentum, mass + h).kick - drive.kick(dt, momentum, mass - h).kick) / (2.0 * h);
-                assert!((by_momentum / found.by_momentum - 1.0).abs() < 1e-6, "{drive:?}: {by_momentum} {found:?}");
-                assert!((by_mass / found.by_mass - 1.0).abs() < 1e-6, "{drive:?}: {by_mass} {found:?}");
-            }
-        }
-    }
-}

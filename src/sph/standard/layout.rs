@@ -114,22 +114,3 @@ impl Layout {
         self.d() + self.w()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_rows_of_a_state_are_those_of_the_layout() {
-        for bits in 0..32u8 {
-            let has = |bit: u8| bits >> bit & 1 == 1;
-            let dimension = if has(4) { 3 } else { 2 };
-            let l = Layout { dimension, transport: has(0), heat: has(1), mass: has(2), density: has(3) };
-            let rows = l.rows();
-            assert_eq!((rows.count(), rows.velocity()), (l.state_rows(), l.velocity()));
-            assert_eq!(rows.temperature(), l.heat.then(|| l.temperature()));
-            assert_eq!(rows.row(Quantity::Mass), l.mass.then(|| l.state_mass()));
-            assert_eq!(rows.row(Quantity::Density), l.density.then(|| l.state_density()));
-        }
-    }
-}

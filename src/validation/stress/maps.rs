@@ -254,25 +254,3 @@ pub fn all() -> Vec<Map> {
     maps.extend(three_dimensions());
     maps
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scene::Config;
-    use crate::validation::stress::Job;
-
-    #[test]
-    fn every_run_is_a_configuration_and_axes_have_quick_and_usual_values() {
-        for map in all() {
-            for axis in [&map.x, &map.y] {
-                assert!(axis.usual < axis.values.len(), "{}", map.id());
-                assert!(axis.values.iter().filter(|value| value.is_quick).count() > 1, "{}", map.id());
-            }
-            for quick in [false, true] {
-                for job in Job::of(&map, quick, &[]) {
-                    Config::load(Some(map.scene), None, &job.settings).unwrap_or_else(|e| panic!("{job:?}: {e}"));
-                }
-            }
-        }
-    }
-}

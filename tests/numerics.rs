@@ -1,0 +1,139 @@
+//! Memory that is used again, sweeps, work that is stopped, ranks without MPI.
+
+use hydrograd::error::Error;
+use hydrograd::numerics::blocks::{Block, Blocks};
+use hydrograd::numerics::interrupt::{check, check_own, is_asked_here, Stop};
+use hydrograd::numerics::pool::Buffers;
+use hydrograd::numerics::ranks::{started, How, Ranks};
+use hydrograd::numerics::sweep::{clear, copied, copy, zeros, STRETCH};
+use std::collections::BTreeSet;
+
+fn keep<T: bytemuck::Pod>(blocks: &Blocks, values: &[T]) -> Block {
+    blocks.keep(values.len(), |block| block.copy_from_slice(values)).unwrap()
+}
+
+/// Where a block is in memory.
+fn place(block: &Block) -> usize {
+    block.read(|bytes: &[u8]| bytes.as_ptr() as usize)
+}
+
+#[test]
+fn blocks_keep_what_they_were_given_and_are_used_again() {
+    let blocks = Blocks::default();
+    let numbers = |k: usize| -> Vec<f64> { (0..5000).map(|i| (i * k) as f64).collect() };
+    let mut kept: Vec<Option<Block>> = (0..300).map(|k| Some(keep(&blocks, &numbers(k)))).collect();
+    let places = |kept: &[Option<Block>]| -> BTreeSet<usize> {
+        kept.iter().map(|block| place(block.as_ref().unwrap())).collect()
+    };
+    let before = places(&kept);
+    // More than the first map of 2 MiB has.
+    assert!(before.len() == 300 && blocks.most() > 2 << 20);
+    for round in 0..5 {
+        for k in (round..300).step_by(3) {
+            for number in [k + 1, k] {
+                kept[k] = None;
+                kept[k] = Some(keep(&blocks, &numbers(number)));
+            }
+        }
+    }
+    for (k, block) in kept.iter().enumerate() {
+        block.as_ref().unwrap().read(|values: &[f64]| assert_eq!(values, numbers(k)));
+    }
+    assert_eq!(places(&kept), before);
+}
+
+#[test]
+fn another_size_leaves_the_old_blocks_alone() {
+    let blocks = Blocks::default();
+    let small = keep(&blocks, &[1.0f32; 10]);
+    let large = keep(&blocks, &[2.0f64; 1_000_000]);
+    let shorter = keep(&blocks, &[3.0f64; 5]);
+    small.read(|values: &[f32]| assert_eq!(values, [1.0; 10]));
+    shorter.read(|values: &[f64]| assert_eq!(values, [3.0; 5]));
+    let (too_small, free) = (place(&small), place(&shorter));
+    drop((small, shorter));
+    // The shorter one's place is used again, the small one's is too small.
+    let again = keep(&blocks, &[4.0f64; 1_000_000]);
+    assert!(place(&again) == free && free != too_small);
+    large.read(|values: &[f64]| assert!(values.len() == 1_000_000 && values.iter().all(|&x| x == 2.0)));
+    again.read(|values: &[f64]| assert!(values.iter().all(|&x| x == 4.0)));
+}
+
+#[test]
+fn a_stop_ends_its_own_work_alone() {
+    let (stop, other) = (Stop::default(), Stop::default());
+    stop.ask();
+    assert!(check().is_ok());
+    Stop::ends(Some(stop.clone()), || {
+        assert!(matches!(check(), Err(Error::Stopped)) && matches!(check_own(), Err(Error::Stopped)));
+        Stop::ends(Some(other), || assert!(check().is_ok()));
+        // Handed on to a thread that does a part of it.
+        let own = Stop::of_this_thread();
+        let stopped = std::thread::spawn(|| Stop::ends(own, is_asked_here)).join().unwrap();
+        assert!(stopped && !std::thread::spawn(is_asked_here).join().unwrap());
+    });
+    assert!(check().is_ok());
+}
+
+#[test]
+fn a_buffer_comes_back_to_who_had_it() {
+    let pool = Buffers::<f64>::default();
+    let place = |length: usize| pool.buffer(length).as_ptr() as usize;
+    let (long, short) = (place(1000), place(100));
+    assert_ne!(long, short);
+    for _ in 0..3 {
+        assert_eq!((place(1000), place(100)), (long, short));
+    }
+    // About as long.
+    assert_eq!(place(950), long);
+    // Two at a time are two.
+    let (a, b) = (pool.buffer(100), pool.buffer(100));
+    assert_ne!(a.as_ptr(), b.as_ptr());
+    assert_eq!((a.len(), b.len()), (100, 100));
+}
+
+#[test]
+fn lengths_that_change_a_little_do_not_pile_up() {
+    let pool = Buffers::<f64>::default();
+    for step in 0..500 {
+        // Up and down by some per cent, with a stride that repeats late.
+        let lengths = [1, 2, 3].map(|k| 1000 * k + 37 * step % 101);
+        let held = lengths.map(|length| pool.buffer(length));
+        assert_eq!(held.each_ref().map(|buffer| buffer.len()), lengths);
+    }
+    let count = std::iter::from_fn(|| pool.take()).count();
+    assert!(count <= 4, "{count} buffers for three at a time");
+}
+
+#[test]
+fn one_process_is_alone() {
+    let ranks = Ranks::ALONE;
+    assert_eq!((ranks.rank(), ranks.size(), ranks.threads()), (0, 1, None));
+    assert_eq!(ranks.all(&[1.0, 2.0]), [1.0, 2.0]);
+    assert!(ranks.begin(vec![3.0], How::Sum).is_none());
+    ranks.abort(1);
+}
+
+#[test]
+fn so_many_processes_were_started() {
+    let size = |known: &'static [(&str, &str)]| {
+        started(|name| known.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_string()))
+    };
+    assert_eq!(size(&[]), 1);
+    assert_eq!(size(&[("OMPI_COMM_WORLD_SIZE", "4")]), 4);
+    // mpirun inside of a step of Slurm's.
+    assert_eq!(size(&[("SLURM_STEP_NUM_TASKS", "1"), ("OMPI_COMM_WORLD_SIZE", "2")]), 2);
+    assert_eq!(size(&[("PMI_SIZE", "x")]), 1);
+}
+
+#[test]
+fn numbers_are_filled_to_the_last() {
+    for count in [0, 1, STRETCH - 1, STRETCH, 5 * STRETCH + 7] {
+        let from: Vec<f64> = (0..count).map(|k| k as f64).collect();
+        let mut to = vec![-1.0; count];
+        copy(&from, &mut to);
+        assert!(to == from && copied(&from) == from, "{count}");
+        clear(&mut to);
+        assert!(to == vec![0.0; count] && zeros::<f64>(count) == to, "{count}");
+    }
+}

@@ -1,0 +1,108 @@
+//! Warnings about figures that cannot be trusted.
+
+use hydrograd::config::method::Method;
+use hydrograd::config::scene::{Config, Family};
+use hydrograd::design::diagnostics::Diagnostics;
+use hydrograd::design::optimise::{Epoch, Optimisation};
+use hydrograd::design::optimisers::of_config;
+use hydrograd::particles::tag;
+use hydrograd::scene::particle_fields::ParticleFields;
+use hydrograd::scene::warnings::{of_channel, of_particles, of_search};
+
+fn quiet(config: &Config) -> Diagnostics {
+    Diagnostics {
+        q: 0.0235,
+        wall_heat_flux: 0.0235,
+        mean_density: config.fluid.density,
+        u_max: config.fluid.reference_velocity,
+        ..Diagnostics::default()
+    }
+}
+
+#[test]
+fn a_run_that_can_be_trusted_gets_no_warning() {
+    let config = Config::default();
+    let history: Vec<Vec<f64>> = (0..100).map(|k| vec![0.02 * k as f64, 0.0235]).collect();
+    assert_eq!(of_channel(&config, &quiet(&config), &history), []);
+}
+
+/// A row of fluid particles at these positions.
+fn row(places: Vec<f64>) -> ParticleFields {
+    let n = places.len();
+    let zeros = vec![0.0; 2 * n];
+    ParticleFields {
+        dimension: 2,
+        box_size: vec![1.0; 2],
+        position: [places, vec![0.0; n]].concat(),
+        velocity: zeros.clone(),
+        temperature: None,
+        density: zeros[..n].to_vec(),
+        pressure: zeros[..n].to_vec(),
+        mass: zeros[..n].to_vec(),
+        tag: vec![tag::FLUID; n],
+        time: 0.0,
+        step: 0,
+    }
+}
+
+#[test]
+fn crowds_and_lattices_are_told() {
+    let mut config = Config::default();
+    let dx = config.resolution.dx;
+    let even: Vec<f64> = (0..100).map(|k| k as f64 * dx).collect();
+    assert_eq!(of_particles(&config, &row(even.clone())), []);
+    let mut crowd = even;
+    (0..3).for_each(|k| crowd[10 * k + 1] = crowd[10 * k] + 0.4 * dx);
+    let found = of_particles(&config, &row(crowd));
+    assert!(found.len() == 1 && found[0].problem.starts_with("6 % of the particles"), "{found:?}");
+    config = Family::TaylorGreen.defaults();
+    config.method = Method::named("standard").unwrap();
+    config.time.jitter = 0.0;
+    let found = of_particles(&config, &row(vec![0.0]));
+    assert!(found.len() == 1 && found[0].problem.contains("exact lattice"), "{found:?}");
+}
+
+#[test]
+fn a_search_in_vain_is_told() {
+    let epoch = |loss: f64, gradient_norm: f64| Epoch { loss, gradient_norm, figure: -loss, ..Epoch::default() };
+    let search = |history: Vec<Epoch>, best: usize| {
+        let optimiser = of_config(&Config::default().optimise, &[0.0]);
+        of_search(&Optimisation { history, best, ..Optimisation::new(optimiser) }, 0.04)
+    };
+    assert_eq!(search(vec![epoch(-0.0234, 0.016), epoch(-0.0237, 0.014)], 1), []);
+    let found = search(vec![epoch(-0.0234, 0.016), epoch(-0.0233, 0.014)], 0);
+    assert!(found.len() == 1 && found[0].problem.contains("in 2 epochs nothing"), "{found:?}");
+    let found = search(vec![epoch(-0.0234, 0.016), epoch(-0.0237, 1e6)], 1);
+    assert!(found.len() == 1 && found[0].problem.contains("gradient of epoch 2"), "{found:?}");
+}
+
+#[test]
+fn each_doubt_has_its_warning() {
+    let config = Config::default();
+    let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
+    let of = |change: &dyn Fn(&mut Diagnostics)| {
+        let mut found = quiet(&config);
+        change(&mut found);
+        of_channel(&config, &found, &[])
+    };
+    for (found, part) in [
+        (of(&|found| found.u_max = 2.0 * reference), "2.0 times as fast as fluid.reference_velocity"),
+        (of(&|found| found.u_max = 0.4 * sound), "Mach 0.40"),
+        (of(&|found| found.mean_density *= 1.19), "+19.0 %"),
+        (of(&|found| found.energy_imbalance = 3.55), "+355 % open"),
+    ] {
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(found[0].problem.contains(part) && !found[0].advice.is_empty(), "{found:?}");
+    }
+    // Q that falls by 4 % within the window, and Q that oscillates about a mean.
+    let end = 4.0;
+    let history = |q: &dyn Fn(f64) -> f64| -> Vec<Vec<f64>> {
+        (0..=400).map(|k| 0.01 * k as f64).map(|t| vec![t, q(t)]).collect()
+    };
+    let window = config.objective.window;
+    let falling =
+        of_channel(&config, &quiet(&config), &history(&|t| 0.0235 * (1.0 - 0.04 * (t - end + window) / window)));
+    assert!(falling.len() == 1 && falling[0].problem.contains("not steady: it changes by -2.0 %"), "{falling:?}");
+    let swinging = of_channel(&config, &quiet(&config), &history(&|t| 0.0235 * (1.0 + 0.02 * (40.0 * t).sin())));
+    assert_eq!(swinging, []);
+}
