@@ -23,7 +23,6 @@ use crate::report::progress::Progress;
 use crate::report::text::bytes;
 use crate::scene::load::Loaded;
 use clap::Args;
-use serde::Serialize;
 use serde_json::{json, Value};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -99,32 +98,22 @@ pub struct MergeArguments {
 }
 
 impl GenerateArguments {
-    pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(None, vec![], vec![])
-    }
-
-    /// The output folder; an error if it is not writable.
-    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(None, "generate", loaded)
-    }
-
     /// The scene's recipe with the given options.
     pub fn recipe(&self, loaded: &Loaded) -> Result<Recipe, Error> {
-        let (design, fluid) = (&loaded.config.design, &loaded.config.fluid);
+        let design = &loaded.config.design;
         if design.walls == DesignWalls::Both {
             return Err(BadInput::new("design.walls = both: a data set of channels with two shaped walls")
                 .key("design.walls")
                 .allowed("bottom: what a data set says of a wall is the bottom one's")
                 .into());
         }
-        if fluid.drive != DriveName::BodyForce {
+        if loaded.config.fluid.drive != DriveName::BodyForce {
             return Err(BadInput::new("fluid.drive: a data set of flows with a force that is found")
                 .key("fluid.drive")
                 .allowed("body-force: a data set has one force for all of its flows")
                 .into());
         }
         let usual = Recipe::of(loaded.config.scene);
-        let design = &loaded.config.design;
         let own = design.offsets.is_some() || design.shape != ShapeName::Flat;
         let given = match self.walls_file.as_deref() {
             Some(path) => read_walls(path).map_err(|bad| bad.place(format!("--walls-file {}", path.display())))?,
@@ -150,10 +139,10 @@ impl GenerateArguments {
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-/// The kind of its folders.
 const KIND: &str = "generate";
 
-pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
+pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
+    let loaded = arguments.common.load(None, vec![], vec![])?;
     let recipe = arguments.recipe(&loaded)?;
     recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
     let shard = arguments.shard.share()?.unwrap_or(Shard::ALL);
@@ -167,7 +156,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         };
         recipe.ready(&loaded, job).map_err(of_line)?;
     }
-    let folder = arguments.folder(&loaded)?;
+    let folder = arguments.common.folder(None, KIND, &loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     let store = Store::new(&folder);
     check_same(&store, &loaded, &recipe)?;
@@ -204,12 +193,12 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();
-    let made = Made { made: todo.len(), kept: mine.len() - todo.len(), seconds, workers };
+    let (count, kept) = (todo.len(), mine.len() - todo.len());
+    let made = Made { made: count, kept, seconds, workers };
+    let each = seconds * workers as f64 / count.max(1) as f64;
     println!(
-        "{} trajectories made in {seconds:.1} s by {workers} workers ({:.2} s of a worker each), {} kept from before",
-        todo.len(),
-        seconds * workers as f64 / todo.len().max(1) as f64,
-        mine.len() - todo.len(),
+        "{count} trajectories made in {seconds:.1} s by {workers} workers ({each:.2} s of a worker each), {kept} kept \
+         from before"
     );
     let pace = recipe.pace(&loaded.config);
     println!(
@@ -234,7 +223,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
 }
 
 /// The trajectories that this process made or found.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Default)]
 struct Made {
     made: usize,
     kept: usize,
@@ -247,12 +236,9 @@ fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value>
     let folder = &store.folder;
     let is_complete = store.is_complete();
     let missing = if is_complete { 0 } else { store.missing(recipe).len() };
-    let metadata = match is_complete {
-        true => Some(Metadata::read(folder)?),
-        false => None,
-    };
+    let metadata = is_complete.then(|| Metadata::read(folder)).transpose()?;
     let [train, valid, test] = recipe.trajectories;
-    let Value::Object(mut all) = json!({
+    Ok(json!({
         "folder": machine::path(folder),
         "complete": is_complete,
         "missing": missing,
@@ -261,13 +247,11 @@ fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value>
         "particles": metadata.as_ref().map(|metadata| metadata.num_particles_max),
         "files": machine::paths_in(folder, ["train.h5", "valid.h5", "test.h5", "metadata.json", PAGE]),
         "metadata": metadata,
-    }) else {
-        unreachable!("a JSON object")
-    };
-    if let Value::Object(made) = serde_json::to_value(made)? {
-        all.extend(made);
-    }
-    Ok(Value::Object(all))
+        "made": made.made,
+        "kept": made.kept,
+        "seconds": made.seconds,
+        "workers": made.workers,
+    }))
 }
 
 /// The command-line option of a number of the recipe.
@@ -280,7 +264,6 @@ fn option_of(recipe: &Recipe, key: &str) -> String {
     }
 }
 
-/// Runs `hydrograd merge DIR`.
 pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
     let store = Store::new(&arguments.folder);
     let Some(begun) = store.begun()? else {

@@ -162,7 +162,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Rollout(arguments) => rollout::run(arguments),
         Command::Study(arguments) => study::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
-        Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
+        Command::Generate(arguments) => generate::run(arguments),
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Compare(arguments) => page::compare::run(arguments),

@@ -12,6 +12,7 @@ use crate::design::optimise::Epoch;
 use crate::design::problem::ADJOINT;
 use crate::design::shape::{Shape, TOP};
 use crate::design::{Optimisation, Parametrisation, Problem};
+use crate::io::atomic::write_bytes_atomically;
 use crate::report::plots::{history, wall_shapes, HistoryPoint};
 use crate::report::table::Table;
 use crate::report::text::shown;
@@ -49,7 +50,8 @@ pub fn report<R: Sweeps>(
     if has_walls {
         write_walls(folder, config, parametrisation, optimisation)?;
     }
-    files::write_best(folder, &loaded.with(&wall_settings(&designs[1], config))?)?;
+    let with_best = loaded.with(&wall_settings(&designs[1], config))?;
+    write_bytes_atomically(&folder.join(files::BEST), with_best.text.as_bytes())?;
     plot_history(folder, problem, optimisation)?;
     let mut running = first;
     let mut both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
@@ -158,13 +160,7 @@ pub fn report<R: Sweeps>(
         files::plot_temperature(folder, config, &panels)?;
         files::plot_flow(folder, config, &panels)?;
     } else {
-        let dx = config.resolution.dx;
-        let speeds = panels.map(|(_, fields)| files::speeds(fields));
-        files::plot_scenes(folder, ("flow", "speed |u| (scene units)"), &panels, &speeds, dx)?;
-        if has_heat {
-            let warmth = panels.map(|(_, fields)| fields.temperature.clone().unwrap_or_default());
-            files::plot_scenes(folder, ("temperature", "temperature T (scene units)"), &panels, &warmth, dx)?;
-        }
+        files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
     }
     files::write_summary(folder, &record)?;
     warn(&record.warnings());

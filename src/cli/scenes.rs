@@ -1,16 +1,13 @@
 //! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or checks what a file would build.
 
-use super::arguments::check_preset;
-use super::arguments::CommonArguments;
+use super::arguments::{check_preset, CommonArguments};
 use super::files;
 use super::machine;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
-use crate::config::builtin;
-use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
-use crate::config::scene::Config;
-use crate::config::scene::Precision;
+use crate::config::builtin::{self, BuiltIn, PRESETS, SCENES};
+use crate::config::scene::{Config, Precision};
 use crate::error::Error;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
@@ -91,7 +88,6 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     Ok(files::print(text.as_bytes())?)
 }
 
-/// The kind of the folders of a check.
 const KIND: &str = "scenes check";
 
 fn check(common: &CommonArguments) -> anyhow::Result<()> {
@@ -146,10 +142,10 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     let start = ParticleFields::of(&mut run)?;
     let (label, values) = match &start.temperature {
-        Some(temperature) => ("temperature T (scene units)", temperature.clone()),
-        None => ("speed |u| (scene units)", files::speeds(&start)),
+        Some(temperature) => (files::TEMPERATURE, temperature.clone()),
+        None => (files::SPEED, files::speeds(&start)),
     };
-    files::plot_scene(folder, ("particles", label, "start"), &start, &values, scene.spacing)?;
+    files::plot_scene(folder, ("particles", label), &[("start", &start)], &[values], scene.spacing)?;
     let clock = Instant::now();
     let (least, seconds) = BURST;
     let mut done = 0;

@@ -106,14 +106,9 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     }
     let mut pictures = String::new();
     if loaded.config.scene == Family::Custom {
-        let end = finished.end;
-        let title = format!("t = {:.4}", end.time);
-        let speed = ("flow", "speed |u| (scene units)", title.as_str());
-        files::plot_scene(folder, speed, end, &files::speeds(end), scene.spacing)?;
+        let title = format!("t = {:.4}", finished.end.time);
         pictures.push_str(", flow.png");
-        if let Some(temperature) = &end.temperature {
-            let what = ("temperature", "temperature T (scene units)", title.as_str());
-            files::plot_scene(folder, what, end, temperature, scene.spacing)?;
+        if files::plot_flow_and_heat(folder, &[(&title, finished.end)], scene.spacing)? {
             pictures.push_str(", temperature.png");
         }
     }
