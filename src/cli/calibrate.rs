@@ -68,7 +68,6 @@ pub struct CalibrateArguments {
     pub out: PathBuf,
 }
 
-/// The kind of its folders.
 const KIND: &str = "calibrate";
 /// Largest ratio of a parameter to its assumed value.
 const FACTOR: f64 = 10.0;

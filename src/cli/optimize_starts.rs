@@ -135,15 +135,9 @@ pub fn every_start(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: b
         curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| ((k + 1) as f64, q)).collect()));
         all.put(&name, outcome.record);
     }
-    compare(
-        &folder.join("starts"),
-        &capitalised(&format!("{} by start shape", figure.quantity)),
-        "epoch",
-        &format!("{} ({})", figure.symbol, figure.unit),
-        &curves,
-        false,
-        false,
-    )?;
+    let title = capitalised(&format!("{} by start shape", figure.quantity));
+    let label = format!("{} ({})", figure.symbol, figure.unit);
+    compare(&folder.join("starts"), &title, "epoch", &label, &curves, false, false)?;
     let chosen = curves.iter().position(|(name, _)| best_of_all.as_ref().is_some_and(|(_, best, ..)| best == name));
     plot_walls(folder, &loaded.config, &walls, chosen)?;
     files::write_summary(folder, &all)?;
@@ -168,27 +162,21 @@ fn plot_walls(folder: &Path, config: &Config, walls: &[(String, Shape)], chosen:
     }
     let nodes = &walls[0].1.nodes;
     // Uses the same colours as the plot of the searches.
-    let plot = |name: &str, walls: &[(String, Vec<f64>)]| {
-        let series: Vec<(String, Vec<(f64, f64)>)> = walls
-            .iter()
-            .enumerate()
-            .map(|(k, (from, offsets))| {
-                let best = if chosen == Some(k) { " (the best)" } else { "" };
-                (format!("{from}{best}"), nodes.iter().copied().zip(offsets.iter().copied()).collect())
-            })
-            .collect();
-        let stem = folder.join(name);
-        compare(&stem, "Best walls", "x (scene units)", "wall offset (scene units)", &series, false, false)
+    let plot = |name: &str, offsets: fn(&Shape) -> Option<&Vec<f64>>| -> anyhow::Result<()> {
+        let walls = walls.iter().filter_map(|(name, wall)| Some((name, offsets(wall)?)));
+        let series = walls.enumerate().map(|(k, (from, offsets))| {
+            let best = if chosen == Some(k) { " (the best)" } else { "" };
+            (format!("{from}{best}"), nodes.iter().copied().zip(offsets.iter().copied()).collect())
+        });
+        let series: Vec<(String, Vec<(f64, f64)>)> = series.collect();
+        if !series.is_empty() {
+            let (x, y) = ("x (scene units)", "wall offset (scene units)");
+            compare(&folder.join(name), "Best walls", x, y, &series, false, false)?;
+        }
+        Ok(())
     };
-    let heights: Vec<(String, Vec<f64>)> =
-        walls.iter().map(|(name, wall)| (name.clone(), wall.offsets.clone())).collect();
-    plot("walls", &heights)?;
-    let tops = walls.iter().filter_map(|(name, wall)| Some((name.clone(), wall.top.clone()?)));
-    let tops: Vec<(String, Vec<f64>)> = tops.collect();
-    if !tops.is_empty() {
-        plot("walls-top", &tops)?;
-    }
-    Ok(())
+    plot("walls", |wall| Some(&wall.offsets))?;
+    plot("walls-top", |wall| wall.top.as_ref())
 }
 
 fn capitalised(text: &str) -> String {

@@ -50,7 +50,6 @@ pub struct RolloutArguments {
     pub out: PathBuf,
 }
 
-/// The kind of its folders.
 const KIND: &str = "rollout";
 
 pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {

@@ -9,8 +9,7 @@ use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
-use crate::adjoint::Dynamics;
-use crate::adjoint::RunError;
+use crate::adjoint::{Dynamics, RunError};
 use crate::config::layers::Setting;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
@@ -28,7 +27,7 @@ use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
 use crate::sph::Sweeps;
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// Simulate a scene with its start shape; writes figures, plots and ParaView frames.
@@ -76,18 +75,12 @@ impl SimulateArguments {
             false => loaded.with(&[Setting::option("--resume", "time.step", format!("{:?}", before.time_step()))]),
         }
     }
-
-    /// The output folder; an error if it is not writable.
-    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(self.resume.resume.as_deref(), "simulate", loaded)
-    }
 }
 
 /// Number of checkpoints per run, besides the one at the end.
 const CHECKPOINTS: usize = 10;
 /// Number of rows of history.csv.
 const HISTORY: usize = 400;
-/// The kind of its folders.
 const KIND: &str = "simulate";
 /// A checkpoint of the last good state of a diverged run.
 const LAST_GOOD: &str = "last-good.safetensors";
@@ -95,13 +88,13 @@ const LAST_GOOD: &str = "last-good.safetensors";
 const HALVINGS: usize = 4;
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
-    let folder = arguments.folder(&loaded)?;
+    let resume = arguments.resume.resume.as_deref();
+    let folder = arguments.common.folder(resume, KIND, &loaded)?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     if arguments.explain.explain {
         return explain(&loaded, false);
     }
-    let resume = arguments.resume.resume.as_deref();
     let halvings = if arguments.recover { HALVINGS } else { 0 };
     if arguments.recover && !loaded.config.method.facts().moves {
         return Err(BadInput::new("--recover with fixed particles, whose steps have one length")

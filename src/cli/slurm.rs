@@ -353,7 +353,8 @@ fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
         Command::Optimize(own) => optimize(own, words)?,
         Command::Simulate(own) => {
             let loaded = own.load()?;
-            let (folder, from) = (own.folder(&loaded)?, own.resume.resume.as_deref());
+            let from = own.resume.resume.as_deref();
+            let folder = own.common.folder(from, "simulate", &loaded)?;
             let again = ["simulate"].into_iter().chain(own.recover.then_some("--recover")).chain(["--resume"]);
             one_run("simulate", "simulate", &folder, from, words, words.other(again, &folder))?
         }

@@ -94,7 +94,6 @@ pub struct TrainArguments {
     pub print_config: bool,
 }
 
-/// The kind of its folders.
 const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
