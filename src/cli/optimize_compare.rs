@@ -67,9 +67,6 @@ impl Way {
 ///
 /// A resumed comparison repeats the search without gradients and the evaluation of all. Unfinished methods are resumed,
 /// and their memory is that of the resumed part.
-///
-/// # Errors
-/// A method that fails.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(loaded, folder, earlier),
@@ -197,26 +194,17 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
 fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Result<Vec<(usize, f64)>> {
     let Some(surrogate) = SurrogateProblem::<R>::of_config(loaded)? else { return Ok(Vec::new()) };
     let solver = solver::<R>(loaded)?;
-    let mut found = Vec::new();
-    for (epoch, variables) in path {
-        // A wall that only the surrogate has evaluated may fail in the solver.
-        let by_solver = solver.differentiate(variables, &mut |_| ());
-        let own = surrogate.differentiate(variables, &mut |_| ());
-        let cosine = match (by_solver, own) {
-            (Ok(solver), Ok(own)) => cosine(&own.by_variables, &solver.by_variables),
-            _ => f64::NAN,
-        };
-        found.push((*epoch, cosine));
-    }
-    Ok(found)
+    // A wall that only the surrogate has evaluated may fail in the solver.
+    let cosine = |variables: &[f64]| {
+        let by_solver = solver.differentiate(variables, &mut |_| ()).ok()?.by_variables;
+        let own = surrogate.differentiate(variables, &mut |_| ()).ok()?.by_variables;
+        Some(own.iter().zip(&by_solver).map(|(a, b)| a * b).sum::<f64>() / (norm(&own) * norm(&by_solver)))
+    };
+    Ok(path.iter().map(|(epoch, variables)| (*epoch, cosine(variables).unwrap_or(f64::NAN))).collect())
 }
 
 fn norm(of: &[f64]) -> f64 {
     of.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-fn cosine(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / (norm(a) * norm(b))
 }
 
 /// Time of a horizon, and the norms of both gradients of the objective at its end.
@@ -291,13 +279,8 @@ fn report(
         });
         all.put(&format!("compared: {}", way.name), row);
     }
-    let curves: Vec<(String, Vec<(f64, f64)>)> = ways
-        .iter()
-        .map(|way| {
-            let percent = |(steps, q): &(f64, f64)| (*steps, 100.0 * (q / way.first - 1.0));
-            (way.name.to_string(), way.course.iter().map(percent).collect())
-        })
-        .collect();
+    let curve = |way: &Way| way.course.iter().map(|(steps, q)| (*steps, 100.0 * (q / way.first - 1.0))).collect();
+    let curves: Vec<(String, Vec<(f64, f64)>)> = ways.iter().map(|way| (way.name.to_string(), curve(way))).collect();
     let title = "Gain by the work of the solver";
     let label = format!("gain of {symbol} that the solver confirms (%)");
     compare(&folder.join("compare"), title, "steps of the solver", &label, &curves, true, false)?;

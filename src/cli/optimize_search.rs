@@ -70,10 +70,8 @@ fn go<R: Sweeps>(
     let config = &loaded.config;
     let solver = solver::<R>(loaded)?;
     // The scene for plots and reports, if it differs from that of the search.
-    let scene = match loaded.for_search()?.config == *config {
-        true => None,
-        false => Some(build::<R>(config)?.0),
-    };
+    let differs = loaded.for_search()?.config != *config;
+    let scene = differs.then(|| build::<R>(config)).transpose()?.map(|(scene, _)| scene);
     let surrogate = SurrogateProblem::<R>::of_config(loaded)?;
     let search = Search { config, solver: &solver, surrogate: surrogate.as_ref().map(|it| it as &dyn Judge) };
     let mut optimisation = begin(&search, &solver.problem.first, how)?;
@@ -86,8 +84,8 @@ fn go<R: Sweeps>(
     let done = optimisation.history.len();
     // Several searches may run at once.
     let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
-    let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
-    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
+    let label = format!("optimize {label}");
+    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, label.trim_end());
     let mut kept =
         Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, bar };
     search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
@@ -127,9 +125,9 @@ impl Watch for Kept<'_> {
         }
         self.bar.message(format!("{symbol} {figure:.6} |gradient| {gradient_norm:.2e}"));
         let both = both_sides(last);
-        let line =
-            format!("{symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s");
-        self.bar.log(&format!("{epoch}  {line}"));
+        self.bar.log(&format!(
+            "{epoch}  {symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s"
+        ));
         Ok(())
     }
 
@@ -201,19 +199,15 @@ fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
 }
 
 fn write_history(folder: &Path, figure: Figure, predicts: bool, optimisation: &Optimisation) -> anyhow::Result<()> {
-    let rows: Vec<Vec<f64>> = optimisation
-        .history
-        .iter()
-        .enumerate()
-        .map(|(k, e)| {
-            let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
-            if predicts {
-                let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
-                row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
-            }
-            row
-        })
-        .collect();
+    let row = |(k, e): (usize, &Epoch)| {
+        let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
+        if predicts {
+            let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
+            row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
+        }
+        row
+    };
+    let rows: Vec<Vec<f64>> = optimisation.history.iter().enumerate().map(row).collect();
     let name = figure.symbol.to_lowercase();
     let mut header = vec!["epoch", &name, "loss", "gradient_norm", "seconds"];
     if predicts {
