@@ -8,7 +8,6 @@ use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
 use crate::config::builtin::{self, BuiltIn, PRESETS, SCENES};
 use crate::config::scene::{Config, Precision};
-use crate::error::Error;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
@@ -76,9 +75,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             list()
         }
         Some(name) => {
-            if builtin::scene(name).is_none() {
-                return Err(Error::from(builtin::unknown("built-in scene", name, SCENES)).into());
-            }
+            builtin::scene(name).ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
             check_preset(arguments.preset.as_deref())?;
             let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
             machine::answer(&serde_json::to_value(&loaded.config as &dyn erased_serde::Serialize)?);
@@ -110,13 +107,8 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let scene = Scene::<R>::from_config(config)?;
     let findings = Findings::of(config, &scene)?;
     let (steps, dt) = (config.steps(), config.time_step());
-    println!(
-        "{}: scene {}, {} dimensions, dx {}",
-        loaded.source,
-        config.scene.name(),
-        config.dimension(),
-        scene.spacing
-    );
+    let (name, dimensions, dx) = (config.scene.name(), config.dimension(), scene.spacing);
+    println!("{}: scene {name}, {dimensions} dimensions, dx {dx}", loaded.source);
     let kinds: Vec<String> = findings.particles.iter().map(|(name, count)| format!("{count} {name}")).collect();
     println!("particles           {} in all: {}", scene.model.particles(), kinds.join(", "));
     let across = [("narrowest passage", findings.narrowest), ("thinnest wall between fluid", findings.thinnest)];
@@ -125,12 +117,8 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
             println!("{what:<27} {count} particles");
         }
     }
-    println!(
-        "fastest flow        {:.4} expected, {} as reference, sound {:.4}",
-        findings.speed,
-        config.fluid.reference_velocity,
-        scene.sound_speed()
-    );
+    let (speed, reference, sound) = (findings.speed, config.fluid.reference_velocity, scene.sound_speed());
+    println!("fastest flow        {speed:.4} expected, {reference} as reference, sound {sound:.4}");
     println!("\ntime step {dt:.4e}, {steps} steps to t = {:.4}; {} rules", config.duration(), findings.rules());
     let mut table = Table::new(["criterion", "allows", "by"]);
     for criterion in &findings.criteria {
@@ -165,13 +153,13 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         findings.particles.iter().map(|(name, count)| (name.to_string(), json!(count))).collect();
     machine::answer(&json!({
         "scene": config.scene,
-        "dimensions": config.dimension(),
-        "dx": scene.spacing,
+        "dimensions": dimensions,
+        "dx": dx,
         "particles": { "all": scene.model.particles(), "kinds": kinds },
         "narrowest_passage": findings.narrowest,
         "thinnest_wall": findings.thinnest,
-        "expected_speed": findings.speed,
-        "sound_speed": scene.sound_speed(),
+        "expected_speed": speed,
+        "sound_speed": sound,
         "time_step": dt,
         "steps": steps,
         "end": config.duration(),
