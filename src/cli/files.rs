@@ -91,8 +91,14 @@ pub fn or_empty<T: Into<Cell>>(value: Option<T>) -> Cell {
     value.map_or_else(|| "".into(), Into::into)
 }
 
-/// Plots `NAME.png` and `.svg` for any scene: particles coloured by values `[N]`, in panels with the same colours; in
-/// three dimensions those within half a spacing of the middle height z.
+const NO_RANGE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+/// The range that holds two others.
+fn widest(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
+/// Plots `NAME.png` and `.svg` for any scene: particles coloured by values `[N]`, in panels with the same colours.
 pub fn plot_scene(
     folder: &Path,
     (name, label): (&str, &str),
@@ -100,18 +106,11 @@ pub fn plot_scene(
     values: &[Vec<f64>],
     dx: f64,
 ) -> anyhow::Result<()> {
-    let sections = sections(panels, values, dx);
-    let all = sections.iter().flat_map(|section| section.values.iter().zip(&section.tag));
-    let fluid = all.filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
-    let widest = |(a, b): (f64, f64), (low, high): (f64, f64)| (a.min(low), b.max(high));
-    let none = (f64::INFINITY, f64::NEG_INFINITY);
-    let (low, high) = fluid.fold(none, |range, (&x, _)| widest(range, (x, x)));
-    let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0)) };
     let wide = |d: usize| {
-        let (low, high) = panels.iter().map(|(_, fields)| ends(fields, d)).fold(none, widest);
+        let (low, high) = panels.iter().map(|(_, fields)| ends(fields, d)).fold(NO_RANGE, widest);
         (low - 0.5 * dx, high + 0.5 * dx)
     };
-    draw(&folder.join(name), label, &sections, range, wide(0), wide(1))
+    draw((&folder.join(name), label), panels, values, dx, None, wide(0), wide(1))
 }
 
 /// Plots `flow.png`, and `temperature.png` where there is heat, for any scene. Returns whether there is heat.
@@ -124,66 +123,60 @@ pub fn plot_flow_and_heat(folder: &Path, panels: &[(&str, &ParticleFields)], dx:
     Ok(true)
 }
 
-/// The particles of a picture: all, or in three dimensions those within half a spacing of the middle of z.
-struct Section<'a> {
-    title: &'a str,
-    position: Vec<f64>,
-    values: Vec<f64>,
-    tag: Vec<u8>,
-    dx: f64,
-}
-
-fn sections<'a>(panels: &[(&'a str, &ParticleFields)], values: &[Vec<f64>], dx: f64) -> Vec<Section<'a>> {
-    let section = |(&(title, fields), values): (&(&'a str, &ParticleFields), &Vec<f64>)| {
-        let n = fields.tag.len();
-        let shown: Vec<usize> = match fields.dimension {
-            2 => (0..n).collect(),
-            _ => {
-                let (low, high) = ends(fields, 2);
-                let middle = 0.5 * (low + high);
-                // Of an even number of layers it is the upper one of the middle two.
-                let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
-                (0..n).filter(|&i| is_near(i)).collect()
-            }
-        };
-        Section {
-            title,
-            position: (0..2).flat_map(|d| shown.iter().map(move |&i| fields.position[d * n + i])).collect(),
-            values: shown.iter().map(|&i| values[i]).collect(),
-            tag: shown.iter().map(|&i| fields.tag[i]).collect(),
-            dx,
-        }
-    };
-    panels.iter().zip(values).map(section).collect()
-}
-
+/// Draws particles in panels, coloured by values `[N]`. Without a range of colours it is that of the fluid's values.
 fn draw(
-    stem: &Path,
-    label: &str,
-    sections: &[Section],
-    range: (f64, f64),
+    (stem, label): (&Path, &str),
+    panels: &[(&str, &ParticleFields)],
+    values: &[Vec<f64>],
+    dx: f64,
+    colors: Option<(f64, f64)>,
     x: (f64, f64),
     y: (f64, f64),
 ) -> anyhow::Result<()> {
-    let panels: Vec<TemperaturePanel> = sections
-        .iter()
-        .map(|Section { title, position, values, tag, dx }| TemperaturePanel {
-            title,
-            position,
-            temperature: values,
-            tag,
-            diameter: *dx,
-        })
-        .collect();
-    colored_particles(stem, label, &panels, range, x, y)?;
+    let sections: Vec<_> = panels.iter().zip(values).map(|((_, fields), values)| section(fields, values, dx)).collect();
+    let colors = colors.unwrap_or_else(|| {
+        let all = sections.iter().flat_map(|(_, values, tags)| values.iter().zip(tags));
+        let fluid = all.filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
+        let (low, high) = fluid.fold(NO_RANGE, |range, (&x, _)| widest(range, (x, x)));
+        if low < high {
+            (low, high)
+        } else {
+            (low, low + low.abs().max(1.0))
+        }
+    });
+    let drawn = panels.iter().zip(&sections).map(|((title, _), (position, temperature, tag))| TemperaturePanel {
+        title,
+        position,
+        temperature,
+        tag,
+        diameter: dx,
+    });
+    colored_particles(stem, label, &drawn.collect::<Vec<_>>(), colors, x, y)?;
     Ok(())
+}
+
+/// Positions `[2, N]`, values and tags of the particles of a picture: all, or in three dimensions those within half a
+/// spacing of the middle of z.
+fn section(fields: &ParticleFields, values: &[f64], dx: f64) -> (Vec<f64>, Vec<f64>, Vec<u8>) {
+    let n = fields.tag.len();
+    let shown: Vec<usize> = match fields.dimension {
+        2 => (0..n).collect(),
+        _ => {
+            let (low, high) = ends(fields, 2);
+            let middle = 0.5 * (low + high);
+            // Of an even number of layers it is the upper one of the middle two.
+            let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
+            (0..n).filter(|&i| is_near(i)).collect()
+        }
+    };
+    let position = (0..2).flat_map(|d| shown.iter().map(move |&i| fields.position[d * n + i])).collect();
+    (position, shown.iter().map(|&i| values[i]).collect(), shown.iter().map(|&i| fields.tag[i]).collect())
 }
 
 /// Smallest and largest coordinate of all particles.
 fn ends(fields: &ParticleFields, d: usize) -> (f64, f64) {
     let n = fields.tag.len();
-    let row = fields.position[d * n..(d + 1) * n].iter();
-    row.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)))
+    fields.position[d * n..(d + 1) * n].iter().fold(NO_RANGE, |range, &x| widest(range, (x, x)))
 }
 
 /// Plots `NAME.png` and `.svg`: walls over x and z, in panels.
@@ -236,6 +229,6 @@ fn plot_particles(
     let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..2 * f.tag.len()]);
     let below = y().fold(-rows, |low, &y| low.min(y - 0.5 * dx));
     let above = y().fold(config.channel.height + rows, |high, &y| high.max(y + 0.5 * dx));
-    let sections = sections(panels, &values, dx);
-    draw(&folder.join(name), label, &sections, range, (0.0, config.channel.length), (below, above))
+    let (x, y) = ((0.0, config.channel.length), (below, above));
+    draw((&folder.join(name), label), panels, &values, dx, Some(range), x, y)
 }

@@ -21,7 +21,7 @@ mod optimize_report;
 mod optimize_search;
 mod optimize_starts;
 mod page;
-mod prepare;
+pub(crate) mod prepare;
 pub mod program;
 mod recover;
 mod rollout;

@@ -62,7 +62,6 @@ fn flat(all: Vec<Frame>) -> (Vec<f64>, Option<Vec<f64>>) {
 
 /// What a model predicts of a trajectory.
 #[pyfunction]
-#[pyo3(signature = (model_name, data, split, trajectory, start, steps))]
 pub fn rollout<'py>(
     py: Python<'py>,
     model_name: String,
@@ -117,7 +116,6 @@ pub fn rollout<'py>(
 
 /// A trajectory of a data set.
 #[pyfunction]
-#[pyo3(signature = (data, split, trajectory))]
 pub fn read_trajectory<'py>(
     py: Python<'py>,
     data: std::path::PathBuf,

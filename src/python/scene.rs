@@ -103,7 +103,6 @@ impl Scene {
         Ok((vector(py, nodes), vector(py, heights)))
     }
 
-    #[pyo3(signature = (design, frames, progress))]
     fn simulate<'py>(
         &self,
         py: Python<'py>,
@@ -121,7 +120,6 @@ impl Scene {
         watched(py, None, |_| Ok(of!(self, parts => parts.objective(&design))?))
     }
 
-    #[pyo3(signature = (design, progress))]
     fn value_and_gradient<'py>(
         &self,
         py: Python<'py>,
@@ -134,7 +132,6 @@ impl Scene {
         Ok((found.0, PyArray1::from_vec(py, found.1)))
     }
 
-    #[pyo3(signature = (design, progress))]
     fn loss_and_gradient<'py>(
         &self,
         py: Python<'py>,
@@ -147,7 +144,6 @@ impl Scene {
     }
 
     /// What `verification.json` has of a design, as JSON.
-    #[pyo3(signature = (best, first, progress))]
     fn verify(
         &self,
         py: Python<'_>,
@@ -158,7 +154,6 @@ impl Scene {
         watched(py, progress.as_ref(), |teller| of!(self, parts => parts.verify(&best, first.as_deref(), teller)))
     }
 
-    #[pyo3(signature = (first, epochs, progress))]
     fn optimise<'py>(
         &self,
         py: Python<'py>,
