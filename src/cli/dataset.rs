@@ -58,7 +58,6 @@ const KINDS: [(i32, &str); 5] = [
     (kind::PADDING, "padding"),
 ];
 
-/// The kind of its own folders.
 const KIND: &str = "dataset inspect";
 
 pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {

@@ -36,7 +36,6 @@ pub fn read_config(folder: &Path) -> Result<Loaded, Error> {
     Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])
 }
 
-/// The checkpoint of a run.
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 
 /// Folders of the frames of an optimisation's first and best design.
@@ -54,7 +53,6 @@ pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> a
     Ok(write_columns(&folder.join("shape.csv"), &all)?)
 }
 
-/// Writes `summary.json`.
 pub fn write_summary(folder: &Path, record: &Record) -> anyhow::Result<()> {
     write_json(&folder.join("summary.json"), &json!(record))
 }
@@ -93,7 +91,6 @@ pub fn or_empty<T: Into<Cell>>(value: Option<T>) -> Cell {
 
 const NO_RANGE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
-/// The range that holds two others.
 fn widest(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     (a.0.min(b.0), a.1.max(b.1))
 }

@@ -61,10 +61,6 @@ pub struct Cli {
     pub command: Command,
 }
 
-/// Parses the command line.
-///
-/// # Errors
-/// A command line that is not valid, or asks for help.
 pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
     Cli::from_arg_matches(&line().try_get_matches_from(words)?)
 }
@@ -142,7 +138,6 @@ pub enum Command {
     Man(completions::ManArguments),
 }
 
-/// Runs the parsed command line.
 pub fn run(cli: Cli) -> anyhow::Result<()> {
     if cli.json {
         machine::begin()?;

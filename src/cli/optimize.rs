@@ -146,7 +146,6 @@ impl OptimizeArguments {
     }
 }
 
-/// Parses `none`, `check`, `check=N` or `region`.
 fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
     match (text, text.strip_prefix("check=").map(str::parse)) {
         ("none", _) => Ok((Trust::None, None)),

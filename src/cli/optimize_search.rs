@@ -96,7 +96,6 @@ fn go<R: Sweeps>(
 /// Stores a search in its folder and shows its progress.
 struct Kept<'a> {
     folder: &'a Path,
-    /// Entries of the checkpoint's metadata.
     notes: Vec<(&'static str, String)>,
     figure: Figure,
     /// Whether a surrogate is used.

@@ -138,9 +138,6 @@ impl RunFolder {
     }
 
     /// Creates the folder if needed, and locks it until this is dropped.
-    ///
-    /// # Errors
-    /// As for [`Self::check`]; another process that writes there; system errors.
     pub fn take(folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
         Self::locked(folder, kind, earlier, false)
     }

@@ -23,7 +23,6 @@ pub struct Finished<'a, R> {
     pub loaded: &'a Loaded,
     pub folder: &'a Path,
     pub scene: &'a Scene<R>,
-    /// Rows of `history.csv`.
     pub history: &'a [Vec<f64>],
     pub end: &'a ParticleFields,
     pub seconds: f64,

@@ -84,7 +84,6 @@ impl StressArguments {
         Ok(jobs)
     }
 
-    /// The requested maps.
     pub(super) fn maps(&self) -> Result<Vec<Map>, BadInput> {
         let mut maps = maps::all();
         let mut scenes: Vec<&str> = maps.iter().map(|map| map.scene).collect();

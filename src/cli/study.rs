@@ -61,9 +61,6 @@ const KIND: &str = "study";
 
 impl StudyArguments {
     /// The grid, its points, and their common settings.
-    ///
-    /// # Errors
-    /// A grid, settings or data that are not allowed.
     pub(super) fn study(&self) -> anyhow::Result<(Vec<GridKey>, Vec<GridPoint>, Study)> {
         let grid = self.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
         let points = points(&grid)?;

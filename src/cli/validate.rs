@@ -67,7 +67,6 @@ const PARTS: f64 = 100.0;
 const KIND: &str = "validate";
 
 impl ValidateArguments {
-    /// The requested cases.
     pub(super) fn cases(&self) -> Result<Vec<Case>, BadInput> {
         let mut chosen = cases::all();
         let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();

@@ -106,7 +106,6 @@ impl VerifyArguments {
     }
 }
 
-/// The kind of its own folders.
 const KIND: &str = "verify";
 
 pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
@@ -155,7 +154,6 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs the checks with a progress bar.
 fn verify(verification: &Verification) -> Result<Verified, Error> {
     const UNITS: f64 = 1000.0;
     let bar = Progress::new(UNITS as u64, "verify");
