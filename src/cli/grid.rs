@@ -246,10 +246,8 @@ impl Study {
         }
         command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?);
         let status = attended(&mut command).map_err(|error| {
-            Error::run(
-                format!("can not start {}: {error}", self.program.join(OsStr::new(" ")).display()),
-                "check that it is still there",
-            )
+            let program = self.program.join(OsStr::new(" "));
+            Error::run(format!("can not start {}: {error}", program.display()), "check that it is still there")
         })?;
         interrupt::check()?;
         let mut text = String::new();
@@ -271,17 +269,10 @@ impl Study {
         };
         // Training's own count, which goes on when it is resumed.
         let seconds = validation.seconds.last().copied().unwrap_or(0.0);
-        let finished = Finished {
-            point: point.clone(),
-            data: absolute(&self.data),
-            steps: self.steps,
-            sets: self.sets.clone(),
-            seconds,
-        };
-        write_bytes_atomically(
-            &folder.join("finished.json"),
-            (serde_json::to_string_pretty(&finished)? + "\n").as_bytes(),
-        )?;
+        let (data, steps, sets) = (absolute(&self.data), self.steps, self.sets.clone());
+        let finished = Finished { point: point.clone(), data, steps, sets, seconds };
+        let text = serde_json::to_string_pretty(&finished)? + "\n";
+        write_bytes_atomically(&folder.join("finished.json"), text.as_bytes())?;
         Ok(PointOutcome::Trained { seconds, validation })
     }
 }

@@ -6,7 +6,7 @@ use super::optimize_search::{one, Begin};
 use super::prepare::build;
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
-use crate::config::scene::{ParametrisationName, Precision};
+use crate::config::scene::Precision;
 use crate::design::cma_es;
 use crate::design::optimise::Epoch;
 use crate::design::problem::{Derivative, ADJOINT};
@@ -227,13 +227,7 @@ fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
             ("objective.samples", "1"),
             ("optimise.dynamics", "solver"),
             // The same design variables in both.
-            (
-                "design.parametrisation",
-                match loaded.config.design.parametrisation {
-                    ParametrisationName::Nodes => "nodes",
-                    ParametrisationName::BSpline => "b-spline",
-                },
-            ),
+            ("design.parametrisation", &*json!(loaded.config.design.parametrisation).to_string()),
         ];
         let with = with(loaded, &settings)?;
         let (problem, _) = build::<R>(&with.config)?;
@@ -257,27 +251,26 @@ fn report(
     mut all: Record,
 ) -> anyhow::Result<()> {
     let symbol = crate::design::objectives::Figure::of_config(&loaded.config).symbol;
-    let goal = 0.9 * ways[0].gain();
+    let solver_gain = ways[0].gain();
     let headers =
         ["search", symbol, "gain in the solver", "of the solver's", "solver steps", "to 90 %", "seconds", "peak MB"];
     let mut table = Table::new(headers);
     for way in ways {
-        let steps_to = way.steps_to(goal).map_or("-".into(), |steps| format!("{steps:.0}"));
+        let Way { name, seconds, bytes, .. } = way;
+        let (gain, steps, steps_to) = (way.gain(), way.steps(), way.steps_to(0.9 * solver_gain));
         table.row([
-            way.name.to_string(),
+            name.to_string(),
             format!("{:.6}", way.best()),
-            format!("{:+.2} %", 100.0 * way.gain()),
-            format!("{:.0} %", 100.0 * way.gain() / ways[0].gain()),
-            format!("{:.0}", way.steps()),
-            steps_to.clone(),
-            format!("{:.1}", way.seconds),
-            format!("{:.0}", way.bytes as f64 / 1e6),
+            format!("{:+.2} %", 100.0 * gain),
+            format!("{:.0} %", 100.0 * gain / solver_gain),
+            format!("{steps:.0}"),
+            steps_to.map_or("-".into(), |steps| format!("{steps:.0}")),
+            format!("{seconds:.1}"),
+            format!("{:.0}", *bytes as f64 / 1e6),
         ]);
-        let row = json!({
-            "gain": way.gain(), "solver_steps": way.steps(), "solver_steps_to_90_percent": way.steps_to(goal),
-            "seconds": way.seconds, "peak_bytes": way.bytes,
-        });
-        all.put(&format!("compared: {}", way.name), row);
+        let row = json!({ "gain": gain, "solver_steps": steps, "solver_steps_to_90_percent": steps_to,
+            "seconds": seconds, "peak_bytes": bytes });
+        all.put(&format!("compared: {name}"), row);
     }
     let curve = |way: &Way| way.course.iter().map(|(steps, q)| (*steps, 100.0 * (q / way.first - 1.0))).collect();
     let curves: Vec<(String, Vec<(f64, f64)>)> = ways.iter().map(|way| (way.name.to_string(), curve(way))).collect();

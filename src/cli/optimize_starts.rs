@@ -49,8 +49,7 @@ impl StartName {
 /// All starts by name. Errors in one are found before the first search.
 fn starts(loaded: &Loaded) -> anyhow::Result<Vec<(String, Loaded)>> {
     let of = |start: StartName| {
-        let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
-        let loaded = loaded.with(&[setting])?;
+        let loaded = loaded.with(start.setting().as_slice())?;
         check_shape(&loaded.config)?;
         Ok((format!("{start:?}").to_lowercase(), loaded))
     };

@@ -502,35 +502,12 @@ impl Job {
                 text += &format!("else\n    {}\nfi\n", call(&self.command)?);
             }
         }
-        Ok(text + &body(forward))
+        Ok(text + &BODY.replace("{forward}", forward).replace("{most_restarts}", &MOST_RESTARTS.to_string()))
     }
 }
 
 /// The common part of all jobs: runs the command, forwards SIGTERM to it, and requeues the job.
-fn body(forward: &str) -> String {
-    format!(
-        r#"
-echo "== $(date -u +%FT%TZ) job $job, start ${{SLURM_RESTART_COUNT:-0}}: $*"
-# SIGTERM comes before the time limit: hydrograd keeps what there is and ends with 143.
-trap '{forward}' TERM
-"$@" &
-child=$!
-wait "$child"
-code=$?
-# A signal ends `wait`, and not yet the command.
-while kill -0 "$child" 2>/dev/null; do
-    wait "$child"
-    code=$?
-done
-# Queued again, unless it was cancelled (then it is not RUNNING any more) or does not get on.
-if [ "$code" = 143 ] && [ "$(squeue --noheader --job "$job" --format %T)" = RUNNING ] &&
-    [ "${{SLURM_RESTART_COUNT:-0}}" -lt {MOST_RESTARTS} ]; then
-    scontrol requeue "$job"
-fi
-exit "$code"
-"#
-    )
-}
+const BODY: &str = include_str!("slurm_job.sh");
 
 /// Quotes a word for a shell.
 fn quoted(word: &str) -> String {
@@ -542,9 +519,8 @@ fn quoted(word: &str) -> String {
 
 /// Quotes an option for sbatch in a file.
 fn of_sbatch(option: &str) -> String {
-    let plain = |text: &str| text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c));
     match option.split_once('=') {
-        Some((name, value)) if !plain(value) => {
+        Some((name, value)) if !is_plain(value) => {
             format!("{name}=\"{}\"", value.replace('\\', r"\\").replace('"', "\\\""))
         }
         _ => option.to_string(),
@@ -561,13 +537,7 @@ fn one_line(text: &str) -> Result<String, BadInput> {
 
 /// Slurm's notations of a time: `MM`, `MM:SS`, `HH:MM:SS`, `D-HH`, `D-HH:MM`, `D-HH:MM:SS`.
 fn time(text: &str) -> Result<String, String> {
-    let allowed = || {
-        "allowed: minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before".into()
-    };
-    let (days, rest) = match text.split_once('-') {
-        Some((days, rest)) => (Some(days), rest),
-        None => (None, text),
-    };
+    let (days, rest) = text.split_once('-').map_or((None, text), |(days, rest)| (Some(days), rest));
     let numbers: Option<Vec<u64>> = days.into_iter().chain(rest.split(':')).map(|part| part.parse().ok()).collect();
     const UNITS: [u64; 4] = [86_400, 3_600, 60, 1];
     let seconds = numbers.and_then(|numbers| {
@@ -579,32 +549,34 @@ fn time(text: &str) -> Result<String, String> {
         };
         units.iter().zip(numbers).map(|(unit, number)| unit.checked_mul(number)).sum::<Option<u64>>()
     });
-    match seconds {
-        Some(seconds) if seconds >= SHORTEST => Ok(text.to_string()),
-        _ => Err(allowed()),
-    }
+    let allowed = "minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before";
+    checked(text, seconds.is_some_and(|seconds| seconds >= SHORTEST), allowed)
 }
 
 fn memory(text: &str) -> Result<String, String> {
-    let number = text.strip_suffix(['K', 'M', 'G', 'T']).unwrap_or(text);
-    match number.parse::<u64>() {
-        Ok(size) if size > 0 => Ok(text.to_string()),
-        _ => Err("allowed: a whole number with K, M, G or T behind it, such as 4G".into()),
-    }
+    let number = text.strip_suffix(['K', 'M', 'G', 'T']).unwrap_or(text).parse::<u64>();
+    checked(text, number.is_ok_and(|size| size > 0), "a whole number with K, M, G or T behind it, such as 4G")
 }
 
 fn name(text: &str) -> Result<String, String> {
-    match !text.is_empty() && text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c)) {
-        true => Ok(text.to_string()),
-        false => Err("allowed: a name without spaces and quotes, as sinfo prints it".into()),
-    }
+    checked(text, !text.is_empty() && is_plain(text), "a name without spaces and quotes, as sinfo prints it")
 }
 
 fn sbatch_option(text: &str) -> Result<String, String> {
-    match text.starts_with('-') && !text.contains(char::is_control) {
+    let is_option = text.starts_with('-') && !text.contains(char::is_control);
+    checked(text, is_option, "an option of sbatch's, such as --option=--qos=long")
+}
+
+fn checked(text: &str, is_allowed: bool, allowed: &str) -> Result<String, String> {
+    match is_allowed {
         true => Ok(text.to_string()),
-        false => Err("allowed: an option of sbatch's, such as --option=--qos=long".into()),
+        false => Err(format!("allowed: {allowed}")),
     }
+}
+
+/// Whether sbatch takes a text without quotes.
+fn is_plain(text: &str) -> bool {
+    text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c))
 }
 
 #[cfg(test)]
