@@ -11,7 +11,7 @@ mod explain;
 mod files;
 mod generate;
 pub mod grid;
-mod guard;
+pub(crate) mod guard;
 mod machine;
 mod model_data;
 mod new;

@@ -1,6 +1,6 @@
 //! A scene, as Python has it.
 
-use super::arrays::vector;
+use super::arrays::{shaped, vector};
 use super::errors::to_python;
 use super::parts::Parts;
 use super::simulate::simulate;
@@ -169,7 +169,7 @@ impl Scene {
         let (history, all) = (&found.history, PyDict::new(py));
         let (count, width) = (history.len(), history.first().map_or(0, |epoch| epoch.variables.len()));
         let designs: Vec<f64> = history.iter().flat_map(|epoch| epoch.variables.iter().copied()).collect();
-        all.set_item("designs", super::arrays::table(py, designs, [count, width])?)?;
+        all.set_item("designs", shaped(py, designs, [count, width])?)?;
         all.set_item("q", vector(py, found.column(|epoch| epoch.figure)))?;
         let predicted = |epoch: &Epoch| epoch.predicted.unwrap_or(f64::NAN);
         all.set_item("q_predicted", vector(py, found.column(predicted)))?;

@@ -1,6 +1,6 @@
 //! One run forward, and what is kept of it.
 
-use super::arrays::{columns, frames_of_columns, vector};
+use super::arrays::{columns, frames_of_columns, shaped, vector};
 use super::parts::Parts;
 use super::watch::{Teller, Told};
 use crate::adjoint::run::{run, Observer};
@@ -126,7 +126,7 @@ impl Simulated {
             frames.set_item("position", frames_of_columns(py, self.position, t, d)?)?;
             frames.set_item("velocity", frames_of_columns(py, self.velocity, t, d)?)?;
             let n = self.temperature.len() / t;
-            let temperature = has_heat.then(|| super::arrays::table(py, self.temperature, [t, n])).transpose()?;
+            let temperature = has_heat.then(|| shaped(py, self.temperature, [t, n])).transpose()?;
             frames.set_item("temperature", temperature)?;
             all.set_item("frames", frames)?;
         }
