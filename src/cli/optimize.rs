@@ -109,7 +109,6 @@ impl OptimizeArguments {
         Ok(loaded)
     }
 
-    /// The output folder; an error if it is not writable.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
     }
@@ -201,7 +200,8 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         own.finish()?;
         return parts.iter().try_for_each(RunFolder::finish);
     }
-    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier, is_part: false }, "", &Tasks::default())?;
+    let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default() };
+    let (own, outcome) = one(&loaded, begin)?;
     println!("{}", outcome.text);
     println!(
         "next: hydrograd simulate {} --set resolution.dx={} --out runs/finer    runs the best design at a finer spacing",

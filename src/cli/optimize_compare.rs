@@ -104,11 +104,11 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
         let clock = Instant::now();
         let label = name.replace(", ", "-").replace(' ', "-");
         let place = folder.join(&label);
-        let begin = Begin::part(&place, earlier);
-        let goes_on = begin.resume.is_some();
-        let (own, outcome) = one(loaded, &place, begin, name, &Tasks::default())?;
+        let tasks = Tasks::default();
+        let begin = Begin::part(&place, earlier, name, &tasks);
+        let (own, outcome) = one(loaded, begin)?;
         owned.push(own);
-        let seconds = match goes_on {
+        let seconds = match begin.resume.is_some() {
             // The time of earlier sessions is known only by epoch.
             true => outcome.history.iter().map(|epoch| epoch.seconds).sum(),
             false => clock.elapsed().as_secs_f64(),

@@ -30,44 +30,34 @@ const MODEL: &str = "model";
 /// How a run starts.
 #[derive(Clone, Copy)]
 pub struct Begin<'a> {
+    pub folder: &'a Path,
     /// The folder of the run to resume.
     pub resume: Option<&'a Path>,
     pub earlier: Earlier,
-    /// Whether it is one of several runs, which may be finished while others are not.
-    pub is_part: bool,
+    /// Its name among several runs, which may be finished while others are not; empty for a single run.
+    pub name: &'a str,
+    pub tasks: &'a Tasks,
 }
 
 impl<'a> Begin<'a> {
     /// One of several runs in its own folder. If the whole is resumed, the run is resumed if it had started.
-    pub fn part(folder: &'a Path, earlier: Earlier) -> Self {
+    pub fn part(folder: &'a Path, earlier: Earlier, name: &'a str, tasks: &'a Tasks) -> Self {
         let is_begun = folder.join(CHECKPOINT).exists() || is_unfinished(folder, KIND);
         let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
-        Self { resume, earlier, is_part: true }
+        Self { folder, resume, earlier, name, tasks }
     }
 }
 
 /// Searches in a folder, shows the progress and writes all results. The caller marks the folder as finished.
-pub fn one(
-    loaded: &Loaded,
-    folder: &Path,
-    how: Begin<'_>,
-    label: &str,
-    tasks: &Tasks,
-) -> anyhow::Result<(RunFolder, Outcome)> {
+pub fn one(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, how, label, tasks),
-        Precision::F64 => go::<f64>(loaded, folder, how, label, tasks),
+        Precision::F32 => go::<f32>(loaded, how),
+        Precision::F64 => go::<f64>(loaded, how),
     }
 }
 
-fn go<R: Sweeps>(
-    loaded: &Loaded,
-    folder: &Path,
-    how: Begin<'_>,
-    label: &str,
-    tasks: &Tasks,
-) -> anyhow::Result<(RunFolder, Outcome)> {
-    let config = &loaded.config;
+fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
+    let (config, folder) = (&loaded.config, how.folder);
     let solver = solver::<R>(loaded)?;
     // The scene for plots and reports, if it differs from that of the search.
     let differs = loaded.for_search()?.config != *config;
@@ -83,9 +73,9 @@ fn go<R: Sweeps>(
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
     // Several searches may run at once.
-    let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
-    let label = format!("optimize {label}");
-    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, label.trim_end());
+    let name = if how.name.is_empty() { String::new() } else { format!("{}: ", how.name) };
+    let label = format!("optimize {}", how.name);
+    let bar = Progress::among(how.tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, label.trim_end());
     let mut kept =
         Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, bar };
     search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
@@ -171,7 +161,7 @@ fn begin(search: &Search<'_>, first: &[f64], how: Begin<'_>) -> anyhow::Result<O
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
         // Plots, figures or checks are missing.
-        true if how.is_part || is_unfinished(from, KIND) => return Ok(optimisation),
+        true if !how.name.is_empty() || is_unfinished(from, KIND) => return Ok(optimisation),
         true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),

@@ -80,7 +80,7 @@ pub fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::
     let tasks = Tasks::default();
     let outcomes = share_out(workers(loaded.config.run.threads, mine.len()), &mine, |(name, loaded)| {
         let folder = folder.join(name);
-        one(loaded, &folder, Begin::part(&folder, Earlier::Resumed), name, &tasks)
+        one(loaded, Begin::part(&folder, Earlier::Resumed, name, &tasks))
     })?;
     // The same answer as for all starts without a share.
     let found = mine.iter().zip(&outcomes).map(|((name, _), (_, outcome))| (name.clone(), json!(outcome.record)));
@@ -108,7 +108,7 @@ pub fn every_start(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: b
     // They run at once; the results of each do not depend on the others.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
         let folder = folder.join(name);
-        one(loaded, &folder, Begin::part(&folder, earlier), name, &tasks)
+        one(loaded, Begin::part(&folder, earlier, name, &tasks))
     })?;
     let mut owned = Vec::new();
     for ((name, loaded), (own, outcome)) in runs.into_iter().zip(outcomes) {
