@@ -4,6 +4,7 @@
 //! folder holds a lock on that file, which the system releases when the process ends in any way.
 
 use super::arguments::check_writable;
+use super::shard::Shard;
 use crate::error::BadInput;
 use crate::io::atomic::{is_temporary, prepare_output_folder};
 use crate::io::FileError;
@@ -145,6 +146,14 @@ impl RunFolder {
     /// As [`Self::take`], shared with other processes of this kind. Nothing is removed.
     pub fn share(folder: &Path, kind: &'static str) -> anyhow::Result<Self> {
         Self::locked(folder, kind, Earlier::Replaced, true)
+    }
+
+    /// [`Self::share`] for a share of a command's work, else [`Self::take`].
+    pub fn for_work(share: Option<Shard>, folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
+        match share {
+            Some(_) => Self::share(folder, kind),
+            None => Self::take(folder, kind, earlier),
+        }
     }
 
     fn locked(folder: &Path, kind: &'static str, earlier: Earlier, is_shared: bool) -> anyhow::Result<Self> {

@@ -125,14 +125,9 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     }
     let jobs = arguments.jobs(&maps)?;
     use_threads(1);
-    let own = match share {
-        Some(_) => RunFolder::share(out, KIND)?,
-        None => RunFolder::take(out, KIND, Earlier::Resumed)?,
-    };
-    interrupt::listen(match share {
-        Some(_) => "the same command again: finished runs are kept",
-        None => "the same command with --resume: finished runs are kept",
-    })?;
+    let own = RunFolder::for_work(share, out, KIND, Earlier::Resumed)?;
+    let how = if share.is_some() { "again" } else { "with --resume" };
+    interrupt::listen(format!("the same command {how}: finished runs are kept"))?;
     prepare_output_folder(&runs)?;
     let mut records: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
     let shard = share.unwrap_or(Shard::ALL);

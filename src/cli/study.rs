@@ -83,10 +83,7 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     // Errors are found before hours of training.
     let mut known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     // A study does not discard earlier trainings: different ones are an error.
-    let own = match share {
-        Some(_) => RunFolder::share(&study.out, KIND)?,
-        None => RunFolder::take(&study.out, KIND, Earlier::Resumed)?,
-    };
+    let own = RunFolder::for_work(share, &study.out, KIND, Earlier::Resumed)?;
     interrupt::listen("the same command again: what is trained is kept")?;
     let shard = share.unwrap_or(Shard::ALL);
     let mine: Vec<usize> = (0..points.len()).filter(|&k| shard.has(k)).collect();

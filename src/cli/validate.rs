@@ -133,14 +133,10 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     }
     let share = arguments.shard.share()?;
     let (shard, quick, out) = (share.unwrap_or(Shard::ALL), arguments.quick, &arguments.out);
-    let _own = match share {
-        Some(_) => RunFolder::share(out, KIND)?,
-        None => RunFolder::take(out, KIND, if arguments.resume { Earlier::Resumed } else { Earlier::Replaced })?,
-    };
-    interrupt::listen(match share {
-        Some(_) => "the same command again: finished cases are kept",
-        None => "the same command with --resume: finished cases are kept",
-    })?;
+    let earlier = if arguments.resume { Earlier::Resumed } else { Earlier::Replaced };
+    let _own = RunFolder::for_work(share, out, KIND, earlier)?;
+    let how = if share.is_some() { "again" } else { "with --resume" };
+    interrupt::listen(format!("the same command {how}: finished cases are kept"))?;
     let folder = out.join("cases");
     prepare_output_folder(&folder)?;
     let keeps = share.is_some() || arguments.resume;
@@ -193,16 +189,13 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         println!("{}, dx {}: {}", row.case, row.dx, row.failure.as_deref().unwrap_or_default());
     }
     println!("files in {}: validation.csv, validation.json, {}, report.html", out.display(), pictures.join(", "));
-    let failed: Vec<&&Row> = rows.iter().filter(|row| !row.passed).collect();
-    if let Some(row) = failed.first() {
-        let first = format!("{} at dx {}", row.case, row.dx);
-        return Err(Error::run(
-            format!("{} of {} rows FAILED, the first: {first}", failed.len(), rows.len()),
-            format!("the pictures in {}, and --filter {} for this case alone", out.display(), row.case),
-        )
-        .into());
+    let (all, failed) = (rows.len(), rows.iter().filter(|row| !row.passed).count());
+    if let Some(Row { case, dx, .. }) = rows.iter().find(|row| !row.passed) {
+        let problem = format!("{failed} of {all} rows FAILED, the first: {case} at dx {dx}");
+        let advice = format!("the pictures in {}, and --filter {case} for this case alone", out.display());
+        return Err(Error::run(problem, advice).into());
     }
-    let all = if rows.len() == 1 { "the row".into() } else { format!("all {} rows", rows.len()) };
+    let all = if all == 1 { "the row".into() } else { format!("all {all} rows") };
     println!("PASSED: {all}, in double and single precision");
     Ok(())
 }
