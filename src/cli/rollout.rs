@@ -180,16 +180,15 @@ impl Scene<'_> {
         let time = self.metadata.dt * self.metadata.write_every as f64;
         let by_component = |rows: &[f64]| (0..d * n).map(|k| rows[k % n * d + k / n]).collect::<Vec<f64>>();
         let all: Vec<&Frame> = std::iter::once(before).chain(frames).collect();
-        (1..all.len())
-            .map(|k| {
-                let step = extent.displacement(&all[k].position, &all[k - 1].position);
-                Fields {
-                    position: by_component(&all[k].position),
-                    velocity: by_component(&step).iter().map(|step| step / time).collect(),
-                    temperature: all[k].temperature.clone(),
-                }
-            })
-            .collect()
+        let fields = |pair: &[&Frame]| {
+            let step = extent.displacement(&pair[1].position, &pair[0].position);
+            Fields {
+                position: by_component(&pair[1].position),
+                velocity: by_component(&step).iter().map(|step| step / time).collect(),
+                temperature: pair[1].temperature.clone(),
+            }
+        };
+        all.windows(2).map(fields).collect()
     }
 
     fn write_series(&self, folder: &Path, name: &str, frames: &[Fields]) -> anyhow::Result<()> {

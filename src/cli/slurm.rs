@@ -427,16 +427,9 @@ fn one_run(
 
 /// The words without an option and its value.
 fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
-    let mut words = words.into_iter();
-    let mut kept = Vec::new();
-    while let Some(word) = words.next() {
-        if word == option {
-            words.next();
-        } else if !has(std::slice::from_ref(&word), option) {
-            kept.push(word);
-        }
-    }
-    kept
+    let is_value = |k: usize| k > 0 && words[k - 1] == option;
+    let is_kept = |k: &usize| !is_value(*k) && !has(&words[*k..=*k], option);
+    (0..words.len()).filter(is_kept).map(|k| words[k].clone()).collect()
 }
 
 impl Job {
