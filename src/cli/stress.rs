@@ -254,8 +254,11 @@ impl Place<'_> {
     }
 }
 
+/// The name of a column, and its cell of a run.
+type Column = (&'static str, fn(&Place) -> Cell);
+
 /// The columns of `stress.csv`.
-const COLUMNS: [(&str, fn(&Place) -> Cell); 21] = [
+const COLUMNS: [Column; 21] = [
     ("scene", |run| run.map.scene.into()),
     ("map", |run| run.map.name.into()),
     ("formulation", |run| run.panel.formulation.into()),

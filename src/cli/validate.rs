@@ -230,8 +230,11 @@ fn table(rows: &[&Row]) -> Table {
     table
 }
 
+/// The name of a column, and its cell of a row.
+type Column = (&'static str, fn(&Row) -> Cell);
+
 /// The columns of `validation.csv`; NaN without a value.
-const COLUMNS: [(&str, fn(&Row) -> Cell); 13] = [
+const COLUMNS: [Column; 13] = [
     ("case", |row| row.case.as_str().into()),
     ("quantity", |row| row.quantity.as_str().into()),
     ("reference", |row| row.reference.as_str().into()),
