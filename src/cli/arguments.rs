@@ -83,21 +83,6 @@ pub struct OverwriteArgument {
     pub overwrite: bool,
 }
 
-/// What gradients may use.
-#[derive(Debug, Clone, Args)]
-pub struct MemoryArgument {
-    /// Memory that the gradient may use, such as 200MB: picks every state, every k-th or binomial (optimise.memory).
-    // A negative amount is refused as one, not as an unknown option.
-    #[arg(long, value_name = "SIZE", allow_hyphen_values = true)]
-    pub memory: Option<String>,
-}
-
-impl MemoryArgument {
-    fn setting(&self) -> Option<Setting> {
-        self.memory.as_ref().map(|size| option("optimise.memory", size))
-    }
-}
-
 /// Showing what would be done.
 #[derive(Debug, Clone, Args)]
 pub struct ExplainArgument {
@@ -112,8 +97,10 @@ pub struct GradientArguments {
     /// Method (optimise.gradient): segments and taped are exact, truncated is not.
     #[arg(long = "gradient", value_name = "METHOD", value_enum)]
     pub method: Option<GradientMode>,
-    #[command(flatten)]
-    pub memory: MemoryArgument,
+    /// Memory that the gradient may use, such as 200MB: picks every state, every k-th or binomial (optimise.memory).
+    // A negative amount is refused as one, not as an unknown option.
+    #[arg(long, value_name = "SIZE", allow_hyphen_values = true)]
+    pub memory: Option<String>,
     /// Precision of kept states: f32 halves their memory, but the gradient is not exact then (optimise.store).
     #[arg(long, value_enum, value_name = "PRECISION")]
     pub store: Option<Precision>,
@@ -140,14 +127,11 @@ impl CommonArguments {
     ) -> Result<Loaded, Error> {
         let mut settings = defaults;
         settings.extend(self.sets.iter().map(|text| set_option(text)));
-        let own = [
-            self.precision.map(|value| option("run.precision", name_of(value))),
-            self.threads.map(|value| option("run.threads", value)),
-            self.seed.map(|value| option("run.seed", value)),
-            self.kernels.map(|value| option("run.kernels", name_of(value))),
-            self.device.map(|value| option("run.device", value)),
-        ];
-        settings.extend(own.into_iter().flatten());
+        settings.extend(self.precision.map(|value| option("run.precision", name_of(value))));
+        settings.extend(self.threads.map(|value| option("run.threads", value)));
+        settings.extend(self.seed.map(|value| option("run.seed", value)));
+        settings.extend(self.kernels.map(|value| option("run.kernels", name_of(value))));
+        settings.extend(self.device.map(|value| option("run.device", value)));
         settings.extend(options);
         let Some(folder) = resume else {
             check_preset(self.preset.as_deref())?;
@@ -179,25 +163,19 @@ pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
             .place(format!("--out {}", folder.display()))
             .allowed("a folder that can be written to, or a new one")
     };
-    let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new(""));
-    let existing = match existing.as_os_str().is_empty() {
-        true => Path::new("."),
-        false => existing,
-    };
+    let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
     if !existing.is_dir() {
         return Err(bad(format!("{} is a file", existing.display())));
     }
-    match tempfile::tempfile_in(existing) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(bad(format!("can not write to {}: {error}", existing.display()))),
-    }
+    let trial = tempfile::tempfile_in(existing);
+    trial.map(drop).map_err(|error| bad(format!("can not write to {}: {error}", existing.display())))
 }
 
 impl GradientArguments {
     pub(super) fn settings(&self) -> Vec<Setting> {
         let settings = [
             self.method.map(|value| option("optimise.gradient", name_of(value))),
-            self.memory.setting(),
+            self.memory.as_ref().map(|size| option("optimise.memory", size)),
             self.store.map(|value| option("optimise.store", name_of(value))),
             self.segment.map(|value| option("optimise.segment", value)),
             self.horizon.map(|value| option("optimise.horizon", value)),
@@ -224,7 +202,7 @@ pub(super) fn set_option(assignment: &str) -> Setting {
 /// An error if there is no such preset.
 pub(super) fn check_preset(name: Option<&str>) -> Result<(), BadInput> {
     let Some(name) = name else { return Ok(()) };
-    builtin::preset(name).map(|_| ()).map_err(|bad| bad.place(format!("--preset {name}")))
+    builtin::preset(name).map(drop).map_err(|bad| bad.place(format!("--preset {name}")))
 }
 
 /// The library's advice names keys (`time.cfl=1`); here each such assignment becomes the option to give
@@ -245,6 +223,7 @@ fn options_in(advice: &str) -> String {
     for word in advice.split(' ') {
         // `(time.cfl=1)` begins with a bracket.
         let bare = word.trim_start_matches(['(', '`']);
+        let is_of_key = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "._".contains(c);
         let is_key = |key: &str| key.starts_with(|c: char| c.is_ascii_lowercase()) && key.chars().all(is_of_key);
         let shown = match bare.split_once('=') {
             Some((key, value)) if is_key(key) && !before.starts_with("--") => match option_of(key) {
@@ -257,10 +236,6 @@ fn options_in(advice: &str) -> String {
         before = word;
     }
     words.join(" ")
-}
-
-fn is_of_key(c: char) -> bool {
-    c.is_ascii_lowercase() || c.is_ascii_digit() || "._".contains(c)
 }
 
 /// The name of a value as the command line and the configuration spell it.

@@ -68,22 +68,21 @@ pub struct CalibrateArguments {
     pub out: PathBuf,
 }
 
-/// The kind of its folders.
 const KIND: &str = "calibrate";
 /// Largest ratio of a parameter to its assumed value.
 const FACTOR: f64 = 10.0;
 
 pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
-    RunFolder::check(&arguments.out, KIND, Earlier::Replaced)?;
+    let (data, folder, epochs) = (&arguments.data, &arguments.out, arguments.epochs);
+    RunFolder::check(folder, KIND, Earlier::Replaced)?;
     use_threads(arguments.threads);
-    let folder = &arguments.data;
-    let (metadata, trajectories) = read_data(folder, arguments.split)?;
+    let (metadata, trajectories) = read_data(data, arguments.split)?;
     let trajectory = find(&trajectories, arguments.trajectory.as_deref())?;
-    let path = arguments.split.path(folder);
+    let path = arguments.split.path(data);
     let provenance = {
         let file = open(&path, "data set")?;
         let group = file.group(&trajectory.name)?;
-        crate::dataset::store::read_provenance(&path, &group).map_err(unreadable(folder))?
+        crate::dataset::store::read_provenance(&path, &group).map_err(unreadable(data))?
     };
     let true_config = Config::from_record(&provenance.configuration).map_err(|error| {
         BadInput::new(format!("the trajectory's configuration: {error}"))
@@ -94,21 +93,18 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     let mut settings = true_config.over_its_scene("the trajectory", &[]);
     settings.extend(arguments.sets.iter().map(|text| set_option(text)));
     let loaded = Config::load_settings(Some(true_config.scene.name()), None, &settings)?;
-    let mut parameters: Vec<Parameter> = Vec::new();
-    for &parameter in &arguments.parameters {
-        if !parameters.contains(&parameter) {
-            parameters.push(parameter);
-        }
-    }
+    let given = &arguments.parameters;
+    let is_first = |k: &usize| !given[..*k].contains(&given[*k]);
+    let parameters: Vec<Parameter> = (0..given.len()).filter(is_first).map(|k| given[k]).collect();
     let known: Vec<f64> = parameters.iter().map(|parameter| parameter.of(&true_config)).collect();
     let assumed = loaded.text.clone();
     let problem = Calibration::<f64>::new(loaded, &metadata, trajectory, arguments.frames, parameters.clone())?;
-    let _own = RunFolder::take(&arguments.out, KIND, Earlier::Replaced)?;
-    write_bytes_atomically(&arguments.out.join("config.toml"), assumed.as_bytes())?;
+    let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
+    write_bytes_atomically(&folder.join("config.toml"), assumed.as_bytes())?;
     let count = parameters.len();
     let limits = Limits::within(vec![-FACTOR.ln(); count], vec![FACTOR.ln(); count]);
     let mut optimiser = LBfgsB::new(0.3, &vec![0.0; count]).worth(1e-10);
-    let bar = Progress::new(arguments.epochs as u64 * 100, "calibrate");
+    let bar = Progress::new(epochs as u64 * 100, "calibrate");
     let clock = Instant::now();
     let mut rows = Vec::<Vec<f64>>::new();
     let mut evaluate = |epoch: usize, x: &[f64]| {
@@ -121,28 +117,25 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
         bar.line(&format!("epoch {:3}  loss {:.4e}  {}", epoch.number, epoch.loss, shown.join("  ")));
         rows.push([vec![epoch.number as f64, epoch.loss], values, vec![clock.elapsed().as_secs_f64()]].concat());
     };
-    let best = search(&mut optimiser, &limits, arguments.epochs, &mut evaluate, &mut see)?;
+    let best = search(&mut optimiser, &limits, epochs, &mut evaluate, &mut see)?;
     bar.finish();
     let found = problem.values(&best.at);
-    let mut header = vec!["epoch", "loss"];
-    header.extend(parameters.iter().map(|p| p.key()));
-    header.push("seconds");
-    write_rows(&arguments.out.join("history.csv"), &header, &rows)?;
-    let curve =
-        |k: usize| rows.iter().map(|row| (row[0] + 1.0, (row[2 + k] / known[k] - 1.0).abs())).collect::<Vec<_>>();
-    let mut curves: Vec<(String, Vec<(f64, f64)>)> =
-        parameters.iter().enumerate().map(|(k, p)| (format!("{}, relative error", p.key()), curve(k))).collect();
-    curves.push(("loss".into(), rows.iter().map(|row| (row[0] + 1.0, row[1])).collect()));
-    compare(&arguments.out.join("history"), "Calibration", "epoch", "", &curves, false, true)?;
+    let keys = parameters.iter().map(|p| p.key());
+    let header: Vec<&str> = ["epoch", "loss"].into_iter().chain(keys.clone()).chain(["seconds"]).collect();
+    write_rows(&folder.join("history.csv"), &header, &rows)?;
+    let curve = |of: &dyn Fn(&[f64]) -> f64| rows.iter().map(|row| (row[0] + 1.0, of(row))).collect::<Vec<_>>();
+    let error = |k: usize| curve(&|row| (row[2 + k] / known[k] - 1.0).abs());
+    let errors = keys.enumerate().map(|(k, key)| (format!("{key}, relative error"), error(k)));
+    let curves: Vec<_> = errors.chain([("loss".into(), curve(&|row| row[1]))]).collect();
+    compare(&folder.join("history"), "Calibration", "epoch", "", &curves, false, true)?;
     let mut table = Table::new(["", "assumed", "found", "made with", "error"]);
     let mut summary = Record::default();
     for (k, parameter) in parameters.iter().enumerate() {
-        let error = found[k] / known[k] - 1.0;
-        let number = |x: f64| format!("{x:.6}");
-        let cells =
-            [number(problem.assumed[k]), number(found[k]), number(known[k]), format!("{:+.3} %", 100.0 * error)];
-        table.row([vec![parameter.key().to_string()], cells.to_vec()].concat());
-        let row = json!({"assumed": problem.assumed[k], "found": found[k], "made_with": known[k], "error": error});
+        let (assumed, found, made_with) = (problem.assumed[k], found[k], known[k]);
+        let error = found / made_with - 1.0;
+        let [from, to, truth] = [assumed, found, made_with].map(|x| format!("{x:.6}"));
+        table.row([parameter.key().to_string(), from, to, truth, format!("{:+.3} %", 100.0 * error)]);
+        let row = json!({"assumed": assumed, "found": found, "made_with": made_with, "error": error});
         summary.put(parameter.key(), row);
     }
     summary.put("loss_before", rows[0][1]);
@@ -151,28 +144,19 @@ pub fn run(arguments: CalibrateArguments) -> anyhow::Result<()> {
     summary.put("steps", problem.steps);
     summary.put("frames", arguments.frames);
     summary.put("seconds", clock.elapsed().as_secs_f64());
-    files::write_summary(&arguments.out, &summary)?;
-    page::write(&arguments.out)?;
+    files::write_summary(folder, &summary)?;
+    page::write(folder)?;
     println!("{}", table.to_text());
-    for (k, parameter) in parameters.iter().enumerate() {
-        if best.at[k].abs() > 0.99 * FACTOR.ln() {
-            println!(
-                "WARNING: {} is as far from what was assumed as it may be: assume a value nearer to it",
-                parameter.key()
-            );
-        }
+    for (parameter, _) in parameters.iter().zip(&best.at).filter(|(_, at)| at.abs() > 0.99 * FACTOR.ln()) {
+        let key = parameter.key();
+        println!("WARNING: {key} is as far from what was assumed as it may be: assume a value nearer to it");
     }
     if !optimiser.is_done() && best.loss > 1e-6 * rows[0][1] {
-        println!("WARNING: not converged; --epochs {} gives it more", 2 * arguments.epochs);
+        println!("WARNING: not converged; --epochs {} gives it more", 2 * epochs);
     }
-    println!(
-        "loss {:.3e} -> {:.3e} in {} epochs of {} steps, {:.1} s",
-        rows[0][1],
-        best.loss,
-        rows.len(),
-        problem.steps,
-        clock.elapsed().as_secs_f64()
-    );
-    println!("files in {}: summary.json, history.csv, history.png, report.html", arguments.out.display());
+    let (before, loss, count, steps) = (rows[0][1], best.loss, rows.len(), problem.steps);
+    let seconds = clock.elapsed().as_secs_f64();
+    println!("loss {before:.3e} -> {loss:.3e} in {count} epochs of {steps} steps, {seconds:.1} s");
+    println!("files in {}: summary.json, history.csv, history.png, report.html", folder.display());
     Ok(())
 }

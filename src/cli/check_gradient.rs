@@ -5,7 +5,7 @@ use super::files::{self, write_json};
 use super::page;
 use super::prepare::{build, open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
-use crate::adjoint::check::{check, cosine};
+use crate::adjoint::check::{check, cosine, Direction};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::design::problem::Derivative;
@@ -18,7 +18,6 @@ use crate::scene::load::Loaded;
 use crate::sph::Sweeps;
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
 
 /// Default number of differentiated steps.
 const CHECK_STEPS: usize = 500;
@@ -57,14 +56,8 @@ impl CheckGradientArguments {
         let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];
         self.common.load(None, defaults, self.gradient.settings())
     }
-
-    /// The output folder; an error if it is not writable.
-    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(None, "check-gradient", loaded)
-    }
 }
 
-/// The kind of its folders.
 const KIND: &str = "check-gradient";
 /// Largest relative error of a directional derivative.
 const TOLERANCE_F64: f64 = 1e-5;
@@ -78,7 +71,7 @@ const EXPLODED: f64 = 1e3;
 const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11];
 
 pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
-    let folder = arguments.folder(&loaded)?;
+    let folder = arguments.common.folder(None, KIND, &loaded)?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
@@ -135,20 +128,11 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     }
     let passed = worst <= tolerance;
     files::write_config(&folder, &loaded)?;
-    let curves: Vec<(String, Vec<(f64, f64)>)> = results
-        .iter()
-        .enumerate()
-        .map(|(k, d)| (format!("direction {k}"), d.points.iter().map(|p| (p.step, p.error.max(1e-16))).collect()))
-        .collect();
-    compare(
-        &folder.join("gradient_check"),
-        "Design gradient against central differences",
-        "step of the differences (offset units)",
-        "relative error",
-        &curves,
-        true,
-        true,
-    )?;
+    let curve = |d: &Direction| d.points.iter().map(|p| (p.step, p.error.max(1e-16))).collect();
+    let curves: Vec<(String, Vec<(f64, f64)>)> =
+        results.iter().enumerate().map(|(k, d)| (format!("direction {k}"), curve(d))).collect();
+    let (title, x) = ("Design gradient against central differences", "step of the differences (offset units)");
+    compare(&folder.join("gradient_check"), title, x, "relative error", &curves, true, true)?;
     let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
     let report = json!({
         "passed": passed,
@@ -174,12 +158,8 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     write_json(&folder.join("gradient_check.json"), &report)?;
     page::write(&folder)?;
 
-    println!(
-        "{} steps, {} design variables, {} = {value:.9}, |gradient| = {norm:.4e}",
-        problem.steps,
-        first.len(),
-        figure.symbol
-    );
+    let (steps, variables, symbol) = (problem.steps, first.len(), figure.symbol);
+    println!("{steps} steps, {variables} design variables, {symbol} = {value:.9}, |gradient| = {norm:.4e}");
     if let (Some((end, last)), Some((begin, first))) = (growth.first(), growth.last()) {
         println!("the derivative by the state: {last:.2e} at step {end}, {first:.2e} at step {begin}");
         if let Some((step, _)) = growth.iter().find(|(_, norm)| *norm > EXPLODED * last) {
@@ -188,12 +168,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
             );
         }
     }
-    if config.optimise.clip > 0.0 {
-        println!(
-            "it was made shorter at {clipped} of {} places (optimise.clip = {})",
-            growth.len(),
-            config.optimise.clip
-        );
+    let (clip, places) = (config.optimise.clip, growth.len());
+    if clip > 0.0 {
+        println!("it was made shorter at {clipped} of {places} places (optimise.clip = {clip})");
     }
     println!("{}", table.to_text());
     println!("cosine between gradient and differences: {:.9}", cosine(&results));

@@ -1,6 +1,7 @@
 //! `hydrograd dataset inspect`: shows the content of a data set.
 
 use super::arguments::at_least_one;
+use super::files::TEMPERATURE;
 use super::machine;
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
@@ -49,7 +50,6 @@ pub struct InspectArguments {
     pub out: Option<PathBuf>,
 }
 
-/// Particle types and their names.
 const KINDS: [(i32, &str); 5] = [
     (kind::FLUID, "fluid"),
     (kind::SOLID_WALL, "solid wall"),
@@ -58,7 +58,6 @@ const KINDS: [(i32, &str); 5] = [
     (kind::PADDING, "padding"),
 ];
 
-/// The kind of its own folders.
 const KIND: &str = "dataset inspect";
 
 pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
@@ -120,12 +119,8 @@ pub fn inspect(arguments: InspectArguments) -> anyhow::Result<()> {
     let picture = plot(out, &metadata, &trajectory, arguments.frames)?;
     // The plot is now part of the page of our data set.
     page::refresh(out)?;
-    println!(
-        "{picture} of {}/{} in {}",
-        arguments.split.name(),
-        shown(&trajectory.name),
-        out.join("frames.png").display()
-    );
+    let (split, name) = (arguments.split.name(), shown(&trajectory.name));
+    println!("{picture} of {split}/{name} in {}", out.join("frames.png").display());
     Ok(())
 }
 
@@ -157,21 +152,14 @@ fn print_metadata(folder: &Path, metadata: &Metadata) {
     let bounds: Vec<String> = metadata.bounds[..d].iter().map(|[low, high]| format!("{low} ... {high:.4}")).collect();
     let periodic: Vec<&str> = (0..d).map(|k| if metadata.periodic()[k] { "periodic" } else { "open" }).collect();
     println!("box                 {} ({})", bounds.join(" x "), periodic.join(", "));
-    println!(
-        "frames              {:.5} apart: {} steps of {:.4e}",
-        metadata.dt * metadata.write_every as f64,
-        metadata.write_every,
-        metadata.dt
-    );
+    let (steps, dt) = (metadata.write_every, metadata.dt);
+    println!("frames              {:.5} apart: {steps} steps of {dt:.4e}", dt * steps as f64);
     if let (Some(steps), Some(dt)) = (text("solver_steps_per_frame"), text("solver_dt")) {
         println!("                    run with {steps} steps of {dt}");
     }
     println!("spacing             {}   connectivity radius {:.4}", metadata.dx, metadata.default_connectivity_radius);
-    println!(
-        "velocity            mean {}   deviation {}   per frame",
-        list(&metadata.vel_mean),
-        list(&metadata.vel_std)
-    );
+    let [mean, deviation] = [&metadata.vel_mean, &metadata.vel_std].map(|values| list(values));
+    println!("velocity            mean {mean}   deviation {deviation}   per frame");
     println!("acceleration        mean {}   deviation {}", list(&metadata.acc_mean), list(&metadata.acc_std));
     if let Some(heat) = &metadata.heat {
         println!("temperature         mean {:.4}   deviation {:.4}", heat.temperature_mean, heat.temperature_std);
@@ -209,36 +197,27 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
         .filter(|&i| d == 2 || f64::from(trajectory.position[i * d + 2]) - metadata.bounds[2][0] < metadata.dx)
         .collect();
     let hot = |i: usize| trajectory.wall_temperature.as_ref().is_some_and(|set| set[i].is_finite());
-    let tags: Vec<u8> = shown
-        .iter()
-        .map(|&i| match trajectory.kind[i] {
-            kind::FLUID => tag::FLUID,
-            kind::MOVING_WALL => tag::MOVING_WALL,
-            _ if hot(i) => tag::HOT_WALL,
-            _ => tag::WALL,
-        })
-        .collect();
-    let heated = trajectory.temperature.is_some();
+    let tag_of = |&i: &usize| match trajectory.kind[i] {
+        kind::FLUID => tag::FLUID,
+        kind::MOVING_WALL => tag::MOVING_WALL,
+        _ if hot(i) => tag::HOT_WALL,
+        _ => tag::WALL,
+    };
+    let tags: Vec<u8> = shown.iter().map(tag_of).collect();
     let values = |frame: usize| -> Vec<f64> {
         match trajectory.temperature_of(frame) {
             Some(temperature) => shown.iter().map(|&i| f64::from(temperature[i])).collect(),
             None => trajectory.speeds(metadata, frame, &shown),
         }
     };
-    let frames: Vec<(String, Vec<f64>, Vec<f64>)> = chosen
-        .iter()
-        .map(|&frame| {
-            let position = trajectory.position_of(frame);
-            let all = [0, 1].map(|k| shown.iter().map(|&i| f64::from(position[i * d + k])).collect::<Vec<f64>>());
-            (format!("frame {frame} of {}", trajectory.frames), all.concat(), values(frame))
-        })
-        .collect();
-    let fluid = |values: &[f64]| -> Vec<f64> {
-        values.iter().zip(&tags).filter(|(_, t)| **t == tag::FLUID).map(|(v, _)| *v).collect()
+    let of_frame = |frame: usize| {
+        let position = trajectory.position_of(frame);
+        let all = (0..2).flat_map(|k| shown.iter().map(move |&i| f64::from(position[i * d + k])));
+        (format!("frame {frame} of {}", trajectory.frames), all.collect::<Vec<f64>>(), values(frame))
     };
-    let all: Vec<f64> = frames.iter().flat_map(|(_, _, values)| fluid(values)).collect();
-    let low = all.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let frames: Vec<_> = chosen.into_iter().map(of_frame).collect();
+    let fluid = frames.iter().flat_map(|(_, _, values)| values.iter().zip(&tags)).filter(|(_, t)| **t == tag::FLUID);
+    let (low, high) = fluid.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), (&v, _)| (l.min(v), h.max(v)));
     let (low, high) = if low < high { (low, high) } else { (0.0, 1.0) };
     let panels: Vec<TemperaturePanel> = frames
         .iter()
@@ -250,8 +229,11 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
             diameter: metadata.dx,
         })
         .collect();
-    let label = if heated { "temperature T (scene units)" } else { "distance to the neighbouring frame / dx" };
+    let (label, what) = match trajectory.temperature {
+        Some(_) => (TEMPERATURE, "temperatures"),
+        None => ("distance to the neighbouring frame / dx", "speeds"),
+    };
     let range = |k: usize| (metadata.bounds[k][0], metadata.bounds[k][1]);
     colored_particles(&out.join("frames"), label, &panels, (low, high), range(0), range(1))?;
-    Ok(if heated { "temperatures" } else { "speeds" })
+    Ok(what)
 }

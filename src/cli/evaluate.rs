@@ -59,10 +59,11 @@ const FIGURES: [Figure; 10] = [
 ];
 
 pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
-    let ModelData { model, metadata, trajectories } = arguments.source.read()?;
+    let (source, folder) = (&arguments.source, &arguments.out);
+    let ModelData { model, metadata, trajectories } = source.read()?;
     let options = Options { steps: arguments.steps, windows: arguments.windows, ..Options::default() };
     let windows = chosen_windows(&trajectories, &options)?;
-    let _own = RunFolder::take(&arguments.out, "evaluate", Earlier::Replaced)?;
+    let _own = RunFolder::take(folder, "evaluate", Earlier::Replaced)?;
 
     let mut models = vec![model];
     let baselines: [Box<dyn Predictor>; 2] = [Box::new(ConstantVelocity), Box::new(Still)];
@@ -77,23 +78,18 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     bar.finish();
 
     let file = json!({
-        "model": machine::path(&arguments.source.model),
-        "data": machine::path(&arguments.source.data),
-        "split": arguments.source.split,
+        "model": machine::path(&source.model),
+        "data": machine::path(&source.data),
+        "split": source.split,
         "version": VERSION,
         "scores": scores,
     });
-    write_json(&arguments.out.join("evaluation.json"), &file)?;
-    let pictures = plot(&arguments.out, &scores)?;
-    page::write(&arguments.out)?;
+    write_json(&folder.join("evaluation.json"), &file)?;
+    let pictures = plot(folder, &scores)?;
+    page::write(folder)?;
 
-    println!(
-        "{} windows of {} predicted frames, {} split of {}\n",
-        windows.len(),
-        options.steps,
-        arguments.source.split.name(),
-        arguments.source.data.display()
-    );
+    let (count, steps, split) = (windows.len(), options.steps, source.split.name());
+    println!("{count} windows of {steps} predicted frames, {split} split of {}\n", source.data.display());
     println!("{}", table(&scores));
     for scores in scores.iter().filter(|scores| !scores.broken.is_empty()) {
         let first = &scores.broken[0];
@@ -109,12 +105,10 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
         );
     }
     for scores in scores.iter().filter(|scores| scores.sinkhorn_failures > 0) {
-        println!(
-            "{}: {} Sinkhorn divergences did not converge and are left out",
-            scores.model, scores.sinkhorn_failures
-        );
+        let (model, failures) = (&scores.model, scores.sinkhorn_failures);
+        println!("{model}: {failures} Sinkhorn divergences did not converge and are left out");
     }
-    println!("files in {}: evaluation.json, {}, report.html", arguments.out.display(), pictures.join(", "));
+    println!("files in {}: evaluation.json, {}, report.html", folder.display(), pictures.join(", "));
     Ok(())
 }
 
@@ -145,33 +139,27 @@ fn table(scores: &[Scores]) -> Table {
 
 /// Plots curves by step and returns the names of the plots.
 fn plot(folder: &Path, scores: &[Scores]) -> anyhow::Result<Vec<String>> {
-    type Curve = fn(&Curves) -> Option<Vec<f64>>;
-    let pictures: [(&str, &str, &str, Curve, Curve, bool); 4] = [
-        ("mse", "Position error", "MSE (length²)", |c| Some(c.mse.clone()), |_| None, true),
-        ("temperature_mse", "Temperature error", "MSE (temperature²)", |c| c.temperature_mse.clone(), |_| None, true),
+    type Curve = fn(&Curves) -> Option<&Vec<f64>>;
+    let energy: [Curve; 2] = [|c| Some(&c.e_kin_predicted), |c| Some(&c.e_kin_true)];
+    let outflow: [Curve; 2] = [|c| c.outflow_predicted.as_ref(), |c| c.outflow_true.as_ref()];
+    let pictures: [(&str, &str, &str, [Curve; 2], bool); 4] = [
+        ("mse", "Position error", "MSE (length²)", [|c| Some(&c.mse), |_| None], true),
         (
-            "kinetic_energy",
-            "Kinetic energy, mean over windows",
-            "E_kin",
-            |c| Some(c.e_kin_predicted.clone()),
-            |c| Some(c.e_kin_true.clone()),
-            false,
+            "temperature_mse",
+            "Temperature error",
+            "MSE (temperature²)",
+            [|c| c.temperature_mse.as_ref(), |_| None],
+            true,
         ),
-        (
-            "outflow",
-            "Outflowing heat, mean over windows",
-            "Q",
-            |c| c.outflow_predicted.clone(),
-            |c| c.outflow_true.clone(),
-            false,
-        ),
+        ("kinetic_energy", "Kinetic energy, mean over windows", "E_kin", energy, false),
+        ("outflow", "Outflowing heat, mean over windows", "Q", outflow, false),
     ];
     let mut names = Vec::new();
-    for (stem, title, label, predicted, truth, log) in pictures {
-        let points =
-            |values: Vec<f64>| values.iter().enumerate().map(|(k, &y)| ((k + 1) as f64, y)).collect::<Vec<_>>();
+    for (stem, title, label, [predicted, truth], log) in pictures {
         // Curves that are not shown keep their place, so that a model has the same colour in all plots.
-        let shown = |values: Option<Vec<f64>>| values.map_or(Vec::new(), points);
+        let shown = |values: Option<&Vec<f64>>| -> Vec<(f64, f64)> {
+            values.into_iter().flatten().enumerate().map(|(k, &y)| ((k + 1) as f64, y)).collect()
+        };
         let mut series: Vec<(String, Vec<(f64, f64)>)> =
             scores.iter().map(|s| (s.model.clone(), shown(predicted(&s.curves)))).collect();
         series.push(("true".to_string(), shown(truth(&scores[0].curves))));

@@ -34,14 +34,12 @@ pub fn plan_of(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
 }
 
 fn plan<R: Sweeps>(config: &Config, gradient: bool) -> anyhow::Result<Plan> {
-    let failed = |e: crate::particles::neighbour_list::NeighbourError| {
-        Error::run(e.to_string(), "another resolution.dx or time.skin")
-    };
     if gradient {
         require_design(config)?;
     }
     let scene = Scene::<R>::from_config(config)?;
-    let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config))).map_err(failed)?;
+    let plan = Plan::of(&scene.model, &scene.start.state, Some(limit(config)))
+        .map_err(|error| Error::run(error.to_string(), "another resolution.dx or time.skin"))?;
     // The gradient of a steady state keeps one state and tapes nothing.
     let Some(design) = scene.design.filter(|design| gradient && !design.is_steady) else { return Ok(plan) };
     let schedule = design.schedule(&config.optimise, config.run.precision)?;

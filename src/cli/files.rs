@@ -6,7 +6,7 @@ use crate::design::shape::Shape;
 use crate::design::Parametrisation;
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
-use crate::io::csv::write_columns;
+use crate::io::csv::{write_columns, Cell};
 use crate::io::vtk::write_surface;
 use crate::report::plots::{colored_particles, relief, ReliefPanel, TemperaturePanel};
 use crate::scene::load::Loaded;
@@ -36,20 +36,14 @@ pub fn read_config(folder: &Path) -> Result<Loaded, Error> {
     Config::load(Some(&folder.join("config.toml").to_string_lossy()), None, &[])
 }
 
-/// The checkpoint of a run.
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 
 /// Folders of the frames of an optimisation's first and best design.
 pub const BEFORE: &str = "particles-before";
 pub const AFTER: &str = "particles";
 
-/// The configuration with an optimisation's best wall.
+/// The configuration with an optimisation's best wall; `config.toml` has the start of the search.
 pub const BEST: &str = "best.toml";
-
-/// Writes [`BEST`], a scene file with the best wall; `config.toml` has the start of the search.
-pub fn write_best(folder: &Path, best: &Loaded) -> anyhow::Result<()> {
-    Ok(write_bytes_atomically(&folder.join(BEST), best.text.as_bytes())?)
-}
 
 /// Writes `shape.csv`: x (and z of a wall that varies along z), and columns of heights there.
 pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> anyhow::Result<()> {
@@ -59,7 +53,6 @@ pub fn write_shape(folder: &Path, wall: &Shape, columns: &[(&str, &[f64])]) -> a
     Ok(write_columns(&folder.join("shape.csv"), &all)?)
 }
 
-/// Writes `summary.json`.
 pub fn write_summary(folder: &Path, record: &Record) -> anyhow::Result<()> {
     write_json(&folder.join("summary.json"), &json!(record))
 }
@@ -77,92 +70,110 @@ pub fn plot_temperature(folder: &Path, config: &Config, panels: &[(&str, &Partic
     let high = if high == low { low + low.abs().max(1.0) * 1e-6 } else { high };
     let temperatures = panels.iter().map(|(_, fields)| fields.temperature.clone().unwrap_or_default()).collect();
     let range = (low.min(high), low.max(high));
-    plot_particles(folder, config, panels, ("temperature", "temperature T (scene units)"), temperatures, range)
+    plot_particles(folder, config, panels, ("temperature", TEMPERATURE), temperatures, range)
 }
 
 /// Plots `flow.png` and `.svg`: particles coloured by speed, in panels.
 pub fn plot_flow(folder: &Path, config: &Config, panels: &[(&str, &ParticleFields)]) -> anyhow::Result<()> {
     let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speeds(fields)).collect();
     let fastest = speeds.iter().flatten().copied().fold(1e-6, f64::max);
-    plot_particles(folder, config, panels, ("flow", "speed |u| (scene units)"), speeds, (0.0, fastest))
+    plot_particles(folder, config, panels, ("flow", SPEED), speeds, (0.0, fastest))
 }
 
-/// Plots `NAME.png` and `.svg` for any scene: particles coloured by values `[N]`; in three dimensions those within half
-/// a spacing of the middle height z.
+/// Labels of pictures.
+pub const SPEED: &str = "speed |u| (scene units)";
+pub const TEMPERATURE: &str = "temperature T (scene units)";
+
+/// A cell of a table; empty without a value.
+pub fn or_empty<T: Into<Cell>>(value: Option<T>) -> Cell {
+    value.map_or_else(|| "".into(), Into::into)
+}
+
+const NO_RANGE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+
+fn widest(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.min(b.0), a.1.max(b.1))
+}
+
+/// Plots `NAME.png` and `.svg` for any scene: particles coloured by values `[N]`, in panels with the same colours.
 pub fn plot_scene(
-    folder: &Path,
-    (name, label, title): (&str, &str, &str),
-    fields: &ParticleFields,
-    values: &[f64],
-    dx: f64,
-) -> anyhow::Result<()> {
-    plot_scenes(folder, (name, label), &[(title, fields)], &[values.to_vec()], dx)
-}
-
-/// [`plot_scene`] for several states, in panels with the same colours.
-pub fn plot_scenes(
     folder: &Path,
     (name, label): (&str, &str),
     panels: &[(&str, &ParticleFields)],
     values: &[Vec<f64>],
     dx: f64,
 ) -> anyhow::Result<()> {
-    let sections: Vec<Section> =
-        panels.iter().zip(values).map(|((_, fields), values)| Section::of(fields, values, dx)).collect();
-    let all = sections.iter().flat_map(|section| section.values.iter().zip(&section.tag));
-    let fluid = all.filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
-    let widest = |(a, b): (f64, f64), (low, high): (f64, f64)| (a.min(low), b.max(high));
-    let none = (f64::INFINITY, f64::NEG_INFINITY);
-    let (low, high) = fluid.fold(none, |range, (&x, _)| widest(range, (x, x)));
-    let range = if low < high { (low, high) } else { (low, low + low.abs().max(1.0)) };
     let wide = |d: usize| {
-        let (low, high) = panels.iter().map(|(_, fields)| ends(fields, d)).fold(none, widest);
+        let (low, high) = panels.iter().map(|(_, fields)| ends(fields, d)).fold(NO_RANGE, widest);
         (low - 0.5 * dx, high + 0.5 * dx)
     };
-    let panels: Vec<TemperaturePanel> =
-        panels.iter().zip(&sections).map(|((title, _), section)| section.panel(title, dx)).collect();
-    colored_particles(&folder.join(name), label, &panels, range, wide(0), wide(1))?;
+    draw((&folder.join(name), label), panels, values, dx, None, wide(0), wide(1))
+}
+
+/// Plots `flow.png`, and `temperature.png` where there is heat, for any scene. Returns whether there is heat.
+pub fn plot_flow_and_heat(folder: &Path, panels: &[(&str, &ParticleFields)], dx: f64) -> anyhow::Result<bool> {
+    let speeds: Vec<Vec<f64>> = panels.iter().map(|(_, fields)| speeds(fields)).collect();
+    plot_scene(folder, ("flow", SPEED), panels, &speeds, dx)?;
+    let temperatures: Option<Vec<Vec<f64>>> = panels.iter().map(|(_, fields)| fields.temperature.clone()).collect();
+    let Some(temperatures) = temperatures else { return Ok(false) };
+    plot_scene(folder, ("temperature", TEMPERATURE), panels, &temperatures, dx)?;
+    Ok(true)
+}
+
+/// Draws particles in panels, coloured by values `[N]`. Without a range of colours it is that of the fluid's values.
+fn draw(
+    (stem, label): (&Path, &str),
+    panels: &[(&str, &ParticleFields)],
+    values: &[Vec<f64>],
+    dx: f64,
+    colors: Option<(f64, f64)>,
+    x: (f64, f64),
+    y: (f64, f64),
+) -> anyhow::Result<()> {
+    let sections: Vec<_> = panels.iter().zip(values).map(|((_, fields), values)| section(fields, values, dx)).collect();
+    let colors = colors.unwrap_or_else(|| {
+        let all = sections.iter().flat_map(|(_, values, tags)| values.iter().zip(tags));
+        let fluid = all.filter(|(_, tag)| **tag == crate::particles::tag::FLUID);
+        let (low, high) = fluid.fold(NO_RANGE, |range, (&x, _)| widest(range, (x, x)));
+        if low < high {
+            (low, high)
+        } else {
+            (low, low + low.abs().max(1.0))
+        }
+    });
+    let drawn = panels.iter().zip(&sections).map(|((title, _), (position, temperature, tag))| TemperaturePanel {
+        title,
+        position,
+        temperature,
+        tag,
+        diameter: dx,
+    });
+    colored_particles(stem, label, &drawn.collect::<Vec<_>>(), colors, x, y)?;
     Ok(())
 }
 
-/// The particles of a picture: all, or in three dimensions those within half a spacing of the middle of z.
-struct Section {
-    position: Vec<f64>,
-    values: Vec<f64>,
-    tag: Vec<u8>,
-}
-
-impl Section {
-    fn of(fields: &ParticleFields, values: &[f64], dx: f64) -> Self {
-        let n = fields.tag.len();
-        let shown: Vec<usize> = match fields.dimension {
-            2 => (0..n).collect(),
-            _ => {
-                let (low, high) = ends(fields, 2);
-                let middle = 0.5 * (low + high);
-                // Of an even number of layers it is the upper one of the middle two.
-                let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
-                (0..n).filter(|&i| is_near(i)).collect()
-            }
-        };
-        Self {
-            position: (0..2).flat_map(|d| shown.iter().map(move |&i| fields.position[d * n + i])).collect(),
-            values: shown.iter().map(|&i| values[i]).collect(),
-            tag: shown.iter().map(|&i| fields.tag[i]).collect(),
+/// Positions `[2, N]`, values and tags of the particles of a picture: all, or in three dimensions those within half a
+/// spacing of the middle of z.
+fn section(fields: &ParticleFields, values: &[f64], dx: f64) -> (Vec<f64>, Vec<f64>, Vec<u8>) {
+    let n = fields.tag.len();
+    let shown: Vec<usize> = match fields.dimension {
+        2 => (0..n).collect(),
+        _ => {
+            let (low, high) = ends(fields, 2);
+            let middle = 0.5 * (low + high);
+            // Of an even number of layers it is the upper one of the middle two.
+            let is_near = |i: usize| (-0.25 * dx..0.75 * dx).contains(&(fields.position[2 * n + i] - middle));
+            (0..n).filter(|&i| is_near(i)).collect()
         }
-    }
-
-    fn panel<'a>(&'a self, title: &'a str, dx: f64) -> TemperaturePanel<'a> {
-        let Self { position, values, tag } = self;
-        TemperaturePanel { title, position, temperature: values, tag, diameter: dx }
-    }
+    };
+    let position = (0..2).flat_map(|d| shown.iter().map(move |&i| fields.position[d * n + i])).collect();
+    (position, shown.iter().map(|&i| values[i]).collect(), shown.iter().map(|&i| fields.tag[i]).collect())
 }
 
 /// Smallest and largest coordinate of all particles.
 fn ends(fields: &ParticleFields, d: usize) -> (f64, f64) {
     let n = fields.tag.len();
-    let row = fields.position[d * n..(d + 1) * n].iter();
-    row.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| (low.min(x), high.max(x)))
+    fields.position[d * n..(d + 1) * n].iter().fold(NO_RANGE, |range, &x| widest(range, (x, x)))
 }
 
 /// Plots `NAME.png` and `.svg`: walls over x and z, in panels.
@@ -215,10 +226,6 @@ fn plot_particles(
     let y = || panels.iter().flat_map(|(_, f)| &f.position[f.tag.len()..2 * f.tag.len()]);
     let below = y().fold(-rows, |low, &y| low.min(y - 0.5 * dx));
     let above = y().fold(config.channel.height + rows, |high, &y| high.max(y + 0.5 * dx));
-    let sections: Vec<Section> =
-        panels.iter().zip(&values).map(|((_, fields), values)| Section::of(fields, values, dx)).collect();
-    let panels: Vec<TemperaturePanel> =
-        panels.iter().zip(&sections).map(|((title, _), section)| section.panel(title, dx)).collect();
-    colored_particles(&folder.join(name), label, &panels, range, (0.0, config.channel.length), (below, above))?;
-    Ok(())
+    let (x, y) = ((0.0, config.channel.length), (below, above));
+    draw((&folder.join(name), label), panels, &values, dx, Some(range), x, y)
 }

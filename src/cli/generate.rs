@@ -4,11 +4,11 @@ use super::arguments::CommonArguments;
 use super::files::VERSION;
 use super::machine;
 use super::page;
-use super::prepare::{difference, open_device, share_out, workers};
+use super::prepare::{difference, open_device, share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
-use crate::dataset::recipe::{Job, Recipe, Starts};
+use crate::dataset::recipe::{Job, Pace, Recipe, Starts};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
@@ -23,7 +23,6 @@ use crate::report::progress::Progress;
 use crate::report::text::bytes;
 use crate::scene::load::Loaded;
 use clap::Args;
-use serde::Serialize;
 use serde_json::{json, Value};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -99,32 +98,22 @@ pub struct MergeArguments {
 }
 
 impl GenerateArguments {
-    pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.load(None, vec![], vec![])
-    }
-
-    /// The output folder; an error if it is not writable.
-    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(None, "generate", loaded)
-    }
-
     /// The scene's recipe with the given options.
     pub fn recipe(&self, loaded: &Loaded) -> Result<Recipe, Error> {
-        let (design, fluid) = (&loaded.config.design, &loaded.config.fluid);
+        let design = &loaded.config.design;
         if design.walls == DesignWalls::Both {
             return Err(BadInput::new("design.walls = both: a data set of channels with two shaped walls")
                 .key("design.walls")
                 .allowed("bottom: what a data set says of a wall is the bottom one's")
                 .into());
         }
-        if fluid.drive != DriveName::BodyForce {
+        if loaded.config.fluid.drive != DriveName::BodyForce {
             return Err(BadInput::new("fluid.drive: a data set of flows with a force that is found")
                 .key("fluid.drive")
                 .allowed("body-force: a data set has one force for all of its flows")
                 .into());
         }
         let usual = Recipe::of(loaded.config.scene);
-        let design = &loaded.config.design;
         let own = design.offsets.is_some() || design.shape != ShapeName::Flat;
         let given = match self.walls_file.as_deref() {
             Some(path) => read_walls(path).map_err(|bad| bad.place(format!("--walls-file {}", path.display())))?,
@@ -150,10 +139,10 @@ impl GenerateArguments {
 /// Keys that do not change what is in a data set.
 const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
-/// The kind of its folders.
 const KIND: &str = "generate";
 
-pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
+pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
+    let loaded = arguments.common.load(None, vec![], vec![])?;
     let recipe = arguments.recipe(&loaded)?;
     recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
     let shard = arguments.shard.share()?.unwrap_or(Shard::ALL);
@@ -167,7 +156,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
         };
         recipe.ready(&loaded, job).map_err(of_line)?;
     }
-    let folder = arguments.folder(&loaded)?;
+    let folder = arguments.common.folder(None, KIND, &loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     let store = Store::new(&folder);
     check_same(&store, &loaded, &recipe)?;
@@ -180,7 +169,7 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
             page::write(&folder)?;
             own.finish()?;
         }
-        machine::answer(&summary(&store, &recipe, &Made { kept: jobs.len(), ..Made::default() })?);
+        machine::answer(&summary(&store, &recipe, Made { kept: jobs.len(), ..Made::default() })?);
         return Ok(());
     }
     open_device(&loaded)?;
@@ -204,37 +193,38 @@ pub fn run(loaded: Loaded, arguments: GenerateArguments) -> anyhow::Result<()> {
     let clock = Instant::now();
     let workers = make(&store, &loaded, &recipe, &todo)?;
     let seconds = clock.elapsed().as_secs_f64();
-    let made = Made { made: todo.len(), kept: mine.len() - todo.len(), seconds, workers };
+    let (count, kept) = (todo.len(), mine.len() - todo.len());
+    let made = Made { made: count, kept, seconds, workers };
+    let each = seconds * workers as f64 / count.max(1) as f64;
     println!(
-        "{} trajectories made in {seconds:.1} s by {workers} workers ({:.2} s of a worker each), {} kept from before",
-        todo.len(),
-        seconds * workers as f64 / todo.len().max(1) as f64,
-        mine.len() - todo.len(),
+        "{count} trajectories made in {seconds:.1} s by {workers} workers ({each:.2} s of a worker each), {kept} kept \
+         from before"
     );
-    let pace = recipe.pace(&loaded.config);
+    let Pace { every, dt, reference, .. } = recipe.pace(&loaded.config);
     println!(
-        "{} frames each, {:.5} apart: {} steps of {:.3e} ({} reference steps of {:.3e})",
+        "{} frames each, {:.5} apart: {every} steps of {dt:.3e} ({} reference steps of {reference:.3e})",
         recipe.frames,
-        pace.every as f64 * pace.dt,
-        pace.every,
-        pace.dt,
-        recipe.every,
-        pace.reference
+        every as f64 * dt,
+        recipe.every
     );
     let missing = store.missing(&recipe).len();
-    if missing > 0 && !store.is_complete() {
+    let is_last = missing == 0 || store.is_complete();
+    if is_last {
+        finish(&store, &loaded.config, &recipe)?;
+    } else {
         println!("{missing} of {} trajectories are left to other shards; the last one merges", jobs.len());
         println!("next: hydrograd merge {}    if none does", folder.display());
-        machine::answer(&summary(&store, &recipe, &made)?);
-        return Ok(());
     }
-    finish(&store, &loaded.config, &recipe)?;
-    machine::answer(&summary(&store, &recipe, &made)?);
-    own.finish()
+    machine::answer(&summary(&store, &recipe, made)?);
+    if is_last {
+        own.finish()
+    } else {
+        Ok(())
+    }
 }
 
 /// The trajectories that this process made or found.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Default)]
 struct Made {
     made: usize,
     kept: usize,
@@ -243,16 +233,13 @@ struct Made {
 }
 
 /// The answer to `--json`, for a finished or unfinished data set.
-fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value> {
+fn summary(store: &Store, recipe: &Recipe, Made { made, kept, seconds, workers }: Made) -> anyhow::Result<Value> {
     let folder = &store.folder;
     let is_complete = store.is_complete();
     let missing = if is_complete { 0 } else { store.missing(recipe).len() };
-    let metadata = match is_complete {
-        true => Some(Metadata::read(folder)?),
-        false => None,
-    };
+    let metadata = is_complete.then(|| Metadata::read(folder)).transpose()?;
     let [train, valid, test] = recipe.trajectories;
-    let Value::Object(mut all) = json!({
+    Ok(json!({
         "folder": machine::path(folder),
         "complete": is_complete,
         "missing": missing,
@@ -261,13 +248,11 @@ fn summary(store: &Store, recipe: &Recipe, made: &Made) -> anyhow::Result<Value>
         "particles": metadata.as_ref().map(|metadata| metadata.num_particles_max),
         "files": machine::paths_in(folder, ["train.h5", "valid.h5", "test.h5", "metadata.json", PAGE]),
         "metadata": metadata,
-    }) else {
-        unreachable!("a JSON object")
-    };
-    if let Value::Object(made) = serde_json::to_value(made)? {
-        all.extend(made);
-    }
-    Ok(Value::Object(all))
+        "made": made,
+        "kept": kept,
+        "seconds": seconds,
+        "workers": workers,
+    }))
 }
 
 /// The command-line option of a number of the recipe.
@@ -280,7 +265,6 @@ fn option_of(recipe: &Recipe, key: &str) -> String {
     }
 }
 
-/// Runs `hydrograd merge DIR`.
 pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
     let store = Store::new(&arguments.folder);
     let Some(begun) = store.begun()? else {
@@ -294,8 +278,7 @@ pub fn merge(arguments: MergeArguments) -> anyhow::Result<()> {
     let is_merged = store.is_complete();
     finish(&store, &config, &begun.recipe)?;
     let kept = begun.recipe.jobs().len();
-    let made = Made { made: 0, kept, ..Made::default() };
-    let mut answer = summary(&store, &begun.recipe, &made)?;
+    let mut answer = summary(&store, &begun.recipe, Made { kept, ..Made::default() })?;
     answer["merged_before"] = is_merged.into();
     machine::answer(&answer);
     own.finish()
@@ -305,30 +288,20 @@ fn finish(store: &Store, config: &Config, recipe: &Recipe) -> anyhow::Result<()>
     store.merge(config, recipe)?;
     page::write(&store.folder)?;
     let size = |split: Split| std::fs::metadata(split.path(&store.folder)).map_or(0, |file| file.len());
-    let sizes: Vec<String> = Split::ALL.iter().map(|&s| format!("{} {}", s.name(), bytes(size(s) as usize))).collect();
-    println!(
-        "files in {}: train.h5, valid.h5, test.h5, metadata.json ({}), {PAGE}",
-        store.folder.display(),
-        sizes.join(", ")
-    );
-    println!("next: hydrograd dataset inspect {}", store.folder.display());
+    let sizes = Split::ALL.map(|split| format!("{} {}", split.name(), bytes(size(split) as usize))).join(", ");
+    let folder = store.folder.display();
+    println!("files in {folder}: train.h5, valid.h5, test.h5, metadata.json ({sizes}), {PAGE}");
+    println!("next: hydrograd dataset inspect {folder}");
     Ok(())
 }
 
 /// Returns an error if the folder was started with other settings, or has other content.
 fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Error> {
-    let folder = store.folder.display();
-    let place = format!("--out {folder}");
-    let other = |what: String| {
-        BadInput::new(format!("the folder was begun with {what}"))
-            .place(&place)
-            .allowed("the same scene, settings, seed, trajectories, frames, every, skip, relax and walls; shards and threads may differ")
-            .advice("another --out, or remove the folder")
-    };
+    let place = format!("--out {}", store.folder.display());
     let Some(begun) = store.begun()? else {
         if Split::ALL.iter().any(|split| split.path(&store.folder).exists()) {
             return Err(BadInput::new("the folder holds a data set that `hydrograd generate` did not make")
-                .place(&place)
+                .place(place)
                 .allowed("a new folder, or one that `hydrograd generate` began")
                 .advice("another --out")
                 .into());
@@ -336,28 +309,24 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
         return Ok(());
     };
     let theirs = Config::load(Some(&store.config_path().to_string_lossy()), None, &[])?.config;
-    if let Some(what) = difference(&theirs, &loaded.config, &FREE) {
-        return Err(other(what).into());
-    }
-    let object = |recipe: &Recipe| serde_json::to_value(recipe).unwrap_or_default();
-    let (before, now) = (object(&begun.recipe), object(recipe));
-    for (key, value) in before.as_object().into_iter().flatten() {
-        if now.get(key) != Some(value) {
-            return Err(other(format!("{key} = {value}, not {}", now.get(key).unwrap_or_default())).into());
-        }
-    }
-    if begun.version != VERSION {
-        return Err(other(format!("version {}, not {VERSION}", begun.version)).into());
-    }
-    Ok(())
+    let (before, now) = (json!(begun.recipe), json!(recipe));
+    let other_key = || before.as_object()?.iter().find(|(key, value)| now.get(*key) != Some(*value));
+    let of_recipe = || other_key().map(|(key, value)| format!("{key} = {value}, not {}", now[key]));
+    let of_version = || (begun.version != VERSION).then(|| format!("version {}, not {VERSION}", begun.version));
+    let what = difference(&theirs, &loaded.config, &FREE).or_else(of_recipe).or_else(of_version);
+    what.map_or(Ok(()), |what| {
+        Err(BadInput::new(format!("the folder was begun with {what}"))
+            .place(place)
+            .allowed("the same scene, settings, seed, trajectories, frames, every, skip, relax and walls; shards and threads may differ")
+            .advice("another --out, or remove the folder")
+            .into())
+    })
 }
 
 /// Makes trajectories with as many workers as threads, and returns their number.
 fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow::Result<usize> {
     // Workers are independent; operators with several threads would only wait for each other.
-    for pool in ["CANDLE_NUM_THREADS", "RAYON_NUM_THREADS"] {
-        std::env::set_var(pool, "1");
-    }
+    use_threads(1);
     let workers = workers(loaded.config.run.threads, jobs.len());
     let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
     let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar));
@@ -387,12 +356,8 @@ fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress
     Ok(())
 }
 
-/// Parses `train/valid/test`.
 pub fn parse_trajectories(text: &str) -> Result<[usize; 3], String> {
-    let counts: Vec<usize> = text.split('/').map_while(|part| part.parse().ok()).collect();
-    counts
-        .try_into()
-        .ok()
-        .filter(|_| text.matches('/').count() == 2)
-        .ok_or_else(|| "allowed: TRAIN/VALID/TEST, three whole numbers, for example 100/50/50".to_string())
+    let counts: Option<Vec<usize>> = text.split('/').map(|part| part.parse().ok()).collect();
+    let counts = counts.and_then(|counts| counts.try_into().ok());
+    counts.ok_or_else(|| "allowed: TRAIN/VALID/TEST, three whole numbers, for example 100/50/50".to_string())
 }

@@ -40,7 +40,7 @@ impl GridKey {
         };
         let (key, values) = text.split_once('=').ok_or_else(|| bad("there is no `=`".into()))?;
         let values: Vec<String> = values.split(',').map(|value| value.trim().to_string()).collect();
-        for word in std::iter::once(key).chain(values.iter().map(String::as_str)) {
+        for word in [key].into_iter().chain(values.iter().map(String::as_str)) {
             if word.is_empty() {
                 return Err(bad("a key or value is empty".into()));
             }
@@ -48,10 +48,8 @@ impl GridKey {
                 return Err(bad(format!("`{word}` has the character `{c}`")));
             }
         }
-        if let Some(value) =
-            (1..values.len()).map(|k| &values[k]).find(|v| values.iter().filter(|o| o == v).count() > 1)
-        {
-            return Err(bad(format!("the value {value} is there twice")));
+        if let Some(k) = (1..values.len()).find(|&k| values[..k].contains(&values[k])) {
+            return Err(bad(format!("the value {} is there twice", values[k])));
         }
         Ok(Self { key: key.into(), values })
     }
@@ -89,19 +87,12 @@ pub fn points(grid: &[GridKey]) -> Result<Vec<GridPoint>, BadInput> {
     if count > MOST_POINTS {
         return Err(BadInput::new(format!("the grid has {count} points")).allowed(format!("at most {MOST_POINTS}")));
     }
-    let mut points = vec![GridPoint(vec![])];
+    let mut points = vec![vec![]];
     for GridKey { key, values } in grid {
-        let longer = |point: &GridPoint| {
-            let point = point.clone();
-            values.iter().map(move |value| {
-                let mut longer = point.clone();
-                longer.0.push((key.clone(), value.clone()));
-                longer
-            })
-        };
-        points = points.iter().flat_map(longer).collect();
+        let with = |point: &Vec<_>, value: &String| [point.as_slice(), &[(key.clone(), value.clone())]].concat();
+        points = points.iter().flat_map(|point| values.iter().map(move |value| with(point, value))).collect();
     }
-    Ok(points)
+    Ok(points.into_iter().map(GridPoint).collect())
 }
 
 /// What all points have in common.
@@ -149,8 +140,6 @@ pub struct Validation {
 }
 
 impl Validation {
-    /// Reads a run's `validation.csv`.
-    ///
     /// # Errors
     /// The file, its steps or its `mse_1` are missing or damaged.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
@@ -162,12 +151,10 @@ impl Validation {
         Ok(Self { step, seconds, metrics: METRICS.map(|name| column(name).unwrap_or_default()) })
     }
 
-    /// The curve of a metric.
     pub fn curve(&self, metric: &str) -> &[f64] {
         METRICS.iter().position(|name| *name == metric).map_or(&[], |k| self.metrics[k].as_slice())
     }
 
-    /// The last value of a metric.
     pub fn last(&self, metric: &str) -> Option<f64> {
         self.curve(metric).last().copied()
     }
@@ -199,16 +186,14 @@ impl Study {
                 .advice(format!("another --out, or remove {}", folder.display()))
         };
         let found: Finished = serde_json::from_str(&text).map_err(|error| bad(error.to_string()))?;
-        let (data, sets) = (absolute(&self.data), &self.sets);
-        let differs = |what: &str, found: String, now: String| bad(format!("trained with {what} {found}, not {now}"));
-        if found.steps != self.steps {
-            return Err(differs("--steps", found.steps.to_string(), self.steps.to_string()));
-        }
-        if found.data != data {
-            return Err(differs("--data", found.data.display().to_string(), data.display().to_string()));
-        }
-        if found.sets != *sets {
-            return Err(differs("--set", found.sets.join(" "), sets.join(" ")));
+        for (what, found, now) in [
+            ("--steps", found.steps.to_string(), self.steps.to_string()),
+            ("--data", found.data.display().to_string(), absolute(&self.data).display().to_string()),
+            ("--set", found.sets.join(" "), self.sets.join(" ")),
+        ] {
+            if found != now {
+                return Err(bad(format!("trained with {what} {found}, not {now}")));
+            }
         }
         let validation = Validation::read(&folder).map_err(|error| bad(error.to_string()))?;
         Ok(Some(PointOutcome::Trained { seconds: found.seconds, validation }))
@@ -261,10 +246,8 @@ impl Study {
         }
         command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?);
         let status = attended(&mut command).map_err(|error| {
-            Error::run(
-                format!("can not start {}: {error}", self.program.join(OsStr::new(" ")).display()),
-                "check that it is still there",
-            )
+            let program = self.program.join(OsStr::new(" "));
+            Error::run(format!("can not start {}: {error}", program.display()), "check that it is still there")
         })?;
         interrupt::check()?;
         let mut text = String::new();
@@ -286,17 +269,10 @@ impl Study {
         };
         // Training's own count, which goes on when it is resumed.
         let seconds = validation.seconds.last().copied().unwrap_or(0.0);
-        let finished = Finished {
-            point: point.clone(),
-            data: absolute(&self.data),
-            steps: self.steps,
-            sets: self.sets.clone(),
-            seconds,
-        };
-        write_bytes_atomically(
-            &folder.join("finished.json"),
-            (serde_json::to_string_pretty(&finished)? + "\n").as_bytes(),
-        )?;
+        let (data, steps, sets) = (absolute(&self.data), self.steps, self.sets.clone());
+        let finished = Finished { point: point.clone(), data, steps, sets, seconds };
+        let text = serde_json::to_string_pretty(&finished)? + "\n";
+        write_bytes_atomically(&folder.join("finished.json"), text.as_bytes())?;
         Ok(PointOutcome::Trained { seconds, validation })
     }
 }

@@ -9,6 +9,7 @@ use super::machine;
 use crate::error::{exit_code, Error, EXIT_INTERNAL};
 use crate::numerics::interrupt;
 use crate::report::text::shown;
+use crate::report::VERSION;
 
 /// The message of std when the reader of a pipe has closed it, as in `hydrograd ... | head`.
 const BROKEN_PIPE: &str = "failed printing to std";
@@ -25,11 +26,10 @@ pub fn install_panic_hook() {
         }
         let place = info.location().map(|location| format!(" at {}:{}", location.file(), location.line()));
         // Keeps the message on one line.
-        let message = message.replace('\n', " ");
+        let (message, place) = (message.replace('\n', " "), place.unwrap_or_default());
         complain(&format!(
-            "error: internal error{}: {message}; this is a bug in hydrograd {}: please report it with the command line",
-            place.unwrap_or_default(),
-            env!("CARGO_PKG_VERSION")
+            "error: internal error{place}: {message}; this is a bug in hydrograd {VERSION}: please report it with the \
+             command line"
         ));
     }));
 }
@@ -37,13 +37,7 @@ pub fn install_panic_hook() {
 /// Runs a command, prints its error and the causes to stderr, and returns the exit code: 0, 1 for a failed
 /// run, 2 for bad input, 3 for a run that diverged, 70 for a panic, 130 and 143 for one that SIGINT and SIGTERM stopped.
 pub fn guarded(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
-    let code = exit_code_of(command);
-    machine::end(code);
-    code
-}
-
-fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
-    match catch_unwind(AssertUnwindSafe(command)) {
+    let code = match catch_unwind(AssertUnwindSafe(command)) {
         Ok(Ok(())) => 0,
         Ok(Err(error)) => match stopped_by(&error) {
             Some(signal) => {
@@ -58,7 +52,9 @@ fn exit_code_of(command: impl FnOnce() -> anyhow::Result<()>) -> u8 {
             machine::fail(&format!("internal error: {}", message(&*panic)));
             EXIT_INTERNAL
         }
-    }
+    };
+    machine::end(code);
+    code
 }
 
 /// The signal that ended a command, if the error is due to one.
@@ -92,7 +88,8 @@ fn complain(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-fn message(payload: &(dyn Any + Send)) -> &str {
+/// The text of a panic.
+pub(crate) fn message(payload: &(dyn Any + Send)) -> &str {
     payload
         .downcast_ref::<String>()
         .map(String::as_str)

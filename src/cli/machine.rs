@@ -32,9 +32,6 @@ fn with(change: impl FnOnce(&mut Machine)) {
 }
 
 /// From now on what is printed goes to stderr.
-///
-/// # Errors
-/// System errors.
 pub fn begin() -> std::io::Result<()> {
     // SAFETY: both are open (std opens /dev/null where they are closed), and the new descriptor is ours alone.
     let out = unsafe {
@@ -74,7 +71,6 @@ pub fn paths_in<'a>(folder: &Path, names: impl IntoIterator<Item = &'a str>) -> 
     names.into_iter().map(|name| folder.join(name)).filter(|file| file.exists()).map(|file| path(&file)).collect()
 }
 
-/// Says it.
 pub fn end(exit_code: u8) {
     with(|machine| {
         let (result, error) = (machine.result.take(), machine.error.take());

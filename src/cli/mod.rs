@@ -11,7 +11,7 @@ mod explain;
 mod files;
 mod generate;
 pub mod grid;
-mod guard;
+pub(crate) mod guard;
 mod machine;
 mod model_data;
 mod new;
@@ -21,7 +21,7 @@ mod optimize_report;
 mod optimize_search;
 mod optimize_starts;
 pub mod page;
-mod prepare;
+pub(crate) mod prepare;
 pub mod program;
 mod recover;
 mod rollout;
@@ -61,10 +61,6 @@ pub struct Cli {
     pub command: Command,
 }
 
-/// Parses the command line.
-///
-/// # Errors
-/// A command line that is not valid, or asks for help.
 pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
     Cli::from_arg_matches(&line().try_get_matches_from(words)?)
 }
@@ -142,7 +138,6 @@ pub enum Command {
     Man(completions::ManArguments),
 }
 
-/// Runs the parsed command line.
 pub fn run(cli: Cli) -> anyhow::Result<()> {
     if cli.json {
         machine::begin()?;
@@ -162,7 +157,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Rollout(arguments) => rollout::run(arguments),
         Command::Study(arguments) => study::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
-        Command::Generate(arguments) => generate::run(arguments.load()?, arguments),
+        Command::Generate(arguments) => generate::run(arguments),
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Compare(arguments) => page::compare::run(arguments),

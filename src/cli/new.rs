@@ -78,9 +78,7 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
     let is_told = arguments.scene.is_some() || arguments.preset.is_some() || !arguments.sets.is_empty();
     let asks = !is_told && std::io::stdin().is_terminal() && std::io::stderr().is_terminal();
     let scene = match &arguments.scene {
-        Some(name) => {
-            builtin::scene(name).ok_or_else(|| Error::from(builtin::unknown("built-in scene", name, SCENES)))?
-        }
+        Some(name) => builtin::scene(name).ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?,
         None if asks => choose()?,
         None => &SCENES[0],
     };
@@ -95,21 +93,19 @@ pub fn run(arguments: &NewArguments) -> anyhow::Result<()> {
         }
     }
     write_bytes_atomically(file, loaded.text.as_bytes())?;
-    let steps = loaded.config.steps();
+    let (steps, time_step, has_design) = (loaded.config.steps(), loaded.config.time_step(), loaded.config.has_design());
     machine::answer(&json!({
         "file": machine::path(file),
         "scene": scene.name,
         "steps": steps,
-        "time_step": loaded.config.time_step(),
-        "has_design": loaded.config.has_design(),
+        "time_step": time_step,
+        "has_design": has_design,
     }));
-    println!("{}: scene {}, {steps} steps of {:.3e}", file.display(), scene.name, loaded.config.time_step());
-    println!(
-        "next: hydrograd scenes check {0}    what it would build and cost\n      hydrograd simulate {0}",
-        file.display()
-    );
-    if loaded.config.has_design() {
-        println!("      hydrograd optimize {}", file.display());
+    let file = file.display();
+    println!("{file}: scene {}, {steps} steps of {time_step:.3e}", scene.name);
+    println!("next: hydrograd scenes check {file}    what it would build and cost\n      hydrograd simulate {file}");
+    if has_design {
+        println!("      hydrograd optimize {file}");
     }
     Ok(())
 }

@@ -109,7 +109,6 @@ impl OptimizeArguments {
         Ok(loaded)
     }
 
-    /// The output folder; an error if it is not writable.
     pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
         self.common.folder(self.resume.resume.as_deref(), "optimize", loaded)
     }
@@ -137,7 +136,6 @@ impl OptimizeArguments {
         std::iter::once(folder.clone()).chain((2..).map(numbered)).find(|free| !is_finished(free)).unwrap_or(folder)
     }
 
-    /// The kind of its folder.
     pub(super) fn kind(&self) -> &'static str {
         match self.start {
             _ if self.compare => "optimize --compare",
@@ -147,18 +145,12 @@ impl OptimizeArguments {
     }
 }
 
-/// Parses `none`, `check`, `check=N` or `region`.
 fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
-    let (name, every) = match text.split_once('=') {
-        Some((name, every)) => (name, Some(every)),
-        None => (text, None),
-    };
-    let every = every.map(|every| every.parse().ok().filter(|every| *every > 0));
-    match (name, every) {
-        ("none", None) => Ok((Trust::None, None)),
-        ("region", None) => Ok((Trust::Region, None)),
-        ("check", None) => Ok((Trust::Check, None)),
-        ("check", Some(Some(every))) => Ok((Trust::Check, Some(every))),
+    match (text, text.strip_prefix("check=").map(str::parse)) {
+        ("none", _) => Ok((Trust::None, None)),
+        ("region", _) => Ok((Trust::Region, None)),
+        ("check", _) => Ok((Trust::Check, None)),
+        (_, Some(Ok(every))) if every > 0 => Ok((Trust::Check, Some(every))),
         _ => Err("allowed: none, check, check=N with a whole number N >= 1, region".into()),
     }
 }
@@ -208,7 +200,8 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         own.finish()?;
         return parts.iter().try_for_each(RunFolder::finish);
     }
-    let (own, outcome) = one(&loaded, &folder, Begin { resume, earlier, is_part: false }, "", &Tasks::default())?;
+    let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default() };
+    let (own, outcome) = one(&loaded, begin)?;
     println!("{}", outcome.text);
     println!(
         "next: hydrograd simulate {} --set resolution.dx={} --out runs/finer    runs the best design at a finer spacing",

@@ -6,7 +6,7 @@ use super::optimize_search::{one, Begin};
 use super::prepare::build;
 use super::run_folder::{Earlier, RunFolder};
 use crate::config::layers::Setting;
-use crate::config::scene::{ParametrisationName, Precision};
+use crate::config::scene::Precision;
 use crate::design::cma_es;
 use crate::design::optimise::Epoch;
 use crate::design::problem::{Derivative, ADJOINT};
@@ -67,9 +67,6 @@ impl Way {
 ///
 /// A resumed comparison repeats the search without gradients and the evaluation of all. Unfinished methods are resumed,
 /// and their memory is that of the resumed part.
-///
-/// # Errors
-/// A method that fails.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(loaded, folder, earlier),
@@ -107,11 +104,11 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Re
         let clock = Instant::now();
         let label = name.replace(", ", "-").replace(' ', "-");
         let place = folder.join(&label);
-        let begin = Begin::part(&place, earlier);
-        let goes_on = begin.resume.is_some();
-        let (own, outcome) = one(loaded, &place, begin, name, &Tasks::default())?;
+        let tasks = Tasks::default();
+        let begin = Begin::part(&place, earlier, name, &tasks);
+        let (own, outcome) = one(loaded, begin)?;
         owned.push(own);
-        let seconds = match goes_on {
+        let seconds = match begin.resume.is_some() {
             // The time of earlier sessions is known only by epoch.
             true => outcome.history.iter().map(|epoch| epoch.seconds).sum(),
             false => clock.elapsed().as_secs_f64(),
@@ -197,26 +194,17 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
 fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Result<Vec<(usize, f64)>> {
     let Some(surrogate) = SurrogateProblem::<R>::of_config(loaded)? else { return Ok(Vec::new()) };
     let solver = solver::<R>(loaded)?;
-    let mut found = Vec::new();
-    for (epoch, variables) in path {
-        // A wall that only the surrogate has evaluated may fail in the solver.
-        let by_solver = solver.differentiate(variables, &mut |_| ());
-        let own = surrogate.differentiate(variables, &mut |_| ());
-        let cosine = match (by_solver, own) {
-            (Ok(solver), Ok(own)) => cosine(&own.by_variables, &solver.by_variables),
-            _ => f64::NAN,
-        };
-        found.push((*epoch, cosine));
-    }
-    Ok(found)
+    // A wall that only the surrogate has evaluated may fail in the solver.
+    let cosine = |variables: &[f64]| {
+        let by_solver = solver.differentiate(variables, &mut |_| ()).ok()?.by_variables;
+        let own = surrogate.differentiate(variables, &mut |_| ()).ok()?.by_variables;
+        Some(own.iter().zip(&by_solver).map(|(a, b)| a * b).sum::<f64>() / (norm(&own) * norm(&by_solver)))
+    };
+    Ok(path.iter().map(|(epoch, variables)| (*epoch, cosine(variables).unwrap_or(f64::NAN))).collect())
 }
 
 fn norm(of: &[f64]) -> f64 {
     of.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-fn cosine(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / (norm(a) * norm(b))
 }
 
 /// Time of a horizon, and the norms of both gradients of the objective at its end.
@@ -239,13 +227,7 @@ fn horizons<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Vec<Horizon>> {
             ("objective.samples", "1"),
             ("optimise.dynamics", "solver"),
             // The same design variables in both.
-            (
-                "design.parametrisation",
-                match loaded.config.design.parametrisation {
-                    ParametrisationName::Nodes => "nodes",
-                    ParametrisationName::BSpline => "b-spline",
-                },
-            ),
+            ("design.parametrisation", &*json!(loaded.config.design.parametrisation).to_string()),
         ];
         let with = with(loaded, &settings)?;
         let (problem, _) = build::<R>(&with.config)?;
@@ -269,35 +251,29 @@ fn report(
     mut all: Record,
 ) -> anyhow::Result<()> {
     let symbol = crate::design::objectives::Figure::of_config(&loaded.config).symbol;
-    let goal = 0.9 * ways[0].gain();
+    let solver_gain = ways[0].gain();
     let headers =
         ["search", symbol, "gain in the solver", "of the solver's", "solver steps", "to 90 %", "seconds", "peak MB"];
     let mut table = Table::new(headers);
     for way in ways {
-        let steps_to = way.steps_to(goal).map_or("-".into(), |steps| format!("{steps:.0}"));
+        let Way { name, seconds, bytes, .. } = way;
+        let (gain, steps, steps_to) = (way.gain(), way.steps(), way.steps_to(0.9 * solver_gain));
         table.row([
-            way.name.to_string(),
+            name.to_string(),
             format!("{:.6}", way.best()),
-            format!("{:+.2} %", 100.0 * way.gain()),
-            format!("{:.0} %", 100.0 * way.gain() / ways[0].gain()),
-            format!("{:.0}", way.steps()),
-            steps_to.clone(),
-            format!("{:.1}", way.seconds),
-            format!("{:.0}", way.bytes as f64 / 1e6),
+            format!("{:+.2} %", 100.0 * gain),
+            format!("{:.0} %", 100.0 * gain / solver_gain),
+            format!("{steps:.0}"),
+            steps_to.map_or("-".into(), |steps| format!("{steps:.0}")),
+            format!("{seconds:.1}"),
+            format!("{:.0}", *bytes as f64 / 1e6),
         ]);
-        let row = json!({
-            "gain": way.gain(), "solver_steps": way.steps(), "solver_steps_to_90_percent": way.steps_to(goal),
-            "seconds": way.seconds, "peak_bytes": way.bytes,
-        });
-        all.put(&format!("compared: {}", way.name), row);
+        let row = json!({ "gain": gain, "solver_steps": steps, "solver_steps_to_90_percent": steps_to,
+            "seconds": seconds, "peak_bytes": bytes });
+        all.put(&format!("compared: {name}"), row);
     }
-    let curves: Vec<(String, Vec<(f64, f64)>)> = ways
-        .iter()
-        .map(|way| {
-            let percent = |(steps, q): &(f64, f64)| (*steps, 100.0 * (q / way.first - 1.0));
-            (way.name.to_string(), way.course.iter().map(percent).collect())
-        })
-        .collect();
+    let curve = |way: &Way| way.course.iter().map(|(steps, q)| (*steps, 100.0 * (q / way.first - 1.0))).collect();
+    let curves: Vec<(String, Vec<(f64, f64)>)> = ways.iter().map(|way| (way.name.to_string(), curve(way))).collect();
     let title = "Gain by the work of the solver";
     let label = format!("gain of {symbol} that the solver confirms (%)");
     compare(&folder.join("compare"), title, "steps of the solver", &label, &curves, true, false)?;

@@ -12,6 +12,7 @@ use crate::design::optimise::Epoch;
 use crate::design::problem::ADJOINT;
 use crate::design::shape::{Shape, TOP};
 use crate::design::{Optimisation, Parametrisation, Problem};
+use crate::io::atomic::write_bytes_atomically;
 use crate::report::plots::{history, wall_shapes, HistoryPoint};
 use crate::report::table::Table;
 use crate::report::text::shown;
@@ -49,7 +50,8 @@ pub fn report<R: Sweeps>(
     if has_walls {
         write_walls(folder, config, parametrisation, optimisation)?;
     }
-    files::write_best(folder, &loaded.with(&wall_settings(&designs[1], config))?)?;
+    let with_best = loaded.with(&wall_settings(&designs[1], config))?;
+    write_bytes_atomically(&folder.join(files::BEST), with_best.text.as_bytes())?;
     plot_history(folder, problem, optimisation)?;
     let mut running = first;
     let mut both = |problem: &Problem<R>| -> anyhow::Result<[Finished<R>; 2]> {
@@ -58,21 +60,16 @@ pub fn report<R: Sweeps>(
         running = best;
         Ok([before, simulate_with_frames(config, &folder.join(AFTER), problem, best)?])
     };
-    let (shown, note) = match own.map(&mut both) {
+    let motion = config.method.facts().particles();
+    let (found, note) = match own.map(&mut both) {
         None => (both(problem), String::new()),
         Some(Err(error)) if error.is::<RunError>() => {
-            let motion = config.method.facts().particles();
-            (
-                both(problem),
-                format!(
-                    "\nWARNING: with {motion} particles a run failed ({}); this is of the others",
-                    shown(&error.to_string())
-                ),
-            )
+            let why = shown(&error.to_string());
+            (both(problem), format!("\nWARNING: with {motion} particles a run failed ({why}); this is of the others"))
         }
-        Some(shown) => (shown, String::new()),
+        Some(found) => (found, String::new()),
     };
-    let [before, after] = shown.map_err(diverged(&problem.model, &problem.start(running)))?;
+    let [before, after] = found.map_err(diverged(&problem.model, &problem.start(running)))?;
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // The time of all sessions of a resumed run.
     let seconds = history.iter().map(|e| e.seconds).sum();
@@ -87,7 +84,7 @@ pub fn report<R: Sweeps>(
     };
     let records = [record_of(b, before.seconds), record_of(a, seconds)];
     // The search's Q differs from that of these particles.
-    let motion = (own.is_some() && note.is_empty()).then(|| config.method.facts().particles());
+    let has_own = own.is_some() && note.is_empty();
     let mut table = Table::new(["", "before", "after"]);
     let mut row = |name: &str, x: f64, y: f64| {
         table.row([name.to_string(), format!("{x:.6}"), format!("{y:.6}")]);
@@ -95,7 +92,7 @@ pub fn report<R: Sweeps>(
     let Figure { symbol, quantity, .. } = problem.figure;
     let [first_shown, best_shown] = [0, optimisation.best].map(|epoch| history[epoch].shown());
     row(&format!("{symbol}, {quantity} (window average)"), first_shown, best_shown);
-    if let Some(motion) = motion {
+    if has_own {
         row(&format!("the same flow with {motion} particles: Q"), b.q, a.q);
     }
     // The objective is already shown; for walls the first figure is Q.
@@ -127,7 +124,7 @@ pub fn report<R: Sweeps>(
         });
         record.put("variables", numbers.collect::<Value>());
     }
-    if motion.is_some() {
+    if has_own {
         record.put("q_scene_before", b.q);
         record.put("q_scene", a.q);
     }
@@ -135,36 +132,26 @@ pub fn report<R: Sweeps>(
     if has_walls {
         text.push_str(&balance_text(a));
     }
+    let (pictures, page) = match (has_walls, has_heat) {
+        (true, _) => ("history.png, shapes.png, temperature.png, flow.png, shape.csv", " (all of it in a browser)"),
+        (false, true) => ("best.toml, history.png, flow.png, temperature.png", ""),
+        (false, false) => ("best.toml, history.png, flow.png", ""),
+    };
+    let surface = if has_walls && parametrisation.across().is_some() { ", wall.vtp" } else { "" };
     text.push_str(&format!(
-        "files in {}: summary.json, {}, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView), report.html{}{note}",
-        folder.display(),
-        match (has_walls, has_heat) {
-            (true, _) => "history.png, shapes.png, temperature.png, flow.png, shape.csv".to_string(),
-            (false, true) => format!("{}, history.png, flow.png, temperature.png", files::BEST),
-            (false, false) => format!("{}, history.png, flow.png", files::BEST),
-        },
-        match (has_walls, parametrisation.across()) {
-            (true, Some(_)) => " (all of it in a browser), wall.vtp",
-            (true, None) => " (all of it in a browser)",
-            (false, _) => "",
-        }
+        "files in {}: summary.json, {pictures}, state.h5, {CHECKPOINT}, particles/particles.pvd (ParaView), \
+         report.html{page}{surface}{note}",
+        folder.display()
     ));
-    let (mut solver_before, mut solver_after) = (before.solver, after.solver);
-    let (fields_before, fields_after) =
-        (ParticleFields::of(&mut solver_before)?, ParticleFields::of(&mut solver_after)?);
-    fields_after.write(folder, loaded)?;
-    let panels = [("before", &fields_before), ("after", &fields_after)];
+    let (mut before, mut after) = (before.solver, after.solver);
+    let (before, after) = (ParticleFields::of(&mut before)?, ParticleFields::of(&mut after)?);
+    after.write(folder, loaded)?;
+    let panels = [("before", &before), ("after", &after)];
     if has_walls {
         files::plot_temperature(folder, config, &panels)?;
         files::plot_flow(folder, config, &panels)?;
     } else {
-        let dx = config.resolution.dx;
-        let speeds = panels.map(|(_, fields)| files::speeds(fields));
-        files::plot_scenes(folder, ("flow", "speed |u| (scene units)"), &panels, &speeds, dx)?;
-        if has_heat {
-            let warmth = panels.map(|(_, fields)| fields.temperature.clone().unwrap_or_default());
-            files::plot_scenes(folder, ("temperature", "temperature T (scene units)"), &panels, &warmth, dx)?;
-        }
+        files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
     }
     files::write_summary(folder, &record)?;
     warn(&record.warnings());
@@ -206,12 +193,8 @@ fn write_walls(
     if walls[0].across.is_some() {
         let best = format!("best: epoch {}", optimisation.best + 1);
         files::write_wall(folder, config, parametrisation, &optimisation.history[optimisation.best].variables)?;
-        return files::plot_relief(
-            folder,
-            "shapes",
-            config,
-            &[("first", &walls[0]), (&best, &walls[optimisation.best])],
-        );
+        let both = [("first", &walls[0]), (best.as_str(), &walls[optimisation.best])];
+        return files::plot_relief(folder, "shapes", config, &both);
     }
     let picture = |name: &str, offsets: &mut dyn Iterator<Item = &Vec<f64>>| {
         let shapes: Vec<(String, Vec<f64>)> =
@@ -227,19 +210,15 @@ fn write_walls(
 
 fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisation) -> anyhow::Result<()> {
     let predicts = optimisation.history.iter().any(|e| e.predicted.is_some());
-    let points: Vec<HistoryPoint> = optimisation
-        .history
-        .iter()
-        .enumerate()
-        .map(|(epoch, e)| {
-            // Values of the surrogate and of the solver are two curves.
-            let (q, truth) = match predicts {
-                true => (e.predicted.unwrap_or(f64::NAN), e.truth.map_or(f64::NAN, |truth| truth.figure)),
-                false => (e.figure, f64::NAN),
-            };
-            HistoryPoint { epoch: epoch + 1, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
-        })
-        .collect();
+    let point = |(epoch, e): (usize, &Epoch)| {
+        // Values of the surrogate and of the solver are two curves.
+        let (q, truth) = match predicts {
+            true => (e.predicted.unwrap_or(f64::NAN), e.truth.map_or(f64::NAN, |truth| truth.figure)),
+            false => (e.figure, f64::NAN),
+        };
+        HistoryPoint { epoch: epoch + 1, q, loss: e.loss, gradient_norm: e.gradient_norm, truth }
+    };
+    let points: Vec<HistoryPoint> = optimisation.history.iter().enumerate().map(point).collect();
     let first = Some(("first design", optimisation.history[0].shown()));
     let symbol = problem.figure.symbol;
     let label = format!("{} {symbol} (scene units)", problem.objective.name());
@@ -260,13 +239,9 @@ const OF_SHAPES: [(&str, &str); 6] = [
 /// The gain, its epoch and time, the surrogate's prediction, rejected designs, and whether the optimiser has stopped.
 fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> String {
     let (history, best) = (&optimisation.history, optimisation.best);
-    let mut text = format!(
-        "\n{} {} in epoch {} of {}, {seconds:.1} s\n",
-        figure.symbol,
-        change(history[0].shown(), history[best].shown()),
-        best + 1,
-        history.len()
-    );
+    let gain = change(history[0].shown(), history[best].shown());
+    let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
+    let mut text = format!("\n{symbol} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}
@@ -281,42 +256,28 @@ fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> Stri
 
 /// Whether the heat from the walls equals the heat that flows out and is stored.
 fn balance_text(after: &Diagnostics) -> String {
-    let balanced = after.energy_imbalance.abs() < 0.02;
     let unsteady = after.stored_heat_rate.abs() > 0.005 * after.wall_heat_flux.abs();
-    format!(
-        "the heat balance {} ({:+.2} %)\n",
-        match balanced {
-            true => "closes",
-            false if unsteady => "does not close: the flow is not steady yet, try a longer time.end",
-            false =>
-                "does not close, though the flow is steady: conduction at the ends of the hot section is not resolved",
-        },
-        100.0 * after.energy_imbalance
-    )
+    let closes = match after.energy_imbalance.abs() < 0.02 {
+        true => "closes",
+        false if unsteady => "does not close: the flow is not steady yet, try a longer time.end",
+        false => "does not close, though the flow is steady: conduction at the ends of the hot section is not resolved",
+    };
+    format!("the heat balance {closes} ({:+.2} %)\n", 100.0 * after.energy_imbalance)
 }
 
 /// The surrogate's prediction and its confirmation; empty without a surrogate.
 fn surrogate_text(figure: Figure, optimisation: &Optimisation) -> String {
     let (history, promised) = (&optimisation.history, optimisation.predicted_best());
-    let (Some(before), Some(after)) = (history[0].predicted.or(Some(history[0].shown())), history[promised].predicted)
-    else {
-        return String::new();
-    };
-    let mut text = format!(
-        "the surrogate's best is epoch {}: it predicted {} {}",
-        promised + 1,
-        figure.symbol,
-        change(before, after)
-    );
+    let (first, symbol, epoch) = (history[0].shown(), figure.symbol, promised + 1);
+    let Some(after) = history[promised].predicted else { return String::new() };
+    let predicted = change(history[0].predicted.unwrap_or(first), after);
+    let mut text = format!("the surrogate's best is epoch {epoch}: it predicted {symbol} {predicted}");
     if let Some(truth) = history[promised].truth {
-        text.push_str(&format!("; in the solver {}", change(history[0].shown(), truth.figure)));
+        text.push_str(&format!("; in the solver {}", change(first, truth.figure)));
     }
     if optimisation.best == 0 {
         text.push_str("\nWARNING: no wall that the surrogate proposed is better in the solver than the first");
     }
-    text.push_str(&format!(
-        "\n{} steps of the solver (a step of an adjoint counts as {ADJOINT})\n",
-        optimisation.solver_steps()
-    ));
-    text
+    let steps = optimisation.solver_steps();
+    text + &format!("\n{steps} steps of the solver (a step of an adjoint counts as {ADJOINT})\n")
 }

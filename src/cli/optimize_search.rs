@@ -30,50 +30,38 @@ const MODEL: &str = "model";
 /// How a run starts.
 #[derive(Clone, Copy)]
 pub struct Begin<'a> {
+    pub folder: &'a Path,
     /// The folder of the run to resume.
     pub resume: Option<&'a Path>,
     pub earlier: Earlier,
-    /// Whether it is one of several runs, which may be finished while others are not.
-    pub is_part: bool,
+    /// Its name among several runs, which may be finished while others are not; empty for a single run.
+    pub name: &'a str,
+    pub tasks: &'a Tasks,
 }
 
 impl<'a> Begin<'a> {
     /// One of several runs in its own folder. If the whole is resumed, the run is resumed if it had started.
-    pub fn part(folder: &'a Path, earlier: Earlier) -> Self {
+    pub fn part(folder: &'a Path, earlier: Earlier, name: &'a str, tasks: &'a Tasks) -> Self {
         let is_begun = folder.join(CHECKPOINT).exists() || is_unfinished(folder, KIND);
         let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
-        Self { resume, earlier, is_part: true }
+        Self { folder, resume, earlier, name, tasks }
     }
 }
 
 /// Searches in a folder, shows the progress and writes all results. The caller marks the folder as finished.
-pub fn one(
-    loaded: &Loaded,
-    folder: &Path,
-    how: Begin<'_>,
-    label: &str,
-    tasks: &Tasks,
-) -> anyhow::Result<(RunFolder, Outcome)> {
+pub fn one(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, how, label, tasks),
-        Precision::F64 => go::<f64>(loaded, folder, how, label, tasks),
+        Precision::F32 => go::<f32>(loaded, how),
+        Precision::F64 => go::<f64>(loaded, how),
     }
 }
 
-fn go<R: Sweeps>(
-    loaded: &Loaded,
-    folder: &Path,
-    how: Begin<'_>,
-    label: &str,
-    tasks: &Tasks,
-) -> anyhow::Result<(RunFolder, Outcome)> {
-    let config = &loaded.config;
+fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
+    let (config, folder) = (&loaded.config, how.folder);
     let solver = solver::<R>(loaded)?;
     // The scene for plots and reports, if it differs from that of the search.
-    let scene = match loaded.for_search()?.config == *config {
-        true => None,
-        false => Some(build::<R>(config)?.0),
-    };
+    let differs = loaded.for_search()?.config != *config;
+    let scene = differs.then(|| build::<R>(config)).transpose()?.map(|(scene, _)| scene);
     let surrogate = SurrogateProblem::<R>::of_config(loaded)?;
     let search = Search { config, solver: &solver, surrogate: surrogate.as_ref().map(|it| it as &dyn Judge) };
     let mut optimisation = begin(&search, &solver.problem.first, how)?;
@@ -85,9 +73,9 @@ fn go<R: Sweeps>(
     files::write_config(folder, loaded)?;
     let done = optimisation.history.len();
     // Several searches may run at once.
-    let name = if label.is_empty() { String::new() } else { format!("{label}: ") };
-    let label = if label.is_empty() { "optimize".to_string() } else { format!("optimize {label}") };
-    let bar = Progress::among(tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, &label);
+    let name = if how.name.is_empty() { String::new() } else { format!("{}: ", how.name) };
+    let label = format!("optimize {}", how.name);
+    let bar = Progress::among(how.tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, label.trim_end());
     let mut kept =
         Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, bar };
     search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
@@ -98,7 +86,6 @@ fn go<R: Sweeps>(
 /// Stores a search in its folder and shows its progress.
 struct Kept<'a> {
     folder: &'a Path,
-    /// Entries of the checkpoint's metadata.
     notes: Vec<(&'static str, String)>,
     figure: Figure,
     /// Whether a surrogate is used.
@@ -127,9 +114,9 @@ impl Watch for Kept<'_> {
         }
         self.bar.message(format!("{symbol} {figure:.6} |gradient| {gradient_norm:.2e}"));
         let both = both_sides(last);
-        let line =
-            format!("{symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s");
-        self.bar.log(&format!("{epoch}  {line}"));
+        self.bar.log(&format!(
+            "{epoch}  {symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s"
+        ));
         Ok(())
     }
 
@@ -174,7 +161,7 @@ fn begin(search: &Search<'_>, first: &[f64], how: Begin<'_>) -> anyhow::Result<O
     let finished = match optimisation.is_finished(config.optimise.epochs) {
         false => return Ok(optimisation),
         // Plots, figures or checks are missing.
-        true if how.is_part || is_unfinished(from, KIND) => return Ok(optimisation),
+        true if !how.name.is_empty() || is_unfinished(from, KIND) => return Ok(optimisation),
         true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),
@@ -201,19 +188,15 @@ fn notes(loaded: &Loaded) -> [(&'static str, String); 4] {
 }
 
 fn write_history(folder: &Path, figure: Figure, predicts: bool, optimisation: &Optimisation) -> anyhow::Result<()> {
-    let rows: Vec<Vec<f64>> = optimisation
-        .history
-        .iter()
-        .enumerate()
-        .map(|(k, e)| {
-            let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
-            if predicts {
-                let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
-                row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
-            }
-            row
-        })
-        .collect();
+    let row = |(k, e): (usize, &Epoch)| {
+        let mut row = vec![k as f64, e.figure, e.loss, e.gradient_norm, e.seconds];
+        if predicts {
+            let truth = e.truth.map_or(f64::NAN, |truth| truth.figure);
+            row.extend([e.predicted.unwrap_or(f64::NAN), truth, e.solver_steps as f64]);
+        }
+        row
+    };
+    let rows: Vec<Vec<f64>> = optimisation.history.iter().enumerate().map(row).collect();
     let name = figure.symbol.to_lowercase();
     let mut header = vec!["epoch", &name, "loss", "gradient_norm", "seconds"];
     if predicts {

@@ -49,8 +49,7 @@ impl StartName {
 /// All starts by name. Errors in one are found before the first search.
 fn starts(loaded: &Loaded) -> anyhow::Result<Vec<(String, Loaded)>> {
     let of = |start: StartName| {
-        let setting = start.setting().ok_or_else(|| Error::run("a start without a shape", "report this"))?;
-        let loaded = loaded.with(&[setting])?;
+        let loaded = loaded.with(start.setting().as_slice())?;
         check_shape(&loaded.config)?;
         Ok((format!("{start:?}").to_lowercase(), loaded))
     };
@@ -81,7 +80,7 @@ pub fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::
     let tasks = Tasks::default();
     let outcomes = share_out(workers(loaded.config.run.threads, mine.len()), &mine, |(name, loaded)| {
         let folder = folder.join(name);
-        one(loaded, &folder, Begin::part(&folder, Earlier::Resumed), name, &tasks)
+        one(loaded, Begin::part(&folder, Earlier::Resumed, name, &tasks))
     })?;
     // The same answer as for all starts without a share.
     let found = mine.iter().zip(&outcomes).map(|((name, _), (_, outcome))| (name.clone(), json!(outcome.record)));
@@ -109,7 +108,7 @@ pub fn every_start(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: b
     // They run at once; the results of each do not depend on the others.
     let outcomes = share_out(workers(threads, runs.len()), &runs, |(name, loaded)| {
         let folder = folder.join(name);
-        one(loaded, &folder, Begin::part(&folder, earlier), name, &tasks)
+        one(loaded, Begin::part(&folder, earlier, name, &tasks))
     })?;
     let mut owned = Vec::new();
     for ((name, loaded), (own, outcome)) in runs.into_iter().zip(outcomes) {
@@ -135,15 +134,9 @@ pub fn every_start(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: b
         curves.push((name.clone(), values.iter().enumerate().map(|(k, &q)| ((k + 1) as f64, q)).collect()));
         all.put(&name, outcome.record);
     }
-    compare(
-        &folder.join("starts"),
-        &capitalised(&format!("{} by start shape", figure.quantity)),
-        "epoch",
-        &format!("{} ({})", figure.symbol, figure.unit),
-        &curves,
-        false,
-        false,
-    )?;
+    let title = capitalised(&format!("{} by start shape", figure.quantity));
+    let label = format!("{} ({})", figure.symbol, figure.unit);
+    compare(&folder.join("starts"), &title, "epoch", &label, &curves, false, false)?;
     let chosen = curves.iter().position(|(name, _)| best_of_all.as_ref().is_some_and(|(_, best, ..)| best == name));
     plot_walls(folder, &loaded.config, &walls, chosen)?;
     files::write_summary(folder, &all)?;
@@ -168,27 +161,21 @@ fn plot_walls(folder: &Path, config: &Config, walls: &[(String, Shape)], chosen:
     }
     let nodes = &walls[0].1.nodes;
     // Uses the same colours as the plot of the searches.
-    let plot = |name: &str, walls: &[(String, Vec<f64>)]| {
-        let series: Vec<(String, Vec<(f64, f64)>)> = walls
-            .iter()
-            .enumerate()
-            .map(|(k, (from, offsets))| {
-                let best = if chosen == Some(k) { " (the best)" } else { "" };
-                (format!("{from}{best}"), nodes.iter().copied().zip(offsets.iter().copied()).collect())
-            })
-            .collect();
-        let stem = folder.join(name);
-        compare(&stem, "Best walls", "x (scene units)", "wall offset (scene units)", &series, false, false)
+    let plot = |name: &str, offsets: fn(&Shape) -> Option<&Vec<f64>>| -> anyhow::Result<()> {
+        let walls = walls.iter().filter_map(|(name, wall)| Some((name, offsets(wall)?)));
+        let series = walls.enumerate().map(|(k, (from, offsets))| {
+            let best = if chosen == Some(k) { " (the best)" } else { "" };
+            (format!("{from}{best}"), nodes.iter().copied().zip(offsets.iter().copied()).collect())
+        });
+        let series: Vec<(String, Vec<(f64, f64)>)> = series.collect();
+        if !series.is_empty() {
+            let (x, y) = ("x (scene units)", "wall offset (scene units)");
+            compare(&folder.join(name), "Best walls", x, y, &series, false, false)?;
+        }
+        Ok(())
     };
-    let heights: Vec<(String, Vec<f64>)> =
-        walls.iter().map(|(name, wall)| (name.clone(), wall.offsets.clone())).collect();
-    plot("walls", &heights)?;
-    let tops = walls.iter().filter_map(|(name, wall)| Some((name.clone(), wall.top.clone()?)));
-    let tops: Vec<(String, Vec<f64>)> = tops.collect();
-    if !tops.is_empty() {
-        plot("walls-top", &tops)?;
-    }
-    Ok(())
+    plot("walls", |wall| Some(&wall.offsets))?;
+    plot("walls-top", |wall| wall.top.as_ref())
 }
 
 fn capitalised(text: &str) -> String {

@@ -14,21 +14,14 @@ use crate::sph::solver::Snapshot;
 use crate::sph::Model;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::Mutex;
 use std::thread::ScopedJoinHandle;
 
 /// Opens the device of a configuration, before anything is written.
-///
-/// # Errors
-/// A build or a machine without the device.
 pub fn open_device(loaded: &Loaded) -> Result<(), BadInput> {
     loaded.config.run.compute().map(drop).map_err(|bad| loaded.located(bad))
 }
 
 /// Checks the device of a command that runs only on the CPU.
-///
-/// # Errors
-/// A configuration with another device.
 pub fn require_cpu(loaded: &Loaded, command: &str) -> Result<(), BadInput> {
     match loaded.config.run.device {
         DeviceName::Cpu => Ok(()),
@@ -39,9 +32,6 @@ pub fn require_cpu(loaded: &Loaded, command: &str) -> Result<(), BadInput> {
 }
 
 /// Kernels and device by `--kernels` and `--device`, for commands without these keys.
-///
-/// # Errors
-/// As for [`open_device`].
 pub fn compute(kernels: Kernels, device: DeviceName) -> Result<Compute, BadInput> {
     let opened = device.open().map_err(|bad| bad.located(|_| Some(format!("--device {device}"))))?;
     Ok(Compute::new(kernels, opened))
@@ -62,33 +52,26 @@ pub fn share_out<J: Sync, T: Send>(
     jobs: &[J],
     work: impl Fn(&J) -> anyhow::Result<T> + Sync,
 ) -> anyhow::Result<Vec<T>> {
-    let (next, failed) = (AtomicUsize::new(0), Mutex::new(None));
+    let next = AtomicUsize::new(0);
     let turn = || {
         let mut done = Vec::new();
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
             let Some(job) = jobs.get(number) else { return done };
-            match work(job) {
-                Ok(result) => done.push((number, result)),
-                Err(problem) => {
-                    next.store(jobs.len(), Ordering::Relaxed);
-                    failed.lock().unwrap_or_else(|e| e.into_inner()).get_or_insert(problem);
-                }
+            let result = work(job);
+            if result.is_err() {
+                next.store(jobs.len(), Ordering::Relaxed);
             }
+            done.push((number, result));
         }
     };
-    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+    let mut done: Vec<(usize, anyhow::Result<T>)> = std::thread::scope(|scope| {
         let begun: Vec<_> = (0..workers).map(|_| scope.spawn(turn)).collect();
         let end = |worker: ScopedJoinHandle<'_, _>| worker.join().unwrap_or_else(|panic| resume_unwind(panic));
         begun.into_iter().flat_map(end).collect()
     });
-    match failed.into_inner().unwrap_or_else(|e| e.into_inner()) {
-        Some(problem) => Err(problem),
-        None => {
-            done.sort_unstable_by_key(|(number, _)| *number);
-            Ok(done.into_iter().map(|(_, result)| result).collect())
-        }
-    }
+    done.sort_unstable_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Converts the error of a run that failed after a good state; other errors stay the same.

@@ -4,7 +4,6 @@ use std::ffi::OsString;
 use std::process::Command;
 use std::sync::OnceLock;
 
-/// The words that start another program with this command line.
 static OTHER: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// Sets the words that start another program with this command line, such as Python; arguments are appended.
@@ -14,9 +13,6 @@ pub fn is_started_by(words: Vec<OsString>) {
 }
 
 /// The words that start this program: its path, and words before the arguments.
-///
-/// # Errors
-/// System errors.
 pub fn words() -> std::io::Result<Vec<OsString>> {
     match OTHER.get() {
         Some(words) if !words.is_empty() => Ok(words.clone()),

@@ -99,13 +99,11 @@ impl RecoverArguments {
         if self.dynamics == SearchedBy::Surrogate {
             return self.load_known(&common);
         }
-        for (option, given) in [("--model", self.model.is_some()), ("--frames", self.frames.is_some())] {
-            if given {
-                return Err(BadInput::new("the solver searches, not a surrogate")
-                    .place(option)
-                    .allowed("--dynamics surrogate")
-                    .into());
-            }
+        if self.model.is_some() || self.frames.is_some() {
+            return Err(BadInput::new("the solver searches, not a surrogate")
+                .place(if self.model.is_some() { "--model" } else { "--frames" })
+                .allowed("--dynamics surrogate")
+                .into());
         }
         let says = |key: &str| common.sets.iter().any(|set| set.trim_start().starts_with(key));
         let own = !says("time.end") && !says("time.steps");
@@ -175,7 +173,6 @@ impl RecoverArguments {
     }
 }
 
-/// The kind of its folders.
 const KIND: &str = "recover";
 
 pub fn run(loaded: Loaded, arguments: RecoverArguments) -> anyhow::Result<()> {
@@ -201,17 +198,13 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     if arguments.dynamics == SearchedBy::Surrogate {
         return go_with_surrogate::<R>(loaded, arguments, folder);
     }
-    let target = match &arguments.target {
-        None => None,
-        Some(path) => {
-            let state = read_state(path, &[]).map_err(|error| {
-                BadInput::new(error.to_string())
-                    .place(format!("--target {}", path.display()))
-                    .allowed("a state.h5 of `hydrograd simulate`")
-            })?;
-            Some(Target { position: state.position, tags: state.tag })
-        }
+    let read = |path: &PathBuf| match read_state(path, &[]) {
+        Ok(state) => Ok(Target { position: state.position, tags: state.tag }),
+        Err(error) => Err(BadInput::new(error.to_string())
+            .place(format!("--target {}", path.display()))
+            .allowed("a state.h5 of `hydrograd simulate`")),
     };
+    let target = arguments.target.as_ref().map(read).transpose()?;
     let is_twin = target.is_none();
     let (unknown, assumed) = (arguments.unknown(&loaded.config), arguments.assumed(loaded)?);
     let assumed_config = assumed.as_ref().map(|assumed| &assumed.config);
@@ -223,12 +216,7 @@ fn go<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, folder: &Path) -
     let mut evaluate = |x: &[f64], progress: Share<'_>| problem.evaluate(x, progress);
     let found = recover(&problem, "", arguments.epochs, is_twin, &mut evaluate)?;
     let (error_name, error_key) = names(unknown);
-    write_rows(&folder.join("history.csv"), &["epoch", "distance", error_key, "seconds"], &found.rows)?;
-    let mut curves = vec![("distance at the end".to_string(), found.column(1))];
-    if is_twin {
-        curves.push((error_name.to_string(), found.column(2)));
-    }
-    compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
+    write_history(folder, error_name, error_key, &[("", "", &found)], is_twin)?;
     pictures(&problem, folder, &[("found", &found.at)], is_twin)?;
     let (first, seconds) = (&found.rows[0], found.seconds());
     let mut summary = summary_of(&problem, &found);
@@ -254,18 +242,46 @@ const END: &str = "distance at the end (root mean square of a coordinate)";
 const FILES: &str = "summary.json, history.csv, history.png, end.png, start.png, report.html";
 
 fn cells(name: &str, numbers: &[f64]) -> Vec<String> {
-    [vec![name.to_string()], numbers.iter().map(|x| format!("{x:.6}")).collect()].concat()
+    [name.to_string()].into_iter().chain(numbers.iter().map(|x| format!("{x:.6}"))).collect()
+}
+
+/// Writes `history.csv` and plots it: distance, error and seconds of one or more searches, each with what its curves have
+/// behind their names, and its columns before them.
+fn write_history(
+    folder: &Path,
+    error_name: &str,
+    error_key: &str,
+    searches: &[(&str, &str, &Recovered)],
+    is_twin: bool,
+) -> anyhow::Result<()> {
+    let mut header = vec!["epoch".to_string()];
+    let mut rows = Vec::new();
+    let mut curves = Vec::new();
+    for (name, prefix, found) in searches {
+        header.extend(["distance", error_key, "seconds"].map(|key| format!("{prefix}{key}")));
+        rows.resize(found.rows.len().max(rows.len()), vec![]);
+        curves.push((format!("distance at the end{name}"), found.column(1)));
+        if is_twin {
+            curves.push((format!("{error_name}{name}"), found.column(2)));
+        }
+    }
+    for (k, row) in rows.iter_mut().enumerate() {
+        row.push(k as f64);
+        for (_, _, found) in searches {
+            row.extend_from_slice(found.rows.get(k).map_or(&[f64::NAN; 3], |row| &row[1..]));
+        }
+    }
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    write_rows(&folder.join("history.csv"), &header, &rows)?;
+    compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
+    Ok(())
 }
 
 /// Adds to errors about input where the user wrote it.
 fn located(loaded: &Loaded) -> impl Fn(anyhow::Error) -> anyhow::Error + '_ {
-    |error| match error.downcast::<Error>() {
-        Ok(Error::Input(bad)) => Error::from(loaded.located(*bad)).into(),
-        Ok(other) => other.into(),
-        Err(error) => match error.downcast::<BadInput>() {
-            Ok(bad) => loaded.located(bad).into(),
-            Err(other) => other,
-        },
+    |error| match error.downcast::<BadInput>() {
+        Ok(bad) => loaded.located(bad).into(),
+        Err(error) => error.downcast::<Error>().map_or_else(|other| other, |error| loaded.located_error(error).into()),
     }
 }
 
@@ -295,26 +311,8 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     let solver = recover(problem, "solver     ", arguments.epochs, true, &mut by_solver)?;
     let judged = problem.distance_of(&problem.end(&model.at)?);
     let true_start = problem.distance(learned.loss(&problem.truth())?);
-    let row = |k: usize| {
-        let of = |found: &Recovered| found.rows.get(k).map_or(vec![f64::NAN; 3], |row| row[1..].to_vec());
-        [vec![k as f64], of(&model), of(&solver)].concat()
-    };
-    let rows: Vec<Vec<f64>> = (0..model.rows.len().max(solver.rows.len())).map(row).collect();
-    let header = ["distance", "velocity_error", "seconds"];
-    let header: Vec<String> =
-        header.iter().map(|key| key.to_string()).chain(header.map(|key| format!("solver_{key}"))).collect();
-    let header: Vec<&str> = ["epoch"].into_iter().chain(header.iter().map(String::as_str)).collect();
-    write_rows(&folder.join("history.csv"), &header, &rows)?;
-    let curves: Vec<(String, Vec<(f64, f64)>)> = [("surrogate", &model), ("solver", &solver)]
-        .into_iter()
-        .flat_map(|(name, found)| {
-            [
-                (format!("distance at the end, {name}"), found.column(1)),
-                (format!("error of the velocities, {name}"), found.column(2)),
-            ]
-        })
-        .collect();
-    compare(&folder.join("history"), "Recovery of the start", "epoch", "", &curves, false, true)?;
+    let searches = [(", surrogate", "", &model), (", solver", "solver_", &solver)];
+    write_history(folder, "error of the velocities", "velocity_error", &searches, true)?;
     pictures(problem, folder, &[("found by the surrogate", &model.at), ("found by the solver", &solver.at)], true)?;
     let (before, own) = (&solver.rows[0], problem.distance(solver.loss));
     let (error, own_error) = (problem.error(&model.at), problem.error(&solver.at));
@@ -335,12 +333,8 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
     let mut table = Table::new(["", "before", "found by the surrogate", "found by the solver"]);
     table.row(cells(&format!("{END}, in the solver"), &[before[1], judged, own]));
     table.row(cells("error of the velocities, relative", &[before[2], error, own_error]));
-    table.row(vec![
-        "seconds".into(),
-        String::new(),
-        format!("{:.1}", model.seconds()),
-        format!("{:.1}", solver.seconds()),
-    ]);
+    let seconds = [&model, &solver].map(|found| format!("{:.1}", found.seconds()));
+    table.row(["seconds".into(), String::new()].into_iter().chain(seconds));
     println!("{}", table.to_text());
     println!(
         "in the surrogate the end of what it found is {:.6} away, and that of the true start {true_start:.6}",
@@ -355,23 +349,25 @@ fn go_with_surrogate<R: Sweeps>(loaded: &Loaded, arguments: &RecoverArguments, f
 }
 
 /// Returns an error if there is nothing to find.
-fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: bool) -> Result<(), Error> {
-    let bad = |what: &str| BadInput::new(what).place(loaded.config.scene.name());
-    if is_twin && problem.unknown == Unknown::Velocities && problem.truth().iter().all(|v| *v == 0.0) {
-        return Err(bad("the scene begins at rest: there are no velocities to find")
-            .allowed("a scene that begins in motion, or --target with the places that another start led to")
-            .advice("hydrograd recover taylor-green")
-            .into());
-    }
-    if is_twin && problem.error(&problem.first()) == 0.0 {
-        return Err(bad("the guess is the scene's own start: there is nothing to find")
-            .allowed(
-                "a guess that differs in a key of the start, or --target with the places that another start led to",
-            )
-            .advice("hydrograd recover falling-block --guess water.x=0.05")
-            .into());
-    }
-    Ok(())
+fn check_worth<R: Sweeps>(loaded: &Loaded, problem: &InitialState<R>, is_twin: bool) -> Result<(), BadInput> {
+    let (problem, allowed, advice) = match problem.unknown {
+        _ if !is_twin => return Ok(()),
+        Unknown::Velocities if problem.truth().iter().all(|v| *v == 0.0) => (
+            "the scene begins at rest: there are no velocities to find",
+            "a scene that begins in motion",
+            "taylor-green",
+        ),
+        _ if problem.error(&problem.first()) == 0.0 => (
+            "the guess is the scene's own start: there is nothing to find",
+            "a guess that differs in a key of the start",
+            "falling-block --guess water.x=0.05",
+        ),
+        _ => return Ok(()),
+    };
+    Err(BadInput::new(problem)
+        .place(loaded.config.scene.name())
+        .allowed(format!("{allowed}, or --target with the places that another start led to"))
+        .advice(format!("hydrograd recover {advice}")))
 }
 
 /// Called with the completed fraction of an epoch.
@@ -436,13 +432,10 @@ fn pictures<R: Sweeps>(
     is_twin: bool,
 ) -> anyhow::Result<()> {
     let (scene, model) = (&problem.scene, &problem.scene.model);
-    let (n, d) = (model.particles(), model.dimension());
-    let speed = |fields: &ParticleFields| -> Vec<f64> {
-        (0..n).map(|i| (0..d).map(|k| fields.velocity[k * n + i].powi(2)).sum::<f64>().sqrt()).collect()
-    };
+    let n = model.particles();
     let shown = |solver: &mut Solver<R>| -> anyhow::Result<_> {
         let fields = ParticleFields::of(solver)?;
-        Ok((fields.position[..2 * n].to_vec(), speed(&fields)))
+        Ok((fields.position[..2 * n].to_vec(), files::speeds(&fields)))
     };
     let begin = |start: &Snapshot<R>| -> anyhow::Result<_> { shown(&mut Solver::restore(model.clone(), start)?) };
     let draw = |name: &str, panels: &[(String, Shown)]| {

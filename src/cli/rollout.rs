@@ -50,7 +50,6 @@ pub struct RolloutArguments {
     pub out: PathBuf,
 }
 
-/// The kind of its folders.
 const KIND: &str = "rollout";
 
 pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
@@ -77,24 +76,15 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
     scene.picture(&folder.join("rollout"), &predicted, &truth_fields)?;
     page::write(folder)?;
 
-    let shown = shown(run.frames.len());
     let errors = errors(&scene, &run.frames, &truth);
-    println!("{}", table(&errors, &shown));
+    println!("{}", table(&errors, &shown(run.frames.len())));
     if let Some(broken) = &run.broken {
-        println!(
-            "{} broke at step {} of {}: {}",
-            model.name(),
-            broken.step,
-            arguments.steps,
-            text::shown(&broken.reason)
-        );
+        let (name, reason) = (model.name(), text::shown(&broken.reason));
+        println!("{name} broke at step {} of {}: {reason}", broken.step, arguments.steps);
     }
-    println!(
-        "trajectory {}, frames {first} to {}, {:.1e} s per step",
-        text::shown(&trajectory.name),
-        first + run.frames.len() - 1,
-        run.seconds / run.frames.len() as f64
-    );
+    let seconds = run.seconds / run.frames.len() as f64;
+    let (name, last) = (text::shown(&trajectory.name), first + run.frames.len() - 1);
+    println!("trajectory {name}, frames {first} to {last}, {seconds:.1e} s per step");
     let of_step = |error: &StepError| json!({ "step": error.step, "position_mse": error.position, "temperature_mse": error.temperature });
     let broken = run.broken.as_ref().map(|broken| json!({ "step": broken.step, "reason": broken.reason }));
     machine::answer(&json!({
@@ -109,7 +99,7 @@ pub fn run(arguments: RolloutArguments) -> anyhow::Result<()> {
         "steps_wanted": arguments.steps,
         "broken": broken,
         "errors": errors.iter().map(of_step).collect::<Vec<_>>(),
-        "seconds_per_step": run.seconds / run.frames.len() as f64,
+        "seconds_per_step": seconds,
         "files": machine::paths_in(folder, ["rollout.png", "rollout.svg", "predicted/predicted.pvd", "true/true.pvd", PAGE]),
     }));
     println!(
@@ -183,23 +173,22 @@ struct Fields {
 }
 
 impl Scene<'_> {
-    /// The fields of the frame before the first predicted one, at rest, and of the frames.
+    /// The fields of frames; their velocities are the steps from the frame before, over the time between them.
     fn fields(&self, before: &Frame, frames: &[Frame]) -> Vec<Fields> {
         let extent = Extent::of(self.metadata);
         let (d, n) = (extent.dimension(), self.trajectory.particles);
         let time = self.metadata.dt * self.metadata.write_every as f64;
         let by_component = |rows: &[f64]| (0..d * n).map(|k| rows[k % n * d + k / n]).collect::<Vec<f64>>();
         let all: Vec<&Frame> = std::iter::once(before).chain(frames).collect();
-        (1..all.len())
-            .map(|k| {
-                let step = extent.displacement(&all[k].position, &all[k - 1].position);
-                Fields {
-                    position: by_component(&all[k].position),
-                    velocity: by_component(&step).iter().map(|step| step / time).collect(),
-                    temperature: all[k].temperature.clone(),
-                }
-            })
-            .collect()
+        let fields = |pair: &[&Frame]| {
+            let step = extent.displacement(&pair[1].position, &pair[0].position);
+            Fields {
+                position: by_component(&pair[1].position),
+                velocity: by_component(&step).iter().map(|step| step / time).collect(),
+                temperature: pair[1].temperature.clone(),
+            }
+        };
+        all.windows(2).map(fields).collect()
     }
 
     fn write_series(&self, folder: &Path, name: &str, frames: &[Fields]) -> anyhow::Result<()> {
@@ -235,25 +224,18 @@ impl Scene<'_> {
             true => minus(&value(p), &value(t)).into_iter().map(f64::abs).collect(),
             false => speed(&minus(&p.velocity, &t.velocity)),
         };
-        let rows: Vec<_> = shown(predicted.len())
-            .into_iter()
-            .map(|step| {
-                let (p, t) = (&predicted[step - 1], &truth[step - 1]);
-                (step, p, t, [value(p), value(t), difference(p, t)])
-            })
-            .collect();
-        let titles: Vec<[String; 3]> = rows
-            .iter()
-            .map(|(step, ..)| ["predicted", "true", "difference"].map(|name| format!("step {step}: {name}")))
-            .collect();
+        let row = |step: usize| {
+            let (p, t) = (&predicted[step - 1], &truth[step - 1]);
+            let titles = ["predicted", "true", "difference"].map(|name| format!("step {step}: {name}"));
+            (titles, [p, t, t], [value(p), value(t), difference(p, t)])
+        };
+        let rows: Vec<_> = shown(predicted.len()).into_iter().map(row).collect();
         let panels: Vec<[TemperaturePanel; 3]> = rows
             .iter()
-            .zip(&titles)
-            .map(|((_, p, t, values), titles)| {
-                let positions = [&p.position, &t.position, &t.position];
+            .map(|(titles, frames, values)| {
                 std::array::from_fn(|k| TemperaturePanel {
                     title: &titles[k],
-                    position: &positions[k][..2 * n],
+                    position: &frames[k].position[..2 * n],
                     temperature: &values[k],
                     tag: &self.tag,
                     diameter: self.metadata.dx,
@@ -263,25 +245,20 @@ impl Scene<'_> {
         let range = |columns: &[usize]| {
             let fluid = |values: &Vec<f64>| (0..n).filter(|&i| self.tag[i] == 0).map(|i| values[i]).collect::<Vec<_>>();
             let mut values: Vec<f64> =
-                rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.3[k]))).collect();
+                rows.iter().flat_map(|row| columns.iter().flat_map(|&k| fluid(&row.2[k]))).collect();
             values.sort_by(f64::total_cmp);
             // Excludes particles that only one of both reset at the inlet, which would dominate the range of colours.
             let cut = if columns == [2] { values.len() / 20 } else { 0 };
-            let (low, high) = match values.len() {
-                0 => (0.0, 0.0),
-                count => (values[0], values[count - 1 - cut]),
-            };
-            // Equal values need a range of colours.
-            if high > low {
-                (low, high)
-            } else {
-                (low.min(0.0), low.max(0.0) + 1e-12)
+            match values.len() {
+                0 => (0.0, 1e-12),
+                count if values[count - 1 - cut] > values[0] => (values[0], values[count - 1 - cut]),
+                // Equal values need a range of colours.
+                _ => (values[0].min(0.0), values[0].max(0.0) + 1e-12),
             }
         };
-        let (name, unit) = if with_heat {
-            ("temperature T", "|T - T true|, the largest 5 % alike")
-        } else {
-            ("speed |v|", "|v - v true|, the largest 5 % alike")
+        let (label, difference_label) = match with_heat {
+            true => ("temperature T", "|T - T true|, the largest 5 % alike"),
+            false => ("speed |v|", "|v - v true|, the largest 5 % alike"),
         };
         // Walls may be outside of the box.
         let bounds = |d: usize| {
@@ -297,8 +274,8 @@ impl Scene<'_> {
             stem,
             &panels,
             &SideBySide {
-                label: name,
-                difference_label: unit,
+                label,
+                difference_label,
                 range: range(&[0, 1]),
                 difference_range: (0.0, range(&[2]).1),
                 x_range: bounds(0),

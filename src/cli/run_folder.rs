@@ -4,6 +4,7 @@
 //! folder holds a lock on that file, which the system releases when the process ends in any way.
 
 use super::arguments::check_writable;
+use super::shard::Shard;
 use crate::error::BadInput;
 use crate::io::atomic::{is_temporary, prepare_output_folder};
 use crate::io::FileError;
@@ -86,7 +87,6 @@ impl Content {
     }
 }
 
-/// Whether the run of a folder is finished.
 pub fn is_finished(folder: &Path) -> bool {
     matches!(Content::of(folder), Content::Run { finished: true, .. })
 }
@@ -99,7 +99,6 @@ pub fn kind_of(folder: &Path) -> Option<String> {
     }
 }
 
-/// Whether a folder has an unfinished run of this kind.
 pub fn is_unfinished(folder: &Path, kind: &str) -> bool {
     Content::of(folder) == Content::Run { kind: kind.to_string(), finished: false }
 }
@@ -114,53 +113,47 @@ impl RunFolder {
         if earlier == Earlier::Visited {
             return Ok(());
         }
-        let place = match earlier {
-            Earlier::Resumed => folder.display().to_string(),
-            _ => format!("--out {}", folder.display()),
-        };
-        let allowed = format!("a new folder, or one that `hydrograd {kind}` began");
-        match Content::of(folder) {
-            Content::Run { kind: theirs, .. } if theirs != kind => Err(BadInput::new(format!(
-                "the folder belongs to another command: it holds a run of `hydrograd {theirs}`"
-            ))
-            .place(place)
-            .allowed(allowed)
-            .advice("another --out")),
+        let problem = match Content::of(folder) {
+            Content::Run { kind: theirs, .. } if theirs != kind => {
+                format!("the folder belongs to another command: it holds a run of `hydrograd {theirs}`")
+            }
             Content::Run { finished, .. } if earlier == Earlier::Kept && holds_results(folder) => {
                 let how_far = if finished { "a finished" } else { "an unfinished" };
-                Err(BadInput::new(format!("the folder holds {how_far} run of `hydrograd {kind}` already"))
-                    .place(place)
+                let resume = if kind == "train" { "--resume".into() } else { format!("--resume {}", folder.display()) };
+                return Err(BadInput::new(format!("the folder holds {how_far} run of `hydrograd {kind}` already"))
+                    .place(format!("--out {}", folder.display()))
                     .allowed("a new folder, unless the run goes on or is to be lost")
-                    .advice(format!(
-                        "{} to go on with it, --overwrite to lose it, or another --out",
-                        resume_option(kind, folder)
-                    )))
+                    .advice(format!("{resume} to go on with it, --overwrite to lose it, or another --out")));
             }
             // A resumed run checks its files itself.
             Content::Unknown(file) if earlier != Earlier::Resumed => {
-                Err(BadInput::new(format!("the folder holds {file}, which `hydrograd {kind}` did not make"))
-                    .place(place)
-                    .allowed(allowed)
-                    .advice("another --out"))
+                format!("the folder holds {file}, which `hydrograd {kind}` did not make")
             }
-            _ => Ok(()),
-        }
+            _ => return Ok(()),
+        };
+        let option = if earlier == Earlier::Resumed { "" } else { "--out " };
+        Err(BadInput::new(problem)
+            .place(format!("{option}{}", folder.display()))
+            .allowed(format!("a new folder, or one that `hydrograd {kind}` began"))
+            .advice("another --out"))
     }
 
     /// Creates the folder if needed, and locks it until this is dropped.
-    ///
-    /// # Errors
-    /// As for [`Self::check`]; another process that writes there; system errors.
     pub fn take(folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
         Self::locked(folder, kind, earlier, false)
     }
 
     /// As [`Self::take`], shared with other processes of this kind. Nothing is removed.
-    ///
-    /// # Errors
-    /// As for [`Self::take`].
     pub fn share(folder: &Path, kind: &'static str) -> anyhow::Result<Self> {
         Self::locked(folder, kind, Earlier::Replaced, true)
+    }
+
+    /// [`Self::share`] for a share of a command's work, else [`Self::take`].
+    pub fn for_work(share: Option<Shard>, folder: &Path, kind: &'static str, earlier: Earlier) -> anyhow::Result<Self> {
+        match share {
+            Some(_) => Self::share(folder, kind),
+            None => Self::take(folder, kind, earlier),
+        }
     }
 
     fn locked(folder: &Path, kind: &'static str, earlier: Earlier, is_shared: bool) -> anyhow::Result<Self> {
@@ -171,8 +164,14 @@ impl RunFolder {
             Err(error) if visits && error.kind() == ErrorKind::NotFound => None,
             marker => Some(marker.map_err(|source| FileError::write(&path, source))?),
         };
-        if let Some(marker) = &marker {
-            hold(folder, if is_shared { marker.try_lock_shared() } else { marker.try_lock() })?;
+        let lock = marker.as_ref().map(|marker| if is_shared { marker.try_lock_shared() } else { marker.try_lock() });
+        // Some file systems have no locks.
+        if let Some(Err(TryLockError::WouldBlock)) = lock {
+            return Err(BadInput::new("another hydrograd is writing to this folder")
+                .place(folder.display().to_string())
+                .allowed("one run at a time")
+                .advice("wait until it ends, stop it, or another --out")
+                .into());
         }
         // Another process may have finished since.
         Self::check(folder, kind, earlier)?;
@@ -196,9 +195,6 @@ impl RunFolder {
     }
 
     /// Marks the run as finished.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn finish(&self) -> anyhow::Result<()> {
         self.write(&format!("{FINISHED}\n"))
     }
@@ -213,24 +209,6 @@ impl RunFolder {
     }
 }
 
-fn resume_option(kind: &str, folder: &Path) -> String {
-    match kind {
-        "train" => "--resume".to_string(),
-        _ => format!("--resume {}", folder.display()),
-    }
-}
-
-fn hold(folder: &Path, lock: Result<(), TryLockError>) -> Result<(), BadInput> {
-    match lock {
-        Err(TryLockError::WouldBlock) => Err(BadInput::new("another hydrograd is writing to this folder")
-            .place(folder.display().to_string())
-            .allowed("one run at a time")
-            .advice("wait until it ends, stop it, or another --out")),
-        // Some file systems have no locks.
-        _ => Ok(()),
-    }
-}
-
 fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
@@ -242,42 +220,17 @@ pub fn holds_results(folder: &Path) -> bool {
 }
 
 /// Names without extension of the files that a command writes, as far as another run might not replace them.
-fn stems(kind: &str) -> &'static [&'static str] {
+fn stems(kind: &str) -> &'static str {
     match kind {
-        "simulate" => &[
-            "config",
-            "summary",
-            "history",
-            "shape",
-            "wall",
-            "temperature",
-            "flow",
-            "state",
-            "checkpoint",
-            "last-good",
-            "kinetic_energy",
-            "profile",
-        ],
-        "train" => &["config", "last", "best", "history", "validation", "curves"],
-        kind if kind.starts_with("optimize") => &[
-            "config",
-            "summary",
-            "history",
-            "shape",
-            "shapes",
-            "shapes-top",
-            "wall",
-            "walls",
-            "walls-top",
-            "starts",
-            "best",
-            "temperature",
-            "flow",
-            "state",
-            "checkpoint",
-            "verification",
-        ],
-        _ => &[],
+        "simulate" => {
+            "config summary history shape wall temperature flow state checkpoint last-good kinetic_energy profile"
+        }
+        "train" => "config last best history validation curves",
+        kind if kind.starts_with("optimize") => {
+            "config summary history shape shapes shapes-top wall walls walls-top starts best temperature flow state \
+             checkpoint verification"
+        }
+        _ => "",
     }
 }
 
@@ -287,7 +240,7 @@ fn remove_outputs(folder: &Path, kind: &str) {
     for name in names(folder) {
         let path = folder.join(&name);
         let (stem, extension) = name.rsplit_once('.').unwrap_or((&name, ""));
-        let is_output = stems(kind).contains(&stem)
+        let is_output = stems(kind).split_whitespace().any(|own| own == stem)
             && ["toml", "json", "csv", "png", "svg", "vtp", "h5", "safetensors"].contains(&extension);
         if path.is_dir() {
             remove_series(&path);
@@ -306,6 +259,7 @@ fn remove_series(folder: &Path) {
         return;
     };
     for name in names(folder) {
+        let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
         let is_frame = name.strip_prefix(series).is_some_and(|rest| {
             rest == ".pvd" || rest.strip_prefix('_').and_then(|rest| rest.strip_suffix(".vtp")).is_some_and(is_number)
         });
@@ -314,10 +268,6 @@ fn remove_series(folder: &Path) {
         }
     }
     let _ = std::fs::remove_dir(folder);
-}
-
-fn is_number(text: &str) -> bool {
-    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 /// Removes unfinished files of a killed process, here, among frames and among the runs of maps.
@@ -334,13 +284,9 @@ fn remove_temporaries(folder: &Path) {
 
 /// The treatment for a command with `--resume`: the folder itself is resumed, or another one from which it continues.
 pub fn earlier(folder: &Path, resume: Option<&Path>, otherwise: Earlier) -> Earlier {
+    let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
     match resume {
-        Some(from) if same(from, folder) => Earlier::Resumed,
+        Some(from) if real(from) == real(folder) => Earlier::Resumed,
         _ => otherwise,
     }
-}
-
-fn same(a: &Path, b: &Path) -> bool {
-    let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| PathBuf::from(path));
-    real(a) == real(b)
 }

@@ -1,17 +1,13 @@
 //! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or checks what a file would build.
 
-use super::arguments::check_preset;
-use super::arguments::CommonArguments;
+use super::arguments::{check_preset, CommonArguments};
 use super::files;
 use super::machine;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
-use crate::config::builtin;
-use crate::config::builtin::{BuiltIn, PRESETS, SCENES};
-use crate::config::scene::Config;
-use crate::config::scene::Precision;
-use crate::error::Error;
+use crate::config::builtin::{self, BuiltIn, PRESETS, SCENES};
+use crate::config::scene::{Config, Precision};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
@@ -79,9 +75,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             list()
         }
         Some(name) => {
-            if builtin::scene(name).is_none() {
-                return Err(Error::from(builtin::unknown("built-in scene", name, SCENES)).into());
-            }
+            builtin::scene(name).ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
             check_preset(arguments.preset.as_deref())?;
             let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
             machine::answer(&serde_json::to_value(&loaded.config as &dyn erased_serde::Serialize)?);
@@ -91,7 +85,6 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
     Ok(files::print(text.as_bytes())?)
 }
 
-/// The kind of the folders of a check.
 const KIND: &str = "scenes check";
 
 fn check(common: &CommonArguments) -> anyhow::Result<()> {
@@ -114,13 +107,8 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let scene = Scene::<R>::from_config(config)?;
     let findings = Findings::of(config, &scene)?;
     let (steps, dt) = (config.steps(), config.time_step());
-    println!(
-        "{}: scene {}, {} dimensions, dx {}",
-        loaded.source,
-        config.scene.name(),
-        config.dimension(),
-        scene.spacing
-    );
+    let (name, dimensions, dx) = (config.scene.name(), config.dimension(), scene.spacing);
+    println!("{}: scene {name}, {dimensions} dimensions, dx {dx}", loaded.source);
     let kinds: Vec<String> = findings.particles.iter().map(|(name, count)| format!("{count} {name}")).collect();
     println!("particles           {} in all: {}", scene.model.particles(), kinds.join(", "));
     let across = [("narrowest passage", findings.narrowest), ("thinnest wall between fluid", findings.thinnest)];
@@ -129,12 +117,8 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
             println!("{what:<27} {count} particles");
         }
     }
-    println!(
-        "fastest flow        {:.4} expected, {} as reference, sound {:.4}",
-        findings.speed,
-        config.fluid.reference_velocity,
-        scene.sound_speed()
-    );
+    let (speed, reference, sound) = (findings.speed, config.fluid.reference_velocity, scene.sound_speed());
+    println!("fastest flow        {speed:.4} expected, {reference} as reference, sound {sound:.4}");
     println!("\ntime step {dt:.4e}, {steps} steps to t = {:.4}; {} rules", config.duration(), findings.rules());
     let mut table = Table::new(["criterion", "allows", "by"]);
     for criterion in &findings.criteria {
@@ -146,10 +130,10 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let _own = RunFolder::take(folder, KIND, Earlier::Replaced)?;
     let start = ParticleFields::of(&mut run)?;
     let (label, values) = match &start.temperature {
-        Some(temperature) => ("temperature T (scene units)", temperature.clone()),
-        None => ("speed |u| (scene units)", files::speeds(&start)),
+        Some(temperature) => (files::TEMPERATURE, temperature.clone()),
+        None => (files::SPEED, files::speeds(&start)),
     };
-    files::plot_scene(folder, ("particles", label, "start"), &start, &values, scene.spacing)?;
+    files::plot_scene(folder, ("particles", label), &[("start", &start)], &[values], scene.spacing)?;
     let clock = Instant::now();
     let (least, seconds) = BURST;
     let mut done = 0;
@@ -169,13 +153,13 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         findings.particles.iter().map(|(name, count)| (name.to_string(), json!(count))).collect();
     machine::answer(&json!({
         "scene": config.scene,
-        "dimensions": config.dimension(),
-        "dx": scene.spacing,
+        "dimensions": dimensions,
+        "dx": dx,
         "particles": { "all": scene.model.particles(), "kinds": kinds },
         "narrowest_passage": findings.narrowest,
         "thinnest_wall": findings.thinnest,
-        "expected_speed": findings.speed,
-        "sound_speed": scene.sound_speed(),
+        "expected_speed": speed,
+        "sound_speed": sound,
         "time_step": dt,
         "steps": steps,
         "end": config.duration(),

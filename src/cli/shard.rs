@@ -35,52 +35,41 @@ pub struct Shard {
 impl Shard {
     pub const ALL: Self = Self { index: 0, count: 1 };
 
-    /// Whether a piece belongs to this share.
     pub fn has(self, number: usize) -> bool {
         number % self.count == self.index
     }
 
-    /// The pieces of this share.
     pub fn of<T>(self, all: &[T]) -> impl Iterator<Item = &T> {
         all.iter().skip(self.index).step_by(self.count)
     }
 
     /// Parses `i/n`, with i from 0.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let allowed = || "allowed: I/N with I = 0 ... N - 1, for example 0/4".to_string();
-        let (index, count) = text.split_once('/').ok_or_else(allowed)?;
-        let (index, count) = (index.parse().map_err(|_| allowed())?, count.parse().map_err(|_| allowed())?);
-        if index < count {
-            Ok(Self { index, count })
-        } else {
-            Err(allowed())
+        let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+        match numbers {
+            Some((index, count)) if index < count => Ok(Self { index, count }),
+            _ => Err("allowed: I/N with I = 0 ... N - 1, for example 0/4".into()),
         }
     }
 
     /// The share of a process in Slurm's job array, if it is in one; `variable` reads an environment variable.
     pub fn from_slurm(variable: impl Fn(&str) -> Option<String>) -> Result<Option<Self>, BadInput> {
         let Some(task) = variable("SLURM_ARRAY_TASK_ID") else { return Ok(None) };
-        let number = |name: &str, text: Option<String>| -> Result<usize, BadInput> {
-            let shown = text.clone().unwrap_or_else(|| "nothing".into());
-            text.and_then(|text| text.parse().ok()).ok_or_else(|| {
-                BadInput::new(format!("{name} is {shown}"))
-                    .place("environment")
-                    .allowed("a whole number, as Slurm sets it in a job array (sbatch --array=0-9)")
-                    .advice("--shard I/N")
-            })
+        let bad = |problem: String, allowed: &str| {
+            BadInput::new(problem).place("environment").allowed(allowed).advice("--shard I/N")
         };
-        let optional = |name: &str, usual: usize| variable(name).map_or(Ok(usual), |text| number(name, Some(text)));
-        let count = number("SLURM_ARRAY_TASK_COUNT", variable("SLURM_ARRAY_TASK_COUNT"))?;
-        let task = number("SLURM_ARRAY_TASK_ID", Some(task))?;
-        let (first, step) = (optional("SLURM_ARRAY_TASK_MIN", 0)?, optional("SLURM_ARRAY_TASK_STEP", 1)?);
+        let number = |name: &str, text: &str| -> Result<usize, BadInput> {
+            let allowed = "a whole number, as Slurm sets it in a job array (sbatch --array=0-9)";
+            text.parse().map_err(|_| bad(format!("{name} is {text}"), allowed))
+        };
+        let read = |name: &str, usual: &str| number(name, variable(name).as_deref().unwrap_or(usual));
+        let count = read("SLURM_ARRAY_TASK_COUNT", "nothing")?;
+        let task = number("SLURM_ARRAY_TASK_ID", &task)?;
+        let (first, step) = (read("SLURM_ARRAY_TASK_MIN", "0")?, read("SLURM_ARRAY_TASK_STEP", "1")?);
         let index = task.saturating_sub(first) / step.max(1);
         if task < first || index >= count {
-            return Err(BadInput::new(format!(
-                "task {task} of a job array of {count} tasks from {first} in steps of {step}"
-            ))
-            .place("environment")
-            .allowed("an array of evenly spaced tasks (sbatch --array=0-9)")
-            .advice("--shard I/N"));
+            let problem = format!("task {task} of a job array of {count} tasks from {first} in steps of {step}");
+            return Err(bad(problem, "an array of evenly spaced tasks (sbatch --array=0-9)"));
         }
         Ok(Some(Self { index, count }))
     }

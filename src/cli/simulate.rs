@@ -9,8 +9,7 @@ use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
-use crate::adjoint::Dynamics;
-use crate::adjoint::RunError;
+use crate::adjoint::{Dynamics, RunError};
 use crate::config::layers::Setting;
 use crate::config::scene::Precision;
 use crate::design::diagnostics::Measurement;
@@ -28,7 +27,7 @@ use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
 use crate::sph::Sweeps;
 use clap::Args;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// Simulate a scene with its start shape; writes figures, plots and ParaView frames.
@@ -76,18 +75,12 @@ impl SimulateArguments {
             false => loaded.with(&[Setting::option("--resume", "time.step", format!("{:?}", before.time_step()))]),
         }
     }
-
-    /// The output folder; an error if it is not writable.
-    pub fn folder(&self, loaded: &Loaded) -> Result<PathBuf, Error> {
-        self.common.folder(self.resume.resume.as_deref(), "simulate", loaded)
-    }
 }
 
 /// Number of checkpoints per run, besides the one at the end.
 const CHECKPOINTS: usize = 10;
 /// Number of rows of history.csv.
 const HISTORY: usize = 400;
-/// The kind of its folders.
 const KIND: &str = "simulate";
 /// A checkpoint of the last good state of a diverged run.
 const LAST_GOOD: &str = "last-good.safetensors";
@@ -95,13 +88,13 @@ const LAST_GOOD: &str = "last-good.safetensors";
 const HALVINGS: usize = 4;
 
 pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
-    let folder = arguments.folder(&loaded)?;
+    let resume = arguments.resume.resume.as_deref();
+    let folder = arguments.common.folder(resume, KIND, &loaded)?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     if arguments.explain.explain {
         return explain(&loaded, false);
     }
-    let resume = arguments.resume.resume.as_deref();
     let halvings = if arguments.recover { HALVINGS } else { 0 };
     if arguments.recover && !loaded.config.method.facts().moves {
         return Err(BadInput::new("--recover with fixed particles, whose steps have one length")
@@ -129,11 +122,12 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let began = first.step;
     check_unfinished(began, &scene)?;
-    let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;
-    let start = ParticleFields::of(&mut { start })?;
+    let mut start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;
+    let start = ParticleFields::of(&mut start)?;
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
-    if let Some((design, wall)) = scene.design.as_ref().map(|design| (design, design.first_wall())) {
+    if let Some(design) = &scene.design {
+        let wall = design.first_wall();
         let mut columns = vec![(wall.column(), wall.offsets.as_slice())];
         columns.extend(wall.top.as_deref().map(|top| (TOP, top)));
         files::write_shape(folder, &wall, &columns)?;
@@ -187,11 +181,11 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         let path = folder.join(LAST_GOOD);
         checkpoint::write(&path, &scene.model, good, &loaded.text)?;
         if recovered.len() == halvings {
-            let kept = format!("\n  last good state: {} (step {})", path.display(), good.step);
-            let kept = match halvings {
-                0 => format!("{kept}; --recover goes on from there with shorter steps"),
-                _ => format!("{kept}; given up after {halvings} halvings of the step"),
+            let next = match halvings {
+                0 => "--recover goes on from there with shorter steps".to_string(),
+                _ => format!("given up after {halvings} halvings of the step"),
             };
+            let kept = format!("\n  last good state: {} (step {}); {next}", path.display(), good.step);
             return Err(found.told(&kept).into());
         }
         from = Snapshot { least_parts: 2 * from.least_parts, ..good.clone() };
@@ -211,18 +205,12 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let end = ParticleFields::of(&mut solver)?;
     end.write(folder, loaded)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
-    println!(
-        "{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s ({:.0} ns per particle and step)",
-        1e9 * seconds / (done * n) as f64
-    );
+    let each = 1e9 * seconds / (done * n) as f64;
+    println!("{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s ({each:.0} ns per particle and step)");
     let divided = solver.divided;
-    if let Some(last) = recovered.last() {
-        println!(
-            "recovered {}; from step {} on every step was made in {} parts",
-            if recovered.len() == 1 { "once".into() } else { format!("{} times", recovered.len()) },
-            last.from_step,
-            last.parts
-        );
+    if let Some(Recovery { from_step, parts, .. }) = recovered.last() {
+        let times = if recovered.len() == 1 { "once".into() } else { format!("{} times", recovered.len()) };
+        println!("recovered {times}; from step {from_step} on every step was made in {parts} parts");
     } else if divided.steps > 0 {
         println!(
             "{} steps in up to {} parts each: the flow was faster than fluid.reference_velocity = {}, or pushed harder",
@@ -255,18 +243,19 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
 fn check_unfinished<R: Sweeps>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
     let (steps, window) = (scene.steps, scene.design.as_ref().map_or(0, |design| design.window));
     let time = |steps: usize| steps as f64 * scene.model.dt;
+    let (problem, allowed) = if step >= steps {
+        (
+            format!("the run has its {step} steps already"),
+            "a run that was interrupted, or a longer time.end".to_string(),
+        )
+    } else if step > 0 && step + window > steps {
+        (
+            "the last part of the run, whose averages are taken, began before what is to come".to_string(),
+            format!("time.end of at least {:.6}: objective.window more than there is", time(step + window)),
+        )
+    } else {
+        return Ok(());
+    };
     let advice = format!("time.end={:.3}", 2.0 * time(step));
-    if step >= steps {
-        return Err(BadInput::new(format!("the run has its {step} steps already"))
-            .place("--resume")
-            .allowed("a run that was interrupted, or a longer time.end")
-            .advice(advice));
-    }
-    if step > 0 && step + window > steps {
-        return Err(BadInput::new("the last part of the run, whose averages are taken, began before what is to come")
-            .place("--resume")
-            .allowed(format!("time.end of at least {:.6}: objective.window more than there is", time(step + window)))
-            .advice(advice));
-    }
-    Ok(())
+    Err(BadInput::new(problem).place("--resume").allowed(allowed).advice(advice))
 }

@@ -23,7 +23,6 @@ pub struct Finished<'a, R> {
     pub loaded: &'a Loaded,
     pub folder: &'a Path,
     pub scene: &'a Scene<R>,
-    /// Rows of `history.csv`.
     pub history: &'a [Vec<f64>],
     pub end: &'a ParticleFields,
     pub seconds: f64,
@@ -45,20 +44,17 @@ pub fn report_design<R: Sweeps>(
     files::plot_temperature(folder, &loaded.config, &panels)?;
     files::plot_flow(folder, &loaded.config, &panels)?;
     let mut record = Record::of_design(loaded, d, finished.scene.steps, finished.seconds);
-    match design.parametrisation.across() {
+    if let Some(across) = design.parametrisation.across() {
         // For a wall over x and z these are its control points.
-        Some(across) => {
-            record.put("nodes", design.parametrisation.positions());
-            record.put("nodes_z", across);
-            record.put("offsets", &design.first);
-        }
-        None => {
-            let wall = design.first_wall();
-            record.put("nodes", wall.nodes);
-            record.put("offsets", wall.offsets);
-            if let Some(top) = wall.top {
-                record.put("top_offsets", top);
-            }
+        record.put("nodes", design.parametrisation.positions());
+        record.put("nodes_z", across);
+        record.put("offsets", &design.first);
+    } else {
+        let wall = design.first_wall();
+        record.put("nodes", wall.nodes);
+        record.put("offsets", wall.offsets);
+        if let Some(top) = wall.top {
+            record.put("top_offsets", top);
         }
     }
     let mut warnings = warnings::of_channel(&loaded.config, d, history);
@@ -68,16 +64,9 @@ pub fn report_design<R: Sweeps>(
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
     let per_depth = if is_deep { ", per depth" } else { "" };
-    println!(
-        "Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet{per_depth}",
-        d.q
-    );
-    println!(
-        "wall heat flux      {:.6}   stored {:+.6}, imbalance {:+.2} %",
-        d.wall_heat_flux,
-        d.stored_heat_rate,
-        100.0 * d.energy_imbalance
-    );
+    let (q, flux, stored, imbalance) = (d.q, d.wall_heat_flux, d.stored_heat_rate, 100.0 * d.energy_imbalance);
+    println!("Q                   {q:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet{per_depth}");
+    println!("wall heat flux      {flux:.6}   stored {stored:+.6}, imbalance {imbalance:+.2} %");
     println!("flow rate           {:.6}   fastest particle {:.4}", d.flow_rate, d.u_max);
     println!("body force          {:.6}   pumping power {:.6}", d.body_force, d.pumping_power);
     println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
@@ -106,14 +95,9 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     }
     let mut pictures = String::new();
     if loaded.config.scene == Family::Custom {
-        let end = finished.end;
-        let title = format!("t = {:.4}", end.time);
-        let speed = ("flow", "speed |u| (scene units)", title.as_str());
-        files::plot_scene(folder, speed, end, &files::speeds(end), scene.spacing)?;
+        let title = format!("t = {:.4}", finished.end.time);
         pictures.push_str(", flow.png");
-        if let Some(temperature) = &end.temperature {
-            let what = ("temperature", "temperature T (scene units)", title.as_str());
-            files::plot_scene(folder, what, end, temperature, scene.spacing)?;
+        if files::plot_flow_and_heat(folder, &[(&title, finished.end)], scene.spacing)? {
             pictures.push_str(", temperature.png");
         }
     }
@@ -125,19 +109,15 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
     if !rests {
-        println!(
-            "kinetic energy      {:.6}{}",
-            found.kinetic_energy,
-            against(found.kinetic_energy, found.exact_kinetic_energy)
-        );
+        let energy = found.kinetic_energy;
+        println!("kinetic energy      {energy:.6}{}", against(energy, found.exact_kinetic_energy));
         println!("fastest particle    {:.6}", found.largest_velocity);
     }
-    match found.velocity_error {
-        Some(error) => {
-            println!("velocity error      {}", mean_error(error, &format!(", over {}", scene.exact.amplitude_name())))
-        }
-        None if rests => {}
-        None => println!("velocity error      unknown: this flow has no closed form"),
+    if let Some(error) = found.velocity_error {
+        let over = format!(", over {}", scene.exact.amplitude_name());
+        println!("velocity error      {}", mean_error(error, &over));
+    } else if !rests {
+        println!("velocity error      unknown: this flow has no closed form");
     }
     if let Some(error) = found.temperature_error {
         let over = if rests { ", over the walls' difference" } else { "" };
@@ -148,13 +128,13 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             println!("flux, {wall} wall    {flux:.6}{}", against(flux, Some(exact)));
         }
     }
-    match (found.nusselt, found.exact_nusselt) {
-        (Some(nusselt), exact) => println!("Nusselt number      {nusselt:.4}{}", against(nusselt, exact)),
-        (None, Some(exact)) => println!(
+    if let Some(nusselt) = found.nusselt {
+        println!("Nusselt number      {nusselt:.4}{}", against(nusselt, found.exact_nusselt));
+    } else if let Some(exact) = found.exact_nusselt {
+        println!(
             "Nusselt number      exact {exact:.4}, not measured: the warm walls end before the profile is developed \
              (a larger channel.length)"
-        ),
-        (None, None) => {}
+        );
     }
     println!(
         "files in {}: report.html, summary.json, history.csv{}{pictures}{}, state.h5{}",
@@ -212,12 +192,7 @@ fn plot_energy(folder: &Path, history: &[Vec<f64>]) -> anyhow::Result<()> {
 }
 
 /// Plots `profile.png` and `.svg`: velocity along the channel, or temperature in a scene at rest, over the height.
-fn plot_profile<R: Sweeps>(
-    folder: &Path,
-    flow: &Scene<R>,
-    fields: &ParticleFields,
-    highest: f64,
-) -> anyhow::Result<()> {
+fn plot_profile<R: Sweeps>(folder: &Path, flow: &Scene<R>, fields: &ParticleFields, top: f64) -> anyhow::Result<()> {
     let n = flow.model.particles();
     let temperature = fields.temperature.as_ref().filter(|_| matches!(flow.exact, Exact::Slab(_)));
     let (what, unit) = match temperature {
@@ -228,7 +203,7 @@ fn plot_profile<R: Sweeps>(
     let fluid = (0..n).filter(|&i| flow.model.is_fluid(i));
     let mut simulated: Vec<(f64, f64)> = fluid.map(|i| (fields.position[n + i], value(i))).collect();
     simulated.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let height = |k: usize| highest * k as f64 / PROFILE as f64;
+    let height = |k: usize| top * k as f64 / PROFILE as f64;
     let known = |y: f64| match temperature {
         Some(_) => flow.exact.temperature([0.0, y, 0.0], fields.time),
         None => flow.exact.velocity([0.0, y, 0.0], fields.time).map(|u| u[0]),

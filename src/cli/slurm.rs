@@ -137,9 +137,7 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
         machine::answer(&json!({ "files": files, "tasks": main.tasks }));
         return Ok(files::print(all.as_bytes())?);
     }
-    for (file, _) in &scripts {
-        check_ours(file)?;
-    }
+    scripts.iter().try_for_each(|(file, _)| check_ours(file))?;
     for (file, text) in &scripts {
         write_bytes_atomically(file, text.as_bytes())?;
     }
@@ -148,15 +146,14 @@ pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
     println!("files: {}{tasks}", names.join(" and "));
     let line = next(&scripts);
     let mut numbers = Vec::new();
-    match arguments.submit {
-        false => println!("next: {line}"),
-        true => {
-            for (file, _) in &scripts {
-                numbers.push(submit(file, numbers.first())?);
-            }
-            println!("jobs: {}", numbers.join(" and then "));
-            println!("next: squeue --job {}    scancel ends a job", numbers.join(","));
+    if arguments.submit {
+        for (file, _) in &scripts {
+            numbers.push(submit(file, numbers.first())?);
         }
+        println!("jobs: {}", numbers.join(" and then "));
+        println!("next: squeue --job {}    scancel ends a job", numbers.join(","));
+    } else {
+        println!("next: {line}");
     }
     machine::answer(&json!({ "files": names, "tasks": main.tasks, "jobs": numbers, "submit": line }));
     Ok(())
@@ -212,9 +209,7 @@ pub fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Jo
             return Ok(None);
         }
         Err(error) => {
-            let problem = error.to_string();
-            let problem = problem.trim().trim_start_matches("error: ");
-            return Err(BadInput::new(problem)
+            return Err(BadInput::new(error.to_string().trim().trim_start_matches("error: "))
                 .place(line())
                 .allowed("a command as it would be typed without Slurm")
                 .into());
@@ -234,33 +229,28 @@ pub fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Jo
                 .into());
         }
     }
-    let Shares { mut main, merge, pieces, is_shared } =
-        shares(&cli, Words { typed, cpus: arguments.cpus, json: cli.json })?;
-    match (arguments.ranks, &cli.command) {
-        (None, _) => {}
-        (Some(_), Command::Train(_)) => main.ranks = arguments.ranks,
-        (Some(ranks), _) => {
-            return Err(BadInput::new(format!("only a training has ranks, not {}", line()))
-                .place(format!("--ranks {ranks}"))
-                .allowed("train")
-                .advice("--tasks for what has shares")
-                .into())
-        }
+    let Shares { mut main, merge, pieces } = shares(&cli, Words { typed, cpus: arguments.cpus, json: cli.json })?;
+    main.ranks = arguments.ranks;
+    if let (Some(ranks), false) = (main.ranks, matches!(cli.command, Command::Train(_))) {
+        return Err(BadInput::new(format!("only a training has ranks, not {}", line()))
+            .place(format!("--ranks {ranks}"))
+            .allowed("train")
+            .advice("--tasks for what has shares")
+            .into());
     }
-    let bad = |tasks: usize, problem: String, allowed: String| {
-        BadInput::new(problem).place(format!("--tasks {tasks}")).allowed(allowed)
+    let bad = |tasks: usize, problem: String, allowed: &str| {
+        Err(BadInput::new(problem).place(format!("--tasks {tasks}")).allowed(allowed).into())
     };
     main.tasks = match arguments.tasks {
-        Some(tasks) if !is_shared => {
+        None => merge.is_some().then_some(pieces.min(USUAL_TASKS)),
+        Some(tasks) if merge.is_none() => {
             let allowed = "of generate, stress, study, validate and optimize --start all";
-            return Err(bad(tasks, format!("{} is one run, without shares", line()), allowed.into()).into());
+            return bad(tasks, format!("{} is one run, without shares", line()), allowed);
         }
         Some(tasks) if tasks > pieces => {
-            let problem = format!("there are {pieces} pieces of work");
-            return Err(bad(tasks, problem, format!("1 ... {pieces}")).into());
+            return bad(tasks, format!("there are {pieces} pieces of work"), &format!("1 ... {pieces}"));
         }
-        Some(tasks) => Some(tasks),
-        None => is_shared.then_some(pieces.min(USUAL_TASKS)),
+        tasks => tasks,
     };
     Ok(Some((main, merge)))
 }
@@ -270,7 +260,7 @@ fn has(words: &[String], option: &str) -> bool {
     words.iter().any(|word| word.strip_prefix(option).is_some_and(|rest| rest.is_empty() || rest.starts_with('=')))
 }
 
-/// The words of a command, and its missing options.
+/// The words of a command as typed, and what it is given besides.
 #[derive(Clone, Copy)]
 struct Words<'a> {
     typed: &'a [String],
@@ -293,18 +283,17 @@ impl Words<'_> {
     /// The words of another command that continues what this one started in a folder.
     fn other<'w>(&self, words: impl IntoIterator<Item = &'w str>, folder: &Path) -> Vec<String> {
         let words = words.into_iter().map(str::to_string).chain([folder.display().to_string()]);
-        let json = self.json.then(|| "--json".to_string());
-        words.chain(json).collect()
+        words.chain(self.json.then(|| "--json".to_string())).collect()
     }
 }
 
 /// How a command is divided into shares.
 struct Shares {
     main: Job,
+    /// None for a command without shares.
     merge: Option<Job>,
     /// Number of pieces of its work.
     pieces: usize,
-    is_shared: bool,
 }
 
 impl Shares {
@@ -312,11 +301,11 @@ impl Shares {
     fn array(name: &str, pieces: usize, command: Vec<String>, merge: Vec<String>) -> Self {
         let main = Job { name: name.into(), command, ..Job::default() };
         let merge = Job { name: format!("{name}-merge"), command: merge, ..Job::default() };
-        Self { main, merge: Some(merge), pieces, is_shared: true }
+        Self { main, merge: Some(merge), pieces }
     }
 
     fn single(main: Job) -> Self {
-        Self { main, merge: None, pieces: 1, is_shared: false }
+        Self { main, merge: None, pieces: 1 }
     }
 }
 
@@ -340,39 +329,34 @@ fn shares(cli: &Cli, words: Words<'_>) -> anyhow::Result<Shares> {
         }
         words
     };
+    let with_resume = |kind: &'static str, folder: &Path, resumes: bool, pieces: usize| {
+        check_new(folder, kind, resumes)?;
+        let whole = words.whole(folder);
+        Ok::<_, BadInput>(Shares::array(kind, pieces, whole.clone(), also(whole, "--resume")))
+    };
     Ok(match &cli.command {
         Command::Generate(own) => {
-            let loaded = own.load()?;
-            let (recipe, folder) = (own.recipe(&loaded)?, own.folder(&loaded)?);
+            let loaded = own.common.load(None, vec![], vec![])?;
+            let (recipe, folder) = (own.recipe(&loaded)?, own.common.folder(None, "generate", &loaded)?);
             recipe.check(&loaded)?;
             RunFolder::check(&folder, "generate", Earlier::Replaced)?;
             let merge = words.other(["merge"], &folder);
             Shares::array("generate", recipe.jobs().len(), words.whole(&folder), merge)
         }
-        Command::Stress(own) => {
-            let pieces = own.jobs(&own.maps()?)?.len();
-            check_new(&own.out, "stress", own.resume)?;
-            let whole = words.whole(&own.out);
-            Shares::array("stress", pieces, whole.clone(), also(whole, "--resume"))
-        }
+        Command::Stress(own) => with_resume("stress", &own.out, own.resume, own.jobs(&own.maps()?)?.len())?,
+        Command::Validate(own) => with_resume("validate", &own.out, own.resume, own.cases()?.len())?,
         Command::Study(own) => {
             let (_, points, _) = own.study()?;
             let whole = words.whole(&own.out);
             Shares::array("study", points.len(), whole.clone(), whole)
         }
-        Command::Validate(own) => {
-            let pieces = own.cases()?.len();
-            check_new(&own.out, "validate", own.resume)?;
-            let whole = words.whole(&own.out);
-            Shares::array("validate", pieces, whole.clone(), also(whole, "--resume"))
-        }
         Command::Optimize(own) => optimize(own, words)?,
         Command::Simulate(own) => {
             let loaded = own.load()?;
-            let (folder, from) = (own.folder(&loaded)?, own.resume.resume.as_deref());
-            let again = words
-                .other(["simulate"].into_iter().chain(own.recover.then_some("--recover")).chain(["--resume"]), &folder);
-            one_run("simulate", "simulate", &folder, from, words, again)?
+            let from = own.resume.resume.as_deref();
+            let folder = own.common.folder(from, "simulate", &loaded)?;
+            let again = ["simulate"].into_iter().chain(own.recover.then_some("--recover")).chain(["--resume"]);
+            one_run("simulate", "simulate", &folder, from, words, words.other(again, &folder))?
         }
         Command::Train(own) => {
             check_new(&own.out, "train", own.resume)?;
@@ -404,9 +388,7 @@ fn optimize(own: &OptimizeArguments, words: Words<'_>) -> anyhow::Result<Shares>
     let loaded = own.load()?;
     let folder = own.free(own.folder(&loaded)?);
     let (kind, from) = (own.kind(), own.resume.resume.as_deref());
-    let mut again: Vec<&str> = kind.split(' ').collect();
-    again.extend(own.no_verify.then_some("--no-verify"));
-    again.push("--resume");
+    let again = kind.split(' ').chain(own.no_verify.then_some("--no-verify")).chain(["--resume"]);
     let again = words.other(again, &folder);
     if kind != STARTS {
         return one_run("optimize", kind, &folder, from, words, again);
@@ -445,16 +427,9 @@ fn one_run(
 
 /// The words without an option and its value.
 fn without_value(words: Vec<String>, option: &str) -> Vec<String> {
-    let mut words = words.into_iter();
-    let mut kept = Vec::new();
-    while let Some(word) = words.next() {
-        if word == option {
-            words.next();
-        } else if !has(std::slice::from_ref(&word), option) {
-            kept.push(word);
-        }
-    }
-    kept
+    let is_value = |k: usize| k > 0 && words[k - 1] == option;
+    let is_kept = |k: &usize| !is_value(*k) && !has(&words[*k..=*k], option);
+    (0..words.len()).filter(is_kept).map(|k| words[k].clone()).collect()
 }
 
 impl Job {
@@ -488,10 +463,14 @@ impl Job {
             text += &format!("#SBATCH {}\n", one_line(&of_sbatch(option))?);
         }
         let share = self.tasks.map_or(String::new(), |tasks| format!(" --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\""));
-        let launch = match self.ranks {
-            // srun does not use all cores of the job by default.
-            Some(_) => format!("srun --mpi=pmix --kill-on-bad-exit --cpus-per-task={} ", wanted.cpus),
-            None => String::new(),
+        let (launch, forward) = match self.ranks {
+            // srun does not use all cores of the job by default, and would kill the processes at a signal that does not
+            // go through Slurm.
+            Some(_) => (
+                format!("srun --mpi=pmix --kill-on-bad-exit --cpus-per-task={} ", wanted.cpus),
+                "scancel --signal=TERM \"$job\"",
+            ),
+            None => (String::new(), "kill -TERM \"$child\" 2>/dev/null"),
         };
         let call = |words: &[String]| -> Result<String, BadInput> {
             let words: Vec<String> = wanted.program.iter().chain(words).map(|word| quoted(word)).collect();
@@ -500,10 +479,9 @@ impl Job {
         text += &format!("{OURS} {}, which writes it anew.\n", files::VERSION);
         text += match is_array {
             // One of the tasks has the number of the whole array, so this is the task's own number.
-            true => "job=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID\n",
-            false => "job=$SLURM_JOB_ID\n",
+            true => "job=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID\n\n",
+            false => "job=$SLURM_JOB_ID\n\n",
         };
-        text.push('\n');
         if let Some(marker) = &self.marker {
             let marker = one_line(&quoted(&marker.display().to_string()))?;
             text += &format!("if [ \"$(sed -n 2p {marker} 2>/dev/null)\" = finished ]; then\n");
@@ -517,40 +495,12 @@ impl Job {
                 text += &format!("else\n    {}\nfi\n", call(&self.command)?);
             }
         }
-        let forward = match self.ranks {
-            // The signal must go through Slurm, because srun would kill the processes.
-            Some(_) => "scancel --signal=TERM \"$job\"",
-            None => "kill -TERM \"$child\" 2>/dev/null",
-        };
-        Ok(text + &body(forward))
+        Ok(text + &BODY.replace("{forward}", forward).replace("{most_restarts}", &MOST_RESTARTS.to_string()))
     }
 }
 
 /// The common part of all jobs: runs the command, forwards SIGTERM to it, and requeues the job.
-fn body(forward: &str) -> String {
-    format!(
-        r#"
-echo "== $(date -u +%FT%TZ) job $job, start ${{SLURM_RESTART_COUNT:-0}}: $*"
-# SIGTERM comes before the time limit: hydrograd keeps what there is and ends with 143.
-trap '{forward}' TERM
-"$@" &
-child=$!
-wait "$child"
-code=$?
-# A signal ends `wait`, and not yet the command.
-while kill -0 "$child" 2>/dev/null; do
-    wait "$child"
-    code=$?
-done
-# Queued again, unless it was cancelled (then it is not RUNNING any more) or does not get on.
-if [ "$code" = 143 ] && [ "$(squeue --noheader --job "$job" --format %T)" = RUNNING ] &&
-    [ "${{SLURM_RESTART_COUNT:-0}}" -lt {MOST_RESTARTS} ]; then
-    scontrol requeue "$job"
-fi
-exit "$code"
-"#
-    )
-}
+const BODY: &str = include_str!("slurm_job.sh");
 
 /// Quotes a word for a shell.
 fn quoted(word: &str) -> String {
@@ -562,9 +512,8 @@ fn quoted(word: &str) -> String {
 
 /// Quotes an option for sbatch in a file.
 fn of_sbatch(option: &str) -> String {
-    let plain = |text: &str| text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c));
     match option.split_once('=') {
-        Some((name, value)) if !plain(value) => {
+        Some((name, value)) if !is_plain(value) => {
             format!("{name}=\"{}\"", value.replace('\\', r"\\").replace('"', "\\\""))
         }
         _ => option.to_string(),
@@ -581,49 +530,44 @@ fn one_line(text: &str) -> Result<String, BadInput> {
 
 /// Slurm's notations of a time: `MM`, `MM:SS`, `HH:MM:SS`, `D-HH`, `D-HH:MM`, `D-HH:MM:SS`.
 fn time(text: &str) -> Result<String, String> {
-    let allowed = || {
-        "allowed: minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before".into()
-    };
-    let (days, rest) = match text.split_once('-') {
-        Some((days, rest)) => (Some(days), rest),
-        None => (None, text),
-    };
+    let (days, rest) = text.split_once('-').map_or((None, text), |(days, rest)| (Some(days), rest));
     let numbers: Option<Vec<u64>> = days.into_iter().chain(rest.split(':')).map(|part| part.parse().ok()).collect();
-    let of = |units: &[u64], numbers: &[u64]| -> Option<u64> {
-        let parts = units.iter().zip(numbers).map(|(unit, number)| unit.checked_mul(*number));
-        parts.sum::<Option<u64>>()
-    };
     const UNITS: [u64; 4] = [86_400, 3_600, 60, 1];
-    let seconds = numbers.and_then(|numbers| match (days.is_some(), numbers.len()) {
-        (true, 2..=4) => of(&UNITS, &numbers),
-        (false, 1 | 2) => of(&UNITS[2..], &numbers),
-        (false, 3) => of(&UNITS[1..], &numbers),
-        _ => None,
+    let seconds = numbers.and_then(|numbers| {
+        let units = match (days.is_some(), numbers.len()) {
+            (true, 2..=4) => &UNITS[..],
+            (false, 1 | 2) => &UNITS[2..],
+            (false, 3) => &UNITS[1..],
+            _ => return None,
+        };
+        units.iter().zip(numbers).map(|(unit, number)| unit.checked_mul(number)).sum::<Option<u64>>()
     });
-    match seconds {
-        Some(seconds) if seconds >= SHORTEST => Ok(text.to_string()),
-        _ => Err(allowed()),
-    }
+    let allowed = "minutes, HH:MM:SS or D-HH:MM:SS, and at least 00:03:00: a job is told to stop a minute before";
+    checked(text, seconds.is_some_and(|seconds| seconds >= SHORTEST), allowed)
 }
 
 fn memory(text: &str) -> Result<String, String> {
-    let number = text.strip_suffix(['K', 'M', 'G', 'T']).unwrap_or(text);
-    match number.parse::<u64>() {
-        Ok(size) if size > 0 => Ok(text.to_string()),
-        _ => Err("allowed: a whole number with K, M, G or T behind it, such as 4G".into()),
-    }
+    let number = text.strip_suffix(['K', 'M', 'G', 'T']).unwrap_or(text).parse::<u64>();
+    checked(text, number.is_ok_and(|size| size > 0), "a whole number with K, M, G or T behind it, such as 4G")
 }
 
 fn name(text: &str) -> Result<String, String> {
-    match !text.is_empty() && text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c)) {
-        true => Ok(text.to_string()),
-        false => Err("allowed: a name without spaces and quotes, as sinfo prints it".into()),
-    }
+    checked(text, !text.is_empty() && is_plain(text), "a name without spaces and quotes, as sinfo prints it")
 }
 
 fn sbatch_option(text: &str) -> Result<String, String> {
-    match text.starts_with('-') && !text.contains(char::is_control) {
+    let is_option = text.starts_with('-') && !text.contains(char::is_control);
+    checked(text, is_option, "an option of sbatch's, such as --option=--qos=long")
+}
+
+fn checked(text: &str, is_allowed: bool, allowed: &str) -> Result<String, String> {
+    match is_allowed {
         true => Ok(text.to_string()),
-        false => Err("allowed: an option of sbatch's, such as --option=--qos=long".into()),
+        false => Err(format!("allowed: {allowed}")),
     }
+}
+
+/// Whether sbatch takes a text without quotes.
+fn is_plain(text: &str) -> bool {
+    text.chars().all(|c| c.is_ascii_graphic() && !"\"'\\#".contains(c))
 }

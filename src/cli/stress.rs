@@ -1,7 +1,7 @@
 //! `hydrograd stress`: maps of the solver's stability.
 
 use super::arguments::set_option;
-use super::files::{write_json, VERSION};
+use super::files::{or_empty, write_json, VERSION};
 use super::machine;
 use super::page;
 use super::prepare::{share_out, use_threads, workers};
@@ -14,7 +14,7 @@ use crate::numerics::interrupt;
 use crate::report::plots::{stability, StabilityAxes, StabilityPanel};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::validation::stress::{maps, Fault, Found, Job, Map, Record, Verdict};
+use crate::validation::stress::{maps, Fault, Found, Job, Map, Panel, Record, Verdict};
 use clap::Args;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -84,7 +84,6 @@ impl StressArguments {
         Ok(jobs)
     }
 
-    /// The requested maps.
     pub(super) fn maps(&self) -> Result<Vec<Map>, BadInput> {
         let mut maps = maps::all();
         let mut scenes: Vec<&str> = maps.iter().map(|map| map.scene).collect();
@@ -104,7 +103,6 @@ impl StressArguments {
     }
 }
 
-/// The kind of its folders.
 const KIND: &str = "stress";
 
 pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
@@ -115,12 +113,10 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         println!("{}", list.to_text());
         return Ok(());
     }
-    let share = arguments.shard.share()?;
-    let (shard, is_shared) = (share.unwrap_or(Shard::ALL), share.is_some());
-    let out = &arguments.out;
+    let (share, out) = (arguments.shard.share()?, &arguments.out);
     RunFolder::check(out, KIND, Earlier::Resumed)?;
     let runs = out.join("runs");
-    if runs.exists() && !arguments.resume && !is_shared {
+    if runs.exists() && !arguments.resume && share.is_none() {
         return Err(BadInput::new(format!("{} holds runs already", out.display()))
             .place(format!("--out {}", out.display()))
             .allowed("a new folder, or --resume, which keeps them")
@@ -129,19 +125,15 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     }
     let jobs = arguments.jobs(&maps)?;
     use_threads(1);
-    let own = match is_shared {
-        true => RunFolder::share(out, KIND)?,
-        false => RunFolder::take(out, KIND, Earlier::Resumed)?,
-    };
-    interrupt::listen(match is_shared {
-        true => "the same command again: finished runs are kept",
-        false => "the same command with --resume: finished runs are kept",
-    })?;
+    let own = RunFolder::for_work(share, out, KIND, Earlier::Resumed)?;
+    let how = if share.is_some() { "again" } else { "with --resume" };
+    interrupt::listen(format!("the same command {how}: finished runs are kept"))?;
     prepare_output_folder(&runs)?;
-    let known: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
-    let todo: Vec<usize> = (0..jobs.len()).filter(|&k| shard.has(k) && known[k].is_none()).collect();
+    let mut records: Vec<Option<Record>> = jobs.iter().map(|(_, job)| kept(&runs, job)).collect();
+    let shard = share.unwrap_or(Shard::ALL);
+    let todo: Vec<usize> = (0..jobs.len()).filter(|&k| shard.has(k) && records[k].is_none()).collect();
     let bar = Progress::new(todo.len() as u64, "stress");
-    let found = share_out(workers(arguments.threads, todo.len()), &todo, |&k| {
+    let made = share_out(workers(arguments.threads, todo.len()), &todo, |&k| {
         let job = &jobs[k].1;
         let record = job.run()?;
         write_bytes_atomically(&file(&runs, job), (serde_json::to_string_pretty(&record)? + "\n").as_bytes())?;
@@ -150,13 +142,13 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
         Ok((k, record))
     })?;
     bar.finish();
-    let mut records = known;
-    for (k, record) in found {
+    for (k, record) in made {
         records[k] = Some(record);
     }
-    let done: Vec<(usize, (Job, Option<Record>))> =
-        jobs.into_iter().zip(records).map(|((map, job), record)| (map, (job, record))).collect();
-    let of = |k: usize| done.iter().filter(|(map, _)| *map == k).map(|(_, run)| run.clone()).collect::<Vec<_>>();
+    let of = |k: usize| {
+        let runs = jobs.iter().zip(&records).filter(|((map, _), _)| *map == k);
+        runs.map(|((_, job), record)| (job.clone(), record.clone())).collect::<Vec<_>>()
+    };
     let all: Vec<Found> = maps.iter().enumerate().map(|(k, map)| Found::new(map, &of(k))).collect();
     write(out, &all)?;
     for found in &all {
@@ -165,19 +157,15 @@ pub fn run(arguments: StressArguments) -> anyhow::Result<()> {
     }
     page::write(out)?;
     println!("{}", largest(&all).to_text());
-    let seen: Vec<&Record> = done.iter().filter_map(|(_, (_, record))| record.as_ref()).collect();
-    let count = |verdict: Verdict| seen.iter().filter(|record| record.verdict == verdict).count();
+    let (count, done) = (jobs.len(), records.iter().flatten().count());
+    let [stable, degraded, diverged] = [Verdict::Stable, Verdict::Degraded, Verdict::Diverged]
+        .map(|verdict| records.iter().flatten().filter(|record| record.verdict == verdict).count());
+    let kept = done - todo.len();
     println!(
-        "{} of {} runs: {} stable, {} degraded, {} diverged; {} kept from before",
-        seen.len(),
-        done.len(),
-        count(Verdict::Stable),
-        count(Verdict::Degraded),
-        count(Verdict::Diverged),
-        seen.len() - todo.len(),
+        "{done} of {count} runs: {stable} stable, {degraded} degraded, {diverged} diverged; {kept} kept from before"
     );
     println!("files in {}: stress.json, stress.csv, a picture per map, runs/, report.html", out.display());
-    if seen.len() < done.len() {
+    if done < count {
         println!("next: hydrograd stress --resume --out {}    runs what is missing, and draws all", out.display());
         return Ok(());
     }
@@ -238,16 +226,8 @@ fn text_of(found: &Found) -> String {
 
 /// The largest stable CFL number of each scene.
 fn largest(all: &[Found]) -> Table {
-    let header = [
-        "scene",
-        "formulation",
-        "precision",
-        "largest stable CFL",
-        "with any jitter",
-        "without divergence",
-        "with any jitter",
-    ];
-    let mut table = Table::new(header);
+    let columns = ["largest stable CFL", "with any jitter", "without divergence", "with any jitter"];
+    let mut table = Table::new(["scene", "formulation", "precision"].into_iter().chain(columns));
     for found in all.iter().filter(|found| found.map.name == "step") {
         for (panel, rows) in &found.panels {
             let numbers = [Verdict::Stable, Verdict::Degraded].map(|worst| found.largest(rows, worst));
@@ -258,6 +238,50 @@ fn largest(all: &[Found]) -> Table {
     table
 }
 
+/// A run and its place in a map.
+struct Place<'a> {
+    map: &'a Map,
+    panel: &'a Panel,
+    x: &'a str,
+    y: &'a str,
+    record: &'a Record,
+}
+
+impl Place<'_> {
+    /// A cell about the fault of a run; empty without one.
+    fn fault<'f, T: Into<Cell>>(&'f self, of: impl Fn(&'f Fault) -> Option<T>) -> Cell {
+        or_empty(self.record.fault.as_ref().and_then(of))
+    }
+}
+
+/// The name of a column, and its cell of a run.
+type Column = (&'static str, fn(&Place) -> Cell);
+
+/// The columns of `stress.csv`.
+const COLUMNS: [Column; 21] = [
+    ("scene", |run| run.map.scene.into()),
+    ("map", |run| run.map.name.into()),
+    ("formulation", |run| run.panel.formulation.into()),
+    ("precision", |run| run.panel.precision.name().into()),
+    ("x", |run| run.map.x.name.into()),
+    ("x_value", |run| run.x.into()),
+    ("y", |run| run.map.y.name.into()),
+    ("y_value", |run| run.y.into()),
+    ("verdict", |run| run.record.verdict.name().into()),
+    ("quantity", |run| run.fault(|fault| Some(fault.quantity.as_str()))),
+    ("value", |run| run.fault(|fault| Some(fault.value))),
+    ("limit", |run| run.fault(|fault| fault.limit)),
+    ("step", |run| run.fault(|fault| Some(fault.step))),
+    ("time", |run| run.fault(|fault| Some(fault.time))),
+    ("particle", |run| run.fault(|fault| fault.particle)),
+    ("cause", |run| run.fault(|fault| fault.cause.as_deref())),
+    ("courant_number", |run| run.record.courant_number.into()),
+    ("diffusion_number", |run| run.record.diffusion_number.into()),
+    ("cell_reynolds_number", |run| run.record.cell_reynolds_number.into()),
+    ("time_step", |run| run.record.time_step.into()),
+    ("seconds", |run| run.record.seconds.into()),
+];
+
 /// Writes `stress.json` and `stress.csv`.
 fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
     let (mut maps, mut rows) = (Vec::new(), Vec::new());
@@ -267,30 +291,11 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
         for (panel, cells) in &found.panels {
             for (y, row) in cells.iter().enumerate() {
                 for (x, record) in row.iter().enumerate().filter_map(|(x, cell)| Some((x, cell.as_ref()?))) {
-                    let (at_x, at_y) = (&map.x.values[x].label, &map.y.values[y].label);
-                    let precision = panel.precision.name();
-                    runs.push(json!({ "formulation": panel.formulation, "precision": precision,
-                        "x": at_x, "y": at_y, "record": record }));
-                    let words = [
-                        map.scene,
-                        map.name,
-                        panel.formulation,
-                        precision,
-                        map.x.name,
-                        at_x,
-                        map.y.name,
-                        at_y,
-                        record.verdict.name(),
-                    ];
-                    let numbers = [
-                        record.courant_number,
-                        record.diffusion_number,
-                        record.cell_reynolds_number,
-                        record.time_step,
-                        record.seconds,
-                    ];
-                    let cells = words.into_iter().map(Cell::from).chain(of_fault(record.fault.as_ref()));
-                    rows.push(cells.chain(numbers.map(Cell::from)).collect::<Vec<_>>());
+                    let (x, y) = (&map.x.values[x].label, &map.y.values[y].label);
+                    runs.push(json!({ "formulation": panel.formulation, "precision": panel.precision.name(),
+                        "x": x, "y": y, "record": record }));
+                    let place = Place { map, panel, x, y, record };
+                    rows.push(COLUMNS.iter().map(|(_, cell)| cell(&place)).collect::<Vec<_>>());
                 }
             }
         }
@@ -303,47 +308,8 @@ fn write(folder: &Path, all: &[Found]) -> anyhow::Result<()> {
         maps.push(json!({ "scene": map.scene, "map": map.name, "x": map.x.name, "y": map.y.name,
             "edge": found.edge(), "largest": largest.collect::<Vec<_>>(), "runs": runs }));
     }
-    let header = [
-        "scene",
-        "map",
-        "formulation",
-        "precision",
-        "x",
-        "x_value",
-        "y",
-        "y_value",
-        "verdict",
-        "quantity",
-        "value",
-        "limit",
-        "step",
-        "time",
-        "particle",
-        "cause",
-        "courant_number",
-        "diffusion_number",
-        "cell_reynolds_number",
-        "time_step",
-        "seconds",
-    ];
-    write_table(&folder.join("stress.csv"), &header, &rows)?;
+    write_table(&folder.join("stress.csv"), &COLUMNS.map(|(name, _)| name), &rows)?;
     write_json(&folder.join("stress.json"), &json!({ "version": VERSION, "maps": maps }))
-}
-
-/// Cells of quantity, value, limit, step, time, particle and cause; empty without a fault.
-fn of_fault(fault: Option<&Fault>) -> [Cell; 7] {
-    let empty = || Cell::from("");
-    let number = |value: Option<f64>| value.map_or_else(empty, Cell::from);
-    let count = |value: Option<usize>| value.map_or_else(empty, Cell::from);
-    [
-        fault.map_or_else(empty, |fault| Cell::from(fault.quantity.as_str())),
-        number(fault.map(|fault| fault.value)),
-        number(fault.and_then(|fault| fault.limit)),
-        count(fault.map(|fault| fault.step)),
-        number(fault.map(|fault| fault.time)),
-        count(fault.and_then(|fault| fault.particle)),
-        fault.and_then(|fault| fault.cause.as_deref()).map_or_else(empty, Cell::from),
-    ]
 }
 
 fn draw(folder: &Path, found: &Found) -> anyhow::Result<()> {
@@ -352,7 +318,7 @@ fn draw(folder: &Path, found: &Found) -> anyhow::Result<()> {
     if columns.is_empty() {
         return Ok(());
     }
-    let panel = |(panel, cells): &(crate::validation::stress::Panel, Vec<Vec<Option<Record>>>)| StabilityPanel {
+    let panel = |(panel, cells): &(Panel, Vec<Vec<Option<Record>>>)| StabilityPanel {
         title: format!("{}, {}", panel.formulation, panel.precision.name()),
         cells: rows.iter().map(|&y| columns.iter().map(|&x| mark(cells[y][x].as_ref())).collect()).collect(),
     };

@@ -1,6 +1,7 @@
 //! `hydrograd study`: trains over a grid of settings, with a table and plots.
 
 use super::arguments::{at_least_one, threads};
+use super::files::or_empty;
 use super::grid::{points, GridKey, GridPoint, PointOutcome, Study, Validation};
 use super::machine;
 use super::page;
@@ -56,14 +57,10 @@ pub struct StudyArguments {
     pub shard: ShardArgument,
 }
 
-/// The kind of its folders.
 const KIND: &str = "study";
 
 impl StudyArguments {
     /// The grid, its points, and their common settings.
-    ///
-    /// # Errors
-    /// A grid, settings or data that are not allowed.
     pub(super) fn study(&self) -> anyhow::Result<(Vec<GridKey>, Vec<GridPoint>, Study)> {
         let grid = self.grid.iter().map(|text| GridKey::parse(text)).collect::<Result<Vec<_>, _>>()?;
         let points = points(&grid)?;
@@ -84,168 +81,131 @@ pub fn run(arguments: StudyArguments) -> anyhow::Result<()> {
     let (grid, points, study) = arguments.study()?;
     let share = arguments.shard.share()?;
     // Errors are found before hours of training.
-    let known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
-    let kept = known.iter().flatten().count();
-    if let Some(shard) = share {
-        return train_share(&study, shard, &points, &known);
-    }
+    let mut known = points.iter().map(|point| study.finished(point)).collect::<Result<Vec<_>, _>>()?;
     // A study does not discard earlier trainings: different ones are an error.
-    let own = RunFolder::take(&study.out, KIND, Earlier::Resumed)?;
-
+    let own = RunFolder::for_work(share, &study.out, KIND, Earlier::Resumed)?;
     interrupt::listen("the same command again: what is trained is kept")?;
-    let bar = Progress::new(points.len() as u64, "study");
-    let mut outcomes = Vec::new();
-    for (point, known) in points.iter().zip(known) {
+    let shard = share.unwrap_or(Shard::ALL);
+    let mine: Vec<usize> = (0..points.len()).filter(|&k| shard.has(k)).collect();
+    let kept = mine.iter().filter(|&&k| known[k].is_some()).count();
+    let bar = Progress::new(mine.len() as u64, "study");
+    let (mut outcomes, mut failed) = (Vec::new(), Vec::new());
+    for k in mine {
+        let point = &points[k];
         bar.message(point.name());
-        let outcome = match known {
+        let outcome = match known[k].take() {
             Some(outcome) => outcome,
             None => study.train(point)?,
         };
+        if let PointOutcome::Failed(message) = &outcome {
+            failed.push(format!("{}: {message}", point.name()));
+            if share.is_some() {
+                bar.log(&format!("{} failed: {message}", point.name()));
+            }
+        }
         outcomes.push((point.clone(), outcome));
-        // Writes the table after every point, in case the study is interrupted.
-        write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
+        if share.is_none() {
+            // The table is written after every point, in case the study is interrupted.
+            write_csv(&study.out.join("study.csv"), &grid, &outcomes)?;
+        }
         bar.done(1);
     }
     bar.finish();
+    let (count, trained) = (outcomes.len(), outcomes.len() - kept - failed.len());
+    let answer = |files: Value| {
+        json!({
+            "folder": machine::path(&study.out),
+            "data": machine::path(&study.data),
+            "steps": study.steps,
+            "kept": kept,
+            "trained": trained,
+            "failed": failed.len(),
+            "points": outcomes.iter().map(|(point, outcome)| row(&study, point, outcome)).collect::<Vec<_>>(),
+            "files": files,
+        })
+    };
+    if share.is_some() {
+        machine::answer(&answer(json!([])));
+        let (all, failed) = (points.len(), failed.len());
+        println!("{count} of {all} points: {trained} trained, {kept} kept from before, {failed} failed");
+        println!("next: the same command without --shard, once all shares are done    makes the table of all points");
+        return Ok(());
+    }
     let pictures = plot(&study.out, &grid, &outcomes)?;
     page::write(&study.out)?;
     let names = ["study.csv", PAGE].into_iter().chain(pictures.iter().map(String::as_str));
-    let files = machine::paths_in(&study.out, names);
-    machine::answer(&summary(&study, &outcomes, kept, files));
+    machine::answer(&answer(machine::paths_in(&study.out, names)));
     println!("{}", table(&grid, &outcomes));
-    println!("{} points, {kept} of them trained before", outcomes.len());
+    println!("{count} points, {kept} of them trained before");
     println!(
         "files in {}: report.html, study.csv, {}, and a folder per point",
         study.out.display(),
         if pictures.is_empty() { "no plots".into() } else { pictures.join(", ") }
     );
-    let failed: Vec<String> = outcomes
-        .iter()
-        .filter_map(|(point, outcome)| match outcome {
-            PointOutcome::Failed(message) => Some(format!("{}: {message}", point.name())),
-            PointOutcome::Trained { .. } => None,
-        })
-        .collect();
     match failed.first() {
         None => own.finish(),
         Some(first) => {
-            let problem = format!("{} of {} points failed; the first: {first}", failed.len(), outcomes.len());
+            let problem = format!("{} of {count} points failed; the first: {first}", failed.len());
             Err(Error::run(problem, "the same command again: only what is missing is trained").into())
         }
     }
 }
 
-/// Trains the points of a share. A run without a share makes the table of all.
-fn train_share(
-    study: &Study,
-    shard: Shard,
-    points: &[GridPoint],
-    known: &[Option<PointOutcome>],
-) -> anyhow::Result<()> {
-    let _own = RunFolder::share(&study.out, KIND)?;
-    interrupt::listen("the same command again: what is trained is kept")?;
-    let mine: Vec<usize> = (0..points.len()).filter(|&k| shard.has(k)).collect();
-    let bar = Progress::new(mine.len() as u64, "study");
-    let mut failed = 0;
-    let mut outcomes = Vec::new();
-    for &k in &mine {
-        let outcome = match &known[k] {
-            Some(outcome) => outcome.clone(),
-            None => {
-                bar.message(points[k].name());
-                study.train(&points[k])?
-            }
-        };
-        // The table reports the error, too.
-        if let PointOutcome::Failed(message) = &outcome {
-            failed += 1;
-            bar.log(&format!("{} failed: {message}", points[k].name()));
-        }
-        outcomes.push((points[k].clone(), outcome));
-        bar.done(1);
-    }
-    bar.finish();
-    let kept = mine.iter().filter(|&&k| known[k].is_some()).count();
-    let trained = mine.len() - kept - failed;
-    machine::answer(&summary(study, &outcomes, kept, json!([])));
-    println!("{} of {} points: {trained} trained, {kept} kept from before, {failed} failed", mine.len(), points.len());
-    println!("next: the same command without --shard, once all shares are done    makes the table of all points");
-    Ok(())
+/// Names of the figures of a training after its metrics.
+const BEST: [&str; 3] = ["best_mse_5", "best_step", "seconds"];
+
+/// The last value of each metric, and the figures of [`BEST`]; none of a training that failed.
+fn figures(outcome: &PointOutcome) -> Option<Vec<Option<f64>>> {
+    let PointOutcome::Trained { seconds, validation } = outcome else { return None };
+    let (error, step) = validation.best("mse_5").unzip();
+    let last = METRICS.iter().map(|metric| validation.last(metric));
+    Some(last.chain([error, step, Some(*seconds)]).collect())
 }
 
-/// The answer to `--json` for the points of a study or of a share.
-fn summary(study: &Study, outcomes: &[(GridPoint, PointOutcome)], kept: usize, files: Value) -> Value {
-    let row = |(point, outcome): &(GridPoint, PointOutcome)| {
-        let settings: Map<String, Value> = point.0.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
-        let mut row = Map::new();
-        row.insert("point".into(), Value::Object(settings));
-        row.insert("folder".into(), machine::path(&study.folder(point)));
-        match outcome {
-            PointOutcome::Trained { seconds, validation } => {
-                let best = validation.best("mse_5");
-                row.extend(METRICS.map(|metric| (metric.to_string(), json!(validation.last(metric)))));
-                row.insert("best_mse_5".into(), json!(best.map(|best| best.0)));
-                row.insert("best_step".into(), json!(best.map(|best| best.1)));
-                row.insert("seconds".into(), json!(seconds));
-                row.insert("error".into(), Value::Null);
-            }
-            PointOutcome::Failed(message) => drop(row.insert("error".into(), json!(message))),
-        }
-        Value::Object(row)
+/// A point in the answer to `--json`.
+fn row(study: &Study, point: &GridPoint, outcome: &PointOutcome) -> Value {
+    let settings: Map<String, Value> = point.0.iter().map(|(key, value)| (key.clone(), json!(value))).collect();
+    let mut row = Map::new();
+    row.insert("point".into(), Value::Object(settings));
+    row.insert("folder".into(), machine::path(&study.folder(point)));
+    let names = METRICS.iter().chain(&BEST).map(|name| name.to_string());
+    row.extend(names.zip(figures(outcome).into_iter().flatten().map(|value| json!(value))));
+    let error = match outcome {
+        PointOutcome::Failed(message) => Some(message),
+        PointOutcome::Trained { .. } => None,
     };
-    let failed = outcomes.iter().filter(|(_, outcome)| matches!(outcome, PointOutcome::Failed(_))).count();
-    json!({
-        "folder": machine::path(&study.out),
-        "data": machine::path(&study.data),
-        "steps": study.steps,
-        "kept": kept,
-        "trained": outcomes.len() - kept - failed,
-        "failed": failed,
-        "points": outcomes.iter().map(row).collect::<Vec<_>>(),
-        "files": files,
-    })
+    row.insert("error".into(), json!(error));
+    Value::Object(row)
 }
 
 fn table(grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> Table {
     let names = grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best mse_5", "at step", "seconds"]);
     let mut table = Table::new(names);
-    let number = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3e}"));
+    let (step, seconds) = (METRICS.len() + 1, METRICS.len() + 2);
+    let shown = |(k, value): (usize, Option<f64>)| match value {
+        None => "-".to_string(),
+        Some(value) if k == step => value.to_string(),
+        Some(value) if k == seconds => format!("{value:.0}"),
+        Some(value) => format!("{value:.3e}"),
+    };
     for (point, outcome) in outcomes {
-        let mut row: Vec<String> = point.0.iter().map(|(_, value)| value.clone()).collect();
-        if let PointOutcome::Trained { seconds, validation } = outcome {
-            row.extend(METRICS.map(|metric| number(validation.last(metric))));
-            let best = validation.best("mse_5");
-            row.push(number(best.map(|best| best.0)));
-            row.push(best.map_or("-".into(), |best| best.1.to_string()));
-            row.push(format!("{seconds:.0}"));
-        } else {
-            row.push("failed".into());
-        }
-        table.row(row);
+        let figures = match figures(outcome) {
+            Some(figures) => figures.into_iter().enumerate().map(shown).collect(),
+            None => vec!["failed".to_string()],
+        };
+        table.row(point.0.iter().map(|(_, value)| value.clone()).chain(figures));
     }
     table
 }
 
 fn write_csv(path: &Path, grid: &[GridKey], outcomes: &[(GridPoint, PointOutcome)]) -> anyhow::Result<()> {
-    let header: Vec<&str> =
-        grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(["best_mse_5", "best_step", "seconds"]).collect();
-    // An empty cell without a value.
-    let cell = |value: Option<f64>| value.map_or(Cell::Text(String::new()), Cell::Number);
-    let rows: Vec<Vec<Cell>> = outcomes
-        .iter()
-        .map(|(point, outcome)| {
-            let (validation, seconds) = match outcome {
-                PointOutcome::Trained { seconds, validation } => (validation.clone(), Some(*seconds)),
-                PointOutcome::Failed(_) => (Validation::default(), None),
-            };
-            let best = validation.best("mse_5");
-            let mut row: Vec<Cell> = point.0.iter().map(|(_, value)| Cell::Text(value.clone())).collect();
-            row.extend(METRICS.map(|metric| cell(validation.last(metric))));
-            row.extend([cell(best.map(|best| best.0)), cell(best.map(|best| best.1)), cell(seconds)]);
-            row
-        })
-        .collect();
-    Ok(write_table(path, &header, &rows)?)
+    let header: Vec<&str> = grid.iter().map(|key| key.key.as_str()).chain(METRICS).chain(BEST).collect();
+    let row = |(point, outcome): &(GridPoint, PointOutcome)| {
+        let values = point.0.iter().map(|(_, value)| Cell::from(value.as_str()));
+        let figures = figures(outcome).unwrap_or_else(|| vec![None; METRICS.len() + BEST.len()]);
+        values.chain(figures.into_iter().map(or_empty)).collect()
+    };
+    Ok(write_table(path, &header, &outcomes.iter().map(row).collect::<Vec<_>>())?)
 }
 
 /// Two plots for each key: the final error against its values, and the error by step for each value (with the best of

@@ -7,7 +7,7 @@ use super::model_data::unreadable;
 use super::page;
 use super::prepare::{compute, use_threads};
 use super::run_folder::{is_unfinished, Earlier, RunFolder};
-use crate::config::device::DeviceName;
+use crate::config::device::{Compute, DeviceName};
 use crate::config::layers::Setting;
 use crate::config::scene::Kernels;
 use crate::config::training::Settings;
@@ -22,8 +22,7 @@ use crate::surrogate::evaluation::scores::Scores;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
-use crate::surrogate::training::checkpoint;
-use crate::surrogate::training::checkpoint::Header;
+use crate::surrogate::training::checkpoint::{self, Header};
 use crate::surrogate::training::train::{Outcome, Training, METRICS};
 use clap::Args;
 use serde_json::{json, Value};
@@ -94,7 +93,6 @@ pub struct TrainArguments {
     pub print_config: bool,
 }
 
-/// The kind of its folders.
 const KIND: &str = "train";
 
 pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
@@ -128,19 +126,27 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
 
 /// The input of a training on every rank.
 struct Begun {
+    compute: Compute,
     settings: Settings,
     setup: Setup,
     data: TrainingData,
     origin: Origin,
 }
 
+impl Begun {
+    fn training<'a>(&'a self, arguments: &'a TrainArguments, ranks: &'a Ranks) -> anyhow::Result<Training<'a>> {
+        let Self { compute, settings, setup, data, origin } = self;
+        let team = Team { ranks, is_ordered: arguments.deterministic };
+        Training::new(settings, setup, data, origin, compute.clone(), team, &arguments.out)
+    }
+}
+
 /// Runs the first rank, which trains, prints and writes.
 fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
-    let (folder, earlier) = (&arguments.out, arguments.earlier());
-    let compute = compute(arguments.kernels, arguments.device)?;
+    let folder = &arguments.out;
     let begun = arguments.begin(ranks)?;
-    let Begun { settings, setup, data, origin } = &begun;
-    let mut training = Training::new(settings, setup, data, origin, compute, arguments.team(ranks), folder)?;
+    let mut training = begun.training(arguments, ranks)?;
+    let (settings, data) = (&begun.settings, &begun.data);
     let bar = Progress::new(settings.steps, "train");
     let (trajectories, frames) = (data.train.len(), data.train[0].frames);
     bar.line(&format!("{} parameters, {trajectories} training trajectories of {frames} frames", training.parameters()));
@@ -149,8 +155,9 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     }
     let data_folder = arguments.data()?.display();
     interrupt::listen(format!("hydrograd train --data {data_folder} --out {} --resume", folder.display()))?;
-    all_are_ready(ranks);
-    let own = RunFolder::take(folder, KIND, earlier)?;
+    // Until no rank reads files of the folder any more.
+    ranks.all(&[0.0]);
+    let own = RunFolder::take(folder, KIND, arguments.earlier())?;
     let outcome = training.run(&bar)?;
     page::write(folder)?;
     own.finish()?;
@@ -168,24 +175,17 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
 /// Runs the other ranks, which train with their share of every batch.
 fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     machine::be_silent();
-    let compute = compute(arguments.kernels, arguments.device)?;
     let begun = arguments.begin(ranks)?;
-    let Begun { settings, setup, data, origin } = &begun;
-    let team = arguments.team(ranks);
-    let mut training = Training::new(settings, setup, data, origin, compute, team, &arguments.out)?;
+    let mut training = begun.training(arguments, ranks)?;
     interrupt::listen_quietly()?;
-    all_are_ready(ranks);
-    training.follow()
-}
-
-/// Waits until no rank reads files of the folder any more.
-fn all_are_ready(ranks: &Ranks) {
     ranks.all(&[0.0]);
+    training.follow()
 }
 
 impl TrainArguments {
     /// Reads and checks all input, before anything is written.
     fn begin(&self, ranks: &Ranks) -> anyhow::Result<Begun> {
+        let compute = compute(self.kernels, self.device)?;
         let init = self.init()?;
         let settings = self.settings(init.as_ref())?;
         let data = self.data()?;
@@ -199,7 +199,7 @@ impl TrainArguments {
         let origin = self.origin(init, &settings, &setup)?;
         let data_set = TrainingData::read(data, metadata).map_err(unreadable(data))?;
         data_set.check(&settings).map_err(|bad| bad.place(format!("--data {}", data.display())))?;
-        Ok(Begun { settings, setup, data: data_set, origin })
+        Ok(Begun { compute, settings, setup, data: data_set, origin })
     }
 
     fn init(&self) -> Result<Option<Header>, BadInput> {
@@ -207,17 +207,13 @@ impl TrainArguments {
     }
 
     fn data(&self) -> Result<&Path, BadInput> {
-        let missing =
-            || BadInput::new("--data is missing").allowed("the folder of a data set").advice("--data data/heated");
-        self.data.as_deref().ok_or_else(missing)
+        self.data.as_deref().ok_or_else(|| {
+            BadInput::new("--data is missing").allowed("the folder of a data set").advice("--data data/heated")
+        })
     }
 
     fn earlier(&self) -> Earlier {
         Earlier::of_options(self.resume, self.overwrite.overwrite)
-    }
-
-    fn team<'a>(&self, ranks: &'a Ranks) -> Team<'a> {
-        Team { ranks, is_ordered: self.deterministic }
     }
 
     /// The settings of a file (for a resumed training its own, unless another is given) and of the options; without a
@@ -262,15 +258,13 @@ impl TrainArguments {
 
 /// Checks that every rank has the same number of windows of a batch.
 fn check_shares(settings: &Settings, ranks: usize) -> Result<(), BadInput> {
-    if settings.batch_size.is_multiple_of(ranks) {
+    let (batch, next) = (settings.batch_size, settings.batch_size.next_multiple_of(ranks));
+    if batch == next {
         return Ok(());
     }
-    Err(BadInput::new(format!("a batch of {} cannot be shared out evenly among {ranks} ranks", settings.batch_size))
+    Err(BadInput::new(format!("a batch of {batch} cannot be shared out evenly among {ranks} ranks"))
         .allowed(format!("batch_size a multiple of {ranks}"))
-        .advice(format!(
-            "--set batch_size={}, or as many ranks as the batch has windows",
-            settings.batch_size.next_multiple_of(ranks)
-        )))
+        .advice(format!("--set batch_size={next}, or as many ranks as the batch has windows")))
 }
 
 /// Whether the training of a folder ended before its first checkpoint; it is then restarted with its settings.
@@ -320,17 +314,10 @@ fn summary(arguments: &TrainArguments, training: &Training, outcome: &Outcome) -
 /// Prints the scores of the last step and of the baseline, and the time.
 fn show(outcome: &Outcome, settings: &Settings, seconds: f64) {
     let mut table = Table::new(["", "MSE_1", "MSE_5", "MSE_20", "Sinkhorn", "E_kin", "temperature MSE"]);
-    let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3e}"));
-    for (name, scores) in [("last step", &outcome.scores), ("linear", &outcome.linear)] {
-        table.row([
-            name.to_owned(),
-            digits(scores.mse_1),
-            digits(scores.mse_5),
-            digits(scores.mse_20),
-            digits(scores.sinkhorn),
-            digits(scores.e_kin),
-            digits(scores.temperature_mse),
-        ]);
+    for (name, s) in [("last step", &outcome.scores), ("linear", &outcome.linear)] {
+        let figures = [s.mse_1, s.mse_5, s.mse_20, s.sinkhorn, s.e_kin, s.temperature_mse];
+        let figures = figures.map(|value| value.map_or("-".to_owned(), |v| format!("{v:.3e}")));
+        table.row([name.to_owned()].into_iter().chain(figures));
     }
     println!("validation, {} windows\n{}", outcome.scores.windows, table.to_text());
     println!(

@@ -64,11 +64,9 @@ pub struct ValidateArguments {
 
 /// Parts of a case in the progress bar.
 const PARTS: f64 = 100.0;
-/// The kind of its folders.
 const KIND: &str = "validate";
 
 impl ValidateArguments {
-    /// The requested cases.
     pub(super) fn cases(&self) -> Result<Vec<Case>, BadInput> {
         let mut chosen = cases::all();
         let names: Vec<&str> = chosen.iter().map(|case| case.name).collect();
@@ -96,7 +94,6 @@ struct Kept {
 }
 
 impl Kept {
-    /// Path of the stored result of a case.
     fn path(folder: &Path, case: &Case) -> PathBuf {
         folder.join(format!("{}.json", case.name))
     }
@@ -136,14 +133,10 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
     }
     let share = arguments.shard.share()?;
     let (shard, quick, out) = (share.unwrap_or(Shard::ALL), arguments.quick, &arguments.out);
-    let _own = match share {
-        Some(_) => RunFolder::share(out, KIND)?,
-        None => RunFolder::take(out, KIND, if arguments.resume { Earlier::Resumed } else { Earlier::Replaced })?,
-    };
-    interrupt::listen(match share {
-        Some(_) => "the same command again: finished cases are kept",
-        None => "the same command with --resume: finished cases are kept",
-    })?;
+    let earlier = if arguments.resume { Earlier::Resumed } else { Earlier::Replaced };
+    let _own = RunFolder::for_work(share, out, KIND, earlier)?;
+    let how = if share.is_some() { "again" } else { "with --resume" };
+    interrupt::listen(format!("the same command {how}: finished cases are kept"))?;
     let folder = out.join("cases");
     prepare_output_folder(&folder)?;
     let keeps = share.is_some() || arguments.resume;
@@ -189,27 +182,20 @@ pub fn run(arguments: ValidateArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     write(out, &rows)?;
-    let pictures = draw(&arguments.out, &found)?;
-    page::write(&arguments.out)?;
+    let pictures = draw(out, &found)?;
+    page::write(out)?;
     println!("{}", table(&rows).to_text());
     for row in rows.iter().filter(|row| row.failure.is_some()) {
         println!("{}, dx {}: {}", row.case, row.dx, row.failure.as_deref().unwrap_or_default());
     }
-    println!(
-        "files in {}: validation.csv, validation.json, {}, report.html",
-        arguments.out.display(),
-        pictures.join(", ")
-    );
-    let failed: Vec<&&Row> = rows.iter().filter(|row| !row.passed).collect();
-    if let Some(row) = failed.first() {
-        let first = format!("{} at dx {}", row.case, row.dx);
-        return Err(Error::run(
-            format!("{} of {} rows FAILED, the first: {first}", failed.len(), rows.len()),
-            format!("the pictures in {}, and --filter {} for this case alone", arguments.out.display(), row.case),
-        )
-        .into());
+    println!("files in {}: validation.csv, validation.json, {}, report.html", out.display(), pictures.join(", "));
+    let (all, failed) = (rows.len(), rows.iter().filter(|row| !row.passed).count());
+    if let Some(Row { case, dx, .. }) = rows.iter().find(|row| !row.passed) {
+        let problem = format!("{failed} of {all} rows FAILED, the first: {case} at dx {dx}");
+        let advice = format!("the pictures in {}, and --filter {case} for this case alone", out.display());
+        return Err(Error::run(problem, advice).into());
     }
-    let all = if rows.len() == 1 { "the row".into() } else { format!("all {} rows", rows.len()) };
+    let all = if all == 1 { "the row".into() } else { format!("all {all} rows") };
     println!("PASSED: {all}, in double and single precision");
     Ok(())
 }
@@ -224,11 +210,8 @@ fn list(cases: &[Case]) -> Table {
     table
 }
 
-fn number(value: Option<f64>) -> String {
-    value.map_or("-".into(), |value| format!("{value:.2e}"))
-}
-
 fn table(rows: &[&Row]) -> Table {
+    let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2e}"));
     let mut table = Table::new(["case", "quantity", "dx", "N", "error", "in f32", "order", "tolerance", "seconds", ""]);
     for row in rows {
         table.row([
@@ -247,41 +230,29 @@ fn table(rows: &[&Row]) -> Table {
     table
 }
 
+/// The name of a column, and its cell of a row.
+type Column = (&'static str, fn(&Row) -> Cell);
+
+/// The columns of `validation.csv`; NaN without a value.
+const COLUMNS: [Column; 13] = [
+    ("case", |row| row.case.as_str().into()),
+    ("quantity", |row| row.quantity.as_str().into()),
+    ("reference", |row| row.reference.as_str().into()),
+    ("dx", |row| row.dx.into()),
+    ("particles", |row| row.particles.into()),
+    ("steps", |row| row.steps.into()),
+    ("error", |row| row.error.unwrap_or(f64::NAN).into()),
+    ("error_f32", |row| row.error_f32.unwrap_or(f64::NAN).into()),
+    ("order", |row| row.order.unwrap_or(f64::NAN).into()),
+    ("tolerance", |row| row.tolerance.into()),
+    ("seconds", |row| row.seconds.into()),
+    ("seconds_f32", |row| row.seconds_f32.into()),
+    ("passed", |row| row.passed.to_string().as_str().into()),
+];
+
 fn write(folder: &Path, rows: &[&Row]) -> anyhow::Result<()> {
-    let header = [
-        "case",
-        "quantity",
-        "reference",
-        "dx",
-        "particles",
-        "steps",
-        "error",
-        "error_f32",
-        "order",
-        "tolerance",
-        "seconds",
-        "seconds_f32",
-        "passed",
-    ];
-    let cell = |value: Option<f64>| Cell::from(value.unwrap_or(f64::NAN));
-    let cells = |row: &&Row| {
-        vec![
-            Cell::from(row.case.as_str()),
-            Cell::from(row.quantity.as_str()),
-            Cell::from(row.reference.as_str()),
-            Cell::from(row.dx),
-            Cell::from(row.particles),
-            Cell::from(row.steps),
-            cell(row.error),
-            cell(row.error_f32),
-            cell(row.order),
-            Cell::from(row.tolerance),
-            Cell::from(row.seconds),
-            Cell::from(row.seconds_f32),
-            Cell::from(row.passed.to_string().as_str()),
-        ]
-    };
-    write_table(&folder.join("validation.csv"), &header, &rows.iter().map(cells).collect::<Vec<_>>())?;
+    let cells: Vec<Vec<Cell>> = rows.iter().map(|row| COLUMNS.iter().map(|(_, cell)| cell(row)).collect()).collect();
+    write_table(&folder.join("validation.csv"), &COLUMNS.map(|(name, _)| name), &cells)?;
     write_json(&folder.join("validation.json"), &json!({ "version": VERSION, "rows": rows }))
 }
 
@@ -294,12 +265,8 @@ fn draw(folder: &Path, found: &[Validated]) -> anyhow::Result<Vec<String>> {
         compare(&folder.join(one.case.name), one.case.name, x, y, &series, false, false)?;
         names.push(format!("{}.png", one.case.name));
     }
-    let errors = |one: &Validated| {
-        one.rows
-            .iter()
-            .filter_map(|row| Some((row.dx, row.error?)))
-            .filter(|(_, error)| *error > 0.0)
-            .collect::<Vec<_>>()
+    let errors = |one: &Validated| -> Vec<(f64, f64)> {
+        one.rows.iter().filter_map(|row| Some((row.dx, row.error.filter(|error| *error > 0.0)?))).collect()
     };
     let series: Vec<_> = found.iter().map(|one| (one.case.name.to_string(), errors(one))).collect();
     if series.iter().any(|(_, points)| !points.is_empty()) {

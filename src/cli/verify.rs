@@ -67,9 +67,12 @@ impl VerifyArguments {
     fn given(&self) -> Result<Given, BadInput> {
         let path = &self.path;
         let name = path.display();
-        let allowed = "the folder of a run of `hydrograd optimize`, or a CSV file with columns x and offset";
+        let bad = |problem: String| {
+            let allowed = "the folder of a run of `hydrograd optimize`, or a CSV file with columns x and offset";
+            BadInput::new(problem).allowed(allowed)
+        };
         if !path.exists() {
-            return Err(BadInput::new(format!("no such file or folder: {name}")).allowed(allowed));
+            return Err(bad(format!("no such file or folder: {name}")));
         }
         if path.is_file() {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -77,15 +80,12 @@ impl VerifyArguments {
             return Ok(Given { wall: path.clone(), scene: self.scene.clone(), folder });
         }
         let (config, wall) = (path.join("config.toml"), path.join("shape.csv"));
-        for file in [&config, &wall] {
-            if !file.is_file() {
-                let bad = BadInput::new(format!("{name} is not the folder of a run: no file {}", file.display()));
-                let bad = bad.allowed(allowed);
-                return Err(match path.join("flat/shape.csv").is_file() {
-                    true => bad.advice(format!("one of its starts, such as {}", path.join("flat").display())),
-                    false => bad,
-                });
-            }
+        if let Some(file) = [&config, &wall].into_iter().find(|file| !file.is_file()) {
+            let bad = bad(format!("{name} is not the folder of a run: no file {}", file.display()));
+            return Err(match path.join("flat/shape.csv").is_file() {
+                true => bad.advice(format!("one of its starts, such as {}", path.join("flat").display())),
+                false => bad,
+            });
         }
         if let Some(scene) = &self.scene {
             return Err(BadInput::new(format!("a scene for a run that has its own, {}", config.display()))
@@ -106,7 +106,6 @@ impl VerifyArguments {
     }
 }
 
-/// The kind of its own folders.
 const KIND: &str = "verify";
 
 pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
@@ -155,7 +154,6 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs the checks with a progress bar.
 fn verify(verification: &Verification) -> Result<Verified, Error> {
     const UNITS: f64 = 1000.0;
     let bar = Progress::new(UNITS as u64, "verify");
@@ -187,22 +185,13 @@ fn text_of(verified: &Verified) -> String {
         table.row([finding.check.clone(), reference, best, gain]);
     }
     let mut text = format!("{}\n", table.to_text());
-    let reference = verified.reference_name;
-    text.push_str(&match verified.survives() {
-        Some(gain) => match verified.failed().count() {
-            0 => format!("gain that survives: {}, the least of them", percent(gain)),
-            failed => {
-                let all = verified.checks.len();
-                format!(
-                    "gain that survives: {}, the least of the {} checks of {all} that ran",
-                    percent(gain),
-                    all - failed
-                )
-            }
-        },
-        None => "gain that survives: not known".to_string(),
-    });
-    text.push_str(&format!(" (reference: {reference}; {:.1} s)", verified.seconds));
+    let (reference, all, failed) = (verified.reference_name, verified.checks.len(), verified.failed().count());
+    let survives = match verified.survives() {
+        None => "not known".to_string(),
+        Some(gain) if failed == 0 => format!("{}, the least of them", percent(gain)),
+        Some(gain) => format!("{}, the least of the {} checks of {all} that ran", percent(gain), all - failed),
+    };
+    text.push_str(&format!("gain that survives: {survives} (reference: {reference}; {:.1} s)", verified.seconds));
     for finding in verified.failed() {
         let why = finding.figures.as_ref().err().map_or("", String::as_str);
         text.push_str(&format!("\nWARNING: the check `{}` failed: {}", finding.check, shown(&with_options(why))));

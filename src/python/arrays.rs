@@ -1,5 +1,6 @@
 //! Numbers as NumPy arrays, without a copy: the array takes the memory over.
 
+use numpy::ndarray::IntoDimension;
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
@@ -20,12 +21,7 @@ pub fn frames_of_columns<'py>(py: Python<'py>, values: Vec<f64>, t: usize, d: us
     PyArray1::from_vec(py, values).reshape([t, d, n])?.into_any().call_method1("swapaxes", (1, 2))
 }
 
-/// `[t, n, d]` of numbers that lie so.
-pub fn frames<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: [usize; 3]) -> PyResult<Bound<'py, PyAny>> {
-    Ok(PyArray1::from_vec(py, values).reshape(shape)?.into_any())
-}
-
-/// `[t, n]`.
-pub fn table<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: [usize; 2]) -> PyResult<Bound<'py, PyAny>> {
+/// An array of numbers that lie as it has them.
+pub fn shaped<T: Element>(py: Python<'_>, values: Vec<T>, shape: impl IntoDimension) -> PyResult<Bound<'_, PyAny>> {
     Ok(PyArray1::from_vec(py, values).reshape(shape)?.into_any())
 }

@@ -6,7 +6,6 @@ use super::watch::{Teller, Told};
 use crate::design::{Judge, Optimisation, Problem, Scheduled, Search};
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
-use crate::numerics::lanes::Real;
 use crate::scene::build_design;
 use crate::scene::load::Loaded;
 use crate::scene::search::solver;
@@ -38,7 +37,7 @@ fn once<T>(place: &OnceLock<Arc<T>>, make: impl FnOnce() -> Result<T, Error>) ->
     Ok(place.get_or_init(|| made).clone())
 }
 
-impl<R: Real> Parts<R> {
+impl<R: Sweeps> Parts<R> {
     pub fn new(loaded: Loaded) -> Self {
         Self { loaded, scene: OnceLock::new(), shaped: OnceLock::new(), solver: OnceLock::new() }
     }
@@ -77,9 +76,7 @@ impl<R: Real> Parts<R> {
     pub fn name(&self) -> &'static str {
         self.loaded.config.scene.name()
     }
-}
 
-impl<R: Sweeps> Parts<R> {
     /// Who judges designs in `hydrograd optimize`.
     fn solver(&self) -> Result<Arc<Scheduled<R>>, Error> {
         once(&self.solver, || solver(&self.loaded))

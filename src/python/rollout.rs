@@ -1,6 +1,6 @@
 //! Data sets, and what learned models make of them.
 
-use super::arrays::{frames, table, vector};
+use super::arrays::{shaped, vector};
 use super::watch::watched;
 use crate::config::scene::Kernels;
 use crate::dataset::{read_split, Metadata, Split, Trajectory};
@@ -62,7 +62,6 @@ fn flat(all: Vec<Frame>) -> (Vec<f64>, Option<Vec<f64>>) {
 
 /// What a model predicts of a trajectory.
 #[pyfunction]
-#[pyo3(signature = (model_name, data, split, trajectory, start, steps))]
 pub fn rollout<'py>(
     py: Python<'py>,
     model_name: String,
@@ -72,52 +71,35 @@ pub fn rollout<'py>(
     start: usize,
     steps: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
-    struct Found {
-        predicted: (Vec<f64>, Option<Vec<f64>>),
-        truth: (Vec<f64>, Option<Vec<f64>>),
-        shape: [usize; 3],
-        kind: Vec<i32>,
-        broken: Option<String>,
-        seconds: f64,
-        unlike: Option<String>,
-    }
-    let found = watched(py, None, |_| {
+    let (trajectory, predicted, truth, shape, run, unlike) = watched(py, None, |_| {
         if steps == 0 {
             return Err(BadInput::new("frames = 0").allowed("at least 1").into());
         }
         let (metadata, trajectory) = read(&data, &split, trajectory.as_deref())?;
         let model = model(&model_name, &metadata)?;
-        let run = roll_out(&*model, &metadata, &trajectory, start, steps)?;
+        let mut run = roll_out(&*model, &metadata, &trajectory, start, steps)?;
         let (count, first) = (run.frames.len(), start + HISTORY);
         let truth = (first..first + count).map(|frame| Frame::of(&trajectory, frame)).collect();
-        Ok(Found {
-            predicted: flat(run.frames),
-            truth: flat(truth),
-            shape: [count, trajectory.particles, metadata.dim],
-            kind: trajectory.kind.clone(),
-            broken: run.broken.map(|broken| format!("step {}: {}", broken.step, broken.reason)),
-            seconds: run.seconds,
-            unlike: model.unlike(&metadata),
-        })
+        let (predicted, shape) = (flat(std::mem::take(&mut run.frames)), [count, trajectory.particles, metadata.dim]);
+        Ok((trajectory, predicted, flat(truth), shape, run, model.unlike(&metadata)))
     })?;
     let all = PyDict::new(py);
-    let [t, n, _] = found.shape;
-    for (name, (position, temperature)) in [("predicted", found.predicted), ("truth", found.truth)] {
+    let [t, n, _] = shape;
+    for (name, (position, temperature)) in [("predicted", predicted), ("truth", truth)] {
         let one = PyDict::new(py);
-        one.set_item("position", frames(py, position, found.shape)?)?;
-        one.set_item("temperature", temperature.map(|values| table(py, values, [t, n])).transpose()?)?;
+        one.set_item("position", shaped(py, position, shape)?)?;
+        one.set_item("temperature", temperature.map(|values| shaped(py, values, [t, n])).transpose()?)?;
         all.set_item(name, one)?;
     }
-    all.set_item("kind", vector(py, found.kind))?;
-    all.set_item("broken", found.broken)?;
-    all.set_item("seconds", found.seconds)?;
-    all.set_item("unlike", found.unlike)?;
+    all.set_item("kind", vector(py, trajectory.kind))?;
+    all.set_item("broken", run.broken.map(|broken| format!("step {}: {}", broken.step, broken.reason)))?;
+    all.set_item("seconds", run.seconds)?;
+    all.set_item("unlike", unlike)?;
     Ok(all)
 }
 
 /// A trajectory of a data set.
 #[pyfunction]
-#[pyo3(signature = (data, split, trajectory))]
 pub fn read_trajectory<'py>(
     py: Python<'py>,
     data: std::path::PathBuf,
@@ -128,9 +110,9 @@ pub fn read_trajectory<'py>(
     let (t, n) = (found.frames, found.particles);
     let all = PyDict::new(py);
     all.set_item("name", found.name)?;
-    all.set_item("position", frames(py, found.position, [t, n, metadata.dim])?)?;
+    all.set_item("position", shaped(py, found.position, [t, n, metadata.dim])?)?;
     all.set_item("kind", vector(py, found.kind))?;
-    all.set_item("temperature", found.temperature.map(|values| table(py, values, [t, n])).transpose()?)?;
+    all.set_item("temperature", found.temperature.map(|values| shaped(py, values, [t, n])).transpose()?)?;
     all.set_item("wall_x", vector(py, found.wall_x))?;
     all.set_item("wall_offset", vector(py, found.wall_offset))?;
     all.set_item("frame_time", metadata.dt * metadata.write_every as f64)?;

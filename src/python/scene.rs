@@ -1,6 +1,6 @@
 //! A scene, as Python has it.
 
-use super::arrays::vector;
+use super::arrays::{shaped, vector};
 use super::errors::to_python;
 use super::parts::Parts;
 use super::simulate::simulate;
@@ -103,7 +103,6 @@ impl Scene {
         Ok((vector(py, nodes), vector(py, heights)))
     }
 
-    #[pyo3(signature = (design, frames, progress))]
     fn simulate<'py>(
         &self,
         py: Python<'py>,
@@ -121,7 +120,6 @@ impl Scene {
         watched(py, None, |_| Ok(of!(self, parts => parts.objective(&design))?))
     }
 
-    #[pyo3(signature = (design, progress))]
     fn value_and_gradient<'py>(
         &self,
         py: Python<'py>,
@@ -134,7 +132,6 @@ impl Scene {
         Ok((found.0, PyArray1::from_vec(py, found.1)))
     }
 
-    #[pyo3(signature = (design, progress))]
     fn loss_and_gradient<'py>(
         &self,
         py: Python<'py>,
@@ -147,7 +144,6 @@ impl Scene {
     }
 
     /// What `verification.json` has of a design, as JSON.
-    #[pyo3(signature = (best, first, progress))]
     fn verify(
         &self,
         py: Python<'_>,
@@ -158,7 +154,6 @@ impl Scene {
         watched(py, progress.as_ref(), |teller| of!(self, parts => parts.verify(&best, first.as_deref(), teller)))
     }
 
-    #[pyo3(signature = (first, epochs, progress))]
     fn optimise<'py>(
         &self,
         py: Python<'py>,
@@ -174,7 +169,7 @@ impl Scene {
         let (history, all) = (&found.history, PyDict::new(py));
         let (count, width) = (history.len(), history.first().map_or(0, |epoch| epoch.variables.len()));
         let designs: Vec<f64> = history.iter().flat_map(|epoch| epoch.variables.iter().copied()).collect();
-        all.set_item("designs", super::arrays::table(py, designs, [count, width])?)?;
+        all.set_item("designs", shaped(py, designs, [count, width])?)?;
         all.set_item("q", vector(py, found.column(|epoch| epoch.figure)))?;
         let predicted = |epoch: &Epoch| epoch.predicted.unwrap_or(f64::NAN);
         all.set_item("q_predicted", vector(py, found.column(predicted)))?;

@@ -1,15 +1,14 @@
 //! One run forward, and what is kept of it.
 
-use super::arrays::{columns, frames_of_columns, vector};
+use super::arrays::{columns, frames_of_columns, shaped, vector};
 use super::parts::Parts;
 use super::watch::{Teller, Told};
 use crate::adjoint::run::{run, Observer};
-use crate::adjoint::RunError;
+use crate::cli::prepare::diverged;
 use crate::design::diagnostics::Measurement;
 use crate::scene::observers::{EvenSteps, LastGood};
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
-use crate::sph::divergence;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
@@ -42,14 +41,10 @@ pub fn simulate<R: Sweeps>(
     teller: &Teller,
 ) -> anyhow::Result<Simulated> {
     let (scene, config) = (parts.scene()?, &parts.loaded.config);
-    let shaped = match design {
-        Some(design) => {
-            let problem = parts.shaped()?;
-            parts.check(&problem, design)?;
-            Some(problem)
-        }
-        None => None,
-    };
+    let shaped = design.map(|_| parts.shaped()).transpose()?;
+    if let (Some(problem), Some(design)) = (&shaped, design) {
+        parts.check(problem, design)?;
+    }
     let model = shaped.as_ref().map_or(&scene.model, |problem| &problem.model);
     let start = match (&shaped, design) {
         (Some(problem), Some(design)) => problem.start(design),
@@ -80,10 +75,7 @@ pub fn simulate<R: Sweeps>(
     observers.push(&mut keep);
     let dynamics = Sph::new(model.clone(), config.run.compute()?);
     let found = run(&dynamics, &start, steps, &mut observers);
-    let mut solver = found.map_err(|error| match error.downcast::<RunError>() {
-        Ok(error) => divergence::told(&error, model, good.state()).into(),
-        Err(error) => error,
-    })?;
+    let mut solver = found.map_err(diverged(model, good.state()))?;
     let seconds = clock.elapsed().as_secs_f64();
     teller.always(Told::Steps(steps, steps));
     let mut figures = match &measurement {
@@ -134,7 +126,7 @@ impl Simulated {
             frames.set_item("position", frames_of_columns(py, self.position, t, d)?)?;
             frames.set_item("velocity", frames_of_columns(py, self.velocity, t, d)?)?;
             let n = self.temperature.len() / t;
-            let temperature = has_heat.then(|| super::arrays::table(py, self.temperature, [t, n])).transpose()?;
+            let temperature = has_heat.then(|| shaped(py, self.temperature, [t, n])).transpose()?;
             frames.set_item("temperature", temperature)?;
             all.set_item("frames", frames)?;
         }

@@ -2,6 +2,7 @@
 //! times a second for Ctrl-C and tells Python's callback how far the work is.
 
 use super::errors::to_python;
+use crate::cli::guard::message;
 use crate::numerics::interrupt::Stop;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
@@ -102,8 +103,7 @@ pub fn watched<T: Send>(
             (Some(error), _) => Err(error),
             (None, Ok(result)) => result.map_err(to_python),
             (None, Err(panic)) => {
-                let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-                let text = text.unwrap_or("panic");
+                let text = message(&*panic);
                 let version = env!("CARGO_PKG_VERSION");
                 let message = format!("internal error: {text}; this is a bug in hydrograd {version}: please report it");
                 Err(PyRuntimeError::new_err(message))
