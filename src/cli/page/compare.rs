@@ -1,6 +1,6 @@
 //! `hydrograd compare`: several runs of a kind on one page, and the page of a folder whose run has several parts.
 
-use super::designs::{by_epoch, is_steady, loaded, verification};
+use super::designs::{is_steady, loaded, verification, wall_chart, wall_line};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
@@ -14,6 +14,7 @@ use crate::report::text::shown;
 use crate::scene::record::{Record, Search, FIGURES};
 use clap::Args;
 use serde_json::{json, Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Put several runs of a command side by side in one page.
@@ -198,39 +199,43 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     Ok(page)
 }
 
-/// The problem of a run, as keys and values: figures of runs of different problems must not be ranked.
-fn problem(folder: &Folder) -> Vec<(String, String)> {
-    let read = |file: &str| std::fs::read_to_string(folder.path.join(file)).unwrap_or_default();
-    let mut found = Vec::new();
-    flatten("", &read("config.toml").parse::<toml::Table>().unwrap_or_default(), &mut found);
-    let keys = ["scene", "objective.kind", "region.size", "region.periodic"];
-    found.retain(|(key, _)| keys.contains(&key.as_str()));
-    if let Ok(scores) = serde_json::from_str::<Value>(&read("evaluation.json")) {
+/// Keys of a file, those of nested tables behind their names and dots, and their values.
+type Values = BTreeMap<String, String>;
+
+/// The problem of a run: figures of runs of different problems must not be ranked.
+fn problem(folder: &Folder) -> Values {
+    let mut found = flat(&folder.config());
+    found.retain(|key, _| ["scene", "objective.kind", "region.size", "region.periodic"].contains(&key.as_str()));
+    if let Some(scores) = evaluation(folder) {
         found.extend(["data", "split"].map(|key| (key.to_string(), scores[key].to_string())));
-        found.push(("steps of a rollout".into(), scores["scores"][0]["steps"].to_string()));
+        found.insert("steps of a rollout".into(), scores["scores"][0]["steps"].to_string());
     }
     found
 }
 
+/// The scores of the models of a run.
+fn evaluation(folder: &Folder) -> Option<Value> {
+    let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
 /// The keys of [`problem`] whose values differ between runs.
 fn unlike(runs: &[Compared]) -> Vec<String> {
-    let problems: Vec<_> = runs.iter().map(|run| problem(&run.folder)).collect();
-    let Some((first, others)) = problems.split_first() else { return vec![] };
-    let differs = |(key, value): &(String, String)| {
-        let same = |other: &Vec<(String, String)>| other.iter().any(|(k, v)| k == key && v == value);
-        (!others.iter().all(same)).then(|| key.clone())
-    };
-    let mut found: Vec<String> = first.iter().filter_map(differs).collect();
-    // The keys that only the other runs have.
-    let more = others.iter().flatten().filter(|(key, _)| !first.iter().any(|(k, _)| k == key));
-    found.extend(more.map(|(key, _)| key.clone()));
-    found.sort();
-    found.dedup();
+    let problems: Vec<Values> = runs.iter().map(|run| problem(&run.folder)).collect();
+    let found: Vec<String> = differing(&problems).into_iter().map(|(key, _)| key.to_string()).collect();
     // Different scenes differ in further keys.
     match found.iter().any(|key| key == "scene") {
         true => vec!["scene".into()],
         false => found,
     }
+}
+
+/// The keys whose values are not the same in all of them, and these values.
+fn differing(all: &[Values]) -> Vec<(&str, Vec<Option<&str>>)> {
+    let keys: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    let of = |key| all.iter().map(|values| values.get(key).map(String::as_str)).collect::<Vec<_>>();
+    let found = keys.into_iter().map(|key| (key.as_str(), of(key)));
+    found.filter(|(_, values)| values.iter().any(|value| *value != values[0])).collect()
 }
 
 /// Runs of one kind side by side. `together` has their common figures, if they are parts of one run. Links are relative
@@ -266,7 +271,7 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
         Some(link) => Cell { link: Some(link), ..Cell::text("page") },
         None => Cell::text("-"),
     });
-    table.rows.push(std::iter::once(Cell::text("the run's own page")).chain(pages).collect());
+    table.row("the run's own page", pages);
     if searches.iter().all(Option::is_some) {
         let searches: Vec<&Search> = searches.iter().flatten().collect();
         add_searches(&mut table, &searches, unlike.is_empty(), flat);
@@ -332,7 +337,9 @@ fn lead(
     if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
         return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
     }
-    let errors: Option<Vec<f64>> = runs.iter().map(|run| position_error(&run.folder)).collect();
+    // Of the evaluated model, which is the first one with scores.
+    let error = |run: &Compared| evaluation(&run.folder)?["scores"][0]["mse"].as_f64();
+    let errors: Option<Vec<f64>> = runs.iter().map(error).collect();
     if let Some((k, mse)) = errors.and_then(|all| all.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))) {
         return format!(
             "Of {} models that of {} has the least position error: MSE {mse:.2e}.",
@@ -343,19 +350,13 @@ fn lead(
     format!("{plain}.")
 }
 
-/// The position error of the evaluated model, which is the first one with scores.
-fn position_error(folder: &Folder) -> Option<f64> {
-    let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
-    serde_json::from_str::<Value>(&text).ok()?.get("scores")?.get(0)?.get("mse")?.as_f64()
-}
-
 /// Rows of the results of searches, with the best marked if they have one problem.
 fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: Option<f64>) {
     let Some(symbol) = searches.first().map(|search| search.figure.symbol) else { return };
     let mut row = |name: String, cells: Vec<(Cell, Option<f64>)>, has_best: bool| {
         let best = cells.iter().filter_map(|(_, value)| *value).reduce(f64::max).filter(|_| has_best && is_ranked);
-        let marked = cells.into_iter().map(|(cell, value)| cell.marked(value.is_some() && value == best));
-        table.rows.push(std::iter::once(Cell::text(name)).chain(marked).collect());
+        let is_best = |value: Option<f64>| value.is_some() && value == best;
+        table.row(name, cells.into_iter().map(|(cell, value)| Cell { is_marked: is_best(value), ..cell }));
     };
     let numbers = |of: fn(&Search) -> f64| {
         searches.iter().map(|search| (Cell::shown(figure(of(search)), of(search)), Some(of(search)))).collect()
@@ -436,13 +437,10 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[R
             let cell = found.iter().find(|(other, _)| *other == name).map(|(_, cell)| cell.clone());
             cell.map_or_else(|| Cell::text("-"), |cell| sized(&name, cell))
         };
-        let label = label(&name);
         let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
-        let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
-        match is_first || summaries.iter().all(|summary| summary.0.is_empty()) {
-            true => table.rows.push(row),
-            false => rest.rows.push(row),
-        }
+        let has_place = is_first || summaries.iter().all(|summary| summary.0.is_empty());
+        let into = if has_place { &mut *table } else { &mut *rest };
+        into.row(label(&name), all.iter().map(of));
     }
 }
 
@@ -452,23 +450,9 @@ fn differences(runs: &[Compared], header: Vec<String>) -> Option<Table> {
         return None;
     }
     let mut table = Table::new("What differs in their configurations", header);
-    let flat = |run: &Compared| {
-        let text = std::fs::read_to_string(run.folder.path.join("config.toml")).unwrap_or_default();
-        let mut found = Vec::new();
-        flatten("", &text.parse::<toml::Table>().unwrap_or_default(), &mut found);
-        found
-    };
-    let all: Vec<Vec<(String, String)>> = runs.iter().map(flat).collect();
-    let mut keys: Vec<&String> = all.iter().flatten().map(|(key, _)| key).collect();
-    keys.sort();
-    keys.dedup();
-    for key in keys {
-        let values: Vec<Option<&String>> =
-            all.iter().map(|found| found.iter().find(|(other, _)| other == key).map(|(_, value)| value)).collect();
-        if values.iter().any(|value| *value != values[0]) {
-            let cells = values.iter().map(|value| Cell::text(value.map_or("-", |value| shortened(value))));
-            table.rows.push(std::iter::once(Cell::text(key)).chain(cells).collect());
-        }
+    let all: Vec<Values> = runs.iter().map(|run| flat(&run.folder.config())).collect();
+    for (key, values) in differing(&all) {
+        table.row(key, values.into_iter().map(|value| Cell::text(value.map_or("-", shortened))));
     }
     if table.rows.is_empty() {
         table.header.clear();
@@ -486,50 +470,40 @@ fn shortened(value: &str) -> &str {
     }
 }
 
-fn flatten(before: &str, table: &toml::Table, found: &mut Vec<(String, String)>) {
+fn flat(table: &toml::Table) -> Values {
+    let mut found = Values::new();
     for (key, value) in table {
-        let name = if before.is_empty() { key.clone() } else { format!("{before}.{key}") };
         match value {
-            toml::Value::Table(inner) => flatten(&name, inner, found),
-            value => found.push((name, value.to_string())),
+            toml::Value::Table(inner) => {
+                found.extend(flat(inner).into_iter().map(|(name, value)| (format!("{key}.{name}"), value)));
+            }
+            value => drop(found.insert(key.clone(), value.to_string())),
         }
     }
+    found
 }
 
 /// The objective by epoch.
 fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
     let figure = searches[0].figure;
-    let series = runs
-        .iter()
-        .zip(searches)
-        .map(|(run, search)| Series { name: run.name.clone(), points: by_epoch(&search.values) });
-    Chart {
-        title: format!("{}, {}, by epoch", figure.symbol, figure.quantity),
-        x: "epoch".into(),
-        y: format!("{} ({})", figure.symbol, figure.unit),
-        by_epoch: true,
-        series: series.collect(),
-        ..Chart::default()
-    }
+    let lines = runs.iter().zip(searches);
+    let series = lines.map(|(run, search)| Series::by_epoch(&run.name, search.values.iter().copied())).collect();
+    let title = format!("{}, {}, by epoch", figure.symbol, figure.quantity);
+    Chart::by_epoch(title, format!("{} ({})", figure.symbol, figure.unit), series)
 }
 
 /// The best walls in one chart; those over x and z are on their own pages.
 fn best_walls(runs: &[Compared]) -> Vec<Chart> {
     let mut charts = Vec::new();
-    for (column, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
+    for (side, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
         let mut series = Vec::new();
         for run in runs {
             let columns = run.folder.columns("shape.csv");
-            let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
             // A series without points keeps the colours of the runs the same in every chart.
-            series.push(match (of("x"), of(column), of("z")) {
-                (Some(x), Some(y), None) => Series::new(run.name.clone(), x.into_iter().zip(y)),
-                _ => Series::new(run.name.clone(), []),
-            });
+            series.push(wall_line(&columns, &run.name, side).unwrap_or_else(|| Series::new(&run.name, [])));
         }
         if series.iter().any(|line: &Series| !line.points.is_empty()) {
-            let (x, y) = ("x (scene units)".into(), "offset (positive narrows)".into());
-            charts.push(Chart { title: title.into(), x, y, series, ..Chart::default() });
+            charts.push(wall_chart(title, series));
         }
     }
     charts

@@ -82,14 +82,12 @@ fn said(metadata: &Metadata, splits: &Splits) -> (String, String) {
 }
 
 fn facts(metadata: &Metadata, splits: &Splits) -> Vec<Fact> {
-    let fact = |name: &str, cell: Cell| Fact { name: name.into(), cell };
-    let count = all(splits).count();
     vec![
-        fact("trajectories", Cell::number(count as f64)),
-        fact("frames each", Cell::text(range(all(splits).map(|one| one.frames)))),
-        fact("particles", Cell::text(range(all(splits).map(|one| one.particles)))),
-        fact("time between frames", Cell::number(apart(metadata))),
-        fact("spacing", Cell::number(metadata.dx)),
+        Fact::new("trajectories", Cell::number(all(splits).count() as f64)),
+        Fact::new("frames each", Cell::text(range(all(splits).map(|one| one.frames)))),
+        Fact::new("particles", Cell::text(range(all(splits).map(|one| one.particles)))),
+        Fact::new("time between frames", Cell::number(apart(metadata))),
+        Fact::new("spacing", Cell::number(metadata.dx)),
     ]
 }
 
@@ -98,13 +96,13 @@ fn holds(folder: &Folder, splits: &Splits) -> Table {
     let mut table = Table::new("What it holds", ["split", "trajectories", "frames", "particles", "file"]);
     for (split, all) in splits {
         let bytes = split.path(&folder.path).metadata().map_or(0, |file| file.len());
-        table.rows.push(vec![
-            Cell::text(split.name()),
+        let cells = [
             Cell::number(all.len() as f64),
             Cell::text(range(all.iter().map(|one| one.frames))),
             Cell::text(range(all.iter().map(|one| one.particles))),
             Cell::shown(crate::report::text::bytes(bytes as usize), bytes as f64),
-        ]);
+        ];
+        table.row(split.name(), cells);
     }
     table
 }
@@ -112,9 +110,7 @@ fn holds(folder: &Folder, splits: &Splits) -> Table {
 /// Means and standard deviations by which a network's inputs and outputs are normalised.
 fn statistics(metadata: &Metadata) -> Table {
     let mut table = Table::new("Statistics", ["per frame", "mean", "deviation"]);
-    let mut row = |name: String, mean: f64, deviation: f64| {
-        table.rows.push(vec![Cell::text(name), Cell::number(mean), Cell::number(deviation)]);
-    };
+    let mut row = |name: String, mean: f64, deviation: f64| table.row(name, [mean, deviation].map(Cell::number));
     let axes = ["x", "y", "z"];
     for d in 0..metadata.dim {
         row(format!("velocity in {}", axes[d]), metadata.vel_mean[d], metadata.vel_std[d]);
@@ -133,7 +129,7 @@ fn statistics(metadata: &Metadata) -> Table {
 /// Box, time and heat.
 fn numbers(metadata: &Metadata) -> Table {
     let mut table = Table::new("Box and time", ["", ""]);
-    let mut row = |name: &str, cell: Cell| table.rows.push(vec![Cell::text(name), cell]);
+    let mut row = |name: &str, cell: Cell| table.row(name, [cell]);
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate().take(metadata.dim) {
         let [low, high] = metadata.bounds[k];
         let kind = if metadata.periodic()[k] { "periodic" } else { "open" };
@@ -174,10 +170,9 @@ fn names_of_walls(splits: &Splits) -> Option<Table> {
         }
     }
     let mut table = Table::new("Kinds of walls", ["wall", "train", "valid", "test"]);
-    let row = |(name, counts): (String, [usize; 3])| {
-        std::iter::once(Cell::text(name)).chain(counts.map(|count| Cell::number(count as f64))).collect()
-    };
-    table.rows = counts.into_iter().map(row).collect();
+    for (name, counts) in counts {
+        table.row(name, counts.map(|count| Cell::number(count as f64)));
+    }
     (!table.rows.is_empty()).then_some(table)
 }
 
@@ -185,7 +180,7 @@ fn names_of_walls(splits: &Splits) -> Option<Table> {
 fn next(folder: &Folder, metadata: &Metadata) -> Table {
     let data = folder.path.display();
     let mut table = Table::new("What to do next", ["", "command"]);
-    let mut row = |what: &str, command: String| table.rows.push(vec![Cell::text(what), Cell::text(command)]);
+    let mut row = |what: &str, command: String| table.row(what, [Cell::text(command)]);
     row("look at other trajectories", format!("hydrograd dataset inspect {data} --split test --trajectory 0"));
     row("train a network", format!("hydrograd train --data {data} --steps 20000 --out runs/train"));
     row("judge it", format!("hydrograd evaluate --model runs/train/best.safetensors --data {data} --split test"));

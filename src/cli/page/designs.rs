@@ -1,6 +1,6 @@
 //! Pages of `optimize` and `simulate`.
 
-use super::folder::{figure, percent, warnings, Folder};
+use super::folder::{column, figure, percent, warnings, Columns, Folder};
 use super::names::{counted, rounded};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
@@ -15,11 +15,6 @@ use crate::scene::load::Loaded;
 use crate::scene::record::{Record, Search, FIGURES};
 use crate::scene::Scene;
 use serde_json::Value;
-
-/// Points by epoch, counted from one as on the screen.
-pub fn by_epoch(values: &[Option<f64>]) -> Vec<(f64, Option<f64>)> {
-    values.iter().enumerate().map(|(k, value)| ((k + 1) as f64, *value)).collect()
-}
 
 /// Loads the configuration of a run.
 ///
@@ -64,7 +59,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         ),
     };
     page.remark = remark(&search, &summary);
-    let mut fact = |name: &str, cell: Cell| page.facts.push(Fact { name: name.into(), cell });
+    let mut fact = |name: &str, cell: Cell| page.facts.push(Fact::new(name, cell));
     fact(&format!("{symbol} before"), Cell::shown(figure(first), first));
     fact(&format!("{symbol} after"), Cell::shown(figure(best), best));
     fact("gain", percent(gain));
@@ -77,16 +72,16 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     }
     let shapes = shapes(&searched, &folder.unless_damaged(CHECKPOINT, variables(folder)).unwrap_or_default())?;
     if config.scene == Family::Custom {
-        page.tables.extend(of_shapes(&summary));
+        page.tables.extend(summary.rows("variables").and_then(|all| tables::of_objects("Numbers of shapes", all)));
         page.charts.extend(course_of_shapes(&summary, &shapes));
     } else {
         page.walls = walls(&searched, &search, &shapes);
     }
     page.charts.insert(0, course(&search, &summary, &format!("{symbol} ({unit})")));
     if let Some(norms) = summary.per_epoch("gradient_norm_per_epoch") {
-        let series = vec![Series { name: String::new(), points: by_epoch(&norms) }];
-        let (title, y) = ("Norm of the gradient by epoch".into(), "|gradient of the loss|".into());
-        page.charts.insert(1, Chart { title, x: "epoch".into(), y, log: true, by_epoch: true, series });
+        let series = vec![Series::by_epoch("", norms)];
+        let chart = Chart::by_epoch("Norm of the gradient by epoch", "|gradient of the loss|", series);
+        page.charts.insert(1, Chart { log: true, ..chart });
     }
     let of = |name: &str| folder.path.join(name).join("particles.pvd");
     let panels = [("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])];
@@ -129,13 +124,12 @@ fn course(search: &Search, summary: &Record, y: &str) -> Chart {
     let of = |key: &str| summary.per_epoch(&format!("{name}_{key}_per_epoch"));
     let series = match (of("predicted"), of("solver")) {
         (Some(predicted), Some(solver)) => vec![
-            Series { name: "predicted by the learned model".into(), points: by_epoch(&predicted) },
-            Series { name: "solver".into(), points: by_epoch(&solver) },
+            Series::by_epoch("predicted by the learned model", predicted),
+            Series::by_epoch("solver", solver),
         ],
-        _ => vec![Series { name: String::new(), points: by_epoch(&search.values) }],
+        _ => vec![Series::by_epoch("", search.values.iter().copied())],
     };
-    let title = format!("{symbol}, {quantity}, by epoch");
-    Chart { title, x: "epoch".into(), y: y.into(), by_epoch: true, series, ..Chart::default() }
+    Chart::by_epoch(format!("{symbol}, {quantity}, by epoch"), y, series)
 }
 
 /// The variables of each epoch's design; empty without a checkpoint.
@@ -181,23 +175,16 @@ fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
     })
 }
 
-/// The numbers of shapes: their bounds, initial and final values.
-fn of_shapes(summary: &Record) -> Option<Table> {
-    let all = summary.rows("variables")?;
-    tables::of_objects("Numbers of shapes", all)
-}
-
 /// The numbers of shapes by epoch, relative to their bounds.
 fn course_of_shapes(summary: &Record, shapes: &[Shape]) -> Option<Chart> {
     let all = summary.rows("variables")?;
     let series = all.iter().enumerate().filter_map(|(k, one)| {
         let (low, high) = (one.get("lower")?.as_f64()?, one.get("upper")?.as_f64()?);
         let share = |shape: &Shape| shape.offsets.get(k).map(|value| (value - low) / (high - low));
-        let points = shapes.iter().enumerate().map(|(e, shape)| ((e + 1) as f64, share(shape))).collect();
-        Some(Series { name: one.get("number")?.as_str()?.into(), points })
+        Some(Series::by_epoch(one.get("number")?.as_str()?, shapes.iter().map(share)))
     });
-    let (title, y) = ("Numbers of shapes by epoch".into(), "between the bounds: 0 lower, 1 upper".into());
-    Some(Chart { title, x: "epoch".into(), y, by_epoch: true, series: series.collect(), ..Chart::default() })
+    let (title, y) = ("Numbers of shapes by epoch", "between the bounds: 0 lower, 1 upper");
+    Some(Chart::by_epoch(title, y, series.collect()))
 }
 
 fn before_and_after(search: &Search, summary: &Record) -> Table {
@@ -303,7 +290,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         ("wall_seconds", "seconds"),
     ] {
         if let Some(cell) = summary.0.get(key).filter(|value| !value.is_null()).and_then(tables::cell) {
-            page.facts.push(Fact { name: name.into(), cell });
+            page.facts.push(Fact::new(name, cell));
         }
     }
     page.charts = tables::charts(&folder.columns("history.csv"), |_| false);
@@ -327,14 +314,19 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
 /// A constant wall as a chart.
 fn wall(folder: &Folder) -> Option<Chart> {
     let columns = folder.columns("shape.csv");
-    let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
-    let (Some(x), Some(offset), None) = (of("x"), of("offset"), of("z")) else { return None };
-    let line = |name: &str, y: Vec<f64>| Series::new(name, x.iter().copied().zip(y));
-    let top = of("top");
-    let mut series = vec![line(if top.is_some() { "bottom" } else { "" }, offset)];
-    series.extend(top.map(|top| line("top", top)));
-    let (title, y) = ("Wall".into(), "offset (positive narrows)".into());
-    Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() })
+    let top = wall_line(&columns, "top", "top");
+    let bottom = wall_line(&columns, if top.is_some() { "bottom" } else { "" }, "offset")?;
+    Some(wall_chart("Wall", std::iter::once(bottom).chain(top).collect()))
+}
+
+/// A wall of `shape.csv`, `side` of its columns; none if it is over x and z.
+pub fn wall_line(columns: &Columns, name: &str, side: &str) -> Option<Series> {
+    let (x, y) = (column(columns, "x")?, column(columns, side)?);
+    column(columns, "z").is_none().then(|| Series::new(name, x.iter().copied().zip(y.iter().copied())))
+}
+
+pub fn wall_chart(title: &str, series: Vec<Series>) -> Chart {
+    Chart::new(title, "x (scene units)", "offset (positive narrows)", series)
 }
 
 /// The result of a run in one sentence, and a remark.

@@ -1,6 +1,6 @@
 //! The result of a run in one sentence, for commands whose figures need to be searched.
 
-use super::folder::{Columns, Folder};
+use super::folder::{column, Columns, Folder};
 use super::names::{counted, label};
 use super::series;
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
@@ -111,7 +111,7 @@ pub fn calibrate(found: &Record, history: &Columns) -> (String, String) {
         true => "Viscosity and conductivity, found from a trajectory.".into(),
         false => format!("Found: {}.", parameters.join(", ")),
     };
-    let losses = history.iter().find(|(name, _)| name == "loss").map_or(&[][..], |(_, values)| values);
+    let losses = column(history, "loss").unwrap_or_default();
     let remark = match losses {
         [.., before, last] if *before > 0.0 => {
             let fell = 1.0 - last / before;
@@ -177,17 +177,10 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
         "At step {step} the MSE of the predicted positions is {mse:.2e}{}.",
         temperatures.last().map_or(String::new(), |(_, mse)| format!(", that of the temperatures {mse:.2e}"))
     );
-    let chart = |title: &str, y: &str, points: Vec<(f64, f64)>| Chart {
-        title: title.into(),
-        x: "step".into(),
-        y: y.into(),
+    let errors = [("Position error by step", positions), ("Temperature error by step", temperatures)];
+    let charts = errors.into_iter().filter(|(_, points)| !points.is_empty()).map(|(title, points)| Chart {
         log: true,
-        series: vec![Series::new("", points)],
-        ..Chart::default()
-    };
-    let mut charts = vec![chart("Position error by step", "MSE", positions)];
-    if !temperatures.is_empty() {
-        charts.push(chart("Temperature error by step", "MSE", temperatures));
-    }
-    Ok((lead, charts))
+        ..Chart::new(title, "step", "MSE", vec![Series::new("", points)])
+    });
+    Ok((lead, charts.collect()))
 }

@@ -67,8 +67,7 @@ pub fn label(key: &str) -> String {
 
 /// The cell of a key; bytes are converted to a suitable unit.
 pub fn sized(key: &str, cell: Cell) -> Cell {
-    let number = || cell.value.as_ref()?.parse::<f64>().ok();
-    match number() {
+    match cell.number_shown() {
         Some(bytes) if key.ends_with("_bytes") => Cell { text: text::bytes(bytes as usize), ..cell },
         _ => cell,
     }
@@ -76,8 +75,7 @@ pub fn sized(key: &str, cell: Cell) -> Cell {
 
 /// A cell with a limited number of significant digits, except for whole numbers.
 pub fn rounded(cell: Cell, digits: usize) -> Cell {
-    let number = || cell.value.as_ref()?.parse::<f64>().ok();
-    match number() {
+    match cell.number_shown() {
         Some(value) if value.fract() != 0.0 && value.is_finite() => {
             let text = match value.abs() {
                 size if size >= 10f64.powi(digits as i32) => format!("{value:.0}"),

@@ -1,7 +1,7 @@
 //! Pages of all other commands, with their tables, curves and pictures.
 
 use super::designs::verification;
-use super::folder::{warnings, Columns, Folder};
+use super::folder::{column, percent, warnings, words, Columns, Folder};
 use super::names::{counted, label};
 use super::{leads, series, tables};
 use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
@@ -109,7 +109,8 @@ pub fn page(folder: &Folder) -> Page {
         // The warnings name damaged frames.
         (page.lead, page.charts) = leads::rollout(folder).unwrap_or((page.lead, page.charts));
     }
-    page.facts = facts(folder);
+    let survives = folder.record("verification.json").number("gain_survives");
+    page.facts.extend(survives.map(|gain| Fact::new("gain that survives", percent(gain))));
     page
 }
 
@@ -131,7 +132,7 @@ fn add_tables(page: &mut Page, title: &str, file: &str, map: &Map<String, Value>
     for (key, value) in map {
         let Some(all) = value.as_array().filter(|all| all.first().is_some_and(Value::is_object)) else { continue };
         let is_main = ["rows", "scores", "verification", "maps"].contains(&key.as_str());
-        let name = if is_main { title.to_string() } else { super::folder::words(key) };
+        let name = if is_main { title.to_string() } else { words(key) };
         let rows = tables::of_chosen(&name, file, all, columns_of(file));
         lists.extend(rows.map(|table| if key == "scores" { turned(table) } else { table }));
     }
@@ -158,8 +159,7 @@ fn turned(table: Table) -> Table {
 }
 
 fn is_positive(columns: &Columns, name: &str) -> bool {
-    let mut values = columns.iter().filter(|(other, _)| other == name).flat_map(|(_, values)| values);
-    values.all(|value| value.is_nan() || *value > 0.0)
+    column(columns, name).is_none_or(|values| values.iter().all(|value| value.is_nan() || *value > 0.0))
 }
 
 /// Errors on the validation split by step, with those of positions in one chart.
@@ -172,8 +172,8 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
     let mut charts = Vec::new();
     let positions: Vec<Series> = columns.iter().filter(|(name, _)| is_position(name)).map(series).collect();
     if !positions.is_empty() {
-        let (title, y) = ("Position error on the validation split".into(), "MSE".into());
-        charts.push(Chart { title, x: "step".into(), y, log: true, series: positions, ..Chart::default() });
+        let chart = Chart::new("Position error on the validation split", "step", "MSE", positions);
+        charts.push(Chart { log: true, ..chart });
     }
     let rest = columns.iter().filter(|(name, _)| !is_position(name) && name != "seconds").cloned().collect();
     charts.extend(tables::charts(&rest, |name| is_positive(&rest, name)));
@@ -182,9 +182,8 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
 
 /// Particle spacing of a data set; a guess if no file has it.
 fn spacing(folder: &Folder) -> f64 {
-    let text = std::fs::read_to_string(folder.path.join("config.toml")).unwrap_or_default();
-    let table = text.parse::<toml::Table>().unwrap_or_default();
-    let dx = table.get("resolution").and_then(|of| of.get("dx")).and_then(toml::Value::as_float);
+    let config = folder.config();
+    let dx = config.get("resolution").and_then(|of| of.get("dx")).and_then(toml::Value::as_float);
     dx.unwrap_or(0.02)
 }
 
@@ -297,11 +296,4 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             none,
         ),
     }
-}
-
-/// The key figures.
-fn facts(folder: &Folder) -> Vec<Fact> {
-    let survives = folder.record("verification.json").number("gain_survives");
-    let fact = |gain| Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) };
-    survives.into_iter().map(fact).collect()
 }

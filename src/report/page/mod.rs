@@ -69,6 +69,12 @@ pub struct Fact {
     pub cell: Cell,
 }
 
+impl Fact {
+    pub fn new(name: &str, cell: Cell) -> Self {
+        Self { name: name.into(), cell }
+    }
+}
+
 /// Something that a reader should know, and what to do.
 #[derive(Debug, Clone, Serialize)]
 pub struct Note {
@@ -102,8 +108,9 @@ impl Cell {
         Self::shown(short(value), value)
     }
 
-    pub fn marked(self, is_marked: bool) -> Self {
-        Self { is_marked, ..self }
+    /// The number that it stands for.
+    pub fn number_shown(&self) -> Option<f64> {
+        self.value.as_ref()?.parse().ok()
     }
 }
 
@@ -171,6 +178,10 @@ impl Table {
         let header = header.into_iter().map(Into::into).collect();
         Self { title: title.into(), header, ..Self::default() }
     }
+
+    pub fn row(&mut self, name: impl Into<String>, cells: impl IntoIterator<Item = Cell>) {
+        self.rows.push(std::iter::once(Cell::text(name)).chain(cells).collect());
+    }
 }
 
 /// Lines over numbers, drawn by the page's script.
@@ -186,6 +197,17 @@ pub struct Chart {
     pub series: Vec<Series>,
 }
 
+impl Chart {
+    pub fn new(title: impl Into<String>, x: &str, y: impl Into<String>, series: Vec<Series>) -> Self {
+        Self { title: title.into(), x: x.into(), y: y.into(), series, ..Self::default() }
+    }
+
+    /// Over the epochs of a search.
+    pub fn by_epoch(title: impl Into<String>, y: impl Into<String>, series: Vec<Series>) -> Self {
+        Self { by_epoch: true, ..Self::new(title, "epoch", y, series) }
+    }
+}
+
 /// A line of a chart; no number: a gap.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Series {
@@ -197,6 +219,11 @@ impl Series {
     pub fn new(name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let points = points.into_iter().map(|(x, y)| (x, y.is_finite().then_some(y))).collect();
         Self { name: name.into(), points }
+    }
+
+    /// Values by epoch, counted from one as on the screen.
+    pub fn by_epoch(name: impl Into<String>, values: impl IntoIterator<Item = Option<f64>>) -> Self {
+        Self { name: name.into(), points: (1..).map(f64::from).zip(values).collect() }
     }
 }
 
