@@ -170,9 +170,6 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
 }
 
 /// The page of a folder with one run in each subfolder.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     let runs: Vec<Compared> =
         folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();

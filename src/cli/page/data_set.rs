@@ -5,7 +5,8 @@ use super::series;
 use crate::dataset::outline::Outline;
 use crate::dataset::trajectory::read_one;
 use crate::dataset::{Metadata, Split, Trajectory};
-use crate::report::page::{short, Cell, Fact, Fields, Page, RawFrame, RawPanel, Side, Table, Text, Walls};
+use crate::io::vtk::ParticleFile;
+use crate::report::page::{short, Cell, Fact, Fields, Page, RawPanel, Side, Table, Text, Walls};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -15,9 +16,6 @@ const MOST_BYTES: usize = 800_000;
 const MOST_WALLS: usize = 200;
 
 /// The page of a finished data set.
-///
-/// # Errors
-/// Files of the data set that cannot be read.
 pub fn page(folder: &Folder) -> anyhow::Result<Page> {
     let metadata = Metadata::read(&folder.path)?;
     let mut splits = Vec::new();
@@ -220,33 +218,32 @@ fn walls(splits: &Splits) -> Option<Walls> {
 
 /// One trajectory over time, coloured by temperature and by speed.
 fn fields(metadata: &Metadata, split: Split, trajectory: &Trajectory) -> Option<Fields> {
-    let (d, n) = (metadata.dim, trajectory.particles);
-    let place = |position: &[f32], i: usize| -> [f64; 3] {
-        std::array::from_fn(|k| if k < d { f64::from(position[i * d + k]) } else { 0.0 })
+    let (d, every) = (metadata.dim, (0..trajectory.particles).collect::<Vec<_>>());
+    // Converts spacings per frame to a speed.
+    let unit = metadata.dx / apart(metadata);
+    let particles = |k: usize| {
+        let place = |place: &[f32]| std::array::from_fn(|d| place.get(d).map_or(0.0, |&x| f64::from(x)));
+        let speed = trajectory.speeds(metadata, k, &every).into_iter().map(|steps| steps * unit).collect();
+        let warm = trajectory.temperature_of(k).map(|warm| warm.iter().map(|&t| f64::from(t)).collect());
+        let warm = warm.map(|warm| ("temperature".to_string(), warm));
+        ParticleFile {
+            position: trajectory.position_of(k).chunks_exact(d).map(place).collect(),
+            velocity: vec![],
+            scalars: warm.into_iter().chain([("speed".to_string(), speed)]).collect(),
+            tag: trajectory.tags(),
+        }
     };
-    let first: Vec<[f64; 3]> = (0..n).map(|i| place(trajectory.position_of(0), i)).collect();
+    let first = particles(0).position;
     let (layer, layer_note) = series::layer(&first, metadata.dx);
     let in_layer = first.iter().filter(|place| series::is_in(layer, place)).count();
     let mut quantities = vec![("speed", "scene units")];
     if trajectory.temperature.is_some() {
         quantities.insert(0, ("temperature", "scene units"));
     }
-    let tag = trajectory.tags();
-    let mut panel = RawPanel { title: format!("of {}/{}", split.name(), trajectory.name), frames: vec![] };
-    for k in Fields::chosen_within(MOST_BYTES, trajectory.frames, in_layer, 1, quantities.len()) {
-        let position = trajectory.position_of(k);
-        let kept: Vec<usize> = (0..n).filter(|&i| series::is_in(layer, &place(position, i))).collect();
-        // Converts spacings per frame to a speed.
-        let unit = metadata.dx / apart(metadata);
-        let speed = trajectory.speeds(metadata, k, &kept).into_iter().map(|steps| steps * unit).collect();
-        let warm = trajectory.temperature_of(k).map(|warm| kept.iter().map(|&i| f64::from(warm[i])).collect());
-        panel.frames.push(RawFrame {
-            time: k as f64 * apart(metadata),
-            position: kept.iter().map(|&i| [place(position, i)[0], place(position, i)[1]]).collect(),
-            tag: kept.iter().map(|&i| tag[i]).collect(),
-            values: warm.into_iter().chain([speed]).collect(),
-        });
-    }
+    let chosen = Fields::chosen_within(MOST_BYTES, trajectory.frames, in_layer, 1, quantities.len());
+    let frame = |k: usize| series::frame(k as f64 * apart(metadata), &particles(k), layer, &quantities);
+    let frames = chosen.into_iter().map(frame).collect();
+    let panel = RawPanel { title: format!("of {}/{}", split.name(), trajectory.name), frames };
     let note = format!("Time since the first frame; coordinates as in the files. {layer_note}");
     Fields::new(vec![panel], &quantities, metadata.dx, note.trim_end().to_string())
 }

@@ -17,17 +17,11 @@ use crate::scene::Scene;
 use serde_json::Value;
 
 /// Loads the configuration of a run.
-///
-/// # Errors
-/// A file that is not a configuration.
 pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
     Ok(read_config(&folder.path)?)
 }
 
 /// The page of a search.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;
@@ -215,9 +209,6 @@ fn before_and_after(search: &Search, summary: &Record) -> Table {
 }
 
 /// Whether the search evaluated walls by the steady state of their flow, see [`Loaded::for_search`].
-///
-/// # Errors
-/// An invalid configuration.
 pub fn is_steady(loaded: &Loaded) -> anyhow::Result<bool> {
     Ok(loaded.for_search()?.config.optimise.gradient == GradientMode::Steady)
 }
@@ -268,9 +259,6 @@ fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
 }
 
 /// The page of a simulation.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     let loaded = loaded(folder)?;
     let config = &loaded.config;

@@ -9,11 +9,11 @@ use crate::report::page::{short, Chart, Series};
 use crate::scene::record::Record;
 use serde_json::Value;
 
-fn number(row: &Value, key: &str) -> Option<f64> {
+pub fn number(row: &Value, key: &str) -> Option<f64> {
     row.get(key).and_then(Value::as_f64)
 }
 
-fn text<'a>(row: &'a Value, key: &str) -> &'a str {
+pub fn text<'a>(row: &'a Value, key: &str) -> &'a str {
     row.get(key).and_then(Value::as_str).unwrap_or_default()
 }
 
@@ -145,9 +145,6 @@ pub fn verify(found: &Record) -> (String, String) {
 }
 
 /// The errors of a rollout by step, from its frames: of positions and of temperatures.
-///
-/// # Errors
-/// Frames that cannot be read.
 pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
     let none = "A learned model's rollout beside the truth.".to_string();
     let list = |name: &str| folder.path.join(name).join(format!("{name}.pvd"));

@@ -33,9 +33,6 @@ pub fn write(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// Rewrites the page of a folder, if it has one, after a file was added.
-///
-/// # Errors
-/// As for [`write`].
 pub fn refresh(folder: &Path) -> anyhow::Result<()> {
     match folder.join(PAGE).exists() {
         true => write(folder),

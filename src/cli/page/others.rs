@@ -209,59 +209,37 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
         }
         "evaluate" => {
             let scores = rows("evaluation.json", "scores");
-            let mse = |k: usize| scores.get(k).and_then(|of| of.get("mse")).and_then(Value::as_f64);
-            let name = |k: usize| match k {
-                0 => "the model",
-                k => scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("the other"),
+            let mse = |k: usize| leads::number(scores.get(k)?, "mse");
+            let other = scores.get(1).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("the other");
+            let Some(own) = mse(0) else { return ("Rollouts of a model against the truth.".into(), none) };
+            let lead = format!("The position error of the model is {own:.2e} (MSE over all steps)");
+            let rest = match mse(1) {
+                Some(error) if own > 0.0 && own < error => {
+                    format!("; that of {other}, {error:.2e}, is {:.1} times as large.", error / own)
+                }
+                Some(error) => format!(", not less than that of {other}, {error:.2e}."),
+                None => ".".into(),
             };
-            let lead = match (mse(0), mse(1)) {
-                (Some(own), Some(other)) if own > 0.0 && own < other => format!(
-                    "The position error of {} is {own:.2e} (MSE over all steps); that of {}, {other:.2e}, is {:.1} \
-                     times as large.",
-                    name(0),
-                    name(1),
-                    other / own
-                ),
-                (Some(own), Some(other)) => format!(
-                    "The position error of {} is {own:.2e} (MSE over all steps), not less than that of {}, {other:.2e}.",
-                    name(0),
-                    name(1)
-                ),
-                (Some(own), None) => format!("The position error of {} is {own:.2e} (MSE over all steps).", name(0)),
-                _ => "Rollouts of a model against the truth.".into(),
-            };
-            (lead, none)
+            (lead + &rest, none)
         }
         "stress" => {
             let maps = rows("stress.json", "maps");
-            let runs: usize = maps.iter().filter_map(|map| Some(map.get("runs")?.as_array()?.len())).sum();
-            let verdict = |name: &str| {
-                let all = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten();
-                all.filter(|run| {
-                    run.get("record").and_then(|of| of.get("verdict")).and_then(Value::as_str) == Some(name)
-                })
-                .count()
-            };
-            let (stable, degraded, diverged) = (verdict("stable"), verdict("degraded"), verdict("diverged"));
-            (
-                format!("{runs} runs: {stable} stable, {degraded} degraded, {diverged} diverged."),
-                "Maps of where the solver holds.".into(),
-            )
+            let runs: Vec<&Value> = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten().collect();
+            let count = |name: &str| runs.iter().filter(|run| leads::text(&run["record"], "verdict") == name).count();
+            let [stable, degraded, diverged] = ["stable", "degraded", "diverged"].map(count);
+            let lead = format!("{} runs: {stable} stable, {degraded} degraded, {diverged} diverged.", runs.len());
+            (lead, "Maps of where the solver holds.".into())
         }
         "train" => {
             let validation = folder.columns("validation.csv");
             let position = validation.iter().rev().find(|(name, _)| name.starts_with("mse_") && name != "mse_");
             let best = position.and_then(|(name, values)| {
-                Some((name, values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?))
+                let best = values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?;
+                Some(format!("; the least {} on the validation split is {best:.2e}", label(name)))
             });
             let steps = folder.columns("history.csv").first().and_then(|(_, steps)| steps.last().copied());
             let steps = steps.map_or(none.clone(), |steps| format!(" {steps} steps"));
-            match best {
-                Some((name, best)) => {
-                    (format!("Trained{steps}; the least {} on the validation split is {best:.2e}.", label(name)), none)
-                }
-                None => (format!("Trained{steps}."), none),
-            }
+            (format!("Trained{steps}{}.", best.unwrap_or_default()), none)
         }
         "bench" => (
             leads::bench(&rows("bench.json", "")),
