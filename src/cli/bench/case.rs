@@ -297,21 +297,22 @@ pub struct Case {
 impl Case {
     /// group/scene/particles/precision/threads/kind[/mode]: what `--filter` looks into and `--compare` matches.
     pub fn label(&self) -> String {
-        let precision = precision_name(self.precision);
-        let Self { scene, particles, threads, .. } = self;
-        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
-        match &self.mode {
-            Some(mode) => format!("{label}/{mode}"),
-            None => label,
-        }
+        let Self { group, scene, particles, precision, threads, kind, mode, .. } = self;
+        label(*group, scene, *particles, precision.name(), *threads, *kind, mode)
     }
 }
 
-pub fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::F64 => "f64",
-    }
+pub fn label(
+    group: Group,
+    scene: &str,
+    particles: usize,
+    precision: &str,
+    threads: usize,
+    kind: Kind,
+    mode: &Option<String>,
+) -> String {
+    let mode = mode.as_ref().map_or(String::new(), |mode| format!("/{mode}"));
+    format!("{}/{scene}/{particles}/{precision}/{threads}/{}{mode}", group.name(), kind.name())
 }
 
 /// What the bench asks of a process of its own.
@@ -327,7 +328,7 @@ pub enum Request {
 }
 
 /// What one process measured.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Measured {
     pub pairs: usize,
     /// Steps of each timed run.

@@ -4,11 +4,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
-use super::goal::SquaredVelocity;
 use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
-use crate::adjoint::{Dynamics, Objective, RunError};
+use crate::adjoint::{Dynamics, Fields, Objective, RunError};
 use crate::cli::prepare::{build, compute};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
@@ -16,6 +15,7 @@ use crate::numerics::candle::read;
 use crate::numerics::lanes::InstructionSet;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
+use crate::particles::tag;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::report::text::bytes;
 use crate::scene::accuracy::points;
@@ -25,6 +25,7 @@ use crate::sph::solver::Snapshot;
 use crate::sph::standard::Standard;
 use crate::sph::Model;
 use crate::sph::Sweeps;
+use candle_core::Tensor;
 
 /// Number of steps after which a scene with every field is compared with its plan.
 const COMPARED_STEPS: usize = 50;
@@ -110,11 +111,6 @@ impl<R: Sweeps> Ready<R> {
             None => Arc::new(SquaredVelocity { steps }),
         }
     }
-
-    /// Memory of states and taped steps, by the first neighbour list.
-    fn costs(&self) -> Result<Costs, RunError> {
-        self.dynamics.costs_from(&self.start.state).map_err(|source| RunError::Neighbours { step: 0, source })
-    }
 }
 
 fn taylor_green<R: Sweeps>(size: Size) -> (Standard<R>, Vec<R>) {
@@ -124,6 +120,27 @@ fn taylor_green<R: Sweeps>(size: Size) -> (Standard<R>, Vec<R>) {
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
     (needs::standard(&flow.model).clone(), flow.start.state)
+}
+
+/// The objective of gradients in scenes without heat: the sum of u^2 over the fluid at the last step.
+struct SquaredVelocity {
+    steps: usize,
+}
+
+impl Objective for SquaredVelocity {
+    fn name(&self) -> &str {
+        "squared velocity"
+    }
+
+    fn weight(&self, step: usize) -> Option<f64> {
+        (step == self.steps).then_some(1.0)
+    }
+
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
+        let fluid: Vec<f64> = fields.tags.iter().map(|&t| f64::from(u8::from(t == tag::FLUID))).collect();
+        let fluid = Tensor::new(fluid, fields.velocity.device())?.to_dtype(fields.velocity.dtype())?;
+        fields.velocity.sqr()?.sum(0)?.mul(&fluid)?.sum_all()
+    }
 }
 
 /// A state at step 0, whose list's reference is filled in by [`Ready::new`].
@@ -157,25 +174,15 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
     let mut ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;
-    let lost = |source| failed(RunError::Neighbours { step: case.warm_up, source });
-    let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost)?;
-    let mut measured = Measured {
-        pairs,
-        steps: 0,
-        seconds: vec![],
-        forward_seconds: vec![],
-        peak_memory_bytes: 0,
-        predicted_bytes: None,
-        instruction_set: InstructionSet::best().name().into(),
-        time_step: ready.dynamics.model.dt,
-        difference: None,
-        gflop: None,
-        sgemm_gflops: None,
-    };
+    let lost = |step| move |source| failed(RunError::Neighbours { step, source });
+    let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost(case.warm_up))?;
+    let instruction_set = InstructionSet::best().name().into();
+    let mut measured = Measured { pairs, instruction_set, time_step: ready.dynamics.model.dt, ..Default::default() };
     match case.kind {
         Kind::Forward => forward(case, &ready, &begin, &mut measured).map_err(failed)?,
         Kind::Gradient | Kind::Training => {
-            let costs = ready.costs().map_err(failed)?;
+            // Memory of states and taped steps, by the first neighbour list.
+            let costs = ready.dynamics.costs_from(&ready.start.state).map_err(lost(0))?;
             let least = match case.length {
                 Length::Steps(steps) => steps,
                 Length::Seconds { least, .. } => least,

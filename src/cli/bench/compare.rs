@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::rows::{self, Row};
+use super::rows::{read_array, Row};
 use crate::error::BadInput;
 
 /// Milliseconds per step of an earlier run, by label.
@@ -14,7 +14,21 @@ pub struct Earlier {
 impl Earlier {
     /// Reads the bench.json of an earlier run.
     pub fn read(path: &Path) -> Result<Self, BadInput> {
-        let rows = rows::read("--compare", path)?;
+        let bad = |problem: String| {
+            BadInput::new(problem)
+                .place(format!("--compare {}", path.display()))
+                .allowed("the bench.json of an earlier `hydrograd bench`: an array of rows")
+        };
+        let rows = read_array(path, "row", bad, |value| {
+            let row: Row = serde_json::from_value(value).map_err(|error| error.to_string())?;
+            match row.ms_per_step > 0.0 {
+                true => Ok(row),
+                false => Err(format!("ms_per_step = {} is not above 0", row.ms_per_step)),
+            }
+        })?;
+        if rows.is_empty() {
+            return Err(bad("it has no rows".into()));
+        }
         Ok(Self { best: rows.iter().map(|row| (row.label(), row.ms_per_step)).collect() })
     }
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use super::case::{precision_name, Case, Group, Kind, Measured, Source};
-use crate::cli::files::write_json;
+use super::case::{label, Case, Group, Kind, Measured, Source};
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
 
@@ -90,7 +90,7 @@ impl Row {
             },
             particles: case.particles,
             pairs: first.pairs,
-            precision: precision_name(case.precision).into(),
+            precision: case.precision.name().into(),
             threads: case.threads,
             kind: case.kind,
             steps: fastest.map_or(first.steps, |(steps, ..)| steps),
@@ -116,12 +116,8 @@ impl Row {
 
     /// The label, as [`Case::label`].
     pub fn label(&self) -> String {
-        let Self { scene, particles, precision, threads, .. } = self;
-        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
-        match &self.mode {
-            Some(mode) => format!("{label}/{mode}"),
-            None => label,
-        }
+        let Self { group, scene, particles, precision, threads, kind, mode, .. } = self;
+        label(*group, scene, *particles, precision, *threads, *kind, mode)
     }
 }
 
@@ -131,32 +127,18 @@ pub fn median(sorted: &[f64]) -> f64 {
     0.5 * (low + high)
 }
 
-/// Writes the rows as a JSON array.
-pub fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
-    write_json(path, &serde_json::to_value(rows)?)
-}
-
-/// Reads the rows of an earlier run. Errors name the file, and the row and field if there is one.
-pub fn read(option: &str, path: &Path) -> Result<Vec<Row>, BadInput> {
-    let bad = |problem: String| {
-        BadInput::new(problem)
-            .place(format!("{option} {}", path.display()))
-            .allowed("the bench.json of an earlier `hydrograd bench`: an array of rows")
-    };
+/// Reads a JSON array by reading each of its values; an error names the number of the `noun`.
+pub fn read_array<T>(
+    path: &Path,
+    noun: &str,
+    bad: impl Fn(String) -> BadInput,
+    item: impl Fn(Value) -> Result<T, String>,
+) -> Result<Vec<T>, BadInput> {
     let text = std::fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
-    let values: Vec<serde_json::Value> =
+    let values: Vec<Value> =
         serde_json::from_str(&text).map_err(|error| bad(format!("not an array of JSON: {error}")))?;
-    if values.is_empty() {
-        return Err(bad("it has no rows".into()));
-    }
-    let rows = values.into_iter().enumerate().map(|(number, value)| {
-        let row: Row = serde_json::from_value(value).map_err(|error| bad(format!("row {number}: {error}")))?;
-        if row.ms_per_step.is_nan() || row.ms_per_step <= 0.0 {
-            return Err(bad(format!("row {number}: ms_per_step = {} is not above 0", row.ms_per_step)));
-        }
-        Ok(row)
-    });
-    rows.collect()
+    let items = values.into_iter().map(item).enumerate();
+    items.map(|(number, item)| item.map_err(|problem| bad(format!("{noun} {number}: {problem}")))).collect()
 }
 
 #[cfg(test)]

@@ -138,14 +138,12 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
         pairs: graph.edges(),
         steps,
         seconds,
-        forward_seconds: vec![],
         peak_memory_bytes,
-        predicted_bytes: None,
         instruction_set: InstructionSet::best().name().into(),
         time_step: metadata.dt,
-        difference: None,
         gflop: Some(gflop),
         sgemm_gflops: Some(gflop / sgemm),
+        ..Measured::default()
     })
 }
 
@@ -203,13 +201,11 @@ fn products(sizes: &Sizes, nodes: usize, edges: usize, training: bool) -> Vec<(P
     let forms = [Form::Output, Form::Weight, Form::Input];
     let all = layers.iter().flat_map(|&(rows, inputs, outputs, times)| {
         let of_features = (rows, inputs) == (edges, sizes.edge_features);
-        let forms = &forms[..if !training {
-            1
-        } else if of_features {
-            2
-        } else {
-            3
-        }];
+        let forms = match training {
+            true if of_features => &forms[..2],
+            true => &forms[..],
+            false => &forms[..1],
+        };
         forms.iter().map(move |&form| (Product { rows, inputs, outputs, form }, times))
     });
     all.collect()
