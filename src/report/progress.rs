@@ -20,7 +20,7 @@ impl Progress {
 
     /// A bar below those of other tasks that go on meanwhile.
     pub fn among(others: &Tasks, total: u64, label: &str) -> Self {
-        let mut progress = Self::with_visibility(total, label, std::io::stderr().is_terminal());
+        let mut progress = Self::new(total, label);
         if !progress.is_hidden() {
             progress.bar = others.0.add(progress.bar);
         }

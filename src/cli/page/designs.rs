@@ -117,10 +117,9 @@ fn course(search: &Search, summary: &Record, y: &str) -> Chart {
     let name = symbol.to_lowercase();
     let of = |key: &str| summary.per_epoch(&format!("{name}_{key}_per_epoch"));
     let series = match (of("predicted"), of("solver")) {
-        (Some(predicted), Some(solver)) => vec![
-            Series::by_epoch("predicted by the learned model", predicted),
-            Series::by_epoch("solver", solver),
-        ],
+        (Some(predicted), Some(solver)) => {
+            vec![Series::by_epoch("predicted by the learned model", predicted), Series::by_epoch("solver", solver)]
+        }
         _ => vec![Series::by_epoch("", search.values.iter().copied())],
     };
     Chart::by_epoch(format!("{symbol}, {quantity}, by epoch"), y, series)

@@ -175,9 +175,9 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
         temperatures.last().map_or(String::new(), |(_, mse)| format!(", that of the temperatures {mse:.2e}"))
     );
     let errors = [("Position error by step", positions), ("Temperature error by step", temperatures)];
-    let charts = errors.into_iter().filter(|(_, points)| !points.is_empty()).map(|(title, points)| Chart {
-        log: true,
-        ..Chart::new(title, "step", "MSE", vec![Series::new("", points)])
-    });
+    let charts = errors
+        .into_iter()
+        .filter(|(_, points)| !points.is_empty())
+        .map(|(title, points)| Chart { log: true, ..Chart::new(title, "step", "MSE", vec![Series::new("", points)]) });
     Ok((lead, charts.collect()))
 }

@@ -318,11 +318,8 @@ struct Data<'a> {
 }
 
 impl Page {
-    /// The page as HTML.
-    ///
-    /// # Errors
-    /// A template that does not fit, which is a bug.
     pub fn to_html(&self) -> Result<String, Error> {
+        // A template that does not fit is a bug.
         let failed =
             |error: minijinja::Error| Error::run(format!("the page could not be made: {error:#}"), "report this");
         let mut environment = Environment::new();
@@ -359,10 +356,6 @@ impl Page {
             .map_err(failed)
     }
 
-    /// Writes the page, atomically.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         Ok(write_bytes_atomically(path, self.to_html()?.as_bytes())?)
     }

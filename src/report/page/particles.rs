@@ -128,8 +128,8 @@ impl Fields {
         } else {
             quantities.truncate(1);
         }
-        let has = |tags: &[u8]| frames().any(|frame| frame.tag.iter().any(|tag| tags.contains(tag)));
-        let (has_walls, has_hot) = (frames().any(|frame| frame.tag.iter().any(|tag| *tag != 0)), has(&HOT));
+        let has = |is_in: fn(&u8) -> bool| frames().any(|frame| frame.tag.iter().any(is_in));
+        let (has_walls, has_hot) = (has(|tag| *tag != 0), has(|tag| HOT.contains(tag)));
         let most = frames().map(|frame| frame.tag.len()).max().unwrap_or(0);
         let every = most.div_ceil(MOST_PARTICLES).max(1);
         if every > 1 {

@@ -20,20 +20,17 @@ pub struct Axis {
 impl Axis {
     /// A linear axis around all finite values, with a little room at both ends.
     pub fn around(values: impl IntoIterator<Item = f64>) -> Self {
-        let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()), 0.0, 1.0);
+        let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()));
         // What differs by rounding only is one value: its ticks would need too many digits.
-        let room = if high - low > 1e-7 * low.abs().max(high.abs()) {
-            0.05 * (high - low)
-        } else {
-            0.05 * low.abs().max(1e-3)
-        };
+        let differs = high - low > 1e-7 * low.abs().max(high.abs());
+        let room = 0.05 * if differs { high - low } else { low.abs().max(1e-3) };
         Self::linear(low - room, high + room)
     }
 
     /// A logarithmic axis around all positive values, with a little room at both ends.
     pub fn around_log(values: impl IntoIterator<Item = f64>) -> Self {
         let logs = values.into_iter().filter(|v| *v > 0.0 && v.is_finite()).map(f64::log10);
-        let (low, high) = limits(logs, 0.0, 1.0);
+        let (low, high) = limits(logs);
         // Less than a third of a decade would leave no tick.
         let room = (0.05 * (high - low)).max(0.5 * (0.4 - (high - low))).max(0.03);
         let (low, high) = (low - room, high + room);
@@ -93,9 +90,9 @@ impl Axis {
     }
 }
 
-/// Smallest and largest value, or the given limits if there is none.
-fn limits(values: impl Iterator<Item = f64>, low: f64, high: f64) -> (f64, f64) {
-    values.map(|value| (value, value)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((low, high))
+/// Smallest and largest value; 0 and 1 if there is none.
+fn limits(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.map(|value| (value, value)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((0.0, 1.0))
 }
 
 /// Multiples of 1, 2 or 5 times a power of ten, at most `count` + 1 or so of them.

@@ -3,7 +3,7 @@
 use super::axis::{Axis, PlotArea, INK};
 use super::colors;
 use super::drawing::{Anchor, Drawing};
-use super::temperature::{color_bar, ticks_for};
+use super::temperature::{check_ranges, color_bar, ticks_for};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -32,12 +32,7 @@ pub fn relief(
         let lengths: Vec<usize> = panels.iter().map(|panel| panel.heights.len()).collect();
         return Err(FileError::input(path_stem, format!("walls have {lengths:?} heights"), format!("{cells} each")));
     }
-    for (name, low, high) in [("height", -most, most), ("x", x.0, x.1), ("z", z.0, z.1)] {
-        if !(low < high && low.is_finite() && high.is_finite()) {
-            let problem = format!("the {name} range is {low} to {high}");
-            return Err(FileError::input(path_stem, problem, "finite limits, the first below the second"));
-        }
-    }
+    check_ranges(path_stem, [("height", (-most, most)), ("x", (x.0, x.1)), ("z", (z.0, z.1))])?;
     let pixels = f64::min(760.0 / (x.1 - x.0), 460.0 / (z.1 - z.0));
     let (width, height) = (pixels * (x.1 - x.0), pixels * (z.1 - z.0));
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
@@ -66,12 +61,7 @@ pub fn relief(
         }
         frame.outline(&mut drawing);
     }
-    color_bar(
-        &mut drawing,
-        (bar_left, first_top),
-        bottom - first_top,
-        (-most, most),
-        "height of the wall (scene units)",
-    );
+    let label = "height of the wall (scene units)";
+    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (-most, most), label);
     drawing.save(path_stem)
 }

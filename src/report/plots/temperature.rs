@@ -38,25 +38,10 @@ pub struct TemperaturePanel<'a> {
 
 /// Draws panels under each other: fluid particles coloured from `t_min` to `t_max`, wall particles grey (those of
 /// set temperature outlined in red). Both axes have the same scale; particles whose centre lies outside the ranges
-/// are left out.
+/// are left out. `label` names what colours them, and its unit.
 ///
 /// # Errors
 /// [`FileError::Input`] if lengths do not fit, a range is empty, or there is no panel.
-pub fn temperature_particles(
-    path_stem: &Path,
-    panels: &[TemperaturePanel],
-    t_min: f64,
-    t_max: f64,
-    x_range: (f64, f64),
-    y_range: (f64, f64),
-) -> Result<[PathBuf; 2], FileError> {
-    colored_particles(path_stem, "temperature T (scene units)", panels, (t_min, t_max), x_range, y_range)
-}
-
-/// The same for another quantity in the place of the temperature; `label` names it and its unit.
-///
-/// # Errors
-/// As [`temperature_particles`].
 pub fn colored_particles(
     path_stem: &Path,
     label: &str,
@@ -181,38 +166,31 @@ pub(super) fn check(
     x_range: (f64, f64),
     y_range: (f64, f64),
 ) -> Result<(), FileError> {
+    let bad = |problem: String, allowed: &str| Err(FileError::input(path, problem, allowed));
     if panels.is_empty() {
-        return Err(FileError::input(path, "there is no panel", "at least one"));
+        return bad("there is no panel".into(), "at least one");
     }
-    for (name, (low, high)) in [("temperature", t_range), ("x", x_range), ("y", y_range)] {
-        if !(low < high && low.is_finite() && high.is_finite()) {
-            return Err(FileError::input(
-                path,
-                format!("the {name} range is {low} to {high}"),
-                "finite limits, the first below the second",
-            ));
-        }
-    }
-    for panel in panels {
-        let count = panel.tag.len();
-        if panel.position.len() != 2 * count || panel.temperature.len() != count {
-            return Err(FileError::input(
-                path,
-                format!(
-                    "panel `{}` has {count} tags, {} temperatures, {} coordinates",
-                    panel.title,
-                    panel.temperature.len(),
-                    panel.position.len()
-                ),
+    check_ranges(path, [("temperature", t_range), ("x", x_range), ("y", y_range)])?;
+    for TemperaturePanel { title, position, temperature, tag, diameter } in panels {
+        let (count, warm, places) = (tag.len(), temperature.len(), position.len());
+        if places != 2 * count || warm != count {
+            return bad(
+                format!("panel `{title}` has {count} tags, {warm} temperatures, {places} coordinates"),
                 "one temperature and two coordinates for each tag",
-            ));
+            );
         }
-        if !(panel.diameter > 0.0 && panel.diameter.is_finite()) {
-            return Err(FileError::input(
-                path,
-                format!("the particle diameter is {}", panel.diameter),
-                "a positive length",
-            ));
+        if !(*diameter > 0.0 && diameter.is_finite()) {
+            return bad(format!("the particle diameter is {diameter}"), "a positive length");
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn check_ranges(path: &Path, ranges: [(&str, (f64, f64)); 3]) -> Result<(), FileError> {
+    for (name, (low, high)) in ranges {
+        if !(low < high && low.is_finite() && high.is_finite()) {
+            let problem = format!("the {name} range is {low} to {high}");
+            return Err(FileError::input(path, problem, "finite limits, the first below the second"));
         }
     }
     Ok(())

@@ -177,11 +177,11 @@ impl Job {
                     time: found.step as f64 * dt,
                     quantity: found.quantity,
                     value: found.value,
-                    limit: None,
                     particle: Some(found.particle),
                     tag: Some(found.tag.into()),
                     position: Some(found.position),
                     cause: Some(found.cause.why),
+                    ..Fault::default()
                 })
             }
         };
