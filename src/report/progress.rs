@@ -47,7 +47,6 @@ impl Progress {
         Self { bar }
     }
 
-    /// Adds `steps` units.
     pub fn done(&self, steps: u64) {
         self.bar.inc(steps);
     }
@@ -87,7 +86,6 @@ impl Progress {
         self.bar.suspend(print)
     }
 
-    /// True if nothing is printed.
     pub fn is_hidden(&self) -> bool {
         self.bar.is_hidden()
     }

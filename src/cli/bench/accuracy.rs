@@ -1,17 +1,14 @@
 //! Run time against error: a table, a plot per scene, and points of other codes beside ours.
 
-use std::path::{Path, PathBuf};
-
-use serde::{Deserialize, Serialize};
-
+use super::plots::{add, Series};
+use super::rows::read_array;
 use crate::config::scene::Precision;
 use crate::error::BadInput;
 use crate::io::FileError;
 use crate::report::plots::compare;
 use crate::report::table::Table;
-
-use super::plots::{add, Series};
-use super::rows::read_array;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// A run of this or another code.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

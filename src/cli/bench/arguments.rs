@@ -1,9 +1,5 @@
 //! Options of `hydrograd bench`.
 
-use std::path::{Path, PathBuf};
-
-use clap::{Args, ValueEnum};
-
 use super::case::{Group, Size};
 use crate::cli::arguments::{at_least_one, threads};
 use crate::config::builtin;
@@ -11,6 +7,8 @@ use crate::config::device::DeviceName;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::BadInput;
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
 
 /// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
 ///

@@ -1,9 +1,5 @@
 //! The words of the bench: groups, what is run and how, a case, and what the process that measured it answers.
 
-use serde::{Deserialize, Serialize};
-
-use clap::ValueEnum;
-
 use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
 use crate::config::device::DeviceName;
@@ -12,6 +8,8 @@ use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Config, Kernels, Precision};
 use crate::error::Error;
 use crate::scene::load::Loaded;
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
 
 /// Modes of the rows of `plan`.
 pub const PLAN: &str = "plan";
@@ -69,7 +67,6 @@ impl Size {
         self.per_side.pow(self.dimension as u32)
     }
 
-    /// Name of the scene.
     pub fn scene(self) -> &'static str {
         match self.dimension {
             2 => "taylor-green",
@@ -164,7 +161,6 @@ pub enum Lacking {
 impl Lacking {
     pub const ALL: [Self; 5] = [Self::Heat, Self::Walls, Self::Viscosity, Self::TransportVelocity, Self::Masses];
 
-    /// Name of the scene.
     pub fn name(self) -> &'static str {
         match self {
             Self::Heat => "isothermal",

@@ -1,8 +1,5 @@
 //! Measures a case in its own process, with a fixed number of threads and its own peak memory.
 
-use std::sync::Arc;
-use std::time::Instant;
-
 use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
 use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
@@ -26,6 +23,8 @@ use crate::sph::standard::Standard;
 use crate::sph::Model;
 use crate::sph::Sweeps;
 use candle_core::Tensor;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// Number of steps after which a scene with every field is compared with its plan.
 const COMPARED_STEPS: usize = 50;

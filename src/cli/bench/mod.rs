@@ -3,7 +3,7 @@
 //! Each row is measured in its own process, which answers in JSON. The modules depend on each other as follows:
 //!
 //! ```text
-//! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, compare, plots, runner  <-  tables  <-  run
+//! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, plots, runner  <-  tables  <-  run
 //! ```
 
 mod accuracy;
@@ -11,7 +11,6 @@ mod arguments;
 mod case;
 mod cases;
 mod child;
-mod compare;
 mod needs;
 mod plots;
 mod rows;
@@ -20,12 +19,6 @@ mod surrogate;
 mod tables;
 
 pub use arguments::BenchArguments;
-
-use accuracy::ComparedRun;
-use case::Group;
-use cases::Cases;
-use compare::Earlier;
-use rows::Row;
 
 use super::arguments::check_writable;
 use super::files::write_json;
@@ -36,6 +29,10 @@ use super::run_folder::{self, RunFolder};
 use crate::config::device::DeviceName;
 use crate::error::{BadInput, Error};
 use crate::report::progress::Progress;
+use accuracy::ComparedRun;
+use case::Group;
+use cases::Cases;
+use rows::{Earlier, Row};
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -1,13 +1,11 @@
 //! Plots of the bench.
 
-use std::path::{Path, PathBuf};
-
 use super::case::{Group, Kind};
 use super::rows::Row;
 use crate::io::FileError;
 use crate::report::plots::compare;
+use std::path::{Path, PathBuf};
 
-/// Plots the results of a group and returns the paths.
 pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
     let mut files = vec![];
     let mut picture = |name: &str, title: &str, x: &str, y: &str, series: Series| -> Result<(), FileError> {
@@ -33,7 +31,6 @@ pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, F
     Ok(files)
 }
 
-/// Names and points of series.
 pub type Series = Vec<(String, Vec<(f64, f64)>)>;
 
 pub fn add(series: &mut Series, name: String, point: (f64, f64)) {

@@ -1,15 +1,13 @@
 //! Runs the cases of a family in turns, each repeat in its own process.
 
-use std::process::Stdio;
-
-use serde::de::DeserializeOwned;
-
 use super::accuracy::ComparedRun;
 use super::case::{Case, Measured, Outcome, Request};
 use super::rows::Row;
 use crate::cli::program;
 use crate::error::{Error, EXIT_DIVERGED};
 use crate::report::progress::Progress;
+use serde::de::DeserializeOwned;
+use std::process::Stdio;
 
 /// Runs every case `repeats` times in turns, A B C A B C: the rows, and the labels of cases that were left out with the
 /// reasons.

@@ -12,12 +12,6 @@
 //! first twice, because nobody asks for the gradient of their features. Everything else (normalisation, sums, features,
 //! neighbours, AdamW) is no work here, but its time counts.
 
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::Instant;
-
-use candle_core::{DType, Var};
-
 use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
 use crate::cli::prepare::compute;
 use crate::config::training::{ModelSettings, Settings};
@@ -34,8 +28,11 @@ use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::checkpoint::fresh;
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::Training;
+use candle_core::{DType, Var};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
 
-/// Their spacing.
 const SPACING: f64 = 0.02;
 /// Largest shift of a particle off its place of the lattice, and largest way per frame, in spacings.
 const JITTER: f64 = 0.2;

@@ -1,8 +1,7 @@
 //! The rows of a group as a table for the terminal, at most 120 columns wide.
 
 use super::case::{Group, Kind, COMPOSED, EVERYTHING_ON, FUSED, PLAN};
-use super::compare::Earlier;
-use super::rows::Row;
+use super::rows::{Earlier, Row};
 use crate::report::table::Table;
 
 /// A heading with the common values of all rows, the table, and notes.

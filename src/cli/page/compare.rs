@@ -1,9 +1,10 @@
 //! `hydrograd compare`: several runs of a kind on one page, and the page of a folder whose run has several parts.
 
-use super::designs::{is_steady, loaded, verification, wall_chart, wall_line};
+use super::designs::{is_steady, verification, wall_chart, wall_line};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
+use crate::cli::files::read_config;
 use crate::cli::guard::warn;
 use crate::cli::machine;
 use crate::cli::run_folder::{is_finished, kind_of};
@@ -63,7 +64,6 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One of several runs.
 pub struct Compared {
     /// The name that distinguishes it from the others.
     pub name: String,
@@ -137,7 +137,7 @@ impl CompareArguments {
 
 /// The symbol of a search's objective; none for other runs.
 fn objective(folder: &Folder) -> Option<&'static str> {
-    let config = loaded(folder).ok().filter(|_| folder.kind == "optimize")?.config;
+    let config = read_config(&folder.path).ok().filter(|_| folder.kind == "optimize")?.config;
     Some(Figure::of_config(&config).symbol)
 }
 
@@ -176,7 +176,7 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     let summary = folder.record("summary.json");
     let mut page = beside(&runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
-        let loaded = loaded(&run.folder)?;
+        let loaded = read_config(&run.folder.path)?;
         let symbol = Figure::of_config(&loaded.config).symbol;
         let title = "Does the gain of the best hold?";
         page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded)?));
@@ -245,7 +245,7 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
     let mut searches: Vec<Option<Search>> = Vec::new();
     for (run, summary) in runs.iter().zip(&summaries) {
         searches.push(match run.folder.kind.as_str() {
-            "optimize" => summary.search(Figure::of_config(&loaded(&run.folder)?.config)),
+            "optimize" => summary.search(Figure::of_config(&read_config(&run.folder.path)?.config)),
             _ => None,
         });
     }

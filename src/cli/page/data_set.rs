@@ -15,7 +15,6 @@ const MOST_BYTES: usize = 800_000;
 /// Largest number of walls on a page; of more, some are selected.
 const MOST_WALLS: usize = 200;
 
-/// The page of a finished data set.
 pub fn page(folder: &Folder) -> anyhow::Result<Page> {
     let metadata = Metadata::read(&folder.path)?;
     let mut splits = Vec::new();
@@ -57,7 +56,6 @@ fn all(splits: &Splits) -> impl Iterator<Item = &Outline> + Clone {
     splits.iter().flat_map(|(_, all)| all)
 }
 
-/// Time between frames.
 fn apart(metadata: &Metadata) -> f64 {
     metadata.dt * metadata.write_every as f64
 }

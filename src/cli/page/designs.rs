@@ -1,11 +1,11 @@
 //! Pages of `optimize` and `simulate`.
 
 use super::folder::{column, figure, percent, warnings, Columns, Folder};
+use super::leads::{number, text};
 use super::names::{counted, rounded};
 use super::{series, tables};
 use crate::cli::explain::plan_of;
-use crate::cli::files::read_config;
-use crate::cli::files::{AFTER, BEFORE, CHECKPOINT};
+use crate::cli::files::{read_config, AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family, GradientMode};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
@@ -14,16 +14,9 @@ use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, T
 use crate::scene::load::Loaded;
 use crate::scene::record::{Record, Search, FIGURES};
 use crate::scene::Scene;
-use serde_json::Value;
 
-/// Loads the configuration of a run.
-pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
-    Ok(read_config(&folder.path)?)
-}
-
-/// The page of a search.
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
-    let loaded = loaded(folder)?;
+    let loaded = read_config(&folder.path)?;
     let config = &loaded.config;
     let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
@@ -146,7 +139,6 @@ fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>>
     Ok(variables.iter().filter(|_| fits).map(sampled).collect())
 }
 
-/// The walls of each epoch; none without walls.
 fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
     let first = shapes.first()?;
     let is_both = first.top.is_some();
@@ -187,7 +179,7 @@ fn before_and_after(search: &Search, summary: &Record) -> Table {
         let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
         // Small residuals need fewer digits.
         let cell = |x: f64| if x.abs() < 1e-3 { rounded(Cell::number(x), 4) } else { Cell::number(x) };
-        table.rows.push(vec![Cell::text(name), cell(b), cell(a), change]);
+        table.row(name, [cell(b), cell(a), change]);
     };
     let Figure { symbol, quantity, .. } = search.figure;
     row(format!("{symbol}, {quantity}"), search.first, search.best, true);
@@ -219,18 +211,10 @@ pub fn verification(title: &str, symbol: &str, summary: &Record, is_steady: bool
     let mut table = Table::new(title, header);
     let name = symbol.to_lowercase();
     for check in checks {
-        let text = |key: &str| check.get(key).and_then(Value::as_str).unwrap_or_default();
-        let number = |key: &str| match check.get(key).and_then(Value::as_f64) {
-            Some(value) => Cell::number(value),
-            None => Cell::text("-"),
-        };
-        let gain = match check.get("gain").and_then(Value::as_f64) {
-            Some(gain) => percent(gain),
-            None => Cell::text(format!("failed: {}", text("error"))),
-        };
-        let figures = [number(&format!("{name}_reference")), number(&format!("{name}_best"))];
-        let [reference, best] = figures;
-        table.rows.push(vec![Cell::text(text("check")), reference, best, gain]);
+        let figure = |key: &str| number(check, &format!("{name}_{key}")).map_or(Cell::text("-"), Cell::number);
+        let failed = || Cell::text(format!("failed: {}", text(check, "error")));
+        let gain = number(check, "gain").map_or_else(failed, percent);
+        table.row(text(check, "check"), [figure("reference"), figure("best"), gain]);
     }
     let reference = summary.text("verification_reference").unwrap_or_default();
     let survives = summary.number("gain_survives");
@@ -257,9 +241,8 @@ fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
     Ok(Text { title: title.into(), text: format!("{} steps\n{plan}", config.steps()) })
 }
 
-/// The page of a simulation.
 pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
-    let loaded = loaded(folder)?;
+    let loaded = read_config(&folder.path)?;
     let config = &loaded.config;
     let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };

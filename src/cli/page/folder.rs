@@ -156,7 +156,6 @@ impl Folder {
         found
     }
 
-    /// Sorted names of the files in the folder.
     fn names(&self) -> Vec<String> {
         let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
         let mut names: Vec<String> = entries
@@ -205,7 +204,6 @@ impl Folder {
     }
 }
 
-/// Converts the name of a key or a file to words.
 pub fn words(name: &str) -> String {
     let mut letters = name.replace(['_', '-'], " ");
     if let Some(first) = letters.get_mut(..1) {

@@ -4,9 +4,8 @@ use crate::report::page::{short, Cell};
 use crate::report::text;
 use crate::scene::record::FIGURES;
 
-/// Keys and their names.
-const NAMES: [(&str, &str); 36] = [
-    ("kinetic_energy", "kinetic energy"),
+/// Keys whose names are other words than their own.
+const NAMES: [(&str, &str); 26] = [
     ("exact_kinetic_energy", "kinetic energy, exact"),
     ("e_kin", "kinetic energy, squared error"),
     ("velocity_error", "velocity error, relative"),
@@ -16,7 +15,6 @@ const NAMES: [(&str, &str); 36] = [
     ("seconds_f32", "seconds in f32"),
     ("peak_memory_bytes", "peak memory"),
     ("predicted_memory_bytes", "predicted memory"),
-    ("time_step", "time step"),
     ("q_first", "Q of the first design"),
     ("q_sum", "Q, sum over the targets"),
     ("error_f32", "error in f32"),
@@ -26,22 +24,14 @@ const NAMES: [(&str, &str); 36] = [
     ("sinkhorn_failures", "Sinkhorn failures"),
     ("temperature_mse", "temperature MSE"),
     ("outflow_error", "outflow, relative error"),
-    ("seconds_per_step", "seconds per step"),
-    ("ms_per_step", "ms per step"),
     ("ms_per_step_median", "ms per step, median"),
-    ("ns_per_pair", "ns per pair"),
     ("ns_per_particle_step", "ns per particle and step"),
     ("adjoint_over_forward", "adjoint / forward"),
-    ("best_step", "best step"),
     ("dx", "spacing"),
     ("cfl", "CFL number"),
     ("resumed_from", "went on from step"),
     ("reynolds", "Reynolds number"),
-    ("loss_before", "loss before"),
-    ("energy_drift", "energy drift"),
-    ("model", "model"),
     ("data", "data set"),
-    ("mean_density", "mean density"),
 ];
 
 /// The name of a key. A figure has its own name, and one of a nested object is prefixed by the object's.

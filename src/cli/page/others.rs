@@ -66,7 +66,6 @@ const COLUMNS: [(&str, tables::Choice); 3] = [
     ),
 ];
 
-/// The page of any run.
 pub fn page(folder: &Folder) -> Page {
     let mut page = Page::default();
     for (file, title) in FIGURES {

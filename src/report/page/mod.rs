@@ -243,7 +243,6 @@ pub struct Walls {
     pub symbol: String,
 }
 
-/// One of the walls.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Side {
     pub name: String,

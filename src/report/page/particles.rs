@@ -27,7 +27,6 @@ pub struct RawFrame {
     pub values: Vec<Vec<f64>>,
 }
 
-/// Frames of one run.
 #[derive(Debug, Clone, Default)]
 pub struct RawPanel {
     pub title: String,
@@ -52,11 +51,9 @@ pub struct Fields {
     pub x: (f64, f64),
     pub y: (f64, f64),
     pub diameter: f64,
-    /// Whether there are particles of walls.
     pub has_walls: bool,
     /// Whether the temperature of some of them is set.
     pub has_hot: bool,
-    /// What the reader should know of the picture.
     pub note: String,
 }
 

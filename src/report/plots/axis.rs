@@ -13,7 +13,6 @@ pub struct Axis {
     low: f64,
     high: f64,
     log: bool,
-    /// Values and their labels.
     ticks: Vec<(f64, String)>,
 }
 
@@ -62,12 +61,10 @@ impl Axis {
         axis
     }
 
-    /// True if the value can be shown at all.
     pub fn shows(&self, value: f64) -> bool {
         value.is_finite() && (!self.log || value > 0.0)
     }
 
-    /// Values and labels of the ticks.
     pub fn ticks(&self) -> &[(f64, String)] {
         &self.ticks
     }
@@ -201,7 +198,6 @@ pub struct PlotArea {
 }
 
 impl PlotArea {
-    /// Pixels of a data point.
     pub fn map(&self, (x, y): Point) -> Point {
         (self.left + self.width * self.x.part(x), self.top + self.height * (1.0 - self.y.part(y)))
     }
@@ -258,7 +254,6 @@ impl PlotArea {
         drawing.text(label, (right + 28.0 + axis.label_width(), middle), LABEL_SIZE, Anchor::Upwards, color);
     }
 
-    /// The rectangle alone.
     pub fn outline(&self, drawing: &mut Drawing) {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
         let corners = [(self.left, self.top), (right, self.top), (right, bottom), (self.left, bottom)];

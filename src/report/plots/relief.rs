@@ -7,7 +7,6 @@ use super::temperature::{check_ranges, color_bar, ticks_for};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
-/// One wall.
 #[derive(Clone, Copy, Debug)]
 pub struct ReliefPanel<'a> {
     pub title: &'a str,

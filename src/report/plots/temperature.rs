@@ -22,7 +22,6 @@ const SURFACE_INK: Color = [70, 70, 70];
 /// Of a surface point's radius, in a particle's.
 const SURFACE_SIZE: f64 = 0.22;
 
-/// One picture of particles.
 #[derive(Clone, Copy, Debug)]
 pub struct TemperaturePanel<'a> {
     pub title: &'a str,
