@@ -41,12 +41,12 @@ pub struct CompareArguments {
 const MOST: usize = 12;
 
 pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
-    let runs = arguments.runs()?;
+    let mut runs = arguments.runs()?;
     let out = &arguments.out;
     check_out(out)?;
     let base = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(base).map_err(|source| crate::io::FileError::write(base, source))?;
-    let mut page = beside(&runs, base, None)?;
+    let mut page = beside(&mut runs, base, None)?;
     page.title = format!("{} runs of {}", runs.len(), runs[0].folder.kind);
     page.subtitle = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", ");
     page.warnings = runs.iter().flat_map(|run| run.folder.damage()).collect();
@@ -64,10 +64,27 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-pub struct Compared {
+struct Compared {
     /// The name that distinguishes it from the others.
-    pub name: String,
-    pub folder: Folder,
+    name: String,
+    folder: Folder,
+    summary: Record,
+    /// Of a search that has found something.
+    search: Option<Search>,
+}
+
+impl Compared {
+    fn new(name: String, folder: Folder) -> Self {
+        Self { name, folder, summary: Record::default(), search: None }
+    }
+
+    fn read(&mut self) -> anyhow::Result<()> {
+        self.summary = self.folder.record("summary.json");
+        if self.folder.kind == "optimize" {
+            self.search = self.summary.search(Figure::of_config(&read_config(&self.folder.path)?.config));
+        }
+        Ok(())
+    }
 }
 
 impl CompareArguments {
@@ -103,7 +120,7 @@ impl CompareArguments {
                 return Err(bad(&format!("{state}: none of {}", MAIN.join(", ")))
                     .advice(format!("hydrograd {kind} --resume {}", path.display())));
             }
-            runs.push(Compared { name: shown(&folder.name()), folder });
+            runs.push(Compared::new(shown(&folder.name()), folder));
         }
         let first = &runs[0].folder.kind;
         if let Some(other) = runs.iter().find(|run| run.folder.kind != *first) {
@@ -171,10 +188,10 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
 
 /// The page of a folder with one run in each subfolder.
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
-    let runs: Vec<Compared> =
-        folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
+    let parts = folder.parts("optimize").into_iter();
+    let mut runs: Vec<Compared> = parts.map(|part| Compared::new(part.name(), part)).collect();
     let summary = folder.record("summary.json");
-    let mut page = beside(&runs, &folder.path, Some(&summary))?;
+    let mut page = beside(&mut runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
         let loaded = read_config(&run.folder.path)?;
         let symbol = Figure::of_config(&loaded.config).symbol;
@@ -237,28 +254,21 @@ fn differing(all: &[Values]) -> Vec<(&str, Vec<Option<&str>>)> {
 
 /// Runs of one kind side by side. `together` has their common figures, if they are parts of one run. Links are relative
 /// to the folder `base`.
-fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::Result<Page> {
-    let unlike = unlike(runs);
+fn beside(runs: &mut [Compared], base: &Path, together: Option<&Record>) -> anyhow::Result<Page> {
     let mut page = Page { body: Body::Compare, ..Page::default() };
-    let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
-    let summaries: Vec<Record> = runs.iter().map(|run| run.folder.record("summary.json")).collect();
-    let mut searches: Vec<Option<Search>> = Vec::new();
-    for (run, summary) in runs.iter().zip(&summaries) {
-        searches.push(match run.folder.kind.as_str() {
-            "optimize" => summary.search(Figure::of_config(&read_config(&run.folder.path)?.config)),
-            _ => None,
-        });
-    }
+    runs.iter_mut().try_for_each(Compared::read)?;
     // Only one part was checked, against the flat wall.
     let verified = together.and_then(|all| Some((all.text("verified_start")?, all.0.get("gain_survives")?)));
     if let Some((name, gain)) = verified {
-        for (_, search) in runs.iter().zip(&mut searches).filter(|(run, _)| run.name == name) {
-            search.iter_mut().for_each(|search| search.survives = gain.as_f64());
-        }
+        let checked = runs.iter_mut().filter(|run| run.name == name).filter_map(|run| run.search.as_mut());
+        checked.for_each(|search| search.survives = gain.as_f64());
     }
-    let flat = together.and_then(|_| runs.iter().position(|run| run.name == "flat"));
-    let flat = flat.and_then(|k| searches[k].as_ref().map(|search| search.first));
-    page.lead = lead(runs, &searches, &summaries, &unlike, flat);
+    let runs = &*runs;
+    let unlike = unlike(runs);
+    let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
+    let flat = together.and_then(|_| runs.iter().find(|run| run.name == "flat")?.search.as_ref());
+    let flat = flat.map(|search| search.first);
+    page.lead = lead(runs, &unlike, flat);
     if !unlike.is_empty() {
         page.remark = format!("Not the same in all of them: {}. So none is the best.", unlike.join(", "));
     }
@@ -269,8 +279,8 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
         None => Cell::text("-"),
     });
     table.row("the run's own page", pages);
-    if searches.iter().all(Option::is_some) {
-        let searches: Vec<&Search> = searches.iter().flatten().collect();
+    let searches: Vec<&Search> = runs.iter().filter_map(|run| run.search.as_ref()).collect();
+    if searches.len() == runs.len() {
         add_searches(&mut table, &searches, unlike.is_empty(), flat);
         page.charts.push(over_epochs(runs, &searches));
         page.charts.extend(best_walls(runs));
@@ -278,7 +288,7 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
         page.charts.extend(histories(runs));
     }
     let mut rest = Table::new("All other figures", header());
-    add_figures([&mut table, &mut rest], runs, &summaries);
+    add_figures([&mut table, &mut rest], runs);
     page.tables.push(table);
     page.tables.extend(differences(runs, header().collect()));
     page.more.extend((!rest.rows.is_empty()).then_some(rest));
@@ -297,52 +307,39 @@ fn page_link(folder: &Folder, base: &Path) -> Option<String> {
     Some(link(&up.chain(down).collect::<Vec<_>>().join("/")))
 }
 
-fn lead(
-    runs: &[Compared],
-    searches: &[Option<Search>],
-    summaries: &[Record],
-    unlike: &[String],
-    flat: Option<f64>,
-) -> String {
+fn lead(runs: &[Compared], unlike: &[String], flat: Option<f64>) -> String {
     let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
     let plain = format!("{} runs of hydrograd {kind} side by side", runs.len());
     if !unlike.is_empty() {
         return format!("{plain}: of different problems, not to be ranked.");
     }
-    let best_of = |values: Vec<Option<f64>>| {
-        let found = values.into_iter().enumerate().filter_map(|(k, value)| Some((k, value?)));
-        found.max_by(|a, b| a.1.total_cmp(&b.1))
-    };
-    if let Some((k, _)) = best_of(searches.iter().map(|search| search.as_ref().map(|search| search.best)).collect()) {
-        if let Some(search) = &searches[k] {
-            let symbol = search.figure.symbol;
-            // Each started with another wall; all are compared with the flat one, if it is among them.
-            let (gain, over) = match flat {
-                Some(flat) => (search.best / flat - 1.0, "the flat wall"),
-                None => (search.gain(), "its own start"),
-            };
-            return format!(
-                "Best of {} searches: {}, with {symbol} = {} ({:+.2}\u{a0}% over {over}).",
-                runs.len(),
-                runs[k].name,
-                figure(search.best),
-                100.0 * gain
-            );
-        }
+    let searches = runs.iter().filter_map(|run| Some((&run.name, run.search.as_ref()?)));
+    if let Some((name, search)) = searches.max_by(|a, b| a.1.best.total_cmp(&b.1.best)) {
+        // Each started with another wall; all are compared with the flat one, if it is among them.
+        let (gain, over) = match flat {
+            Some(flat) => (search.best / flat - 1.0, "the flat wall"),
+            None => (search.gain(), "its own start"),
+        };
+        return format!(
+            "Best of {} searches: {name}, with {} = {} ({:+.2}\u{a0}% over {over}).",
+            runs.len(),
+            search.figure.symbol,
+            figure(search.best),
+            100.0 * gain
+        );
     }
-    let values = || summaries.iter().map(|summary| summary.number("q"));
-    if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
-        return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
+    let named = |of: &dyn Fn(&Compared) -> Option<f64>| -> Option<Vec<(&String, f64)>> {
+        runs.iter().map(|run| Some((&run.name, of(run)?))).collect()
+    };
+    let most = named(&|run| run.summary.number("q")).and_then(|all| all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)));
+    if let Some((name, q)) = most {
+        return format!("Of {} runs {name} carries out the most heat: Q = {}.", runs.len(), figure(q));
     }
     // Of the evaluated model, which is the first one with scores.
     let error = |run: &Compared| evaluation(&run.folder)?["scores"][0]["mse"].as_f64();
-    let errors: Option<Vec<f64>> = runs.iter().map(error).collect();
-    if let Some((k, mse)) = errors.and_then(|all| all.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))) {
-        return format!(
-            "Of {} models that of {} has the least position error: MSE {mse:.2e}.",
-            runs.len(),
-            runs[k].name
-        );
+    let least = named(&error).and_then(|all| all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)));
+    if let Some((name, mse)) = least {
+        return format!("Of {} models that of {name} has the least position error: MSE {mse:.2e}.", runs.len());
     }
     format!("{plain}.")
 }
@@ -391,11 +388,11 @@ const FIRST: [&str; 9] = [
 const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
 
 /// Rows of the figures in the runs' files: the most important ones, and the rest.
-fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[Record]) {
+fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared]) {
     let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
-    for (run, summary) in runs.iter().zip(summaries) {
-        let mut found = tables::scalars(&summary.0);
-        if summary.0.is_empty() {
+    for run in runs {
+        let mut found = tables::scalars(&run.summary.0);
+        if run.summary.0.is_empty() {
             for file in MAIN.iter().filter(|file| file.ends_with(".json")) {
                 if let Some(map) = run.folder.json(file) {
                     found.extend(tables::scalars(&map));
@@ -435,7 +432,7 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[R
             cell.map_or_else(|| Cell::text("-"), |cell| sized(&name, cell))
         };
         let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
-        let has_place = is_first || summaries.iter().all(|summary| summary.0.is_empty());
+        let has_place = is_first || runs.iter().all(|run| run.summary.0.is_empty());
         let into = if has_place { &mut *table } else { &mut *rest };
         into.row(label(&name), all.iter().map(of));
     }

@@ -5,6 +5,8 @@ use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 pub const INK: Color = [40, 40, 40];
 const GRID: Color = [226, 226, 226];
 const TICK_SIZE: f64 = 15.0;
+/// About as many, where nothing else is asked for.
+pub const TICKS: usize = 6;
 const LABEL_SIZE: f64 = 16.0;
 
 /// One axis: what is mapped where, and the ticks.
@@ -38,7 +40,7 @@ impl Axis {
 
     /// A linear axis over exactly this range.
     pub fn linear(low: f64, high: f64) -> Self {
-        Self::linear_with(low, high, 6)
+        Self::linear_with(low, high, TICKS)
     }
 
     /// A linear axis over exactly this range with about `count` ticks.
@@ -198,6 +200,15 @@ pub struct PlotArea {
 }
 
 impl PlotArea {
+    /// True to scale, with so many pixels to a unit.
+    pub fn to_scale((left, top): Point, pixels: f64, x: (f64, f64), y: (f64, f64), x_ticks: usize) -> Self {
+        let (width, height) = (pixels * (x.1 - x.0), pixels * (y.1 - y.0));
+        // Low frames have room for few labels.
+        let y_ticks = ((height / 60.0) as usize).clamp(2, 6);
+        let (x, y) = (Axis::linear_with(x.0, x.1, x_ticks), Axis::linear_with(y.0, y.1, y_ticks));
+        Self { left, top, width, height, x, y }
+    }
+
     pub fn map(&self, (x, y): Point) -> Point {
         (self.left + self.width * self.x.part(x), self.top + self.height * (1.0 - self.y.part(y)))
     }

@@ -1,9 +1,9 @@
 //! Walls over x and z, seen from above: colours for their heights.
 
-use super::axis::{Axis, PlotArea, INK};
+use super::axis::{PlotArea, INK, TICKS};
 use super::colors;
 use super::drawing::{Anchor, Drawing};
-use super::temperature::{check_ranges, color_bar, ticks_for};
+use super::temperature::{check_ranges, color_bar};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -39,14 +39,8 @@ pub fn relief(
     let bar_left = left + width + 30.0;
     let mut drawing = Drawing::new(bar_left + 135.0, bottom + 75.0);
     for (index, panel) in panels.iter().enumerate() {
-        let frame = PlotArea {
-            left,
-            top: first_top + index as f64 * (height + gap),
-            width,
-            height,
-            x: Axis::linear(x.0, x.1),
-            y: Axis::linear_with(z.0, z.1, ticks_for(height)),
-        };
+        let top = first_top + index as f64 * (height + gap);
+        let frame = PlotArea::to_scale((left, top), pixels, (x.0, x.1), (z.0, z.1), TICKS);
         let x_label = if index + 1 == panels.len() { "x (scene units)" } else { "" };
         drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
         frame.draw(&mut drawing, x_label, "z (scene units)", INK);

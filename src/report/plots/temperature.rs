@@ -1,6 +1,6 @@
 //! Particles coloured by temperature, true to scale.
 
-use super::axis::{Axis, PlotArea, INK};
+use super::axis::{Axis, PlotArea, INK, TICKS};
 use super::colors;
 use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 use crate::io::FileError;
@@ -60,14 +60,8 @@ pub fn colored_particles(
     let mut drawing = Drawing::new(bar_left + 125.0, bottom + 110.0);
 
     for (index, panel) in panels.iter().enumerate() {
-        let frame = PlotArea {
-            left,
-            top: first_top + index as f64 * (height + gap),
-            width,
-            height,
-            x: Axis::linear(x_range.0, x_range.1),
-            y: Axis::linear_with(y_range.0, y_range.1, ticks_for(height)),
-        };
+        let top = first_top + index as f64 * (height + gap);
+        let frame = PlotArea::to_scale((left, top), pixels, x_range, y_range, TICKS);
         let last = index + 1 == panels.len();
         let x_label = if last { "x (scene units)" } else { "" };
         drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
@@ -78,11 +72,6 @@ pub fn colored_particles(
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     legend(&mut drawing, (left, bottom + 80.0), panels);
     drawing.save(path_stem)
-}
-
-/// Low panels have room for few labels.
-pub(super) fn ticks_for(height: f64) -> usize {
-    ((height / 60.0) as usize).clamp(2, 6)
 }
 
 pub(super) fn draw_particles(
