@@ -345,13 +345,8 @@ pub struct Measured {
     pub sgemm_gflops: Option<f64>,
 }
 
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Outcome {
-    Measured(Measured),
-    /// A gradient that does not fit into the memory that it is allowed, and why.
-    LeftOut(String),
-}
+/// Or why it was left out: a gradient that does not fit into the memory that it is allowed.
+pub type Outcome = Result<Measured, String>;
 
 /// Particles of the heated channel, dummy particles included.
 pub fn particles(config: &Config) -> usize {

@@ -17,9 +17,9 @@ pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<(V
         for (case, found) in family.iter().zip(&mut measured) {
             bar.message(case.label());
             if let Ok(all) = found {
-                match ask(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)? {
-                    Outcome::Measured(one) => all.push(one),
-                    Outcome::LeftOut(reason) => *found = Err(reason),
+                match ask::<Outcome>(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)? {
+                    Ok(one) => all.push(one),
+                    Err(reason) => *found = Err(reason),
                 }
             }
             bar.done(1);
