@@ -94,9 +94,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let graph = Graph::build(&frames[seen - 1].position, &domain, radius * SPACING)?;
 
     reset_peak_memory();
-    let mut seconds = vec![];
-    let mut steps = 1;
-    match case.kind {
+    let (steps, seconds) = match case.kind {
         Kind::Training => {
             let variables: Vec<Var> = model.parameters().iter().map(|p| p.values.clone()).collect();
             let train = std::slice::from_ref(&trajectory);
@@ -120,13 +118,13 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 training.state.step += 1;
                 Ok(())
             };
-            steps = time(case, &mut seconds, &mut step)?;
+            time(case, &mut step)?
         }
         _ => {
             let predictor = Learned::new(network.name(), setup.clone(), model.clone());
-            steps = time(case, &mut seconds, &mut || predictor.next(&scenery, &frames).map(drop))?.max(steps);
+            time(case, &mut || predictor.next(&scenery, &frames).map(drop))?
         }
-    }
+    };
     let peak_memory_bytes = peak_memory_bytes();
     let products = products(&sizes, graph.nodes(), graph.edges(), case.kind == Kind::Training);
     let sgemm = products.iter().map(|(product, times)| *times as f64 * product.seconds(case.threads)).sum::<f64>();
@@ -144,8 +142,8 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     })
 }
 
-/// Runs blocks of steps, and says how many steps a block has.
-fn time(case: &Case, seconds: &mut Vec<f64>, step: &mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<usize> {
+/// Runs blocks of steps: how many steps a block has, and the seconds of each.
+fn time(case: &Case, step: &mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<(usize, Vec<f64>)> {
     let mut run = |steps: usize| -> anyhow::Result<f64> {
         let clock = Instant::now();
         (0..steps).try_for_each(|_| step())?;
@@ -158,10 +156,8 @@ fn time(case: &Case, seconds: &mut Vec<f64>, step: &mut dyn FnMut() -> anyhow::R
         Length::Steps(steps) => steps,
         Length::Seconds { seconds, least } => least.max((seconds / one) as usize),
     };
-    for _ in 0..case.blocks {
-        seconds.push(run(steps)?);
-    }
-    Ok(steps)
+    let seconds = (0..case.blocks).map(|_| run(steps)).collect::<anyhow::Result<Vec<f64>>>()?;
+    Ok((steps, seconds))
 }
 
 /// Which of the three products of a linear layer.
