@@ -182,7 +182,7 @@ impl Lacking {
 }
 
 /// Forward, gradient, or an update of a network's parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     Forward,
@@ -191,12 +191,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Gradient => "gradient",
-            Self::Training => "training",
-        }
+    pub fn name(self) -> String {
+        name_of(self)
     }
 }
 

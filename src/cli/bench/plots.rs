@@ -4,6 +4,7 @@ use super::case::{Group, Kind};
 use super::rows::Row;
 use crate::io::FileError;
 use crate::report::plots::compare;
+use crate::report::text::counted;
 use std::path::{Path, PathBuf};
 
 pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
@@ -44,8 +45,7 @@ fn scaling(rows: &[Row], kind: Kind) -> Series {
     let mut series = vec![];
     for dimension in [2, 3] {
         for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
-            let threads = if row.threads == 1 { "thread" } else { "threads" };
-            let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
+            let variant = format!("{dimension}D, {}, {}", row.precision, counted(row.threads, "thread"));
             let place = (row.particles as f64, 1e6 * row.ms_per_step / row.particles as f64);
             add(&mut series, variant, place);
         }

@@ -3,6 +3,7 @@
 use super::case::{label, Case, Group, Kind, Measured, Source};
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
+use crate::report::VERSION;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -109,7 +110,7 @@ impl Row {
             gflops: first.gflop.map(|gflop| 1e3 * gflop / ms),
             sgemm_gflops: all.iter().filter_map(|m| m.sgemm_gflops).reduce(f64::max),
             instruction_set: Some(first.instruction_set.clone()),
-            version: Some(env!("CARGO_PKG_VERSION").into()),
+            version: Some(VERSION.into()),
         }
     }
 

@@ -124,11 +124,9 @@ impl CompareArguments {
         }
         let first = &runs[0].folder.kind;
         if let Some(other) = runs.iter().find(|run| run.folder.kind != *first) {
+            let (one, two, kind) = (given(&runs[0].folder.path), given(&other.folder.path), &other.folder.kind);
             return Err(BadInput::new(format!(
-                "runs of different commands: {} is of `hydrograd {first}`, {} of `hydrograd {}`",
-                given(&runs[0].folder.path),
-                given(&other.folder.path),
-                other.folder.kind
+                "runs of different commands: {one} is of `hydrograd {first}`, {two} of `hydrograd {kind}`"
             ))
             .place(given(&other.folder.path))
             .allowed("runs of one command")
@@ -196,7 +194,7 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
         let loaded = read_config(&run.folder.path)?;
         let symbol = Figure::of_config(&loaded.config).symbol;
         let title = "Does the gain of the best hold?";
-        page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded)?));
+        page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded.for_search()?.config)));
     }
     let rows: Vec<Value> = summary
         .0
@@ -320,13 +318,8 @@ fn lead(runs: &[Compared], unlike: &[String], flat: Option<f64>) -> String {
             Some(flat) => (search.best / flat - 1.0, "the flat wall"),
             None => (search.gain(), "its own start"),
         };
-        return format!(
-            "Best of {} searches: {name}, with {} = {} ({:+.2}\u{a0}% over {over}).",
-            runs.len(),
-            search.figure.symbol,
-            figure(search.best),
-            100.0 * gain
-        );
+        let (all, symbol, best, gain) = (runs.len(), search.figure.symbol, figure(search.best), 100.0 * gain);
+        return format!("Best of {all} searches: {name}, with {symbol} = {best} ({gain:+.2}\u{a0}% over {over}).");
     }
     let named = |of: &dyn Fn(&Compared) -> Option<f64>| -> Option<Vec<(&String, f64)>> {
         runs.iter().map(|run| Some((&run.name, of(run)?))).collect()

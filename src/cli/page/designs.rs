@@ -2,7 +2,7 @@
 
 use super::folder::{column, figure, percent, warnings, Columns, Folder};
 use super::leads::{number, text};
-use super::names::{counted, rounded};
+use super::names::rounded;
 use super::{series, tables};
 use crate::cli::explain::plan_of;
 use crate::cli::files::{read_config, AFTER, BEFORE, CHECKPOINT};
@@ -11,7 +11,7 @@ use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
 use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
-use crate::scene::load::Loaded;
+use crate::report::text::counted;
 use crate::scene::record::{Record, Search, FIGURES};
 use crate::scene::Scene;
 
@@ -36,14 +36,13 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         0 => {
             format!("No design that was tried is better than the first: {symbol}, the {quantity}, is {}.", figure(best))
         }
-        epoch => format!(
-            "{symbol}, the {quantity}, {} from {} to {} ({:+.2}\u{a0}%) in epoch {} of {epochs}.",
-            if best >= first { "rose" } else { "fell" },
-            figure(first),
-            figure(best),
-            100.0 * gain,
-            epoch.saturating_add(1)
-        ),
+        epoch => {
+            let (way, from, to) = (if best >= first { "rose" } else { "fell" }, figure(first), figure(best));
+            let (gain, epoch) = (100.0 * gain, epoch.saturating_add(1));
+            format!(
+                "{symbol}, the {quantity}, {way} from {from} to {to} ({gain:+.2}\u{a0}%) in epoch {epoch} of {epochs}."
+            )
+        }
     };
     page.remark = remark(&search, &summary);
     let mut fact = |name: &str, cell: Cell| page.facts.push(Fact::new(name, cell));
@@ -72,13 +71,12 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     }
     let of = |name: &str| folder.path.join(name).join("particles.pvd");
     let panels = [("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])];
-    let fields = series::fields(&panels, config.resolution.dx);
-    page.fields = folder.unless_damaged("the particles", fields).flatten();
+    page.fields = series::fields(folder, &panels, config.resolution.dx);
     if page.fields.is_none() {
         page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
     }
     page.tables.insert(0, before_and_after(&search, &summary));
-    let is_steady = is_steady(&loaded)?;
+    let is_steady = is_steady(&searched);
     page.tables.extend(verification("Does the gain hold?", symbol, &summary, is_steady));
     let later = folder.record("verification.json");
     page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
@@ -153,10 +151,10 @@ fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
         nodes: first.nodes.clone(),
         across: first.across.clone(),
         sides,
-        names: vec![],
         best: search.best_epoch.min(shapes.len() - 1),
         values: search.values.clone(),
         symbol: search.figure.symbol.into(),
+        ..Walls::default()
     })
 }
 
@@ -199,9 +197,9 @@ fn before_and_after(search: &Search, summary: &Record) -> Table {
     table
 }
 
-/// Whether the search evaluated walls by the steady state of their flow, see [`Loaded::for_search`].
-pub fn is_steady(loaded: &Loaded) -> anyhow::Result<bool> {
-    Ok(loaded.for_search()?.config.optimise.gradient == GradientMode::Steady)
+/// Whether the search evaluated walls by the steady state of their flow, see [`crate::scene::load::Loaded::for_search`].
+pub fn is_steady(searched: &Config) -> bool {
+    searched.optimise.gradient == GradientMode::Steady
 }
 
 /// The checks of a gain; none if there were none.
@@ -265,8 +263,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     }
     page.charts = tables::charts(&folder.columns("history.csv"), |_| false);
     page.charts.extend(wall(folder));
-    let fields = series::fields(&[("over time", series::lists(&folder.path))], config.resolution.dx);
-    page.fields = folder.unless_damaged("the particles", fields).flatten();
+    page.fields = series::fields(folder, &[("over time", series::lists(&folder.path))], config.resolution.dx);
     let has_fields = page.fields.is_some();
     page.pictures = folder.pictures(|stem| match stem {
         "profile" | "wall" => true,
@@ -303,35 +300,29 @@ pub fn wall_chart(title: &str, series: Vec<Series>) -> Chart {
 fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
     let number = |key: &str| summary.number(key);
     if let Some(q) = number("q") {
-        let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
-            (Some(rate), Some(warm)) => format!(
-                "The flow carries out Q = {} of heat per time: {} of fluid, mixed at a temperature of {}.",
-                figure(q),
-                short(rate),
-                short(warm)
-            ),
-            _ => format!("The flow carries out Q = {} of heat per time.", figure(q)),
+        let more = match (number("flow_rate"), number("mean_outlet_temperature")) {
+            (Some(rate), Some(warm)) => {
+                format!(": {} of fluid, mixed at a temperature of {}", short(rate), short(warm))
+            }
+            _ => String::new(),
         };
+        let lead = format!("The flow carries out Q = {} of heat per time{more}.", figure(q));
         let remark = number("energy_imbalance").map_or(String::new(), |share| {
             format!("The heat balance is open by {:+.2}\u{a0}% of what the walls give.", 100.0 * share)
         });
         return (lead, remark);
     }
-    let time = number("time").unwrap_or_default();
+    let time = short(number("time").unwrap_or_default());
     let name = if scene.is_empty() { config.scene.name() } else { scene };
     let lead = match (number("velocity_error"), number("temperature_error"), number("kinetic_energy")) {
-        (Some(error), _, _) => format!(
-            "{name}: the velocity is {} off the exact answer at t = {}, in root mean square.",
-            off(error),
-            short(time)
-        ),
+        (Some(error), _, _) => {
+            format!("{name}: the velocity is {} off the exact answer at t = {time}, in root mean square.", off(error))
+        }
         (None, Some(error), _) => {
-            format!("{name}: the temperature is {} off the exact answer at t = {}.", off(error), short(time))
+            format!("{name}: the temperature is {} off the exact answer at t = {time}.", off(error))
         }
-        (None, None, Some(energy)) => {
-            format!("{name}: at t = {} the kinetic energy is {}.", short(time), short(energy))
-        }
-        _ => format!("{name}, until t = {}.", short(time)),
+        (None, None, Some(energy)) => format!("{name}: at t = {time} the kinetic energy is {}.", short(energy)),
+        _ => format!("{name}, until t = {time}."),
     };
     (lead, "In the scene's own units.".into())
 }

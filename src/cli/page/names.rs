@@ -1,7 +1,7 @@
 //! Names of keys and units of their values on a page.
 
 use crate::report::page::{short, Cell};
-use crate::report::text;
+use crate::report::text::{bytes, counted};
 use crate::scene::record::FIGURES;
 
 /// Keys whose names are other words than their own.
@@ -43,8 +43,7 @@ pub fn label(key: &str) -> String {
     if let Some((of, steps)) = key.rsplit_once("mse_") {
         if let ("" | "best_", Ok(steps)) = (of, steps.parse::<usize>()) {
             let least = if of.is_empty() { "" } else { "least " };
-            let unit = if steps == 1 { "step" } else { "steps" };
-            return format!("{least}position MSE over {steps} {unit}");
+            return format!("{least}position MSE over {}", counted(steps, "step"));
         }
     }
     for mark in [": ", "."] {
@@ -58,7 +57,7 @@ pub fn label(key: &str) -> String {
 /// The cell of a key; bytes are converted to a suitable unit.
 pub fn sized(key: &str, cell: Cell) -> Cell {
     match cell.number_shown() {
-        Some(bytes) if key.ends_with("_bytes") => Cell { text: text::bytes(bytes as usize), ..cell },
+        Some(size) if key.ends_with("_bytes") => Cell { text: bytes(size as usize), ..cell },
         _ => cell,
     }
 }
@@ -76,11 +75,6 @@ pub fn rounded(cell: Cell, digits: usize) -> Cell {
         }
         _ => cell,
     }
-}
-
-/// A count with its noun.
-pub fn counted(count: usize, what: &str) -> String {
-    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 #[cfg(test)]

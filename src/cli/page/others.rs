@@ -2,9 +2,11 @@
 
 use super::designs::verification;
 use super::folder::{column, percent, warnings, words, Columns, Folder};
-use super::names::{counted, label};
+use super::names::label;
+use super::tables::Choice;
 use super::{leads, series, tables};
 use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
+use crate::report::text::counted;
 use crate::scene::record::Record;
 use serde_json::{Map, Value};
 
@@ -18,52 +20,6 @@ const FIGURES: [(&str, &str); 8] = [
     ("stress.json", "Maps"),
     ("bench.json", "Rows"),
     ("accuracy.json", "Run time against error"),
-];
-
-/// For files with many columns, those that come first, and those that are left out.
-const COLUMNS: [(&str, tables::Choice); 3] = [
-    (
-        "bench.json",
-        tables::Choice {
-            first: &[
-                "scene",
-                "mode",
-                "kind",
-                "ms_per_step",
-                "peak_memory_bytes",
-                "particles",
-                "threads",
-                "precision",
-                "steps",
-                "ns_per_pair",
-            ],
-            dropped: &[
-                "version",
-                "instruction_set",
-                "time_step",
-                "dimension",
-                "group",
-                "pairs",
-                "repeats",
-                "ms_per_step_median",
-                "ns_per_particle_step",
-                "predicted_memory_bytes",
-                "gflop_per_step",
-                "sgemm_gflops",
-            ],
-        },
-    ),
-    (
-        "validation.json",
-        tables::Choice {
-            first: &["case", "passed", "quantity", "error", "tolerance", "error_f32", "order", "dx"],
-            dropped: &["steps"],
-        },
-    ),
-    (
-        "accuracy.json",
-        tables::Choice { first: &["code", "scene", "dx", "precision", "seconds", "error"], dropped: &[] },
-    ),
 ];
 
 pub fn page(folder: &Folder) -> Page {
@@ -94,13 +50,11 @@ pub fn page(folder: &Folder) -> Page {
     if let Some((header, rows)) = folder.table("study.csv") {
         let settings = leads::settings(&header).iter().map(String::as_str);
         let best = header.iter().map(String::as_str).filter(|name| name.starts_with("best_"));
-        let first: Vec<&str> = settings.chain(best).collect();
-        let choice = tables::Choice { first: &first, dropped: &[] };
+        let choice = Choice { first: settings.chain(best).collect(), dropped: vec![] };
         page.tables.push(tables::of_text("Points of the grid", &header, &rows, choice));
     }
     let of = |name: &str| vec![folder.path.join(name).join(format!("{name}.pvd"))];
-    let both = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
-    page.fields = folder.unless_damaged("the particles", both).flatten();
+    page.fields = series::fields(folder, &[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
     let drawn = !page.charts.is_empty();
     page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
     (page.lead, page.remark) = said(folder, &page);
@@ -113,8 +67,20 @@ pub fn page(folder: &Folder) -> Page {
     page
 }
 
-fn columns_of(file: &str) -> tables::Choice<'static> {
-    COLUMNS.iter().find(|(name, _)| *name == file).map_or_else(Default::default, |(_, choice)| *choice)
+/// For files with many columns, those that come first, and those that are left out.
+fn columns_of(file: &str) -> Choice<'static> {
+    let (first, dropped) = match file {
+        "bench.json" => (
+            "scene mode kind ms_per_step peak_memory_bytes particles threads precision steps ns_per_pair",
+            "version instruction_set time_step dimension group pairs repeats ms_per_step_median ns_per_particle_step \
+             predicted_memory_bytes gflop_per_step sgemm_gflops",
+        ),
+        "validation.json" => ("case passed quantity error tolerance error_f32 order dx", "steps"),
+        "accuracy.json" => ("code scene dx precision seconds error", ""),
+        _ => ("", ""),
+    };
+    let names = |text: &'static str| text.split_whitespace().collect();
+    Choice { first: names(first), dropped: names(dropped) }
 }
 
 /// The checks of a wall, as on the page of its search.

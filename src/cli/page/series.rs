@@ -1,5 +1,6 @@
 //! Frames of particles for a page, read from the ParaView files of a run.
 
+use super::folder::Folder;
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{Fields, RawFrame, RawPanel};
@@ -9,8 +10,12 @@ use std::path::{Path, PathBuf};
 const QUANTITIES: [(&str, &str); 3] =
     [("temperature", "scene units"), ("speed", "scene units"), ("pressure", "scene units")];
 
-/// Panels, each with the frames of some lists in sequence; none without frames.
-pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Fields>> {
+/// Panels, each with the frames of some lists in sequence; none without frames, or if they cannot be read.
+pub fn fields(folder: &Folder, panels: &[(&str, Vec<PathBuf>)], dx: f64) -> Option<Fields> {
+    folder.unless_damaged("the particles", read(panels, dx)).flatten()
+}
+
+fn read(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Fields>> {
     let mut lists = Vec::new();
     for (title, lists_of) in panels {
         let mut frames: Vec<(f64, PathBuf)> = Vec::new();

@@ -48,10 +48,10 @@ pub fn of_scalars(title: &str, map: &Map<String, Value>) -> Table {
 }
 
 /// The columns of a table that come first, in order, and those that are left out.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Choice<'a> {
-    pub first: &'a [&'a str],
-    pub dropped: &'a [&'a str],
+    pub first: Vec<&'a str>,
+    pub dropped: Vec<&'a str>,
 }
 
 impl Choice<'_> {

@@ -11,6 +11,7 @@ pub use particles::{Fields, Quantity, RawFrame, RawPanel};
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::report::text::{shown, shown_within};
+use crate::report::VERSION;
 use base64::Engine;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
@@ -343,16 +344,14 @@ impl Page {
             Body::Compare => "compare.html",
         };
         let data = Data { walls: self.walls.as_ref(), charts: &self.charts, fields: self.fields.as_ref() };
-        let mut tables = [self.tables.clone(), self.more.clone()];
-        for table in tables.iter_mut().flatten() {
-            table.columns = table.found_columns();
-        }
-        let [tables, more] = tables;
-        let (all, data) = (Value::from(Serde(self)), Value::from(Serde(data)));
-        let (tables, more) = (Value::from(Serde(tables)), Value::from(Serde(more)));
-        let page = environment.get_template(body).map_err(failed)?;
-        page.render(context! { page => all, tables, more, data => data, version => env!("CARGO_PKG_VERSION") })
-            .map_err(failed)
+        let aligned = |tables: &[Table]| {
+            let tables = tables.iter().map(|table| Table { columns: table.found_columns(), ..table.clone() });
+            Value::from(Serde(tables.collect::<Vec<_>>()))
+        };
+        let (page, data) = (Value::from(Serde(self)), Value::from(Serde(data)));
+        let (tables, more, version) = (aligned(&self.tables), aligned(&self.more), VERSION);
+        let template = environment.get_template(body).map_err(failed)?;
+        template.render(context! { page, tables, more, data, version }).map_err(failed)
     }
 
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {

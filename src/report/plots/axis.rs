@@ -175,17 +175,8 @@ fn power_of_ten(value: f64) -> String {
 }
 
 fn superscript(number: i32) -> String {
-    number
-        .to_string()
-        .chars()
-        .map(|character| match character {
-            '-' => '⁻',
-            '1' => '¹',
-            '2' => '²',
-            '3' => '³',
-            digit => char::from_u32('⁰' as u32 + digit as u32 - '0' as u32).unwrap_or(digit),
-        })
-        .collect()
+    let digit = |character: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(character.to_digit(10)? as usize);
+    number.to_string().chars().map(|character| digit(character).unwrap_or('⁻')).collect()
 }
 
 /// The rectangle of the data, in pixels, with its two axes.

@@ -125,9 +125,6 @@ impl Drawing {
     }
 
     /// Writes `<stem>.png` and `<stem>.svg` (both atomically) and returns their paths.
-    ///
-    /// # Errors
-    /// System errors, and failures of the plotting library.
     pub fn save(&self, stem: &Path) -> Result<[PathBuf; 2], FileError> {
         register_font();
         let png = with_ending(stem, ".png");
