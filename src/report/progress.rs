@@ -21,7 +21,7 @@ impl Progress {
 
     /// A bar below those of other tasks that go on meanwhile.
     pub fn among(others: &Tasks, total: u64, label: &str) -> Self {
-        let mut progress = Self::with_visibility(total, label, std::io::stderr().is_terminal());
+        let mut progress = Self::new(total, label);
         if !progress.is_hidden() {
             progress.bar = others.0.add(progress.bar);
         }
@@ -48,7 +48,6 @@ impl Progress {
         Self { bar }
     }
 
-    /// Adds `steps` units.
     pub fn done(&self, steps: u64) {
         self.bar.inc(steps);
     }
@@ -88,7 +87,6 @@ impl Progress {
         self.bar.suspend(print)
     }
 
-    /// True if nothing is printed.
     pub fn is_hidden(&self) -> bool {
         self.bar.is_hidden()
     }

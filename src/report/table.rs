@@ -1,4 +1,4 @@
-//! Small tables as text: aligned for the terminal, or as markdown.
+//! Small tables as text, aligned for the terminal.
 //!
 //! Crates such as `comfy-table` would only take over the padding of cells, twenty lines: which columns are numbers, what
 //! may be shown on a terminal, and the table as JSON would stay here.
@@ -30,15 +30,19 @@ impl Table {
     pub fn to_text(&self) -> String {
         let safe = |cells: &Vec<String>| cells.iter().map(|cell| shown(cell)).collect::<Vec<_>>();
         let safe = Self { headers: safe(&self.headers), rows: self.rows.iter().map(safe).collect() };
-        let widths = safe.widths(1, |cell| cell.to_owned());
-        let rule = widths.iter().map(|&width| "-".repeat(width)).collect();
-        let lines = [safe.headers.clone(), rule].into_iter().chain(safe.rows.iter().cloned());
-        lines
-            .map(|cells| {
-                let padded = safe.padded(&cells, &widths);
-                format!("{}\n", padded.join("  ").trim_end())
-            })
-            .collect()
+        let all = || [&safe.headers].into_iter().chain(&safe.rows);
+        let width = |column: usize| all().map(|cells| cells[column].chars().count()).fold(1, usize::max);
+        let columns: Vec<_> = (0..safe.headers.len()).map(|column| (width(column), safe.is_numeric(column))).collect();
+        let padded = |(cell, &(width, is_numeric)): (&String, &(usize, bool))| match is_numeric {
+            true => format!("{cell:>width$}"),
+            false => format!("{cell:<width$}"),
+        };
+        let line = |cells: &Vec<String>| {
+            let cells: Vec<String> = cells.iter().zip(&columns).map(padded).collect();
+            format!("{}\n", cells.join("  ").trim_end())
+        };
+        let rule = columns.iter().map(|&(width, _)| "-".repeat(width)).collect();
+        [&safe.headers, &rule].into_iter().chain(&safe.rows).map(line).collect()
     }
 
     /// A list of objects, a row each: numbers where a cell is one.
@@ -51,51 +55,6 @@ impl Table {
             self.headers.iter().zip(cells).map(|(header, text)| (header.clone(), cell(text))).collect()
         };
         self.rows.iter().map(row).collect()
-    }
-
-    /// As markdown; vertical bars in cells are escaped.
-    pub fn to_markdown(&self) -> String {
-        let escape = |cell: &str| cell.replace('|', "\\|");
-        let widths = self.widths(4, escape);
-        let line = |cells: &[String]| {
-            let cells: Vec<String> = cells.iter().map(|cell| escape(cell)).collect();
-            format!("| {} |\n", self.padded(&cells, &widths).join(" | "))
-        };
-        let rule: Vec<String> = (0..widths.len())
-            .map(|column| match self.is_numeric(column) {
-                true => format!("{}:", "-".repeat(widths[column] - 1)),
-                false => "-".repeat(widths[column]),
-            })
-            .collect();
-        let mut text = line(&self.headers);
-        text.push_str(&format!("| {} |\n", rule.join(" | ")));
-        text.extend(self.rows.iter().map(|row| line(row)));
-        text
-    }
-
-    /// Width of each column in characters, at least `least`.
-    fn widths(&self, least: usize, shown: impl Fn(&str) -> String) -> Vec<usize> {
-        (0..self.headers.len())
-            .map(|column| {
-                self.rows
-                    .iter()
-                    .chain([&self.headers])
-                    .map(|row| shown(&row[column]).chars().count())
-                    .fold(least, usize::max)
-            })
-            .collect()
-    }
-
-    fn padded(&self, cells: &[String], widths: &[usize]) -> Vec<String> {
-        cells
-            .iter()
-            .zip(widths)
-            .enumerate()
-            .map(|(column, (cell, &width))| match self.is_numeric(column) {
-                true => format!("{cell:>width$}"),
-                false => format!("{cell:<width$}"),
-            })
-            .collect()
     }
 
     /// True if the column has numbers (units and percent signs may follow) and else only blanks or dashes.

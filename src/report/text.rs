@@ -30,6 +30,11 @@ pub fn bytes(count: usize) -> String {
     }
 }
 
+/// A count with its noun.
+pub fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 /// Neither a control character nor one that turns the direction of the text around it.
 fn is_safe(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

@@ -33,6 +33,19 @@ pub struct Found {
     pub curves: Vec<Curve>,
 }
 
+impl Curve {
+    fn new(name: &str, points: Vec<(f64, f64)>) -> Self {
+        Self { name: name.into(), points }
+    }
+}
+
+impl Found {
+    /// What was measured beside what it is compared with.
+    fn beside(error: f64, ours: Vec<(f64, f64)>, reference: &str, theirs: Vec<(f64, f64)>) -> Self {
+        Self { error, curves: vec![Curve::new("hydrograd", ours), Curve::new(reference, theirs)] }
+    }
+}
+
 /// The quantity of a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measure {
@@ -138,25 +151,19 @@ impl Measure {
             Self::Velocity => error * amplitude / mean_square.sqrt(),
             _ => error,
         };
-        let mut curves = vec![];
-        if let Some(height) = scene.exact.profile_height() {
-            let (n, l) = (scene.model.particles(), scene.model.rows);
-            let mut points: Vec<(f64, f64)> = (0..n)
-                .filter(|&i| scene.model.is_fluid(i))
-                .map(|i| (solver.state[n + i].f64(), solver.state[l.velocity() * n + i].f64()))
-                .collect();
-            points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            curves.push(Curve { name: "hydrograd".into(), points });
-            let exact = (0..=200)
-                .map(|k| height * k as f64 / 200.0)
-                .filter_map(|y| Some((y, scene.exact.velocity([0.0, y, 0.0], time)?[0])));
-            curves.push(Curve { name: "exact".into(), points: exact.collect() });
-        }
-        Ok(Found { error, curves })
+        let Some(height) = scene.exact.profile_height() else { return Ok(Found { error, curves: vec![] }) };
+        let (n, l) = (scene.model.particles(), scene.model.rows);
+        let mut points: Vec<(f64, f64)> = (0..n)
+            .filter(|&i| scene.model.is_fluid(i))
+            .map(|i| (solver.state[n + i].f64(), solver.state[l.velocity() * n + i].f64()))
+            .collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let exact = (0..=200)
+            .map(|k| height * k as f64 / 200.0)
+            .filter_map(|y| Some((y, scene.exact.velocity([0.0, y, 0.0], time)?[0])));
+        Ok(Found::beside(error, points, "exact", exact.collect()))
     }
-}
 
-impl Measure {
     fn still_water<R: Sweeps>(
         self,
         loaded: &Loaded,
@@ -180,10 +187,7 @@ impl Measure {
         if self == Self::Rest {
             let end = speeds.last().map_or(0.0, |last| last.0);
             let late = speeds.iter().filter(|(time, _)| *time >= 0.75 * end).map(|point| point.1);
-            return Ok(Found {
-                error: largest(late),
-                curves: vec![Curve { name: "hydrograd".into(), points: speeds }],
-            });
+            return Ok(Found { error: largest(late), curves: vec![Curve::new("hydrograd", speeds)] });
         }
         solver.look()?;
         let place = |&i: &usize| {
@@ -194,9 +198,7 @@ impl Measure {
         };
         let points: Vec<(f64, f64)> = fluid.iter().map(place).collect();
         let error = largest(points.iter().map(|(pressure, y)| (pressure - (1.0 - y)).abs()));
-        let exact = vec![(1.0, 0.0), (0.0, 1.0)];
-        let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "exact".into(), points: exact }];
-        Ok(Found { error, curves })
+        Ok(Found::beside(error, points, "exact", vec![(1.0, 0.0), (0.0, 1.0)]))
     }
 }
 
@@ -220,11 +222,7 @@ fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(
         bail!("the run ends before the experiment's first time");
     }
     let error = seen.iter().map(|(time, exact)| (reference::between(&t, &z, *time) / exact - 1.0).abs()).sum::<f64>();
-    let curves = vec![
-        Curve { name: "hydrograd".into(), points },
-        Curve { name: "Martin and Moyce (1952)".into(), points: seen.clone() },
-    ];
-    Ok(Found { error: error / seen.len() as f64, curves })
+    Ok(Found::beside(error / seen.len() as f64, points, "Martin and Moyce (1952)", seen))
 }
 
 /// The largest of numbers that are not below 0; not a number if one is none, which `max` would hide.
@@ -262,11 +260,9 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
     let (t, e): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
     let end = t.last().copied().unwrap_or_default();
     let compared = times.iter().zip(&energies).filter(|(time, _)| **time <= end + 1e-9);
-    let error = compared.map(|(time, energy)| (reference::between(&t, &e, *time) / energy - 1.0).abs());
-    let error = largest(error);
+    let error = largest(compared.map(|(time, energy)| (reference::between(&t, &e, *time) / energy - 1.0).abs()));
     let exact = times.into_iter().zip(energies).filter(|(time, _)| *time <= end + 1e-9).collect();
-    let curves = vec![Curve { name: "hydrograd".into(), points }, Curve { name: "spectral".into(), points: exact }];
-    Ok(Found { error, curves })
+    Ok(Found::beside(error, points, "spectral", exact))
 }
 
 fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
@@ -315,13 +311,12 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
         }
     };
     let error = pairs.iter().map(|(found, exact)| (found / exact - 1.0).abs()).fold(0.0, f64::max);
-    let curve = |name: &str, points: Vec<(f64, f64)>| Curve { name: name.into(), points };
     let s = table.column("s");
     let curves = vec![
-        curve("u on x = 1/2", places().zip(u).collect()),
-        curve("v on y = 1/2", places().zip(v).collect()),
-        curve("u, finite differences", s.iter().copied().zip(exact_u).collect()),
-        curve("v, finite differences", s.iter().copied().zip(exact_v).collect()),
+        Curve::new("u on x = 1/2", places().zip(u).collect()),
+        Curve::new("v on y = 1/2", places().zip(v).collect()),
+        Curve::new("u, finite differences", s.iter().copied().zip(exact_u).collect()),
+        Curve::new("v, finite differences", s.iter().copied().zip(exact_v).collect()),
     ];
     Ok(Found { error, curves })
 }
@@ -354,14 +349,9 @@ fn shapes<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::
         ours.push((before, q));
         theirs.push((before, exact[row]));
     }
-    let error = largest(
-        ours.iter().zip(&theirs).map(|((_, q), (_, exact)): (&(f64, f64), &(f64, f64))| (q / exact - 1.0).abs()),
-    );
-    let curves = vec![
-        Curve { name: "hydrograd".into(), points: ours },
-        Curve { name: "finite elements".into(), points: theirs },
-    ];
-    Ok(Found { error, curves })
+    let error =
+        largest(ours.iter().zip(&theirs).map(|(ours, theirs): (&(_, f64), &(_, f64))| (ours.1 / theirs.1 - 1.0).abs()));
+    Ok(Found::beside(error, ours, "finite elements", theirs))
 }
 
 /// The columns that the finite elements' walls are given at.
@@ -385,9 +375,6 @@ fn gradient<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow
     let cosine = dot(&ours, &theirs) / (dot(&ours, &ours) * dot(&theirs, &theirs)).sqrt();
     let at = |g: &[f64]| g.iter().enumerate().map(|(k, g)| (0.26 + 0.02 * k as f64, *g)).collect();
     let scaled: Vec<f64> = found.by_variables.iter().map(|g| 1e3 * g).collect();
-    let curves = vec![
-        Curve { name: "hydrograd".into(), points: at(&scaled) },
-        Curve { name: "finite elements".into(), points: at(&reference::HEATED_CHANNEL_GRADIENT) },
-    ];
-    Ok(Found { error: 1.0 - cosine, curves })
+    let theirs = at(&reference::HEATED_CHANNEL_GRADIENT);
+    Ok(Found::beside(1.0 - cosine, at(&scaled), "finite elements", theirs))
 }

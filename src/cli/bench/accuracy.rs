@@ -1,18 +1,14 @@
 //! Run time against error: a table, a plot per scene, and points of other codes beside ours.
 
-use std::path::{Path, PathBuf};
-
-use serde::{Deserialize, Serialize};
-
-use crate::cli::files::write_json;
+use super::plots::{add, Series};
+use super::rows::read_array;
 use crate::config::scene::Precision;
 use crate::error::BadInput;
 use crate::io::FileError;
 use crate::report::plots::compare;
 use crate::report::table::Table;
-
-use super::case::precision_name;
-use super::plots::{add, Series};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// A run of this or another code.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,7 +41,7 @@ impl ComparedRun {
     pub fn label(&self) -> String {
         let count = |value: Option<usize>| value.map_or("?".into(), |count| count.to_string());
         let (particles, threads) = (count(self.particles), count(self.threads));
-        format!("accuracy/{}/{particles}/{}/{threads}/forward", self.scene, precision_name(self.precision))
+        format!("accuracy/{}/{particles}/{}/{threads}/forward", self.scene, self.precision.name())
     }
 
     /// Seconds and error, if the run can be plotted.
@@ -61,34 +57,22 @@ pub fn read(path: &Path) -> Result<Vec<ComparedRun>, BadInput> {
             .place(format!("--peers {}", path.display()))
             .allowed("a JSON array of {code, scene, dx, cfl, precision, seconds, error, stable}")
     };
-    let text = std::fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
-    let values: Vec<serde_json::Value> =
-        serde_json::from_str(&text).map_err(|error| bad(format!("not an array of JSON: {error}")))?;
-    let points = values.into_iter().enumerate().map(|(number, value)| {
+    read_array(path, "point", bad, |value| {
         if value.get("code").is_none() {
-            return Err(bad(format!("point {number}: missing field `code`")));
+            return Err("missing field `code`".into());
         }
-        let point: ComparedRun =
-            serde_json::from_value(value).map_err(|error| bad(format!("point {number}: {error}")))?;
+        let point: ComparedRun = serde_json::from_value(value).map_err(|error| error.to_string())?;
         for (name, value) in [("dx", point.dx), ("cfl", point.cfl), ("seconds", point.seconds)] {
             if !(value > 0.0 && value.is_finite()) {
-                return Err(bad(format!("point {number}: {name} = {value} is not above 0")));
+                return Err(format!("{name} = {value} is not above 0"));
             }
         }
         match point.error {
-            Some(error) if error.is_nan() || error < 0.0 => {
-                Err(bad(format!("point {number}: error = {error} is below 0")))
-            }
-            None if point.stable => Err(bad(format!("point {number}: a stable run has an error, not null"))),
+            Some(error) if error.is_nan() || error < 0.0 => Err(format!("error = {error} is below 0")),
+            None if point.stable => Err("a stable run has an error, not null".into()),
             _ => Ok(point),
         }
-    });
-    points.collect()
-}
-
-/// Writes the points as a JSON array for `--peers`.
-pub fn write(path: &Path, points: &[ComparedRun]) -> anyhow::Result<()> {
-    write_json(path, &serde_json::to_value(points)?)
+    })
 }
 
 /// The points as a table for the terminal.
@@ -100,7 +84,7 @@ pub fn text(points: &[ComparedRun]) -> String {
         table.row([
             point.scene.clone(),
             point.code.clone(),
-            precision_name(point.precision).into(),
+            point.precision.name().into(),
             format!("{:.4}", point.dx),
             format!("{:.3}", point.cfl),
             count(point.particles),
@@ -141,7 +125,7 @@ pub fn fronts<'a>(points: impl Iterator<Item = &'a ComparedRun>) -> Series {
     let mut fronts = vec![];
     for point in points {
         if let Some(place) = point.place() {
-            add(&mut fronts, format!("{} {}", point.code, precision_name(point.precision)), place);
+            add(&mut fronts, format!("{} {}", point.code, point.precision.name()), place);
         }
     }
     for (_, places) in &mut fronts {

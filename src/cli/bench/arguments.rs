@@ -1,16 +1,14 @@
 //! Options of `hydrograd bench`.
 
-use std::path::{Path, PathBuf};
-
-use clap::{Args, ValueEnum};
-
 use super::case::{Group, Size};
-use crate::cli::arguments::{at_least_one, check_writable, threads};
+use crate::cli::arguments::{at_least_one, threads};
 use crate::config::builtin;
 use crate::config::device::DeviceName;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::BadInput;
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
 
 /// Time steps and gradients, with peak memory: best and median of several repeats, each in a process of its own.
 ///
@@ -122,30 +120,30 @@ impl BenchArguments {
     /// The threads to measure with.
     pub fn threads(&self) -> Vec<usize> {
         let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
-        let mut threads: Vec<usize> = match self.threads.is_empty() {
+        each_once(match self.threads.is_empty() {
             false => self.threads.iter().map(|&count| if count == 0 { cores } else { count }).collect(),
             true if self.quick => vec![cores.min(2)],
             true => vec![1, cores.min(2)],
-        };
-        let mut seen = Vec::new();
-        threads.retain(|count| !seen.contains(count) && (seen.push(*count), true).1);
-        threads
+        })
     }
 
-    /// The floating-point types to measure, each once.
+    /// The threads of groups that measure with one number of them.
+    pub fn last_threads(&self) -> usize {
+        self.threads().last().copied().unwrap_or(1)
+    }
+
+    /// The floating-point types to measure.
     pub fn precisions(&self) -> Vec<Precision> {
-        let mut precisions = self.precision.clone();
-        let mut seen = Vec::new();
-        precisions.retain(|precision| !seen.contains(precision) && (seen.push(*precision), true).1);
-        precisions
+        each_once(self.precision.clone())
     }
 
     pub fn repeats(&self) -> usize {
         self.repeats.unwrap_or(if self.quick { 1 } else { 3 })
     }
+}
 
-    /// Checks that results can be written.
-    pub fn check_out(&self) -> Result<(), BadInput> {
-        check_writable(&self.out)
-    }
+fn each_once<T: Copy + PartialEq>(mut values: Vec<T>) -> Vec<T> {
+    let mut seen = Vec::new();
+    values.retain(|value| !seen.contains(value) && (seen.push(*value), true).1);
+    values
 }

@@ -1,9 +1,5 @@
 //! The words of the bench: groups, what is run and how, a case, and what the process that measured it answers.
 
-use serde::{Deserialize, Serialize};
-
-use clap::ValueEnum;
-
 use crate::cli::arguments::{check_preset, name_of, set_option};
 use crate::cli::prepare::require_design;
 use crate::config::device::DeviceName;
@@ -12,6 +8,8 @@ use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Config, Kernels, Precision};
 use crate::error::Error;
 use crate::scene::load::Loaded;
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
 
 /// Modes of the rows of `plan`.
 pub const PLAN: &str = "plan";
@@ -69,7 +67,6 @@ impl Size {
         self.per_side.pow(self.dimension as u32)
     }
 
-    /// Name of the scene.
     pub fn scene(self) -> &'static str {
         match self.dimension {
             2 => "taylor-green",
@@ -164,7 +161,6 @@ pub enum Lacking {
 impl Lacking {
     pub const ALL: [Self; 5] = [Self::Heat, Self::Walls, Self::Viscosity, Self::TransportVelocity, Self::Masses];
 
-    /// Name of the scene.
     pub fn name(self) -> &'static str {
         match self {
             Self::Heat => "isothermal",
@@ -186,7 +182,7 @@ impl Lacking {
 }
 
 /// Forward, gradient, or an update of a network's parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     Forward,
@@ -195,12 +191,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Gradient => "gradient",
-            Self::Training => "training",
-        }
+    pub fn name(self) -> String {
+        name_of(self)
     }
 }
 
@@ -297,21 +289,22 @@ pub struct Case {
 impl Case {
     /// group/scene/particles/precision/threads/kind[/mode]: what `--filter` looks into and `--compare` matches.
     pub fn label(&self) -> String {
-        let precision = precision_name(self.precision);
-        let Self { scene, particles, threads, .. } = self;
-        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
-        match &self.mode {
-            Some(mode) => format!("{label}/{mode}"),
-            None => label,
-        }
+        let Self { group, scene, particles, precision, threads, kind, mode, .. } = self;
+        label(*group, scene, *particles, precision.name(), *threads, *kind, mode)
     }
 }
 
-pub fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::F64 => "f64",
-    }
+pub fn label(
+    group: Group,
+    scene: &str,
+    particles: usize,
+    precision: &str,
+    threads: usize,
+    kind: Kind,
+    mode: &Option<String>,
+) -> String {
+    let mode = mode.as_ref().map_or(String::new(), |mode| format!("/{mode}"));
+    format!("{}/{scene}/{particles}/{precision}/{threads}/{}{mode}", group.name(), kind.name())
 }
 
 /// What the bench asks of a process of its own.
@@ -327,7 +320,7 @@ pub enum Request {
 }
 
 /// What one process measured.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Measured {
     pub pairs: usize,
     /// Steps of each timed run.
@@ -348,13 +341,8 @@ pub struct Measured {
     pub sgemm_gflops: Option<f64>,
 }
 
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Outcome {
-    Measured(Measured),
-    /// A gradient that does not fit into the memory that it is allowed, and why.
-    LeftOut(String),
-}
+/// Or why it was left out: a gradient that does not fit into the memory that it is allowed.
+pub type Outcome = Result<Measured, String>;
 
 /// Particles of the heated channel, dummy particles included.
 pub fn particles(config: &Config) -> usize {

@@ -55,25 +55,25 @@ impl<'a> Cases<'a> {
     /// The heated channels to measure with their names: the user's, or the report's and the default one.
     fn channels(&self) -> Vec<(String, Scene)> {
         let a = self.arguments;
-        let scene = |preset: Option<&str>| Scene {
-            scene: self.scene.clone(),
-            preset: preset.map(str::to_string),
-            sets: a.sets.clone(),
-        };
+        let given = Scene { scene: self.scene.clone(), preset: a.preset.clone(), sets: a.sets.clone() };
         if self.scene.is_some() || a.preset.is_some() {
-            let given = scene(a.preset.as_deref());
             let name = self.scene.as_deref().unwrap_or("heated-channel");
             let stem = std::path::Path::new(name).file_stem().unwrap_or_default().to_string_lossy().to_string();
             return vec![(a.preset.as_ref().map_or(stem.clone(), |preset| format!("{stem}-{preset}")), given)];
         }
-        vec![("heated-channel-report".into(), scene(Some("report-jax-sph"))), ("heated-channel".into(), scene(None))]
+        vec![("heated-channel-report".into(), self.report()), ("heated-channel".into(), given)]
+    }
+
+    /// The report's channel.
+    fn report(&self) -> Scene {
+        Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None }
     }
 
     /// A case for each floating-point type and number of threads.
-    fn variants(&self, make: impl Fn(Precision, usize) -> Case) -> Family {
+    fn variants(&self, base: &Case) -> Family {
         let threads = self.arguments.threads();
-        let precisions = self.arguments.precisions();
-        precisions.iter().flat_map(|&p| threads.iter().map(move |&t| (p, t))).map(|(p, t)| make(p, t)).collect()
+        let of = |precision| threads.iter().map(move |&threads| Case { precision, threads, ..base.clone() });
+        self.arguments.precisions().into_iter().flat_map(of).collect()
     }
 
     fn case(&self, group: Group, scene: &str, particles: usize, source: Source) -> Case {
@@ -107,7 +107,7 @@ impl<'a> Cases<'a> {
                 blocks: if quick { 2 } else { 3 },
                 ..self.case(Group::Step, &name, particles(&config), Source::Channel(scene))
             };
-            families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
+            families.push(self.variants(&base));
         }
         Ok(families)
     }
@@ -142,15 +142,13 @@ impl<'a> Cases<'a> {
                 blocks: 2,
                 ..self.case(Group::Gradient, &name, n, Source::Channel(scene))
             };
-            let modes = |precision, threads| {
-                let base = Case { precision, threads, ..base.clone() };
+            let modes = |variant: Case| {
                 // In f32 rounding a state does not change it.
-                let rounded = (precision == Precision::F64).then_some(Keeping::Rounded);
+                let rounded = (variant.precision == Precision::F64).then_some(Keeping::Rounded);
                 let keepings = keepings.iter().copied().chain(rounded);
-                keepings.map(move |k| Case { keeping: k, mode: Some(k.name()), ..base.clone() })
+                keepings.map(move |k| Case { keeping: k, mode: Some(k.name()), ..variant.clone() })
             };
-            let variants = self.variants(|precision, threads| Case { precision, threads, ..base.clone() });
-            families.push(variants.iter().flat_map(|v| modes(v.precision, v.threads)).collect());
+            families.push(self.variants(&base).into_iter().flat_map(modes).collect());
         }
         Ok(families)
     }
@@ -166,9 +164,8 @@ impl<'a> Cases<'a> {
             true => (&[31, 100, 316], &[20]),
             false => (&[31, 50, 96, 100, 185, 316, 1000], &[20, 40, 80]),
         };
-        let sizes = |sides: &[usize], dimension| sides.iter().map(move |&s| Size { per_side: s, dimension }).collect();
-        let plane: Vec<Size> = sizes(plane, 2);
-        [plane, sizes(space, 3)].concat()
+        let all = plane.iter().map(|side| (side, 2)).chain(space.iter().map(|side| (side, 3)));
+        all.map(|(&per_side, dimension)| Size { per_side, dimension }).collect()
     }
 
     fn scaling(&self) -> Vec<Family> {
@@ -182,14 +179,14 @@ impl<'a> Cases<'a> {
                 length: Length::Seconds { seconds, least: if quick { 4 } else { 16 } },
                 ..self.case(Group::Scaling, size.scene(), n, Source::TaylorGreen(size))
             };
-            families.push(self.variants(|precision, threads| Case { precision, threads, ..base.clone() }));
+            families.push(self.variants(&base));
             let gradient = Case {
                 kind: Kind::Gradient,
                 mode: Some(Keeping::EveryState.name()),
                 length: Length::Seconds { seconds, least: if quick { 2 } else { 4 } },
                 ..base
             };
-            families.push(self.variants(|precision, threads| Case { precision, threads, ..gradient.clone() }));
+            families.push(self.variants(&gradient));
         }
         families
     }
@@ -198,10 +195,9 @@ impl<'a> Cases<'a> {
         let quick = self.arguments.quick;
         let mut families = vec![];
         for lacking in Lacking::ALL {
-            let scene = Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None };
             // 3200 particles, so that the work is visible beside the threads' synchronisation.
             let dx = if quick { "resolution.dx=0.02" } else { "resolution.dx=0.01" };
-            let scene = scene.with_defaults(&[dx, "method.transport_velocity=1"]);
+            let scene = self.report().with_defaults(&[dx, "method.transport_velocity=1"]);
             let n = lacking.particles(&scene.load()?.config);
             for kind in [Kind::Forward, Kind::Gradient] {
                 let seconds = if quick { 0.1 } else { 0.5 };
@@ -218,8 +214,7 @@ impl<'a> Cases<'a> {
                     ..base.clone()
                 };
                 let both = [with(false), with(true)];
-                let (precision, threads) = (self.arguments.precisions()[0], self.arguments.threads());
-                let threads = threads.last().copied().unwrap_or(1);
+                let (precision, threads) = (self.arguments.precisions()[0], self.arguments.last_threads());
                 families.push(both.map(|case| Case { precision, threads, ..case }).to_vec());
             }
         }
@@ -230,8 +225,7 @@ impl<'a> Cases<'a> {
     fn kernels(&self) -> Result<Vec<Family>, Error> {
         let quick = self.arguments.quick;
         let steps = format!("time.steps={}", if quick { 10 } else { 100 });
-        let scene = Scene { preset: Some("report-jax-sph".into()), sets: self.arguments.sets.clone(), scene: None };
-        let scene = scene.with_defaults(&[&steps, "objective.window=0"]);
+        let scene = self.report().with_defaults(&[&steps, "objective.window=0"]);
         let config = scene.load()?.config;
         let channel = Case {
             length: Length::Steps(config.steps()),
@@ -269,7 +263,7 @@ impl<'a> Cases<'a> {
                 mode: Some(mode.into()),
                 blocks: if quick { 1 } else { blocks },
                 precision,
-                threads: self.arguments.threads().last().copied().unwrap_or(1),
+                threads: self.arguments.last_threads(),
                 ..base.clone()
             };
             // Fused runs are short, so their best needs more repeats.
@@ -289,13 +283,9 @@ impl<'a> Cases<'a> {
                 blocks: if quick { 2 } else { 4 },
                 ..self.case(Group::Surrogate, &name, n, Source::Network(network))
             };
-            let kinds = [Kind::Forward, Kind::Training];
-            let threads = self.arguments.threads();
-            kinds
-                .iter()
-                .flat_map(|&kind| threads.iter().map(move |&t| (kind, t)))
-                .map(|(kind, threads)| Case { kind, threads, ..base.clone() })
-                .collect()
+            let (threads, base) = (self.arguments.threads(), &base);
+            let of = |kind| threads.iter().map(move |&threads| Case { kind, threads, ..base.clone() });
+            [Kind::Forward, Kind::Training].into_iter().flat_map(of).collect()
         };
         Network::ALL.map(family).to_vec()
     }

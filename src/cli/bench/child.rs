@@ -1,14 +1,10 @@
 //! Measures a case in its own process, with a fixed number of threads and its own peak memory.
 
-use std::sync::Arc;
-use std::time::Instant;
-
 use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
-use super::goal::SquaredVelocity;
 use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
-use crate::adjoint::{Dynamics, Objective, RunError};
+use crate::adjoint::{Dynamics, Fields, Objective, RunError};
 use crate::cli::prepare::{build, compute};
 use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
@@ -17,6 +13,7 @@ use crate::numerics::lanes::InstructionSet;
 use crate::numerics::thread_pool::ThreadPool;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
+use crate::particles::tag;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::report::text::bytes;
 use crate::scene::accuracy::points;
@@ -26,6 +23,9 @@ use crate::sph::solver::Snapshot;
 use crate::sph::standard::Standard;
 use crate::sph::Model;
 use crate::sph::Sweeps;
+use candle_core::Tensor;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// Number of steps after which a scene with every field is compared with its plan.
 const COMPARED_STEPS: usize = 50;
@@ -45,7 +45,7 @@ pub fn run(request: &str) -> anyhow::Result<()> {
     }
     let answer = match &request {
         Request::Row(case) => serde_json::to_string(&match (&case.source, case.precision) {
-            (Source::Network(network), _) => surrogate::measure(case, *network).map(Outcome::Measured),
+            (Source::Network(network), _) => surrogate::measure(case, *network).map(Ok),
             (_, Precision::F32) => measure::<f32>(case),
             (_, Precision::F64) => measure::<f64>(case),
         }?)?,
@@ -67,8 +67,7 @@ impl<R: Sweeps> Ready<R> {
     fn new(case: &Case, source: &Source) -> Result<Self, Error> {
         let (model, start, outflow) = match source {
             Source::Channel(scene) => {
-                let config = scene.load()?.config;
-                let (channel, _) = build::<R>(&config)?;
+                let (channel, _) = build::<R>(&scene.load()?.config)?;
                 (channel.model.clone(), channel.start(&channel.first), Some(channel.objective))
             }
             Source::TaylorGreen(size) => {
@@ -79,10 +78,8 @@ impl<R: Sweeps> Ready<R> {
                 let (model, mut state) = match lacking.size() {
                     Some(size) => taylor_green(size),
                     None => {
-                        let config = scene.load()?.config;
-                        let (channel, _) = build::<R>(&config)?;
-                        let state = channel.start(&channel.first).state;
-                        (needs::standard(&channel.model).clone(), state)
+                        let (channel, _) = build::<R>(&scene.load()?.config)?;
+                        (needs::standard(&channel.model).clone(), channel.start(&channel.first).state)
                     }
                 };
                 (Model::new(lacking.apply(model, &mut state, *forced)), at_rest(state), None)
@@ -112,9 +109,76 @@ impl<R: Sweeps> Ready<R> {
         }
     }
 
-    /// Memory of states and taped steps, by the first neighbour list.
-    fn costs(&self) -> Result<Costs, RunError> {
-        self.dynamics.costs_from(&self.start.state).map_err(|source| RunError::Neighbours { step: 0, source })
+    fn forward(&self, case: &Case, begin: &Snapshot<R>, measured: &mut Measured) -> Result<(), RunError> {
+        let dynamics = &self.dynamics;
+        let mut solver = dynamics.start(begin)?;
+        let timed = |solver: &mut _, steps: usize| -> Result<f64, RunError> {
+            let clock = Instant::now();
+            for _ in 0..steps {
+                dynamics.advance(solver)?;
+            }
+            Ok(clock.elapsed().as_secs_f64())
+        };
+        // Warms up pages, caches and threads.
+        let least = match case.length {
+            Length::Steps(steps) => steps.min(50),
+            Length::Seconds { least, .. } => least,
+        };
+        let first = timed(&mut solver, least)?;
+        measured.steps = match case.length {
+            Length::Steps(steps) => steps,
+            Length::Seconds { seconds, least } => least.max((seconds * least as f64 / first) as usize),
+        };
+        for _ in 0..case.blocks {
+            if let Length::Steps(_) = case.length {
+                solver = dynamics.start(begin)?;
+            }
+            measured.seconds.push(timed(&mut solver, measured.steps)?);
+        }
+        solver.check()
+    }
+
+    fn backward(
+        &self,
+        case: &Case,
+        begin: &Snapshot<R>,
+        costs: Costs,
+        measured: &mut Measured,
+    ) -> Result<(), RunError> {
+        let timed = |steps: usize, schedule: &Schedule| -> Result<(f64, f64), RunError> {
+            let clock = Instant::now();
+            let found = gradient(&self.dynamics, begin, schedule, &*self.goal(steps), &mut |_| ())?;
+            let seconds = clock.elapsed().as_secs_f64();
+            Ok((seconds, found.forward_seconds))
+        };
+        let steps = match case.length {
+            Length::Steps(steps) => steps,
+            Length::Seconds { seconds, least } => {
+                let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
+                // The start of a gradient (its first list, new memory of the process) takes as long as some steps, so it
+                // runs several times the needed number, if memory suffices.
+                let mut steps = (6 * least).max((seconds * least as f64 / first) as usize);
+                let fits =
+                    |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
+                while steps > least && !fits(steps) {
+                    steps = (steps / 2).max(least);
+                }
+                steps
+            }
+        };
+        // `measure` has checked that there is a schedule; more steps never need less memory.
+        let schedule = case.keeping.schedule(steps, costs).unwrap_or(Schedule::every_state(steps, 0, false));
+        measured.steps = steps;
+        measured.predicted_bytes = Some(schedule.memory(costs));
+        // Warms up pages, caches and threads.
+        let few = steps.min(24);
+        timed(few, &Schedule::every_state(few, 0, false))?;
+        for _ in 0..case.blocks {
+            let (seconds, forward) = timed(steps, &schedule)?;
+            measured.seconds.push(seconds);
+            measured.forward_seconds.push(forward);
+        }
+        Ok(())
     }
 }
 
@@ -126,6 +190,27 @@ pub fn taylor_green<R: Sweeps>(size: Size) -> (Standard<R>, Vec<R>) {
     scene.numerics.jitter = 0.1;
     let flow = scene.build::<R>();
     (needs::standard(&flow.model).clone(), flow.start.state)
+}
+
+/// The objective of gradients in scenes without heat: the sum of u^2 over the fluid at the last step.
+struct SquaredVelocity {
+    steps: usize,
+}
+
+impl Objective for SquaredVelocity {
+    fn name(&self) -> &str {
+        "squared velocity"
+    }
+
+    fn weight(&self, step: usize) -> Option<f64> {
+        (step == self.steps).then_some(1.0)
+    }
+
+    fn value(&self, fields: &Fields) -> candle_core::Result<Tensor> {
+        let fluid: Vec<f64> = fields.tags.iter().map(|&t| f64::from(u8::from(t == tag::FLUID))).collect();
+        let fluid = Tensor::new(fluid, fields.velocity.device())?.to_dtype(fields.velocity.dtype())?;
+        fields.velocity.sqr()?.sum(0)?.mul(&fluid)?.sum_all()
+    }
 }
 
 /// A state at step 0, whose list's reference is filled in by [`Ready::new`].
@@ -156,50 +241,35 @@ impl Keeping {
 
 fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
     let failed = |e: RunError| e.advised("a smaller time.cfl").of(case.label());
-    let mut ready = Ready::<R>::new(case, &case.source)?;
+    let ready = Ready::<R>::new(case, &case.source)?;
     reset_peak_memory();
     let begin = ready.after(case.warm_up).map_err(failed)?;
-    let lost = |source| failed(RunError::Neighbours { step: case.warm_up, source });
-    let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost)?;
-    let mut measured = Measured {
-        pairs,
-        steps: 0,
-        seconds: vec![],
-        forward_seconds: vec![],
-        peak_memory_bytes: 0,
-        predicted_bytes: None,
-        instruction_set: InstructionSet::best().name().into(),
-        time_step: ready.dynamics.model.dt,
-        difference: None,
-        gflop: None,
-        sgemm_gflops: None,
-    };
+    let lost = |step| move |source| failed(RunError::Neighbours { step, source });
+    let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost(case.warm_up))?;
+    let instruction_set = InstructionSet::best().name().into();
+    let mut measured = Measured { pairs, instruction_set, time_step: ready.dynamics.model.dt, ..Default::default() };
     match case.kind {
-        Kind::Forward => forward(case, &ready, &begin, &mut measured).map_err(failed)?,
+        Kind::Forward => ready.forward(case, &begin, &mut measured).map_err(failed)?,
         Kind::Gradient | Kind::Training => {
-            let costs = ready.costs().map_err(failed)?;
+            // Memory of states and taped steps, by the first neighbour list.
+            let costs = ready.dynamics.costs_from(&ready.start.state).map_err(lost(0))?;
             let least = match case.length {
                 Length::Steps(steps) => steps,
                 Length::Seconds { least, .. } => least,
             };
             match case.keeping.schedule(least, costs).map(|schedule| schedule.memory(costs)) {
                 Ok(needed) if needed <= case.memory_limit => {}
-                Ok(needed) => {
-                    let reason = format!("predicted to take {}, above --memory-limit", bytes(needed));
-                    return Ok(Outcome::LeftOut(reason));
-                }
-                Err(TooSmall { least }) => {
-                    return Ok(Outcome::LeftOut(format!("no schedule takes less than {}", bytes(least))));
-                }
+                Ok(needed) => return Ok(Err(format!("predicted to take {}, above --memory-limit", bytes(needed)))),
+                Err(TooSmall { least }) => return Ok(Err(format!("no schedule takes less than {}", bytes(least)))),
             }
-            backward(case, &mut ready, &begin, costs, &mut measured).map_err(failed)?;
+            ready.backward(case, &begin, costs, &mut measured).map_err(failed)?;
         }
     }
     measured.peak_memory_bytes = peak_memory_bytes();
     if let Source::Plan { scene, lacking, forced: true } = &case.source {
         let own = Source::Plan { scene: scene.clone(), lacking: *lacking, forced: false };
         let own = Ready::<R>::new(case, &own)?;
-        let difference = difference(case.kind, own, ready).map_err(failed)?;
+        let difference = difference(case.kind, &own, &ready).map_err(failed)?;
         // JSON has no NaN, which would be read as "not compared".
         if !difference.is_finite() {
             let problem = format!("{}: the difference from the plan is {difference}", case.label());
@@ -207,7 +277,7 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         }
         measured.difference = Some(difference);
     }
-    Ok(Outcome::Measured(measured))
+    Ok(Ok(measured))
 }
 
 /// Number of directed pairs (i, j) within the cut-off, i fluid and j any, over which the force on the fluid sums.
@@ -226,97 +296,18 @@ pub fn count_pairs<R: Sweeps>(model: &Model<R>, position: &[R]) -> Result<usize,
     Ok(list.fluid_rows.iter().map(of).sum())
 }
 
-fn forward<R: Sweeps>(
-    case: &Case,
-    ready: &Ready<R>,
-    begin: &Snapshot<R>,
-    measured: &mut Measured,
-) -> Result<(), RunError> {
-    let dynamics = &ready.dynamics;
-    let mut solver = dynamics.start(begin)?;
-    let timed = |solver: &mut _, steps: usize| -> Result<f64, RunError> {
-        let clock = Instant::now();
-        for _ in 0..steps {
-            dynamics.advance(solver)?;
-        }
-        Ok(clock.elapsed().as_secs_f64())
-    };
-    // Warms up pages, caches and threads.
-    let least = match case.length {
-        Length::Steps(steps) => steps.min(50),
-        Length::Seconds { least, .. } => least,
-    };
-    let first = timed(&mut solver, least)?;
-    measured.steps = match case.length {
-        Length::Steps(steps) => steps,
-        Length::Seconds { seconds, least } => least.max((seconds * least as f64 / first) as usize),
-    };
-    for _ in 0..case.blocks {
-        if let Length::Steps(_) = case.length {
-            solver = dynamics.start(begin)?;
-        }
-        measured.seconds.push(timed(&mut solver, measured.steps)?);
-    }
-    solver.check()
-}
-
-fn backward<R: Sweeps>(
-    case: &Case,
-    ready: &mut Ready<R>,
-    begin: &Snapshot<R>,
-    costs: Costs,
-    measured: &mut Measured,
-) -> Result<(), RunError> {
-    let dynamics = ready.dynamics.clone();
-    let timed = |steps: usize, schedule: &Schedule| -> Result<(f64, f64), RunError> {
-        let clock = Instant::now();
-        let found = gradient(&dynamics, begin, schedule, &*ready.goal(steps), &mut |_| ())?;
-        let seconds = clock.elapsed().as_secs_f64();
-        Ok((seconds, found.forward_seconds))
-    };
-    let steps = match case.length {
-        Length::Steps(steps) => steps,
-        Length::Seconds { seconds, least } => {
-            let (first, _) = timed(least, &Schedule::every_state(least, 0, false))?;
-            // The start of a gradient (its first list, new memory of the process) takes as long as some steps, so it
-            // runs several times the needed number, if memory suffices.
-            let mut steps = (6 * least).max((seconds * least as f64 / first) as usize);
-            let fits = |steps| case.keeping.schedule(steps, costs).is_ok_and(|s| s.memory(costs) <= case.memory_limit);
-            while steps > least && !fits(steps) {
-                steps = (steps / 2).max(least);
-            }
-            steps
-        }
-    };
-    // `measure` has checked that there is a schedule; more steps never need less memory.
-    let schedule = case.keeping.schedule(steps, costs).unwrap_or(Schedule::every_state(steps, 0, false));
-    measured.steps = steps;
-    measured.predicted_bytes = Some(schedule.memory(costs));
-    // Warms up pages, caches and threads.
-    let few = steps.min(24);
-    timed(few, &Schedule::every_state(few, 0, false))?;
-    for _ in 0..case.blocks {
-        let (seconds, forward) = timed(steps, &schedule)?;
-        measured.seconds.push(seconds);
-        measured.forward_seconds.push(forward);
-    }
-    Ok(())
-}
-
 /// The difference of a scene with every field from its plan, in states after some steps or in gradients.
-fn difference<R: Sweeps>(kind: Kind, mut own: Ready<R>, mut forced: Ready<R>) -> Result<f64, RunError> {
+fn difference<R: Sweeps>(kind: Kind, own: &Ready<R>, forced: &Ready<R>) -> Result<f64, RunError> {
     let (a, b) = (needs::standard(&own.dynamics.model).layout, needs::standard(&forced.dynamics.model).layout);
     let n = own.dynamics.model.particles();
-    let result = |ready: &mut Ready<R>| -> Result<Vec<R>, RunError> {
+    let result = |ready: &Ready<R>| -> Result<Vec<R>, RunError> {
         if kind == Kind::Forward {
             return Ok(ready.after(COMPARED_STEPS)?.state);
         }
-        let (dynamics, start) = (ready.dynamics.clone(), ready.start.clone());
-        let schedule = Schedule::segments(COMPARED_STEPS, 10);
-        let found = gradient(&dynamics, &start, &schedule, &*ready.goal(COMPARED_STEPS), &mut |_| ())?;
+        let (schedule, goal) = (Schedule::segments(COMPARED_STEPS, 10), ready.goal(COMPARED_STEPS));
+        let found = gradient(&ready.dynamics, &ready.start, &schedule, &*goal, &mut |_| ())?;
         let contiguous = found.state.contiguous().map_err(|source| RunError::Tensor { step: 0, source })?;
         read(&contiguous, |values: &[R]| Ok(values.to_vec())).map_err(|source| RunError::Tensor { step: 0, source })
     };
-    let (own, forced) = (result(&mut own)?, result(&mut forced)?);
-    Ok(needs::difference(n, (&own, a), (&forced, b)))
+    Ok(needs::difference(n, (&result(own)?, a), (&result(forced)?, b)))
 }

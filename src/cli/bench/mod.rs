@@ -3,7 +3,7 @@
 //! Each row is measured in its own process, which answers in JSON. The modules depend on each other as follows:
 //!
 //! ```text
-//! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, compare, plots, runner  <-  tables  <-  run
+//! case  <-  arguments, needs, surrogate, accuracy, rows  <-  cases, child, plots, runner  <-  tables  <-  run
 //! ```
 
 pub mod accuracy;
@@ -11,8 +11,6 @@ mod arguments;
 pub mod case;
 mod cases;
 pub mod child;
-mod compare;
-mod goal;
 mod needs;
 mod plots;
 pub mod rows;
@@ -22,37 +20,28 @@ mod tables;
 
 pub use arguments::BenchArguments;
 
-use accuracy::ComparedRun;
-use case::Group;
-use cases::Cases;
-use compare::Earlier;
-use rows::Row;
-
+use super::arguments::check_writable;
+use super::files::write_json;
 use super::machine;
 use super::page;
 use super::prepare::compute;
 use super::run_folder::{self, RunFolder};
 use crate::config::device::DeviceName;
-use crate::config::scene::Precision;
 use crate::error::{BadInput, Error};
 use crate::report::progress::Progress;
+use accuracy::ComparedRun;
+use case::Group;
+use cases::Cases;
+use rows::{Earlier, Row};
 use serde_json::json;
 use std::path::PathBuf;
-
-/// Largest difference between a scene and its plan, which must agree to rounding.
-fn tolerance(precision: Precision) -> f64 {
-    match precision {
-        Precision::F64 => 1e-9,
-        Precision::F32 => 1e-3,
-    }
-}
 
 pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
     if let Some(case) = &arguments.case {
         return child::run(case);
     }
     let (groups, scene) = arguments.groups_and_scene()?;
-    arguments.check_out()?;
+    check_writable(&arguments.out)?;
     let earlier = arguments.compare.as_deref().map(Earlier::read).transpose()?;
     if arguments.device != DeviceName::Cpu && groups.contains(&Group::Accuracy) {
         return Err(BadInput::new("the group accuracy runs on the CPU")
@@ -97,13 +86,13 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         }
         let (mut found, mut left_out) = (vec![], vec![]);
         for family in families {
-            let results = runner::run(family, arguments.repeats(), &bar)?;
-            found.extend(results.rows);
-            left_out.extend(results.left_out);
+            let (rows, without) = runner::run(family, arguments.repeats(), &bar)?;
+            found.extend(rows);
+            left_out.extend(without);
         }
         all.extend(found.iter().cloned());
         // Writes after each group, so that measurements are kept if a later group fails.
-        rows::write(&file, &all)?;
+        write_json(&file, &json!(all))?;
         let plots = plots::draw(&arguments.out, *group, &found)?;
         if !found.is_empty() {
             println!("\n{}", tables::text(*group, &found, earlier.as_ref()));
@@ -140,12 +129,11 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
 
 /// Measures run time against error with the last number of `--threads`; returns the points and their plots.
 fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Result<(Vec<ComparedRun>, Vec<PathBuf>)> {
-    let threads = arguments.threads().last().copied().unwrap_or(1);
-    let mut points = runner::accuracy(arguments.quick, threads)?;
+    let mut points = runner::accuracy(arguments.quick, arguments.last_threads())?;
     points.retain(|point| point.label().contains(&arguments.filter));
     points.retain(|point| arguments.precisions().contains(&point.precision));
     let file = arguments.out.join("accuracy.json");
-    accuracy::write(&file, &points)?;
+    write_json(&file, &json!(points))?;
     let own = points.clone();
     points.extend(peers.iter().cloned());
     println!("{}", accuracy::text(&points));
@@ -160,14 +148,11 @@ fn run_accuracy(arguments: &BenchArguments, peers: &[ComparedRun]) -> anyhow::Re
 /// Returns an error if a plan changes the result.
 fn check_plans(rows: &[Row]) -> Result<(), Error> {
     for row in rows {
-        let precision = if row.precision == "f32" { Precision::F32 } else { Precision::F64 };
-        let limit = tolerance(precision);
-        match row.difference {
-            Some(difference) if difference.is_nan() || difference > limit => {
-                let problem = format!("{}: differs from the plan by {difference:.1e}, above {limit:.0e}", row.label());
-                return Err(Error::run(problem, "this is a bug in the plan or in an operator: please report it"));
-            }
-            _ => {}
+        // They agree to rounding.
+        let limit = if row.precision == "f32" { 1e-3 } else { 1e-9 };
+        if let Some(difference) = row.difference.filter(|found| found.is_nan() || *found > limit) {
+            let problem = format!("{}: differs from the plan by {difference:.1e}, above {limit:.0e}", row.label());
+            return Err(Error::run(problem, "this is a bug in the plan or in an operator: please report it"));
         }
     }
     Ok(())

@@ -1,13 +1,12 @@
 //! Plots of the bench.
 
-use std::path::{Path, PathBuf};
-
 use super::case::{Group, Kind};
 use super::rows::Row;
 use crate::io::FileError;
 use crate::report::plots::compare;
+use crate::report::text::counted;
+use std::path::{Path, PathBuf};
 
-/// Plots the results of a group and returns the paths.
 pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, FileError> {
     let mut files = vec![];
     let mut picture = |name: &str, title: &str, x: &str, y: &str, series: Series| -> Result<(), FileError> {
@@ -33,7 +32,6 @@ pub fn draw(folder: &Path, group: Group, rows: &[Row]) -> Result<Vec<PathBuf>, F
     Ok(files)
 }
 
-/// Names and points of series.
 pub type Series = Vec<(String, Vec<(f64, f64)>)>;
 
 pub fn add(series: &mut Series, name: String, point: (f64, f64)) {
@@ -47,8 +45,7 @@ fn scaling(rows: &[Row], kind: Kind) -> Series {
     let mut series = vec![];
     for dimension in [2, 3] {
         for row in rows.iter().filter(|row| row.kind == kind && row.dimension == dimension) {
-            let threads = if row.threads == 1 { "thread" } else { "threads" };
-            let variant = format!("{dimension}D, {}, {} {threads}", row.precision, row.threads);
+            let variant = format!("{dimension}D, {}, {}", row.precision, counted(row.threads, "thread"));
             let place = (row.particles as f64, 1e6 * row.ms_per_step / row.particles as f64);
             add(&mut series, variant, place);
         }

@@ -1,13 +1,13 @@
-//! A row of the results, and bench.json.
+//! A row of the results, bench.json, and ratios against that of an earlier run.
 
-use std::path::Path;
-
-use serde::{Deserialize, Serialize};
-
-use super::case::{precision_name, Case, Group, Kind, Measured, Source};
-use crate::cli::files::write_json;
+use super::case::{label, Case, Group, Kind, Measured, Source};
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
+use crate::report::VERSION;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A measured case. Times are those of the best repeat unless stated otherwise; a gradient's include its forward run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -90,7 +90,7 @@ impl Row {
             },
             particles: case.particles,
             pairs: first.pairs,
-            precision: precision_name(case.precision).into(),
+            precision: case.precision.name().into(),
             threads: case.threads,
             kind: case.kind,
             steps: fastest.map_or(first.steps, |(steps, ..)| steps),
@@ -110,18 +110,14 @@ impl Row {
             gflops: first.gflop.map(|gflop| 1e3 * gflop / ms),
             sgemm_gflops: all.iter().filter_map(|m| m.sgemm_gflops).reduce(f64::max),
             instruction_set: Some(first.instruction_set.clone()),
-            version: Some(env!("CARGO_PKG_VERSION").into()),
+            version: Some(VERSION.into()),
         }
     }
 
     /// The label, as [`Case::label`].
     pub fn label(&self) -> String {
-        let Self { scene, particles, precision, threads, .. } = self;
-        let label = format!("{}/{scene}/{particles}/{precision}/{threads}/{}", self.group.name(), self.kind.name());
-        match &self.mode {
-            Some(mode) => format!("{label}/{mode}"),
-            None => label,
-        }
+        let Self { group, scene, particles, precision, threads, kind, mode, .. } = self;
+        label(*group, scene, *particles, precision, *threads, *kind, mode)
     }
 }
 
@@ -131,30 +127,58 @@ pub fn median(sorted: &[f64]) -> f64 {
     0.5 * (low + high)
 }
 
-/// Writes the rows as a JSON array.
-pub fn write(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
-    write_json(path, &serde_json::to_value(rows)?)
+/// Reads a JSON array by reading each of its values; an error names the number of the `noun`.
+pub fn read_array<T>(
+    path: &Path,
+    noun: &str,
+    bad: impl Fn(String) -> BadInput,
+    item: impl Fn(Value) -> Result<T, String>,
+) -> Result<Vec<T>, BadInput> {
+    let text = std::fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
+    let values: Vec<Value> =
+        serde_json::from_str(&text).map_err(|error| bad(format!("not an array of JSON: {error}")))?;
+    let items = values.into_iter().map(item).enumerate();
+    items.map(|(number, item)| item.map_err(|problem| bad(format!("{noun} {number}: {problem}")))).collect()
 }
 
-/// Reads the rows of an earlier run. Errors name the file, and the row and field if there is one.
-pub fn read(option: &str, path: &Path) -> Result<Vec<Row>, BadInput> {
-    let bad = |problem: String| {
-        BadInput::new(problem)
-            .place(format!("{option} {}", path.display()))
-            .allowed("the bench.json of an earlier `hydrograd bench`: an array of rows")
-    };
-    let text = std::fs::read_to_string(path).map_err(|error| bad(error.to_string()))?;
-    let values: Vec<serde_json::Value> =
-        serde_json::from_str(&text).map_err(|error| bad(format!("not an array of JSON: {error}")))?;
-    if values.is_empty() {
-        return Err(bad("it has no rows".into()));
-    }
-    let rows = values.into_iter().enumerate().map(|(number, value)| {
-        let row: Row = serde_json::from_value(value).map_err(|error| bad(format!("row {number}: {error}")))?;
-        if row.ms_per_step.is_nan() || row.ms_per_step <= 0.0 {
-            return Err(bad(format!("row {number}: ms_per_step = {} is not above 0", row.ms_per_step)));
+/// Milliseconds per step of an earlier run, by label.
+pub struct Earlier {
+    best: BTreeMap<String, f64>,
+}
+
+impl Earlier {
+    /// Reads the bench.json of an earlier run.
+    pub fn read(path: &Path) -> Result<Self, BadInput> {
+        let bad = |problem: String| {
+            BadInput::new(problem)
+                .place(format!("--compare {}", path.display()))
+                .allowed("the bench.json of an earlier `hydrograd bench`: an array of rows")
+        };
+        let rows = read_array(path, "row", bad, |value| {
+            let row: Row = serde_json::from_value(value).map_err(|error| error.to_string())?;
+            match row.ms_per_step > 0.0 {
+                true => Ok(row),
+                false => Err(format!("ms_per_step = {} is not above 0", row.ms_per_step)),
+            }
+        })?;
+        if rows.is_empty() {
+            return Err(bad("it has no rows".into()));
         }
-        Ok(row)
-    });
-    rows.collect()
+        Ok(Self { best: rows.iter().map(|row| (row.label(), row.ms_per_step)).collect() })
+    }
+
+    /// New time over old; `None` if the earlier run lacks the row.
+    pub fn ratio(&self, row: &Row) -> Option<f64> {
+        self.best.get(&row.label()).map(|old| row.ms_per_step / old)
+    }
+
+    /// One line with the number of common rows, the geometric mean of their ratios and the largest one.
+    pub fn summary(&self, rows: &[Row]) -> String {
+        let ratios: Vec<(f64, String)> = rows.iter().filter_map(|row| Some((self.ratio(row)?, row.label()))).collect();
+        let (old, both) = (self.best.len(), ratios.len());
+        let counts = format!("{both} of {} rows are in the earlier run, which has {old}", rows.len());
+        let Some((worst, label)) = ratios.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return counts };
+        let mean = (ratios.iter().map(|(ratio, _)| ratio.ln()).sum::<f64>() / both as f64).exp();
+        format!("{counts}; new/old: geometric mean {mean:.3}, largest {worst:.3} ({label})")
+    }
 }

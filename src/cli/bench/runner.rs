@@ -1,53 +1,38 @@
 //! Runs the cases of a family in turns, each repeat in its own process.
 
-use std::process::Stdio;
-
-use serde::de::DeserializeOwned;
-
 use super::accuracy::ComparedRun;
 use super::case::{Case, Measured, Outcome, Request};
 use super::rows::Row;
 use crate::cli::program;
 use crate::error::{Error, EXIT_DIVERGED};
 use crate::report::progress::Progress;
+use serde::de::DeserializeOwned;
+use std::process::Stdio;
 
-/// The results of a family: rows, and the cases that were left out with the reasons.
-#[derive(Debug, Default)]
-pub struct Results {
-    pub rows: Vec<Row>,
-    pub left_out: Vec<(String, String)>,
-}
-
-/// Runs every case `repeats` times in turns, A B C A B C.
-pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Results> {
-    let mut measured: Vec<Vec<Measured>> = vec![vec![]; family.len()];
-    let mut left_out: Vec<Option<String>> = vec![None; family.len()];
+/// Runs every case `repeats` times in turns, A B C A B C: the rows, and the labels of cases that were left out with the
+/// reasons.
+pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<(Vec<Row>, Vec<(String, String)>)> {
+    let mut measured: Vec<Result<Vec<Measured>, String>> = vec![Ok(vec![]); family.len()];
     for _ in 0..repeats {
-        for (place, case) in family.iter().enumerate() {
+        for (case, found) in family.iter().zip(&mut measured) {
             bar.message(case.label());
-            if left_out[place].is_none() {
-                match measure(case)? {
-                    Outcome::Measured(one) => measured[place].push(one),
-                    Outcome::LeftOut(reason) => left_out[place] = Some(reason),
+            if let Ok(all) = found {
+                match ask::<Outcome>(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)? {
+                    Ok(one) => all.push(one),
+                    Err(reason) => *found = Err(reason),
                 }
             }
             bar.done(1);
         }
     }
-    let mut results = Results::default();
-    for (place, case) in family.iter().enumerate() {
-        if let Some(reason) = left_out[place].take() {
-            results.left_out.push((case.label(), reason));
-            continue;
+    let (mut rows, mut left_out) = (vec![], vec![]);
+    for (case, found) in family.iter().zip(measured) {
+        match found {
+            Ok(all) => rows.push(Row::new(case, &all)),
+            Err(reason) => left_out.push((case.label(), reason)),
         }
-        results.rows.push(Row::new(case, &measured[place]));
     }
-    Ok(results)
-}
-
-/// Runs one case in its own process.
-fn measure(case: &Case) -> anyhow::Result<Outcome> {
-    ask(&case.label(), &Request::Row(Box::new(case.clone())), case.threads)
+    Ok((rows, left_out))
 }
 
 /// Measures all points of run time against error in a separate process.

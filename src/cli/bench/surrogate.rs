@@ -12,12 +12,6 @@
 //! first twice, because nobody asks for the gradient of their features. Everything else (normalisation, sums, features,
 //! neighbours, AdamW) is no work here, but its time counts.
 
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::Instant;
-
-use candle_core::{DType, Var};
-
 use super::case::{Case, Kind, Length, Measured, Network, COLUMNS, ROWS};
 use crate::cli::prepare::compute;
 use crate::config::training::{ModelSettings, Settings};
@@ -34,8 +28,11 @@ use crate::surrogate::training::batch::Team;
 use crate::surrogate::training::checkpoint::fresh;
 use crate::surrogate::training::samples::Samples;
 use crate::surrogate::training::train::Training;
+use candle_core::{DType, Var};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
 
-/// Their spacing.
 const SPACING: f64 = 0.02;
 /// Largest shift of a particle off its place of the lattice, and largest way per frame, in spacings.
 const JITTER: f64 = 0.2;
@@ -97,9 +94,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let graph = Graph::build(&frames[seen - 1].position, &domain, radius * SPACING)?;
 
     reset_peak_memory();
-    let mut seconds = vec![];
-    let mut steps = 1;
-    match case.kind {
+    let (steps, seconds) = match case.kind {
         Kind::Training => {
             let variables: Vec<Var> = model.parameters().iter().map(|p| p.values.clone()).collect();
             let train = std::slice::from_ref(&trajectory);
@@ -123,13 +118,13 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 training.state.step += 1;
                 Ok(())
             };
-            steps = time(case, &mut seconds, &mut step)?;
+            time(case, &mut step)?
         }
         _ => {
             let predictor = Learned::new(network.name(), setup.clone(), model.clone());
-            steps = time(case, &mut seconds, &mut || predictor.next(&scenery, &frames).map(drop))?.max(steps);
+            time(case, &mut || predictor.next(&scenery, &frames).map(drop))?
         }
-    }
+    };
     let peak_memory_bytes = peak_memory_bytes();
     let products = products(&sizes, graph.nodes(), graph.edges(), case.kind == Kind::Training);
     let sgemm = products.iter().map(|(product, times)| *times as f64 * product.seconds(case.threads)).sum::<f64>();
@@ -138,19 +133,17 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
         pairs: graph.edges(),
         steps,
         seconds,
-        forward_seconds: vec![],
         peak_memory_bytes,
-        predicted_bytes: None,
         instruction_set: InstructionSet::best().name().into(),
         time_step: metadata.dt,
-        difference: None,
         gflop: Some(gflop),
         sgemm_gflops: Some(gflop / sgemm),
+        ..Measured::default()
     })
 }
 
-/// Runs blocks of steps, and says how many steps a block has.
-fn time(case: &Case, seconds: &mut Vec<f64>, step: &mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<usize> {
+/// Runs blocks of steps: how many steps a block has, and the seconds of each.
+fn time(case: &Case, step: &mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<(usize, Vec<f64>)> {
     let mut run = |steps: usize| -> anyhow::Result<f64> {
         let clock = Instant::now();
         (0..steps).try_for_each(|_| step())?;
@@ -163,10 +156,8 @@ fn time(case: &Case, seconds: &mut Vec<f64>, step: &mut dyn FnMut() -> anyhow::R
         Length::Steps(steps) => steps,
         Length::Seconds { seconds, least } => least.max((seconds / one) as usize),
     };
-    for _ in 0..case.blocks {
-        seconds.push(run(steps)?);
-    }
-    Ok(steps)
+    let seconds = (0..case.blocks).map(|_| run(steps)).collect::<anyhow::Result<Vec<f64>>>()?;
+    Ok((steps, seconds))
 }
 
 /// Which of the three products of a linear layer.
@@ -203,13 +194,11 @@ pub fn products(sizes: &Sizes, nodes: usize, edges: usize, training: bool) -> Ve
     let forms = [Form::Output, Form::Weight, Form::Input];
     let all = layers.iter().flat_map(|&(rows, inputs, outputs, times)| {
         let of_features = (rows, inputs) == (edges, sizes.edge_features);
-        let forms = &forms[..if !training {
-            1
-        } else if of_features {
-            2
-        } else {
-            3
-        }];
+        let forms = match training {
+            true if of_features => &forms[..2],
+            true => &forms[..],
+            false => &forms[..1],
+        };
         forms.iter().map(move |&form| (Product { rows, inputs, outputs, form }, times))
     });
     all.collect()

@@ -1,9 +1,9 @@
 //! The rows of a group as a table for the terminal, at most 120 columns wide.
 
 use super::case::{Group, Kind, COMPOSED, EVERYTHING_ON, FUSED, PLAN};
-use super::compare::Earlier;
-use super::rows::Row;
+use super::rows::{Earlier, Row};
 use crate::report::table::Table;
+use crate::report::text::counted;
 
 /// A heading with the common values of all rows, the table, and notes.
 pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
@@ -20,7 +20,7 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         words.into_iter().partition(|(_, cell)| rows.len() > 1 && rows.iter().all(|row| cell(row) == cell(&rows[0])));
     let common = constant.iter().map(|(name, cell)| match *name {
         "N" => format!("{} particles", cell(&rows[0])),
-        "thr" => format!("{} thread{}", cell(&rows[0]), if rows[0].threads == 1 { "" } else { "s" }),
+        "thr" => counted(rows[0].threads, "thread"),
         _ => cell(&rows[0]),
     });
     let mut heading = vec![group.name()];
@@ -82,7 +82,7 @@ fn work(row: &Row) -> String {
     match row.group {
         Group::Gradient => mode.to_string(),
         Group::Plan | Group::Kernels => format!("{} {mode}", row.kind.name()),
-        _ => row.kind.name().to_string(),
+        _ => row.kind.name(),
     }
 }
 

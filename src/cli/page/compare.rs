@@ -1,9 +1,10 @@
 //! `hydrograd compare`: several runs of a kind on one page, and the page of a folder whose run has several parts.
 
-use super::designs::{by_epoch, is_steady, loaded, verification};
+use super::designs::{is_steady, verification, wall_chart, wall_line};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
+use crate::cli::files::read_config;
 use crate::cli::guard::warn;
 use crate::cli::machine;
 use crate::cli::run_folder::{is_finished, kind_of};
@@ -14,6 +15,7 @@ use crate::report::text::shown;
 use crate::scene::record::{Record, Search, FIGURES};
 use clap::Args;
 use serde_json::{json, Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Put several runs of a command side by side in one page.
@@ -39,12 +41,12 @@ pub struct CompareArguments {
 const MOST: usize = 12;
 
 pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
-    let runs = arguments.runs()?;
+    let mut runs = arguments.runs()?;
     let out = &arguments.out;
     check_out(out)?;
     let base = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(base).map_err(|source| crate::io::FileError::write(base, source))?;
-    let mut page = beside(&runs, base, None)?;
+    let mut page = beside(&mut runs, base, None)?;
     page.title = format!("{} runs of {}", runs.len(), runs[0].folder.kind);
     page.subtitle = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", ");
     page.warnings = runs.iter().flat_map(|run| run.folder.damage()).collect();
@@ -62,11 +64,27 @@ pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One of several runs.
-pub struct Compared {
+struct Compared {
     /// The name that distinguishes it from the others.
-    pub name: String,
-    pub folder: Folder,
+    name: String,
+    folder: Folder,
+    summary: Record,
+    /// Of a search that has found something.
+    search: Option<Search>,
+}
+
+impl Compared {
+    fn new(name: String, folder: Folder) -> Self {
+        Self { name, folder, summary: Record::default(), search: None }
+    }
+
+    fn read(&mut self) -> anyhow::Result<()> {
+        self.summary = self.folder.record("summary.json");
+        if self.folder.kind == "optimize" {
+            self.search = self.summary.search(Figure::of_config(&read_config(&self.folder.path)?.config));
+        }
+        Ok(())
+    }
 }
 
 impl CompareArguments {
@@ -102,15 +120,13 @@ impl CompareArguments {
                 return Err(bad(&format!("{state}: none of {}", MAIN.join(", ")))
                     .advice(format!("hydrograd {kind} --resume {}", path.display())));
             }
-            runs.push(Compared { name: shown(&folder.name()), folder });
+            runs.push(Compared::new(shown(&folder.name()), folder));
         }
         let first = &runs[0].folder.kind;
         if let Some(other) = runs.iter().find(|run| run.folder.kind != *first) {
+            let (one, two, kind) = (given(&runs[0].folder.path), given(&other.folder.path), &other.folder.kind);
             return Err(BadInput::new(format!(
-                "runs of different commands: {} is of `hydrograd {first}`, {} of `hydrograd {}`",
-                given(&runs[0].folder.path),
-                given(&other.folder.path),
-                other.folder.kind
+                "runs of different commands: {one} is of `hydrograd {first}`, {two} of `hydrograd {kind}`"
             ))
             .place(given(&other.folder.path))
             .allowed("runs of one command")
@@ -136,7 +152,7 @@ impl CompareArguments {
 
 /// The symbol of a search's objective; none for other runs.
 fn objective(folder: &Folder) -> Option<&'static str> {
-    let config = loaded(folder).ok().filter(|_| folder.kind == "optimize")?.config;
+    let config = read_config(&folder.path).ok().filter(|_| folder.kind == "optimize")?.config;
     Some(Figure::of_config(&config).symbol)
 }
 
@@ -169,19 +185,16 @@ fn check_out(out: &Path) -> Result<(), BadInput> {
 }
 
 /// The page of a folder with one run in each subfolder.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
-    let runs: Vec<Compared> =
-        folder.parts("optimize").into_iter().map(|part| Compared { name: part.name(), folder: part }).collect();
+    let parts = folder.parts("optimize").into_iter();
+    let mut runs: Vec<Compared> = parts.map(|part| Compared::new(part.name(), part)).collect();
     let summary = folder.record("summary.json");
-    let mut page = beside(&runs, &folder.path, Some(&summary))?;
+    let mut page = beside(&mut runs, &folder.path, Some(&summary))?;
     if let Some(run) = runs.first() {
-        let loaded = loaded(&run.folder)?;
+        let loaded = read_config(&run.folder.path)?;
         let symbol = Figure::of_config(&loaded.config).symbol;
         let title = "Does the gain of the best hold?";
-        page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded)?));
+        page.tables.extend(verification(title, symbol, &summary, is_steady(&loaded.for_search()?.config)));
     }
     let rows: Vec<Value> = summary
         .0
@@ -198,34 +211,30 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
     Ok(page)
 }
 
-/// The problem of a run, as keys and values: figures of runs of different problems must not be ranked.
-fn problem(folder: &Folder) -> Vec<(String, String)> {
-    let read = |file: &str| std::fs::read_to_string(folder.path.join(file)).unwrap_or_default();
-    let mut found = Vec::new();
-    flatten("", &read("config.toml").parse::<toml::Table>().unwrap_or_default(), &mut found);
-    let keys = ["scene", "objective.kind", "region.size", "region.periodic"];
-    found.retain(|(key, _)| keys.contains(&key.as_str()));
-    if let Ok(scores) = serde_json::from_str::<Value>(&read("evaluation.json")) {
+/// Keys of a file, those of nested tables behind their names and dots, and their values.
+type Values = BTreeMap<String, String>;
+
+/// The problem of a run: figures of runs of different problems must not be ranked.
+fn problem(folder: &Folder) -> Values {
+    let mut found = flat(&folder.config());
+    found.retain(|key, _| ["scene", "objective.kind", "region.size", "region.periodic"].contains(&key.as_str()));
+    if let Some(scores) = evaluation(folder) {
         found.extend(["data", "split"].map(|key| (key.to_string(), scores[key].to_string())));
-        found.push(("steps of a rollout".into(), scores["scores"][0]["steps"].to_string()));
+        found.insert("steps of a rollout".into(), scores["scores"][0]["steps"].to_string());
     }
     found
 }
 
+/// The scores of the models of a run.
+fn evaluation(folder: &Folder) -> Option<Value> {
+    let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
 /// The keys of [`problem`] whose values differ between runs.
 fn unlike(runs: &[Compared]) -> Vec<String> {
-    let problems: Vec<_> = runs.iter().map(|run| problem(&run.folder)).collect();
-    let Some((first, others)) = problems.split_first() else { return vec![] };
-    let differs = |(key, value): &(String, String)| {
-        let same = |other: &Vec<(String, String)>| other.iter().any(|(k, v)| k == key && v == value);
-        (!others.iter().all(same)).then(|| key.clone())
-    };
-    let mut found: Vec<String> = first.iter().filter_map(differs).collect();
-    // The keys that only the other runs have.
-    let more = others.iter().flatten().filter(|(key, _)| !first.iter().any(|(k, _)| k == key));
-    found.extend(more.map(|(key, _)| key.clone()));
-    found.sort();
-    found.dedup();
+    let problems: Vec<Values> = runs.iter().map(|run| problem(&run.folder)).collect();
+    let found: Vec<String> = differing(&problems).into_iter().map(|(key, _)| key.to_string()).collect();
     // Different scenes differ in further keys.
     match found.iter().any(|key| key == "scene") {
         true => vec!["scene".into()],
@@ -233,30 +242,31 @@ fn unlike(runs: &[Compared]) -> Vec<String> {
     }
 }
 
+/// The keys whose values are not the same in all of them, and these values.
+fn differing(all: &[Values]) -> Vec<(&str, Vec<Option<&str>>)> {
+    let keys: BTreeSet<&String> = all.iter().flat_map(BTreeMap::keys).collect();
+    let of = |key| all.iter().map(|values| values.get(key).map(String::as_str)).collect::<Vec<_>>();
+    let found = keys.into_iter().map(|key| (key.as_str(), of(key)));
+    found.filter(|(_, values)| values.iter().any(|value| *value != values[0])).collect()
+}
+
 /// Runs of one kind side by side. `together` has their common figures, if they are parts of one run. Links are relative
 /// to the folder `base`.
-fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::Result<Page> {
-    let unlike = unlike(runs);
+fn beside(runs: &mut [Compared], base: &Path, together: Option<&Record>) -> anyhow::Result<Page> {
     let mut page = Page { body: Body::Compare, ..Page::default() };
-    let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
-    let summaries: Vec<Record> = runs.iter().map(|run| run.folder.record("summary.json")).collect();
-    let mut searches: Vec<Option<Search>> = Vec::new();
-    for (run, summary) in runs.iter().zip(&summaries) {
-        searches.push(match run.folder.kind.as_str() {
-            "optimize" => summary.search(Figure::of_config(&loaded(&run.folder)?.config)),
-            _ => None,
-        });
-    }
+    runs.iter_mut().try_for_each(Compared::read)?;
     // Only one part was checked, against the flat wall.
     let verified = together.and_then(|all| Some((all.text("verified_start")?, all.0.get("gain_survives")?)));
     if let Some((name, gain)) = verified {
-        for (_, search) in runs.iter().zip(&mut searches).filter(|(run, _)| run.name == name) {
-            search.iter_mut().for_each(|search| search.survives = gain.as_f64());
-        }
+        let checked = runs.iter_mut().filter(|run| run.name == name).filter_map(|run| run.search.as_mut());
+        checked.for_each(|search| search.survives = gain.as_f64());
     }
-    let flat = together.and_then(|_| runs.iter().position(|run| run.name == "flat"));
-    let flat = flat.and_then(|k| searches[k].as_ref().map(|search| search.first));
-    page.lead = lead(runs, &searches, &summaries, &unlike, flat);
+    let runs = &*runs;
+    let unlike = unlike(runs);
+    let header = || std::iter::once(String::new()).chain(runs.iter().map(|run| run.name.clone()));
+    let flat = together.and_then(|_| runs.iter().find(|run| run.name == "flat")?.search.as_ref());
+    let flat = flat.map(|search| search.first);
+    page.lead = lead(runs, &unlike, flat);
     if !unlike.is_empty() {
         page.remark = format!("Not the same in all of them: {}. So none is the best.", unlike.join(", "));
     }
@@ -266,9 +276,9 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
         Some(link) => Cell { link: Some(link), ..Cell::text("page") },
         None => Cell::text("-"),
     });
-    table.rows.push(std::iter::once(Cell::text("the run's own page")).chain(pages).collect());
-    if searches.iter().all(Option::is_some) {
-        let searches: Vec<&Search> = searches.iter().flatten().collect();
+    table.row("the run's own page", pages);
+    let searches: Vec<&Search> = runs.iter().filter_map(|run| run.search.as_ref()).collect();
+    if searches.len() == runs.len() {
         add_searches(&mut table, &searches, unlike.is_empty(), flat);
         page.charts.push(over_epochs(runs, &searches));
         page.charts.extend(best_walls(runs));
@@ -276,7 +286,7 @@ fn beside(runs: &[Compared], base: &Path, together: Option<&Record>) -> anyhow::
         page.charts.extend(histories(runs));
     }
     let mut rest = Table::new("All other figures", header());
-    add_figures([&mut table, &mut rest], runs, &summaries);
+    add_figures([&mut table, &mut rest], runs);
     page.tables.push(table);
     page.tables.extend(differences(runs, header().collect()));
     page.more.extend((!rest.rows.is_empty()).then_some(rest));
@@ -295,58 +305,36 @@ fn page_link(folder: &Folder, base: &Path) -> Option<String> {
     Some(link(&up.chain(down).collect::<Vec<_>>().join("/")))
 }
 
-fn lead(
-    runs: &[Compared],
-    searches: &[Option<Search>],
-    summaries: &[Record],
-    unlike: &[String],
-    flat: Option<f64>,
-) -> String {
+fn lead(runs: &[Compared], unlike: &[String], flat: Option<f64>) -> String {
     let kind = runs.first().map_or("", |run| run.folder.kind.as_str());
     let plain = format!("{} runs of hydrograd {kind} side by side", runs.len());
     if !unlike.is_empty() {
         return format!("{plain}: of different problems, not to be ranked.");
     }
-    let best_of = |values: Vec<Option<f64>>| {
-        let found = values.into_iter().enumerate().filter_map(|(k, value)| Some((k, value?)));
-        found.max_by(|a, b| a.1.total_cmp(&b.1))
+    let searches = runs.iter().filter_map(|run| Some((&run.name, run.search.as_ref()?)));
+    if let Some((name, search)) = searches.max_by(|a, b| a.1.best.total_cmp(&b.1.best)) {
+        // Each started with another wall; all are compared with the flat one, if it is among them.
+        let (gain, over) = match flat {
+            Some(flat) => (search.best / flat - 1.0, "the flat wall"),
+            None => (search.gain(), "its own start"),
+        };
+        let (all, symbol, best, gain) = (runs.len(), search.figure.symbol, figure(search.best), 100.0 * gain);
+        return format!("Best of {all} searches: {name}, with {symbol} = {best} ({gain:+.2}\u{a0}% over {over}).");
+    }
+    let named = |of: &dyn Fn(&Compared) -> Option<f64>| -> Option<Vec<(&String, f64)>> {
+        runs.iter().map(|run| Some((&run.name, of(run)?))).collect()
     };
-    if let Some((k, _)) = best_of(searches.iter().map(|search| search.as_ref().map(|search| search.best)).collect()) {
-        if let Some(search) = &searches[k] {
-            let symbol = search.figure.symbol;
-            // Each started with another wall; all are compared with the flat one, if it is among them.
-            let (gain, over) = match flat {
-                Some(flat) => (search.best / flat - 1.0, "the flat wall"),
-                None => (search.gain(), "its own start"),
-            };
-            return format!(
-                "Best of {} searches: {}, with {symbol} = {} ({:+.2}\u{a0}% over {over}).",
-                runs.len(),
-                runs[k].name,
-                figure(search.best),
-                100.0 * gain
-            );
-        }
+    let most = named(&|run| run.summary.number("q")).and_then(|all| all.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)));
+    if let Some((name, q)) = most {
+        return format!("Of {} runs {name} carries out the most heat: Q = {}.", runs.len(), figure(q));
     }
-    let values = || summaries.iter().map(|summary| summary.number("q"));
-    if let (true, Some((k, q))) = (values().all(|value| value.is_some()), best_of(values().collect())) {
-        return format!("Of {} runs {} carries out the most heat: Q = {}.", runs.len(), runs[k].name, figure(q));
-    }
-    let errors: Option<Vec<f64>> = runs.iter().map(|run| position_error(&run.folder)).collect();
-    if let Some((k, mse)) = errors.and_then(|all| all.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))) {
-        return format!(
-            "Of {} models that of {} has the least position error: MSE {mse:.2e}.",
-            runs.len(),
-            runs[k].name
-        );
+    // Of the evaluated model, which is the first one with scores.
+    let error = |run: &Compared| evaluation(&run.folder)?["scores"][0]["mse"].as_f64();
+    let least = named(&error).and_then(|all| all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)));
+    if let Some((name, mse)) = least {
+        return format!("Of {} models that of {name} has the least position error: MSE {mse:.2e}.", runs.len());
     }
     format!("{plain}.")
-}
-
-/// The position error of the evaluated model, which is the first one with scores.
-fn position_error(folder: &Folder) -> Option<f64> {
-    let text = std::fs::read_to_string(folder.path.join("evaluation.json")).ok()?;
-    serde_json::from_str::<Value>(&text).ok()?.get("scores")?.get(0)?.get("mse")?.as_f64()
 }
 
 /// Rows of the results of searches, with the best marked if they have one problem.
@@ -354,8 +342,8 @@ fn add_searches(table: &mut Table, searches: &[&Search], is_ranked: bool, flat: 
     let Some(symbol) = searches.first().map(|search| search.figure.symbol) else { return };
     let mut row = |name: String, cells: Vec<(Cell, Option<f64>)>, has_best: bool| {
         let best = cells.iter().filter_map(|(_, value)| *value).reduce(f64::max).filter(|_| has_best && is_ranked);
-        let marked = cells.into_iter().map(|(cell, value)| cell.marked(value.is_some() && value == best));
-        table.rows.push(std::iter::once(Cell::text(name)).chain(marked).collect());
+        let is_best = |value: Option<f64>| value.is_some() && value == best;
+        table.row(name, cells.into_iter().map(|(cell, value)| Cell { is_marked: is_best(value), ..cell }));
     };
     let numbers = |of: fn(&Search) -> f64| {
         searches.iter().map(|search| (Cell::shown(figure(of(search)), of(search)), Some(of(search)))).collect()
@@ -393,11 +381,11 @@ const FIRST: [&str; 9] = [
 const SAID: [&str; 4] = ["q", "q_first", "best_epoch", "gain_survives"];
 
 /// Rows of the figures in the runs' files: the most important ones, and the rest.
-fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[Record]) {
+fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared]) {
     let mut all: Vec<Vec<(String, Cell)>> = Vec::new();
-    for (run, summary) in runs.iter().zip(summaries) {
-        let mut found = tables::scalars(&summary.0);
-        if summary.0.is_empty() {
+    for run in runs {
+        let mut found = tables::scalars(&run.summary.0);
+        if run.summary.0.is_empty() {
             for file in MAIN.iter().filter(|file| file.ends_with(".json")) {
                 if let Some(map) = run.folder.json(file) {
                     found.extend(tables::scalars(&map));
@@ -436,13 +424,10 @@ fn add_figures([table, rest]: [&mut Table; 2], runs: &[Compared], summaries: &[R
             let cell = found.iter().find(|(other, _)| *other == name).map(|(_, cell)| cell.clone());
             cell.map_or_else(|| Cell::text("-"), |cell| sized(&name, cell))
         };
-        let label = label(&name);
         let is_first = FIGURES.iter().any(|(key, _)| *key == name) || FIRST.contains(&name.as_str());
-        let row = std::iter::once(Cell::text(label)).chain(all.iter().map(of)).collect();
-        match is_first || summaries.iter().all(|summary| summary.0.is_empty()) {
-            true => table.rows.push(row),
-            false => rest.rows.push(row),
-        }
+        let has_place = is_first || runs.iter().all(|run| run.summary.0.is_empty());
+        let into = if has_place { &mut *table } else { &mut *rest };
+        into.row(label(&name), all.iter().map(of));
     }
 }
 
@@ -452,23 +437,9 @@ fn differences(runs: &[Compared], header: Vec<String>) -> Option<Table> {
         return None;
     }
     let mut table = Table::new("What differs in their configurations", header);
-    let flat = |run: &Compared| {
-        let text = std::fs::read_to_string(run.folder.path.join("config.toml")).unwrap_or_default();
-        let mut found = Vec::new();
-        flatten("", &text.parse::<toml::Table>().unwrap_or_default(), &mut found);
-        found
-    };
-    let all: Vec<Vec<(String, String)>> = runs.iter().map(flat).collect();
-    let mut keys: Vec<&String> = all.iter().flatten().map(|(key, _)| key).collect();
-    keys.sort();
-    keys.dedup();
-    for key in keys {
-        let values: Vec<Option<&String>> =
-            all.iter().map(|found| found.iter().find(|(other, _)| other == key).map(|(_, value)| value)).collect();
-        if values.iter().any(|value| *value != values[0]) {
-            let cells = values.iter().map(|value| Cell::text(value.map_or("-", |value| shortened(value))));
-            table.rows.push(std::iter::once(Cell::text(key)).chain(cells).collect());
-        }
+    let all: Vec<Values> = runs.iter().map(|run| flat(&run.folder.config())).collect();
+    for (key, values) in differing(&all) {
+        table.row(key, values.into_iter().map(|value| Cell::text(value.map_or("-", shortened))));
     }
     if table.rows.is_empty() {
         table.header.clear();
@@ -486,50 +457,40 @@ fn shortened(value: &str) -> &str {
     }
 }
 
-fn flatten(before: &str, table: &toml::Table, found: &mut Vec<(String, String)>) {
+fn flat(table: &toml::Table) -> Values {
+    let mut found = Values::new();
     for (key, value) in table {
-        let name = if before.is_empty() { key.clone() } else { format!("{before}.{key}") };
         match value {
-            toml::Value::Table(inner) => flatten(&name, inner, found),
-            value => found.push((name, value.to_string())),
+            toml::Value::Table(inner) => {
+                found.extend(flat(inner).into_iter().map(|(name, value)| (format!("{key}.{name}"), value)));
+            }
+            value => drop(found.insert(key.clone(), value.to_string())),
         }
     }
+    found
 }
 
 /// The objective by epoch.
 fn over_epochs(runs: &[Compared], searches: &[&Search]) -> Chart {
     let figure = searches[0].figure;
-    let series = runs
-        .iter()
-        .zip(searches)
-        .map(|(run, search)| Series { name: run.name.clone(), points: by_epoch(&search.values) });
-    Chart {
-        title: format!("{}, {}, by epoch", figure.symbol, figure.quantity),
-        x: "epoch".into(),
-        y: format!("{} ({})", figure.symbol, figure.unit),
-        by_epoch: true,
-        series: series.collect(),
-        ..Chart::default()
-    }
+    let lines = runs.iter().zip(searches);
+    let series = lines.map(|(run, search)| Series::by_epoch(&run.name, search.values.iter().copied())).collect();
+    let title = format!("{}, {}, by epoch", figure.symbol, figure.quantity);
+    Chart::by_epoch(title, format!("{} ({})", figure.symbol, figure.unit), series)
 }
 
 /// The best walls in one chart; those over x and z are on their own pages.
 fn best_walls(runs: &[Compared]) -> Vec<Chart> {
     let mut charts = Vec::new();
-    for (column, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
+    for (side, title) in [("offset", "Best walls"), ("top", "Best top walls")] {
         let mut series = Vec::new();
         for run in runs {
             let columns = run.folder.columns("shape.csv");
-            let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
             // A series without points keeps the colours of the runs the same in every chart.
-            series.push(match (of("x"), of(column), of("z")) {
-                (Some(x), Some(y), None) => Series::new(run.name.clone(), x.into_iter().zip(y)),
-                _ => Series::new(run.name.clone(), []),
-            });
+            series.push(wall_line(&columns, &run.name, side).unwrap_or_else(|| Series::new(&run.name, [])));
         }
         if series.iter().any(|line: &Series| !line.points.is_empty()) {
-            let (x, y) = ("x (scene units)".into(), "offset (positive narrows)".into());
-            charts.push(Chart { title: title.into(), x, y, series, ..Chart::default() });
+            charts.push(wall_chart(title, series));
         }
     }
     charts

@@ -5,7 +5,8 @@ use super::series;
 use crate::dataset::outline::Outline;
 use crate::dataset::trajectory::read_one;
 use crate::dataset::{Metadata, Split, Trajectory};
-use crate::report::page::{short, Cell, Fact, Fields, Page, RawFrame, RawPanel, Side, Table, Text, Walls};
+use crate::io::vtk::ParticleFile;
+use crate::report::page::{short, Cell, Fact, Fields, Page, RawPanel, Side, Table, Text, Walls};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -14,10 +15,6 @@ const MOST_BYTES: usize = 800_000;
 /// Largest number of walls on a page; of more, some are selected.
 const MOST_WALLS: usize = 200;
 
-/// The page of a finished data set.
-///
-/// # Errors
-/// Files of the data set that cannot be read.
 pub fn page(folder: &Folder) -> anyhow::Result<Page> {
     let metadata = Metadata::read(&folder.path)?;
     let mut splits = Vec::new();
@@ -59,7 +56,6 @@ fn all(splits: &Splits) -> impl Iterator<Item = &Outline> + Clone {
     splits.iter().flat_map(|(_, all)| all)
 }
 
-/// Time between frames.
 fn apart(metadata: &Metadata) -> f64 {
     metadata.dt * metadata.write_every as f64
 }
@@ -82,14 +78,12 @@ fn said(metadata: &Metadata, splits: &Splits) -> (String, String) {
 }
 
 fn facts(metadata: &Metadata, splits: &Splits) -> Vec<Fact> {
-    let fact = |name: &str, cell: Cell| Fact { name: name.into(), cell };
-    let count = all(splits).count();
     vec![
-        fact("trajectories", Cell::number(count as f64)),
-        fact("frames each", Cell::text(range(all(splits).map(|one| one.frames)))),
-        fact("particles", Cell::text(range(all(splits).map(|one| one.particles)))),
-        fact("time between frames", Cell::number(apart(metadata))),
-        fact("spacing", Cell::number(metadata.dx)),
+        Fact::new("trajectories", Cell::number(all(splits).count() as f64)),
+        Fact::new("frames each", Cell::text(range(all(splits).map(|one| one.frames)))),
+        Fact::new("particles", Cell::text(range(all(splits).map(|one| one.particles)))),
+        Fact::new("time between frames", Cell::number(apart(metadata))),
+        Fact::new("spacing", Cell::number(metadata.dx)),
     ]
 }
 
@@ -98,13 +92,13 @@ fn holds(folder: &Folder, splits: &Splits) -> Table {
     let mut table = Table::new("What it holds", ["split", "trajectories", "frames", "particles", "file"]);
     for (split, all) in splits {
         let bytes = split.path(&folder.path).metadata().map_or(0, |file| file.len());
-        table.rows.push(vec![
-            Cell::text(split.name()),
+        let cells = [
             Cell::number(all.len() as f64),
             Cell::text(range(all.iter().map(|one| one.frames))),
             Cell::text(range(all.iter().map(|one| one.particles))),
             Cell::shown(crate::report::text::bytes(bytes as usize), bytes as f64),
-        ]);
+        ];
+        table.row(split.name(), cells);
     }
     table
 }
@@ -112,9 +106,7 @@ fn holds(folder: &Folder, splits: &Splits) -> Table {
 /// Means and standard deviations by which a network's inputs and outputs are normalised.
 fn statistics(metadata: &Metadata) -> Table {
     let mut table = Table::new("Statistics", ["per frame", "mean", "deviation"]);
-    let mut row = |name: String, mean: f64, deviation: f64| {
-        table.rows.push(vec![Cell::text(name), Cell::number(mean), Cell::number(deviation)]);
-    };
+    let mut row = |name: String, mean: f64, deviation: f64| table.row(name, [mean, deviation].map(Cell::number));
     let axes = ["x", "y", "z"];
     for d in 0..metadata.dim {
         row(format!("velocity in {}", axes[d]), metadata.vel_mean[d], metadata.vel_std[d]);
@@ -133,7 +125,7 @@ fn statistics(metadata: &Metadata) -> Table {
 /// Box, time and heat.
 fn numbers(metadata: &Metadata) -> Table {
     let mut table = Table::new("Box and time", ["", ""]);
-    let mut row = |name: &str, cell: Cell| table.rows.push(vec![Cell::text(name), cell]);
+    let mut row = |name: &str, cell: Cell| table.row(name, [cell]);
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate().take(metadata.dim) {
         let [low, high] = metadata.bounds[k];
         let kind = if metadata.periodic()[k] { "periodic" } else { "open" };
@@ -174,10 +166,9 @@ fn names_of_walls(splits: &Splits) -> Option<Table> {
         }
     }
     let mut table = Table::new("Kinds of walls", ["wall", "train", "valid", "test"]);
-    let row = |(name, counts): (String, [usize; 3])| {
-        std::iter::once(Cell::text(name)).chain(counts.map(|count| Cell::number(count as f64))).collect()
-    };
-    table.rows = counts.into_iter().map(row).collect();
+    for (name, counts) in counts {
+        table.row(name, counts.map(|count| Cell::number(count as f64)));
+    }
     (!table.rows.is_empty()).then_some(table)
 }
 
@@ -185,7 +176,7 @@ fn names_of_walls(splits: &Splits) -> Option<Table> {
 fn next(folder: &Folder, metadata: &Metadata) -> Table {
     let data = folder.path.display();
     let mut table = Table::new("What to do next", ["", "command"]);
-    let mut row = |what: &str, command: String| table.rows.push(vec![Cell::text(what), Cell::text(command)]);
+    let mut row = |what: &str, command: String| table.row(what, [Cell::text(command)]);
     row("look at other trajectories", format!("hydrograd dataset inspect {data} --split test --trajectory 0"));
     row("train a network", format!("hydrograd train --data {data} --steps 20000 --out runs/train"));
     row("judge it", format!("hydrograd evaluate --model runs/train/best.safetensors --data {data} --split test"));
@@ -225,33 +216,32 @@ fn walls(splits: &Splits) -> Option<Walls> {
 
 /// One trajectory over time, coloured by temperature and by speed.
 fn fields(metadata: &Metadata, split: Split, trajectory: &Trajectory) -> Option<Fields> {
-    let (d, n) = (metadata.dim, trajectory.particles);
-    let place = |position: &[f32], i: usize| -> [f64; 3] {
-        std::array::from_fn(|k| if k < d { f64::from(position[i * d + k]) } else { 0.0 })
+    let (d, every) = (metadata.dim, (0..trajectory.particles).collect::<Vec<_>>());
+    // Converts spacings per frame to a speed.
+    let unit = metadata.dx / apart(metadata);
+    let particles = |k: usize| {
+        let place = |place: &[f32]| std::array::from_fn(|d| place.get(d).map_or(0.0, |&x| f64::from(x)));
+        let speed = trajectory.speeds(metadata, k, &every).into_iter().map(|steps| steps * unit).collect();
+        let warm = trajectory.temperature_of(k).map(|warm| warm.iter().map(|&t| f64::from(t)).collect());
+        let warm = warm.map(|warm| ("temperature".to_string(), warm));
+        ParticleFile {
+            position: trajectory.position_of(k).chunks_exact(d).map(place).collect(),
+            velocity: vec![],
+            scalars: warm.into_iter().chain([("speed".to_string(), speed)]).collect(),
+            tag: trajectory.tags(),
+        }
     };
-    let first: Vec<[f64; 3]> = (0..n).map(|i| place(trajectory.position_of(0), i)).collect();
+    let first = particles(0).position;
     let (layer, layer_note) = series::layer(&first, metadata.dx);
     let in_layer = first.iter().filter(|place| series::is_in(layer, place)).count();
     let mut quantities = vec![("speed", "scene units")];
     if trajectory.temperature.is_some() {
         quantities.insert(0, ("temperature", "scene units"));
     }
-    let tag = trajectory.tags();
-    let mut panel = RawPanel { title: format!("of {}/{}", split.name(), trajectory.name), frames: vec![] };
-    for k in Fields::chosen_within(MOST_BYTES, trajectory.frames, in_layer, 1, quantities.len()) {
-        let position = trajectory.position_of(k);
-        let kept: Vec<usize> = (0..n).filter(|&i| series::is_in(layer, &place(position, i))).collect();
-        // Converts spacings per frame to a speed.
-        let unit = metadata.dx / apart(metadata);
-        let speed = trajectory.speeds(metadata, k, &kept).into_iter().map(|steps| steps * unit).collect();
-        let warm = trajectory.temperature_of(k).map(|warm| kept.iter().map(|&i| f64::from(warm[i])).collect());
-        panel.frames.push(RawFrame {
-            time: k as f64 * apart(metadata),
-            position: kept.iter().map(|&i| [place(position, i)[0], place(position, i)[1]]).collect(),
-            tag: kept.iter().map(|&i| tag[i]).collect(),
-            values: warm.into_iter().chain([speed]).collect(),
-        });
-    }
+    let chosen = Fields::chosen_within(MOST_BYTES, trajectory.frames, in_layer, 1, quantities.len());
+    let frame = |k: usize| series::frame(k as f64 * apart(metadata), &particles(k), layer, &quantities);
+    let frames = chosen.into_iter().map(frame).collect();
+    let panel = RawPanel { title: format!("of {}/{}", split.name(), trajectory.name), frames };
     let note = format!("Time since the first frame; coordinates as in the files. {layer_note}");
     Fields::new(vec![panel], &quantities, metadata.dx, note.trim_end().to_string())
 }

@@ -1,40 +1,22 @@
 //! Pages of `optimize` and `simulate`.
 
-use super::folder::{figure, percent, warnings, Folder};
-use super::names::{counted, rounded};
+use super::folder::{column, figure, percent, warnings, Columns, Folder};
+use super::leads::{number, text};
+use super::names::rounded;
 use super::{series, tables};
 use crate::cli::explain::plan_of;
-use crate::cli::files::read_config;
-use crate::cli::files::{AFTER, BEFORE, CHECKPOINT};
+use crate::cli::files::{read_config, AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family, GradientMode};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
 use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
-use crate::scene::load::Loaded;
+use crate::report::text::counted;
 use crate::scene::record::{Record, Search, FIGURES};
 use crate::scene::Scene;
-use serde_json::Value;
 
-/// Points by epoch, counted from one as on the screen.
-pub fn by_epoch(values: &[Option<f64>]) -> Vec<(f64, Option<f64>)> {
-    values.iter().enumerate().map(|(k, value)| ((k + 1) as f64, *value)).collect()
-}
-
-/// Loads the configuration of a run.
-///
-/// # Errors
-/// A file that is not a configuration.
-pub fn loaded(folder: &Folder) -> anyhow::Result<Loaded> {
-    Ok(read_config(&folder.path)?)
-}
-
-/// The page of a search.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
-    let loaded = loaded(folder)?;
+    let loaded = read_config(&folder.path)?;
     let config = &loaded.config;
     let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
@@ -54,17 +36,16 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
         0 => {
             format!("No design that was tried is better than the first: {symbol}, the {quantity}, is {}.", figure(best))
         }
-        epoch => format!(
-            "{symbol}, the {quantity}, {} from {} to {} ({:+.2}\u{a0}%) in epoch {} of {epochs}.",
-            if best >= first { "rose" } else { "fell" },
-            figure(first),
-            figure(best),
-            100.0 * gain,
-            epoch.saturating_add(1)
-        ),
+        epoch => {
+            let (way, from, to) = (if best >= first { "rose" } else { "fell" }, figure(first), figure(best));
+            let (gain, epoch) = (100.0 * gain, epoch.saturating_add(1));
+            format!(
+                "{symbol}, the {quantity}, {way} from {from} to {to} ({gain:+.2}\u{a0}%) in epoch {epoch} of {epochs}."
+            )
+        }
     };
     page.remark = remark(&search, &summary);
-    let mut fact = |name: &str, cell: Cell| page.facts.push(Fact { name: name.into(), cell });
+    let mut fact = |name: &str, cell: Cell| page.facts.push(Fact::new(name, cell));
     fact(&format!("{symbol} before"), Cell::shown(figure(first), first));
     fact(&format!("{symbol} after"), Cell::shown(figure(best), best));
     fact("gain", percent(gain));
@@ -77,26 +58,25 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     }
     let shapes = shapes(&searched, &folder.unless_damaged(CHECKPOINT, variables(folder)).unwrap_or_default())?;
     if config.scene == Family::Custom {
-        page.tables.extend(of_shapes(&summary));
+        page.tables.extend(summary.rows("variables").and_then(|all| tables::of_objects("Numbers of shapes", all)));
         page.charts.extend(course_of_shapes(&summary, &shapes));
     } else {
         page.walls = walls(&searched, &search, &shapes);
     }
     page.charts.insert(0, course(&search, &summary, &format!("{symbol} ({unit})")));
     if let Some(norms) = summary.per_epoch("gradient_norm_per_epoch") {
-        let series = vec![Series { name: String::new(), points: by_epoch(&norms) }];
-        let (title, y) = ("Norm of the gradient by epoch".into(), "|gradient of the loss|".into());
-        page.charts.insert(1, Chart { title, x: "epoch".into(), y, log: true, by_epoch: true, series });
+        let series = vec![Series::by_epoch("", norms)];
+        let chart = Chart::by_epoch("Norm of the gradient by epoch", "|gradient of the loss|", series);
+        page.charts.insert(1, Chart { log: true, ..chart });
     }
     let of = |name: &str| folder.path.join(name).join("particles.pvd");
     let panels = [("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])];
-    let fields = series::fields(&panels, config.resolution.dx);
-    page.fields = folder.unless_damaged("the particles", fields).flatten();
+    page.fields = series::fields(folder, &panels, config.resolution.dx);
     if page.fields.is_none() {
         page.pictures = folder.pictures(|stem| ["temperature", "flow"].contains(&stem));
     }
     page.tables.insert(0, before_and_after(&search, &summary));
-    let is_steady = is_steady(&loaded)?;
+    let is_steady = is_steady(&searched);
     page.tables.extend(verification("Does the gain hold?", symbol, &summary, is_steady));
     let later = folder.record("verification.json");
     page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
@@ -128,14 +108,12 @@ fn course(search: &Search, summary: &Record, y: &str) -> Chart {
     let name = symbol.to_lowercase();
     let of = |key: &str| summary.per_epoch(&format!("{name}_{key}_per_epoch"));
     let series = match (of("predicted"), of("solver")) {
-        (Some(predicted), Some(solver)) => vec![
-            Series { name: "predicted by the learned model".into(), points: by_epoch(&predicted) },
-            Series { name: "solver".into(), points: by_epoch(&solver) },
-        ],
-        _ => vec![Series { name: String::new(), points: by_epoch(&search.values) }],
+        (Some(predicted), Some(solver)) => {
+            vec![Series::by_epoch("predicted by the learned model", predicted), Series::by_epoch("solver", solver)]
+        }
+        _ => vec![Series::by_epoch("", search.values.iter().copied())],
     };
-    let title = format!("{symbol}, {quantity}, by epoch");
-    Chart { title, x: "epoch".into(), y: y.into(), by_epoch: true, series, ..Chart::default() }
+    Chart::by_epoch(format!("{symbol}, {quantity}, by epoch"), y, series)
 }
 
 /// The variables of each epoch's design; empty without a checkpoint.
@@ -159,7 +137,6 @@ fn shapes(config: &Config, variables: &[Vec<f64>]) -> anyhow::Result<Vec<Shape>>
     Ok(variables.iter().filter(|_| fits).map(sampled).collect())
 }
 
-/// The walls of each epoch; none without walls.
 fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
     let first = shapes.first()?;
     let is_both = first.top.is_some();
@@ -174,17 +151,11 @@ fn walls(config: &Config, search: &Search, shapes: &[Shape]) -> Option<Walls> {
         nodes: first.nodes.clone(),
         across: first.across.clone(),
         sides,
-        names: vec![],
         best: search.best_epoch.min(shapes.len() - 1),
         values: search.values.clone(),
         symbol: search.figure.symbol.into(),
+        ..Walls::default()
     })
-}
-
-/// The numbers of shapes: their bounds, initial and final values.
-fn of_shapes(summary: &Record) -> Option<Table> {
-    let all = summary.rows("variables")?;
-    tables::of_objects("Numbers of shapes", all)
 }
 
 /// The numbers of shapes by epoch, relative to their bounds.
@@ -193,11 +164,10 @@ fn course_of_shapes(summary: &Record, shapes: &[Shape]) -> Option<Chart> {
     let series = all.iter().enumerate().filter_map(|(k, one)| {
         let (low, high) = (one.get("lower")?.as_f64()?, one.get("upper")?.as_f64()?);
         let share = |shape: &Shape| shape.offsets.get(k).map(|value| (value - low) / (high - low));
-        let points = shapes.iter().enumerate().map(|(e, shape)| ((e + 1) as f64, share(shape))).collect();
-        Some(Series { name: one.get("number")?.as_str()?.into(), points })
+        Some(Series::by_epoch(one.get("number")?.as_str()?, shapes.iter().map(share)))
     });
-    let (title, y) = ("Numbers of shapes by epoch".into(), "between the bounds: 0 lower, 1 upper".into());
-    Some(Chart { title, x: "epoch".into(), y, by_epoch: true, series: series.collect(), ..Chart::default() })
+    let (title, y) = ("Numbers of shapes by epoch", "between the bounds: 0 lower, 1 upper");
+    Some(Chart::by_epoch(title, y, series.collect()))
 }
 
 fn before_and_after(search: &Search, summary: &Record) -> Table {
@@ -207,7 +177,7 @@ fn before_and_after(search: &Search, summary: &Record) -> Table {
         let change = if has_change && b != 0.0 { percent(a / b - 1.0) } else { Cell::default() };
         // Small residuals need fewer digits.
         let cell = |x: f64| if x.abs() < 1e-3 { rounded(Cell::number(x), 4) } else { Cell::number(x) };
-        table.rows.push(vec![Cell::text(name), cell(b), cell(a), change]);
+        table.row(name, [cell(b), cell(a), change]);
     };
     let Figure { symbol, quantity, .. } = search.figure;
     row(format!("{symbol}, {quantity}"), search.first, search.best, true);
@@ -227,12 +197,9 @@ fn before_and_after(search: &Search, summary: &Record) -> Table {
     table
 }
 
-/// Whether the search evaluated walls by the steady state of their flow, see [`Loaded::for_search`].
-///
-/// # Errors
-/// An invalid configuration.
-pub fn is_steady(loaded: &Loaded) -> anyhow::Result<bool> {
-    Ok(loaded.for_search()?.config.optimise.gradient == GradientMode::Steady)
+/// Whether the search evaluated walls by the steady state of their flow, see [`crate::scene::load::Loaded::for_search`].
+pub fn is_steady(searched: &Config) -> bool {
+    searched.optimise.gradient == GradientMode::Steady
 }
 
 /// The checks of a gain; none if there were none.
@@ -242,18 +209,10 @@ pub fn verification(title: &str, symbol: &str, summary: &Record, is_steady: bool
     let mut table = Table::new(title, header);
     let name = symbol.to_lowercase();
     for check in checks {
-        let text = |key: &str| check.get(key).and_then(Value::as_str).unwrap_or_default();
-        let number = |key: &str| match check.get(key).and_then(Value::as_f64) {
-            Some(value) => Cell::number(value),
-            None => Cell::text("-"),
-        };
-        let gain = match check.get("gain").and_then(Value::as_f64) {
-            Some(gain) => percent(gain),
-            None => Cell::text(format!("failed: {}", text("error"))),
-        };
-        let figures = [number(&format!("{name}_reference")), number(&format!("{name}_best"))];
-        let [reference, best] = figures;
-        table.rows.push(vec![Cell::text(text("check")), reference, best, gain]);
+        let figure = |key: &str| number(check, &format!("{name}_{key}")).map_or(Cell::text("-"), Cell::number);
+        let failed = || Cell::text(format!("failed: {}", text(check, "error")));
+        let gain = number(check, "gain").map_or_else(failed, percent);
+        table.row(text(check, "check"), [figure("reference"), figure("best"), gain]);
     }
     let reference = summary.text("verification_reference").unwrap_or_default();
     let survives = summary.number("gain_survives");
@@ -280,12 +239,8 @@ fn plan(config: &Config, gradient: bool) -> anyhow::Result<Text> {
     Ok(Text { title: title.into(), text: format!("{} steps\n{plan}", config.steps()) })
 }
 
-/// The page of a simulation.
-///
-/// # Errors
-/// Files that cannot be read.
 pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
-    let loaded = loaded(folder)?;
+    let loaded = read_config(&folder.path)?;
     let config = &loaded.config;
     let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
@@ -303,13 +258,12 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         ("wall_seconds", "seconds"),
     ] {
         if let Some(cell) = summary.0.get(key).filter(|value| !value.is_null()).and_then(tables::cell) {
-            page.facts.push(Fact { name: name.into(), cell });
+            page.facts.push(Fact::new(name, cell));
         }
     }
     page.charts = tables::charts(&folder.columns("history.csv"), |_| false);
     page.charts.extend(wall(folder));
-    let fields = series::fields(&[("over time", series::lists(&folder.path))], config.resolution.dx);
-    page.fields = folder.unless_damaged("the particles", fields).flatten();
+    page.fields = series::fields(folder, &[("over time", series::lists(&folder.path))], config.resolution.dx);
     let has_fields = page.fields.is_some();
     page.pictures = folder.pictures(|stem| match stem {
         "profile" | "wall" => true,
@@ -327,49 +281,48 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
 /// A constant wall as a chart.
 fn wall(folder: &Folder) -> Option<Chart> {
     let columns = folder.columns("shape.csv");
-    let of = |name: &str| columns.iter().find(|(other, _)| other == name).map(|(_, values)| values.clone());
-    let (Some(x), Some(offset), None) = (of("x"), of("offset"), of("z")) else { return None };
-    let line = |name: &str, y: Vec<f64>| Series::new(name, x.iter().copied().zip(y));
-    let top = of("top");
-    let mut series = vec![line(if top.is_some() { "bottom" } else { "" }, offset)];
-    series.extend(top.map(|top| line("top", top)));
-    let (title, y) = ("Wall".into(), "offset (positive narrows)".into());
-    Some(Chart { title, x: "x (scene units)".into(), y, series, ..Chart::default() })
+    let top = wall_line(&columns, "top", "top");
+    let bottom = wall_line(&columns, if top.is_some() { "bottom" } else { "" }, "offset")?;
+    Some(wall_chart("Wall", std::iter::once(bottom).chain(top).collect()))
+}
+
+/// A wall of `shape.csv`, `side` of its columns; none if it is over x and z.
+pub fn wall_line(columns: &Columns, name: &str, side: &str) -> Option<Series> {
+    let (x, y) = (column(columns, "x")?, column(columns, side)?);
+    column(columns, "z").is_none().then(|| Series::new(name, x.iter().copied().zip(y.iter().copied())))
+}
+
+pub fn wall_chart(title: &str, series: Vec<Series>) -> Chart {
+    Chart::new(title, "x (scene units)", "offset (positive narrows)", series)
 }
 
 /// The result of a run in one sentence, and a remark.
 fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
     let number = |key: &str| summary.number(key);
     if let Some(q) = number("q") {
-        let lead = match (number("flow_rate"), number("mean_outlet_temperature")) {
-            (Some(rate), Some(warm)) => format!(
-                "The flow carries out Q = {} of heat per time: {} of fluid, mixed at a temperature of {}.",
-                figure(q),
-                short(rate),
-                short(warm)
-            ),
-            _ => format!("The flow carries out Q = {} of heat per time.", figure(q)),
+        let more = match (number("flow_rate"), number("mean_outlet_temperature")) {
+            (Some(rate), Some(warm)) => {
+                format!(": {} of fluid, mixed at a temperature of {}", short(rate), short(warm))
+            }
+            _ => String::new(),
         };
+        let lead = format!("The flow carries out Q = {} of heat per time{more}.", figure(q));
         let remark = number("energy_imbalance").map_or(String::new(), |share| {
             format!("The heat balance is open by {:+.2}\u{a0}% of what the walls give.", 100.0 * share)
         });
         return (lead, remark);
     }
-    let time = number("time").unwrap_or_default();
+    let time = short(number("time").unwrap_or_default());
     let name = if scene.is_empty() { config.scene.name() } else { scene };
     let lead = match (number("velocity_error"), number("temperature_error"), number("kinetic_energy")) {
-        (Some(error), _, _) => format!(
-            "{name}: the velocity is {} off the exact answer at t = {}, in root mean square.",
-            off(error),
-            short(time)
-        ),
+        (Some(error), _, _) => {
+            format!("{name}: the velocity is {} off the exact answer at t = {time}, in root mean square.", off(error))
+        }
         (None, Some(error), _) => {
-            format!("{name}: the temperature is {} off the exact answer at t = {}.", off(error), short(time))
+            format!("{name}: the temperature is {} off the exact answer at t = {time}.", off(error))
         }
-        (None, None, Some(energy)) => {
-            format!("{name}: at t = {} the kinetic energy is {}.", short(time), short(energy))
-        }
-        _ => format!("{name}, until t = {}.", short(time)),
+        (None, None, Some(energy)) => format!("{name}: at t = {time} the kinetic energy is {}.", short(energy)),
+        _ => format!("{name}, until t = {time}."),
     };
     (lead, "In the scene's own units.".into())
 }

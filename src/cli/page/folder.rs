@@ -20,6 +20,11 @@ const LARGEST_PICTURES: usize = 3 << 19;
 /// Names of columns and their values, NaN for cells that are not numbers.
 pub type Columns = Vec<(String, Vec<f64>)>;
 
+/// The values of a column; none if there is no such column.
+pub fn column<'a>(columns: &'a Columns, name: &str) -> Option<&'a [f64]> {
+    columns.iter().find(|(other, _)| other == name).map(|(_, values)| &values[..])
+}
+
 pub struct Folder {
     pub path: PathBuf,
     /// Name of the command.
@@ -74,14 +79,18 @@ impl Folder {
 
     /// The scene of the run, or the name of its file for a custom scene, if known; empty without a scene.
     pub fn scene(&self) -> String {
-        let read = |file: &str| std::fs::read_to_string(self.path.join(file)).ok();
-        let text = || {
-            let summary = read("summary.json")?.parse::<Value>().ok()?;
+        let of_summary = || {
+            let summary = std::fs::read_to_string(self.path.join("summary.json")).ok()?.parse::<Value>().ok()?;
             let name = summary.get("scene_file").or_else(|| summary.get("scene"))?;
             name.as_str().map(str::to_string)
         };
-        let config = || read("config.toml")?.parse::<toml::Table>().ok()?.get("scene")?.as_str().map(str::to_string);
-        text().or_else(config).unwrap_or_default()
+        of_summary().or_else(|| self.config().get("scene")?.as_str().map(str::to_string)).unwrap_or_default()
+    }
+
+    /// The values in `config.toml`; empty if it cannot be read.
+    pub fn config(&self) -> toml::Table {
+        let text = std::fs::read_to_string(self.path.join("config.toml")).unwrap_or_default();
+        text.parse().unwrap_or_default()
     }
 
     /// A JSON object in a file; none if there is no such file.
@@ -147,7 +156,6 @@ impl Folder {
         found
     }
 
-    /// Sorted names of the files in the folder.
     fn names(&self) -> Vec<String> {
         let entries = std::fs::read_dir(&self.path).into_iter().flatten().flatten();
         let mut names: Vec<String> = entries
@@ -196,7 +204,6 @@ impl Folder {
     }
 }
 
-/// Converts the name of a key or a file to words.
 pub fn words(name: &str) -> String {
     let mut letters = name.replace(['_', '-'], " ");
     if let Some(first) = letters.get_mut(..1) {

@@ -1,19 +1,20 @@
 //! The result of a run in one sentence, for commands whose figures need to be searched.
 
-use super::folder::{Columns, Folder};
-use super::names::{counted, label};
+use super::folder::{column, Columns, Folder};
+use super::names::label;
 use super::series;
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{short, Chart, Series};
+use crate::report::text::counted;
 use crate::scene::record::Record;
 use serde_json::Value;
 
-fn number(row: &Value, key: &str) -> Option<f64> {
+pub fn number(row: &Value, key: &str) -> Option<f64> {
     row.get(key).and_then(Value::as_f64)
 }
 
-fn text<'a>(row: &'a Value, key: &str) -> &'a str {
+pub fn text<'a>(row: &'a Value, key: &str) -> &'a str {
     row.get(key).and_then(Value::as_str).unwrap_or_default()
 }
 
@@ -34,15 +35,10 @@ pub fn bench(rows: &[Value]) -> String {
     let others =
         rows.iter().filter(same).filter(|row| is(row, "gradient") && !text(row, "mode").starts_with("truncated"));
     let gradient = others.filter_map(|row| number(row, "ms_per_step")).reduce(f64::min);
-    let count = |key: &str| number(first, key).unwrap_or(0.0) as usize;
-    format!(
-        "A step of {} with {} on {} takes {}\u{a0}ms{}.",
-        text(first, "scene"),
-        counted(count("particles"), "particle"),
-        counted(count("threads"), "thread"),
-        about(ms),
-        gradient.map_or(String::new(), |ms| format!(", one with its exact gradient {}\u{a0}ms", about(ms)))
-    )
+    let count = |what: &str| counted(number(first, &format!("{what}s")).unwrap_or(0.0) as usize, what);
+    let (scene, particles, threads, ms) = (text(first, "scene"), count("particle"), count("thread"), about(ms));
+    let gradient = gradient.map_or(String::new(), |ms| format!(", one with its exact gradient {}\u{a0}ms", about(ms)));
+    format!("A step of {scene} with {particles} on {threads} takes {ms}\u{a0}ms{gradient}.")
 }
 
 /// The best point of a grid.
@@ -74,21 +70,17 @@ pub fn recover(found: &Record) -> (String, String) {
     let errors = [("velocity_error", "velocity_error_before"), ("temperature_error", "temperature_error_before")];
     let error = errors.into_iter().find_map(|(now, before)| Some((number(now)?, number(before)?)));
     let lead = match error {
-        Some((now, before)) => format!(
-            "The {what} at the start were found with a relative error of {} ({} before) in {}.",
-            about(now),
-            about(before),
-            counted(number("epochs").unwrap_or(0.0) as usize, "epoch")
-        ),
+        Some((now, before)) => {
+            let (now, before) = (about(now), about(before));
+            let epochs = counted(number("epochs").unwrap_or(0.0) as usize, "epoch");
+            format!("The {what} at the start were found with a relative error of {now} ({before} before) in {epochs}.")
+        }
         None => format!("What a flow began with, its {what}, found from where its particles are later."),
     };
     let remark = match (number("distance_before"), number("distance")) {
         (Some(before), Some(now)) => {
-            format!(
-                "Its particles end {} from where they were seen, {} before: in units of the scene.",
-                about(now),
-                about(before)
-            )
+            let (now, before) = (about(now), about(before));
+            format!("Its particles end {now} from where they were seen, {before} before: in units of the scene.")
         }
         _ => String::new(),
     };
@@ -111,7 +103,7 @@ pub fn calibrate(found: &Record, history: &Columns) -> (String, String) {
         true => "Viscosity and conductivity, found from a trajectory.".into(),
         false => format!("Found: {}.", parameters.join(", ")),
     };
-    let losses = history.iter().find(|(name, _)| name == "loss").map_or(&[][..], |(_, values)| values);
+    let losses = column(history, "loss").unwrap_or_default();
     let remark = match losses {
         [.., before, last] if *before > 0.0 => {
             let fell = 1.0 - last / before;
@@ -145,9 +137,6 @@ pub fn verify(found: &Record) -> (String, String) {
 }
 
 /// The errors of a rollout by step, from its frames: of positions and of temperatures.
-///
-/// # Errors
-/// Frames that cannot be read.
 pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
     let none = "A learned model's rollout beside the truth.".to_string();
     let list = |name: &str| folder.path.join(name).join(format!("{name}.pvd"));
@@ -177,17 +166,10 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
         "At step {step} the MSE of the predicted positions is {mse:.2e}{}.",
         temperatures.last().map_or(String::new(), |(_, mse)| format!(", that of the temperatures {mse:.2e}"))
     );
-    let chart = |title: &str, y: &str, points: Vec<(f64, f64)>| Chart {
-        title: title.into(),
-        x: "step".into(),
-        y: y.into(),
-        log: true,
-        series: vec![Series::new("", points)],
-        ..Chart::default()
-    };
-    let mut charts = vec![chart("Position error by step", "MSE", positions)];
-    if !temperatures.is_empty() {
-        charts.push(chart("Temperature error by step", "MSE", temperatures));
-    }
-    Ok((lead, charts))
+    let errors = [("Position error by step", positions), ("Temperature error by step", temperatures)];
+    let charts = errors
+        .into_iter()
+        .filter(|(_, points)| !points.is_empty())
+        .map(|(title, points)| Chart { log: true, ..Chart::new(title, "step", "MSE", vec![Series::new("", points)]) });
+    Ok((lead, charts.collect()))
 }

@@ -1,12 +1,11 @@
 //! Names of keys and units of their values on a page.
 
 use crate::report::page::{short, Cell};
-use crate::report::text;
+use crate::report::text::{bytes, counted};
 use crate::scene::record::FIGURES;
 
-/// Keys and their names.
-const NAMES: [(&str, &str); 36] = [
-    ("kinetic_energy", "kinetic energy"),
+/// Keys whose names are other words than their own.
+const NAMES: [(&str, &str); 26] = [
     ("exact_kinetic_energy", "kinetic energy, exact"),
     ("e_kin", "kinetic energy, squared error"),
     ("velocity_error", "velocity error, relative"),
@@ -16,7 +15,6 @@ const NAMES: [(&str, &str); 36] = [
     ("seconds_f32", "seconds in f32"),
     ("peak_memory_bytes", "peak memory"),
     ("predicted_memory_bytes", "predicted memory"),
-    ("time_step", "time step"),
     ("q_first", "Q of the first design"),
     ("q_sum", "Q, sum over the targets"),
     ("error_f32", "error in f32"),
@@ -26,22 +24,14 @@ const NAMES: [(&str, &str); 36] = [
     ("sinkhorn_failures", "Sinkhorn failures"),
     ("temperature_mse", "temperature MSE"),
     ("outflow_error", "outflow, relative error"),
-    ("seconds_per_step", "seconds per step"),
-    ("ms_per_step", "ms per step"),
     ("ms_per_step_median", "ms per step, median"),
-    ("ns_per_pair", "ns per pair"),
     ("ns_per_particle_step", "ns per particle and step"),
     ("adjoint_over_forward", "adjoint / forward"),
-    ("best_step", "best step"),
     ("dx", "spacing"),
     ("cfl", "CFL number"),
     ("resumed_from", "went on from step"),
     ("reynolds", "Reynolds number"),
-    ("loss_before", "loss before"),
-    ("energy_drift", "energy drift"),
-    ("model", "model"),
     ("data", "data set"),
-    ("mean_density", "mean density"),
 ];
 
 /// The name of a key. A figure has its own name, and one of a nested object is prefixed by the object's.
@@ -53,8 +43,7 @@ pub fn label(key: &str) -> String {
     if let Some((of, steps)) = key.rsplit_once("mse_") {
         if let ("" | "best_", Ok(steps)) = (of, steps.parse::<usize>()) {
             let least = if of.is_empty() { "" } else { "least " };
-            let unit = if steps == 1 { "step" } else { "steps" };
-            return format!("{least}position MSE over {steps} {unit}");
+            return format!("{least}position MSE over {}", counted(steps, "step"));
         }
     }
     for mark in [": ", "."] {
@@ -67,17 +56,15 @@ pub fn label(key: &str) -> String {
 
 /// The cell of a key; bytes are converted to a suitable unit.
 pub fn sized(key: &str, cell: Cell) -> Cell {
-    let number = || cell.value.as_ref()?.parse::<f64>().ok();
-    match number() {
-        Some(bytes) if key.ends_with("_bytes") => Cell { text: text::bytes(bytes as usize), ..cell },
+    match cell.number_shown() {
+        Some(size) if key.ends_with("_bytes") => Cell { text: bytes(size as usize), ..cell },
         _ => cell,
     }
 }
 
 /// A cell with a limited number of significant digits, except for whole numbers.
 pub fn rounded(cell: Cell, digits: usize) -> Cell {
-    let number = || cell.value.as_ref()?.parse::<f64>().ok();
-    match number() {
+    match cell.number_shown() {
         Some(value) if value.fract() != 0.0 && value.is_finite() => {
             let text = match value.abs() {
                 size if size >= 10f64.powi(digits as i32) => format!("{value:.0}"),
@@ -90,7 +77,4 @@ pub fn rounded(cell: Cell, digits: usize) -> Cell {
     }
 }
 
-/// A count with its noun.
-pub fn counted(count: usize, what: &str) -> String {
-    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }

@@ -1,10 +1,12 @@
 //! Pages of all other commands, with their tables, curves and pictures.
 
 use super::designs::verification;
-use super::folder::{warnings, Columns, Folder};
-use super::names::{counted, label};
+use super::folder::{column, percent, warnings, words, Columns, Folder};
+use super::names::label;
+use super::tables::Choice;
 use super::{leads, series, tables};
 use crate::report::page::{Cell, Chart, Fact, Page, Series, Table};
+use crate::report::text::counted;
 use crate::scene::record::Record;
 use serde_json::{Map, Value};
 
@@ -20,53 +22,6 @@ const FIGURES: [(&str, &str); 8] = [
     ("accuracy.json", "Run time against error"),
 ];
 
-/// For files with many columns, those that come first, and those that are left out.
-const COLUMNS: [(&str, tables::Choice); 3] = [
-    (
-        "bench.json",
-        tables::Choice {
-            first: &[
-                "scene",
-                "mode",
-                "kind",
-                "ms_per_step",
-                "peak_memory_bytes",
-                "particles",
-                "threads",
-                "precision",
-                "steps",
-                "ns_per_pair",
-            ],
-            dropped: &[
-                "version",
-                "instruction_set",
-                "time_step",
-                "dimension",
-                "group",
-                "pairs",
-                "repeats",
-                "ms_per_step_median",
-                "ns_per_particle_step",
-                "predicted_memory_bytes",
-                "gflop_per_step",
-                "sgemm_gflops",
-            ],
-        },
-    ),
-    (
-        "validation.json",
-        tables::Choice {
-            first: &["case", "passed", "quantity", "error", "tolerance", "error_f32", "order", "dx"],
-            dropped: &["steps"],
-        },
-    ),
-    (
-        "accuracy.json",
-        tables::Choice { first: &["code", "scene", "dx", "precision", "seconds", "error"], dropped: &[] },
-    ),
-];
-
-/// The page of any run.
 pub fn page(folder: &Folder) -> Page {
     let mut page = Page::default();
     for (file, title) in FIGURES {
@@ -95,13 +50,11 @@ pub fn page(folder: &Folder) -> Page {
     if let Some((header, rows)) = folder.table("study.csv") {
         let settings = leads::settings(&header).iter().map(String::as_str);
         let best = header.iter().map(String::as_str).filter(|name| name.starts_with("best_"));
-        let first: Vec<&str> = settings.chain(best).collect();
-        let choice = tables::Choice { first: &first, dropped: &[] };
+        let choice = Choice { first: settings.chain(best).collect(), dropped: vec![] };
         page.tables.push(tables::of_text("Points of the grid", &header, &rows, choice));
     }
     let of = |name: &str| vec![folder.path.join(name).join(format!("{name}.pvd"))];
-    let both = series::fields(&[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
-    page.fields = folder.unless_damaged("the particles", both).flatten();
+    page.fields = series::fields(folder, &[("predicted", of("predicted")), ("true", of("true"))], spacing(folder));
     let drawn = !page.charts.is_empty();
     page.pictures = folder.pictures(|stem| !(drawn && ["history", "curves"].contains(&stem)));
     (page.lead, page.remark) = said(folder, &page);
@@ -109,12 +62,25 @@ pub fn page(folder: &Folder) -> Page {
         // The warnings name damaged frames.
         (page.lead, page.charts) = leads::rollout(folder).unwrap_or((page.lead, page.charts));
     }
-    page.facts = facts(folder);
+    let survives = folder.record("verification.json").number("gain_survives");
+    page.facts.extend(survives.map(|gain| Fact::new("gain that survives", percent(gain))));
     page
 }
 
-fn columns_of(file: &str) -> tables::Choice<'static> {
-    COLUMNS.iter().find(|(name, _)| *name == file).map_or_else(Default::default, |(_, choice)| *choice)
+/// For files with many columns, those that come first, and those that are left out.
+fn columns_of(file: &str) -> Choice<'static> {
+    let (first, dropped) = match file {
+        "bench.json" => (
+            "scene mode kind ms_per_step peak_memory_bytes particles threads precision steps ns_per_pair",
+            "version instruction_set time_step dimension group pairs repeats ms_per_step_median ns_per_particle_step \
+             predicted_memory_bytes gflop_per_step sgemm_gflops",
+        ),
+        "validation.json" => ("case passed quantity error tolerance error_f32 order dx", "steps"),
+        "accuracy.json" => ("code scene dx precision seconds error", ""),
+        _ => ("", ""),
+    };
+    let names = |text: &'static str| text.split_whitespace().collect();
+    Choice { first: names(first), dropped: names(dropped) }
 }
 
 /// The checks of a wall, as on the page of its search.
@@ -131,7 +97,7 @@ fn add_tables(page: &mut Page, title: &str, file: &str, map: &Map<String, Value>
     for (key, value) in map {
         let Some(all) = value.as_array().filter(|all| all.first().is_some_and(Value::is_object)) else { continue };
         let is_main = ["rows", "scores", "verification", "maps"].contains(&key.as_str());
-        let name = if is_main { title.to_string() } else { super::folder::words(key) };
+        let name = if is_main { title.to_string() } else { words(key) };
         let rows = tables::of_chosen(&name, file, all, columns_of(file));
         lists.extend(rows.map(|table| if key == "scores" { turned(table) } else { table }));
     }
@@ -158,8 +124,7 @@ fn turned(table: Table) -> Table {
 }
 
 fn is_positive(columns: &Columns, name: &str) -> bool {
-    let mut values = columns.iter().filter(|(other, _)| other == name).flat_map(|(_, values)| values);
-    values.all(|value| value.is_nan() || *value > 0.0)
+    column(columns, name).is_none_or(|values| values.iter().all(|value| value.is_nan() || *value > 0.0))
 }
 
 /// Errors on the validation split by step, with those of positions in one chart.
@@ -172,8 +137,8 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
     let mut charts = Vec::new();
     let positions: Vec<Series> = columns.iter().filter(|(name, _)| is_position(name)).map(series).collect();
     if !positions.is_empty() {
-        let (title, y) = ("Position error on the validation split".into(), "MSE".into());
-        charts.push(Chart { title, x: "step".into(), y, log: true, series: positions, ..Chart::default() });
+        let chart = Chart::new("Position error on the validation split", "step", "MSE", positions);
+        charts.push(Chart { log: true, ..chart });
     }
     let rest = columns.iter().filter(|(name, _)| !is_position(name) && name != "seconds").cloned().collect();
     charts.extend(tables::charts(&rest, |name| is_positive(&rest, name)));
@@ -182,9 +147,8 @@ fn of_training(columns: &Columns) -> Vec<Chart> {
 
 /// Particle spacing of a data set; a guess if no file has it.
 fn spacing(folder: &Folder) -> f64 {
-    let text = std::fs::read_to_string(folder.path.join("config.toml")).unwrap_or_default();
-    let table = text.parse::<toml::Table>().unwrap_or_default();
-    let dx = table.get("resolution").and_then(|of| of.get("dx")).and_then(toml::Value::as_float);
+    let config = folder.config();
+    let dx = config.get("resolution").and_then(|of| of.get("dx")).and_then(toml::Value::as_float);
     dx.unwrap_or(0.02)
 }
 
@@ -210,59 +174,37 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
         }
         "evaluate" => {
             let scores = rows("evaluation.json", "scores");
-            let mse = |k: usize| scores.get(k).and_then(|of| of.get("mse")).and_then(Value::as_f64);
-            let name = |k: usize| match k {
-                0 => "the model",
-                k => scores.get(k).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("the other"),
+            let mse = |k: usize| leads::number(scores.get(k)?, "mse");
+            let other = scores.get(1).and_then(|of| of.get("model")).and_then(Value::as_str).unwrap_or("the other");
+            let Some(own) = mse(0) else { return ("Rollouts of a model against the truth.".into(), none) };
+            let lead = format!("The position error of the model is {own:.2e} (MSE over all steps)");
+            let rest = match mse(1) {
+                Some(error) if own > 0.0 && own < error => {
+                    format!("; that of {other}, {error:.2e}, is {:.1} times as large.", error / own)
+                }
+                Some(error) => format!(", not less than that of {other}, {error:.2e}."),
+                None => ".".into(),
             };
-            let lead = match (mse(0), mse(1)) {
-                (Some(own), Some(other)) if own > 0.0 && own < other => format!(
-                    "The position error of {} is {own:.2e} (MSE over all steps); that of {}, {other:.2e}, is {:.1} \
-                     times as large.",
-                    name(0),
-                    name(1),
-                    other / own
-                ),
-                (Some(own), Some(other)) => format!(
-                    "The position error of {} is {own:.2e} (MSE over all steps), not less than that of {}, {other:.2e}.",
-                    name(0),
-                    name(1)
-                ),
-                (Some(own), None) => format!("The position error of {} is {own:.2e} (MSE over all steps).", name(0)),
-                _ => "Rollouts of a model against the truth.".into(),
-            };
-            (lead, none)
+            (lead + &rest, none)
         }
         "stress" => {
             let maps = rows("stress.json", "maps");
-            let runs: usize = maps.iter().filter_map(|map| Some(map.get("runs")?.as_array()?.len())).sum();
-            let verdict = |name: &str| {
-                let all = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten();
-                all.filter(|run| {
-                    run.get("record").and_then(|of| of.get("verdict")).and_then(Value::as_str) == Some(name)
-                })
-                .count()
-            };
-            let (stable, degraded, diverged) = (verdict("stable"), verdict("degraded"), verdict("diverged"));
-            (
-                format!("{runs} runs: {stable} stable, {degraded} degraded, {diverged} diverged."),
-                "Maps of where the solver holds.".into(),
-            )
+            let runs: Vec<&Value> = maps.iter().filter_map(|map| map.get("runs")?.as_array()).flatten().collect();
+            let count = |name: &str| runs.iter().filter(|run| leads::text(&run["record"], "verdict") == name).count();
+            let [stable, degraded, diverged] = ["stable", "degraded", "diverged"].map(count);
+            let lead = format!("{} runs: {stable} stable, {degraded} degraded, {diverged} diverged.", runs.len());
+            (lead, "Maps of where the solver holds.".into())
         }
         "train" => {
             let validation = folder.columns("validation.csv");
             let position = validation.iter().rev().find(|(name, _)| name.starts_with("mse_") && name != "mse_");
             let best = position.and_then(|(name, values)| {
-                Some((name, values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?))
+                let best = values.iter().copied().filter(|v| v.is_finite()).reduce(f64::min)?;
+                Some(format!("; the least {} on the validation split is {best:.2e}", label(name)))
             });
             let steps = folder.columns("history.csv").first().and_then(|(_, steps)| steps.last().copied());
             let steps = steps.map_or(none.clone(), |steps| format!(" {steps} steps"));
-            match best {
-                Some((name, best)) => {
-                    (format!("Trained{steps}; the least {} on the validation split is {best:.2e}.", label(name)), none)
-                }
-                None => (format!("Trained{steps}."), none),
-            }
+            (format!("Trained{steps}{}.", best.unwrap_or_default()), none)
         }
         "bench" => (
             leads::bench(&rows("bench.json", "")),
@@ -297,11 +239,4 @@ fn said(folder: &Folder, page: &Page) -> (String, String) {
             none,
         ),
     }
-}
-
-/// The key figures.
-fn facts(folder: &Folder) -> Vec<Fact> {
-    let survives = folder.record("verification.json").number("gain_survives");
-    let fact = |gain| Fact { name: "gain that survives".into(), cell: super::folder::percent(gain) };
-    survives.into_iter().map(fact).collect()
 }

@@ -1,5 +1,6 @@
 //! Frames of particles for a page, read from the ParaView files of a run.
 
+use super::folder::Folder;
 use crate::io::vtk::{read_list, read_vtp, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{Fields, RawFrame, RawPanel};
@@ -9,11 +10,12 @@ use std::path::{Path, PathBuf};
 const QUANTITIES: [(&str, &str); 3] =
     [("temperature", "scene units"), ("speed", "scene units"), ("pressure", "scene units")];
 
-/// Panels, each with the frames of some lists in sequence; none without frames.
-///
-/// # Errors
-/// Frames that cannot be read.
-pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Fields>> {
+/// Panels, each with the frames of some lists in sequence; none without frames, or if they cannot be read.
+pub fn fields(folder: &Folder, panels: &[(&str, Vec<PathBuf>)], dx: f64) -> Option<Fields> {
+    folder.unless_damaged("the particles", read(panels, dx)).flatten()
+}
+
+fn read(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Fields>> {
     let mut lists = Vec::new();
     for (title, lists_of) in panels {
         let mut frames: Vec<(f64, PathBuf)> = Vec::new();
@@ -38,7 +40,7 @@ pub fn fields(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option
     for (title, frames) in &lists {
         let mut panel = RawPanel { title: title.to_string(), frames: vec![] };
         for k in Fields::chosen(frames.len(), particles, lists.len(), known.len()) {
-            panel.frames.push(frame(frames[k].0, &frames[k].1, layer, &known)?);
+            panel.frames.push(frame(frames[k].0, &read_vtp(&frames[k].1)?, layer, &known));
         }
         raw.push(panel);
     }
@@ -108,18 +110,18 @@ pub fn is_in(layer: Option<(f64, f64)>, place: &[f64; 3]) -> bool {
     layer.is_none_or(|(low, high)| (low..high).contains(&place[2]))
 }
 
-fn frame(time: f64, path: &Path, layer: Option<(f64, f64)>, quantities: &[(&str, &str)]) -> anyhow::Result<RawFrame> {
-    let file = read_vtp(path)?;
+/// The particles of a layer, coloured by quantities; a file without speeds has velocities.
+pub fn frame(time: f64, file: &ParticleFile, layer: Option<(f64, f64)>, quantities: &[(&str, &str)]) -> RawFrame {
     let kept: Vec<usize> = (0..file.position.len()).filter(|&i| is_in(layer, &file.position[i])).collect();
     let speed = |i: usize| file.velocity.get(i).map_or(f64::NAN, |u| u.iter().map(|u| u * u).sum::<f64>().sqrt());
     let values = quantities.iter().map(|(name, _)| match file.scalars.get(*name) {
         Some(values) => kept.iter().map(|&i| values[i]).collect(),
         None => kept.iter().map(|&i| speed(i)).collect(),
     });
-    Ok(RawFrame {
+    RawFrame {
         time,
         position: kept.iter().map(|&i| [file.position[i][0], file.position[i][1]]).collect(),
         tag: kept.iter().map(|&i| file.tag.get(i).copied().unwrap_or(FLUID)).collect(),
         values: values.collect(),
-    })
+    }
 }

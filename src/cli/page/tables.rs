@@ -11,13 +11,10 @@ const MOST_ROWS: usize = 400;
 /// Text or number as a cell; none for other values.
 pub fn cell(value: &Value) -> Option<Cell> {
     match value {
-        Value::Number(number) => match number.as_f64() {
-            Some(_) if number.is_u64() || number.is_i64() => {
-                Some(Cell { text: number.to_string(), value: Some(number.to_string()), ..Cell::default() })
-            }
-            Some(float) => Some(Cell { text: short(float), value: Some(number.to_string()), ..Cell::default() }),
-            None => None,
-        },
+        Value::Number(number) => {
+            let text = if number.is_f64() { short(number.as_f64()?) } else { number.to_string() };
+            Some(Cell { value: Some(number.to_string()), ..Cell::text(text) })
+        }
         Value::String(text) => Some(Cell::text(text)),
         Value::Bool(true) => Some(Cell::text("yes")),
         Value::Bool(false) => Some(Cell::text("no")),
@@ -44,16 +41,17 @@ pub fn scalars(map: &Map<String, Value>) -> Vec<(String, Cell)> {
 pub fn of_scalars(title: &str, map: &Map<String, Value>) -> Table {
     let mut table = Table::new(title, ["", ""]);
     // Unknown values are left out.
-    let known = scalars(map).into_iter().filter(|(_, cell)| cell.text != "-");
-    table.rows = known.map(|(name, cell)| vec![Cell::text(label(&name)), sized(&name, cell)]).collect();
+    for (name, cell) in scalars(map).into_iter().filter(|(_, cell)| cell.text != "-") {
+        table.row(label(&name), [sized(&name, cell)]);
+    }
     table
 }
 
 /// The columns of a table that come first, in order, and those that are left out.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Choice<'a> {
-    pub first: &'a [&'a str],
-    pub dropped: &'a [&'a str],
+    pub first: Vec<&'a str>,
+    pub dropped: Vec<&'a str>,
 }
 
 impl Choice<'_> {
@@ -125,7 +123,7 @@ pub fn of_text(title: &str, header: &[String], rows: &[Vec<String>], choice: Cho
         Ok(_) if text.len() <= 6 => {
             Cell { value: Some(text.clone()), ..Cell::text(text.strip_suffix(".0").unwrap_or(text)) }
         }
-        Ok(number) => choice.shown(name, Cell { text: short(number), value: Some(text.clone()), ..Cell::default() }),
+        Ok(number) => choice.shown(name, Cell { value: Some(text.clone()), ..Cell::text(short(number)) }),
         Err(_) => Cell::text(text),
     };
     let of = |row: &Vec<String>| places.iter().filter_map(|(name, k)| Some(cell(name, row.get(*k)?))).collect();
@@ -147,8 +145,8 @@ pub fn charts(columns: &Columns, log: impl Fn(&str) -> bool) -> Vec<Chart> {
         let mut series = vec![Series::new(own, points(values))];
         series.extend(exact.map(|(_, values)| Series::new("exact", points(values))));
         let y = if name.len() == 1 { name.to_uppercase() } else { label(name) };
-        let across = if x == "time" { "time (scene units)".into() } else { x.clone() };
-        Chart { title: format!("{} by {x}", words(&y)), x: across, y, log: log(name), series, ..Chart::default() }
+        let across = if x == "time" { "time (scene units)" } else { x };
+        Chart { log: log(name), ..Chart::new(format!("{} by {x}", words(&y)), across, y, series) }
     };
     shown.map(chart).collect()
 }

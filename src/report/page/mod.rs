@@ -11,6 +11,7 @@ pub use particles::{Fields, Quantity, RawFrame, RawPanel};
 use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::report::text::{shown, shown_within};
+use crate::report::VERSION;
 use base64::Engine;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Serde;
@@ -69,6 +70,12 @@ pub struct Fact {
     pub cell: Cell,
 }
 
+impl Fact {
+    pub fn new(name: &str, cell: Cell) -> Self {
+        Self { name: name.into(), cell }
+    }
+}
+
 /// Something that a reader should know, and what to do.
 #[derive(Debug, Clone, Serialize)]
 pub struct Note {
@@ -102,8 +109,9 @@ impl Cell {
         Self::shown(short(value), value)
     }
 
-    pub fn marked(self, is_marked: bool) -> Self {
-        Self { is_marked, ..self }
+    /// The number that it stands for.
+    pub fn number_shown(&self) -> Option<f64> {
+        self.value.as_ref()?.parse().ok()
     }
 }
 
@@ -171,6 +179,10 @@ impl Table {
         let header = header.into_iter().map(Into::into).collect();
         Self { title: title.into(), header, ..Self::default() }
     }
+
+    pub fn row(&mut self, name: impl Into<String>, cells: impl IntoIterator<Item = Cell>) {
+        self.rows.push(std::iter::once(Cell::text(name)).chain(cells).collect());
+    }
 }
 
 /// Lines over numbers, drawn by the page's script.
@@ -186,6 +198,17 @@ pub struct Chart {
     pub series: Vec<Series>,
 }
 
+impl Chart {
+    pub fn new(title: impl Into<String>, x: &str, y: impl Into<String>, series: Vec<Series>) -> Self {
+        Self { title: title.into(), x: x.into(), y: y.into(), series, ..Self::default() }
+    }
+
+    /// Over the epochs of a search.
+    pub fn by_epoch(title: impl Into<String>, y: impl Into<String>, series: Vec<Series>) -> Self {
+        Self { by_epoch: true, ..Self::new(title, "epoch", y, series) }
+    }
+}
+
 /// A line of a chart; no number: a gap.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Series {
@@ -197,6 +220,11 @@ impl Series {
     pub fn new(name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
         let points = points.into_iter().map(|(x, y)| (x, y.is_finite().then_some(y))).collect();
         Self { name: name.into(), points }
+    }
+
+    /// Values by epoch, counted from one as on the screen.
+    pub fn by_epoch(name: impl Into<String>, values: impl IntoIterator<Item = Option<f64>>) -> Self {
+        Self { name: name.into(), points: (1..).map(f64::from).zip(values).collect() }
     }
 }
 
@@ -216,7 +244,6 @@ pub struct Walls {
     pub symbol: String,
 }
 
-/// One of the walls.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Side {
     pub name: String,
@@ -291,11 +318,8 @@ struct Data<'a> {
 }
 
 impl Page {
-    /// The page as HTML.
-    ///
-    /// # Errors
-    /// A template that does not fit, which is a bug.
     pub fn to_html(&self) -> Result<String, Error> {
+        // A template that does not fit is a bug.
         let failed =
             |error: minijinja::Error| Error::run(format!("the page could not be made: {error:#}"), "report this");
         let mut environment = Environment::new();
@@ -320,22 +344,16 @@ impl Page {
             Body::Compare => "compare.html",
         };
         let data = Data { walls: self.walls.as_ref(), charts: &self.charts, fields: self.fields.as_ref() };
-        let mut tables = [self.tables.clone(), self.more.clone()];
-        for table in tables.iter_mut().flatten() {
-            table.columns = table.found_columns();
-        }
-        let [tables, more] = tables;
-        let (all, data) = (Value::from(Serde(self)), Value::from(Serde(data)));
-        let (tables, more) = (Value::from(Serde(tables)), Value::from(Serde(more)));
-        let page = environment.get_template(body).map_err(failed)?;
-        page.render(context! { page => all, tables, more, data => data, version => env!("CARGO_PKG_VERSION") })
-            .map_err(failed)
+        let aligned = |tables: &[Table]| {
+            let tables = tables.iter().map(|table| Table { columns: table.found_columns(), ..table.clone() });
+            Value::from(Serde(tables.collect::<Vec<_>>()))
+        };
+        let (page, data) = (Value::from(Serde(self)), Value::from(Serde(data)));
+        let (tables, more, version) = (aligned(&self.tables), aligned(&self.more), VERSION);
+        let template = environment.get_template(body).map_err(failed)?;
+        template.render(context! { page, tables, more, data, version }).map_err(failed)
     }
 
-    /// Writes the page, atomically.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         Ok(write_bytes_atomically(path, self.to_html()?.as_bytes())?)
     }

@@ -27,7 +27,6 @@ pub struct RawFrame {
     pub values: Vec<Vec<f64>>,
 }
 
-/// Frames of one run.
 #[derive(Debug, Clone, Default)]
 pub struct RawPanel {
     pub title: String,
@@ -52,11 +51,9 @@ pub struct Fields {
     pub x: (f64, f64),
     pub y: (f64, f64),
     pub diameter: f64,
-    /// Whether there are particles of walls.
     pub has_walls: bool,
     /// Whether the temperature of some of them is set.
     pub has_hot: bool,
-    /// What the reader should know of the picture.
     pub note: String,
 }
 
@@ -128,8 +125,8 @@ impl Fields {
         } else {
             quantities.truncate(1);
         }
-        let has = |tags: &[u8]| frames().any(|frame| frame.tag.iter().any(|tag| tags.contains(tag)));
-        let (has_walls, has_hot) = (frames().any(|frame| frame.tag.iter().any(|tag| *tag != 0)), has(&HOT));
+        let has = |is_in: fn(&u8) -> bool| frames().any(|frame| frame.tag.iter().any(is_in));
+        let (has_walls, has_hot) = (has(|tag| *tag != 0), has(|tag| HOT.contains(tag)));
         let most = frames().map(|frame| frame.tag.len()).max().unwrap_or(0);
         let every = most.div_ceil(MOST_PARTICLES).max(1);
         if every > 1 {

@@ -5,6 +5,8 @@ use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 pub const INK: Color = [40, 40, 40];
 const GRID: Color = [226, 226, 226];
 const TICK_SIZE: f64 = 15.0;
+/// About as many, where nothing else is asked for.
+pub const TICKS: usize = 6;
 const LABEL_SIZE: f64 = 16.0;
 
 /// One axis: what is mapped where, and the ticks.
@@ -13,27 +15,23 @@ pub struct Axis {
     low: f64,
     high: f64,
     log: bool,
-    /// Values and their labels.
     ticks: Vec<(f64, String)>,
 }
 
 impl Axis {
     /// A linear axis around all finite values, with a little room at both ends.
     pub fn around(values: impl IntoIterator<Item = f64>) -> Self {
-        let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()), 0.0, 1.0);
+        let (low, high) = limits(values.into_iter().filter(|v| v.is_finite()));
         // What differs by rounding only is one value: its ticks would need too many digits.
-        let room = if high - low > 1e-7 * low.abs().max(high.abs()) {
-            0.05 * (high - low)
-        } else {
-            0.05 * low.abs().max(1e-3)
-        };
+        let differs = high - low > 1e-7 * low.abs().max(high.abs());
+        let room = 0.05 * if differs { high - low } else { low.abs().max(1e-3) };
         Self::linear(low - room, high + room)
     }
 
     /// A logarithmic axis around all positive values, with a little room at both ends.
     pub fn around_log(values: impl IntoIterator<Item = f64>) -> Self {
         let logs = values.into_iter().filter(|v| *v > 0.0 && v.is_finite()).map(f64::log10);
-        let (low, high) = limits(logs, 0.0, 1.0);
+        let (low, high) = limits(logs);
         // Less than a third of a decade would leave no tick.
         let room = (0.05 * (high - low)).max(0.5 * (0.4 - (high - low))).max(0.03);
         let (low, high) = (low - room, high + room);
@@ -42,7 +40,7 @@ impl Axis {
 
     /// A linear axis over exactly this range.
     pub fn linear(low: f64, high: f64) -> Self {
-        Self::linear_with(low, high, 6)
+        Self::linear_with(low, high, TICKS)
     }
 
     /// A linear axis over exactly this range with about `count` ticks.
@@ -65,12 +63,10 @@ impl Axis {
         axis
     }
 
-    /// True if the value can be shown at all.
     pub fn shows(&self, value: f64) -> bool {
         value.is_finite() && (!self.log || value > 0.0)
     }
 
-    /// Values and labels of the ticks.
     pub fn ticks(&self) -> &[(f64, String)] {
         &self.ticks
     }
@@ -93,9 +89,9 @@ impl Axis {
     }
 }
 
-/// Smallest and largest value, or the given limits if there is none.
-fn limits(values: impl Iterator<Item = f64>, low: f64, high: f64) -> (f64, f64) {
-    values.map(|value| (value, value)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((low, high))
+/// Smallest and largest value; 0 and 1 if there is none.
+fn limits(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.map(|value| (value, value)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((0.0, 1.0))
 }
 
 /// Multiples of 1, 2 or 5 times a power of ten, at most `count` + 1 or so of them.
@@ -179,17 +175,8 @@ fn power_of_ten(value: f64) -> String {
 }
 
 fn superscript(number: i32) -> String {
-    number
-        .to_string()
-        .chars()
-        .map(|character| match character {
-            '-' => '⁻',
-            '1' => '¹',
-            '2' => '²',
-            '3' => '³',
-            digit => char::from_u32('⁰' as u32 + digit as u32 - '0' as u32).unwrap_or(digit),
-        })
-        .collect()
+    let digit = |character: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(character.to_digit(10)? as usize);
+    number.to_string().chars().map(|character| digit(character).unwrap_or('⁻')).collect()
 }
 
 /// The rectangle of the data, in pixels, with its two axes.
@@ -204,7 +191,15 @@ pub struct PlotArea {
 }
 
 impl PlotArea {
-    /// Pixels of a data point.
+    /// True to scale, with so many pixels to a unit.
+    pub fn to_scale((left, top): Point, pixels: f64, x: (f64, f64), y: (f64, f64), x_ticks: usize) -> Self {
+        let (width, height) = (pixels * (x.1 - x.0), pixels * (y.1 - y.0));
+        // Low frames have room for few labels.
+        let y_ticks = ((height / 60.0) as usize).clamp(2, 6);
+        let (x, y) = (Axis::linear_with(x.0, x.1, x_ticks), Axis::linear_with(y.0, y.1, y_ticks));
+        Self { left, top, width, height, x, y }
+    }
+
     pub fn map(&self, (x, y): Point) -> Point {
         (self.left + self.width * self.x.part(x), self.top + self.height * (1.0 - self.y.part(y)))
     }
@@ -261,7 +256,6 @@ impl PlotArea {
         drawing.text(label, (right + 28.0 + axis.label_width(), middle), LABEL_SIZE, Anchor::Upwards, color);
     }
 
-    /// The rectangle alone.
     pub fn outline(&self, drawing: &mut Drawing) {
         let (right, bottom) = (self.left + self.width, self.top + self.height);
         let corners = [(self.left, self.top), (right, self.top), (right, bottom), (self.left, bottom)];

@@ -26,23 +26,21 @@ const PLASMA: [Color; 17] = [
 
 /// Colour of a value between 0 (cold) and 1 (hot); values outside are cut, NaN is green to be seen.
 pub fn heat(part: f64) -> Color {
-    if part.is_nan() {
-        return [0, 200, 0];
+    match part.is_nan() {
+        true => [0, 200, 0],
+        false => between(&PLASMA[..16], part),
     }
-    let place = part.clamp(0.0, 1.0) * (PLASMA.len() - 2) as f64;
-    let index = (place as usize).min(PLASMA.len() - 3);
-    mix(PLASMA[index], PLASMA[index + 1], place - index as f64)
 }
 
 /// From light (0) to dark (1) blue, for lines in an order.
 pub fn shade(part: f64) -> Color {
-    const STOPS: [Color; 4] = [[196, 218, 238], [120, 174, 214], [42, 110, 180], [8, 38, 96]];
-    let place = part.clamp(0.0, 1.0) * 3.0;
-    let index = (place as usize).min(2);
-    mix(STOPS[index], STOPS[index + 1], place - index as f64)
+    between(&[[196, 218, 238], [120, 174, 214], [42, 110, 180], [8, 38, 96]], part)
 }
 
-fn mix(from: Color, to: Color, part: f64) -> Color {
+fn between(stops: &[Color], part: f64) -> Color {
+    let place = part.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
+    let index = (place as usize).min(stops.len() - 2);
+    let (from, to, part) = (stops[index], stops[index + 1], place - index as f64);
     std::array::from_fn(|channel| {
         let (from, to) = (f64::from(from[channel]), f64::from(to[channel]));
         (from + part * (to - from)).round() as u8

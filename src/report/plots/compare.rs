@@ -26,11 +26,8 @@ pub fn compare(
     let points =
         || series.iter().flat_map(|(_, points)| points).filter(move |(x, y)| usable(*x, log_x) && usable(*y, log_y));
     if points().next().is_none() {
-        return Err(FileError::input(
-            path_stem,
-            "no series has a point to show",
-            "at least one finite point (positive on a logarithmic axis)",
-        ));
+        let allowed = "at least one finite point (positive on a logarithmic axis)";
+        return Err(FileError::input(path_stem, "no series has a point to show", allowed));
     }
     let axis = |values: Vec<f64>, log: bool| match log {
         true => Axis::around_log(values),

@@ -4,7 +4,7 @@ use crate::io::atomic::{write_bytes_atomically, write_path_atomically};
 use crate::io::FileError;
 use plotters::backend::{BitMapBackend, DrawingBackend, SVGBackend};
 use plotters::coord::Shift;
-use plotters::drawing::{DrawingArea, IntoDrawingArea};
+use plotters::drawing::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea};
 use plotters::element::{Circle, PathElement, Polygon, Text};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{FontStyle, FontTransform, IntoFont, RGBAColor, ShapeStyle, TextStyle};
@@ -108,7 +108,6 @@ impl Drawing {
         self.area(vec![(left, top), (right, top), (right, bottom), (left, bottom)], color, opacity);
     }
 
-    /// The inside of a polygon.
     pub fn area(&mut self, points: Vec<Point>, color: Color, opacity: f64) {
         self.shapes.push(Shape::Area { points, color, opacity });
     }
@@ -127,9 +126,6 @@ impl Drawing {
     }
 
     /// Writes `<stem>.png` and `<stem>.svg` (both atomically) and returns their paths.
-    ///
-    /// # Errors
-    /// System errors, and failures of the plotting library.
     pub fn save(&self, stem: &Path) -> Result<[PathBuf; 2], FileError> {
         register_font();
         let png = with_ending(stem, ".png");
@@ -150,7 +146,7 @@ impl Drawing {
         let mut pixels = vec![255_u8; 3 * width as usize * height as usize];
         {
             let area = BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area();
-            self.draw(&area, PNG_TEXT_DROP).map_err(|what| plot_error(path, what))?;
+            self.draw(&area, PNG_TEXT_DROP).map_err(|error| plot_error(path, error))?;
         }
         let smooth = averaged(&pixels, width as usize);
         let size = (width / SMOOTHING as u32, height / SMOOTHING as u32);
@@ -158,7 +154,7 @@ impl Drawing {
         encoder
             .blit_bitmap((0, 0), size, &smooth)
             .and_then(|()| encoder.present())
-            .map_err(|error| plot_error(path, error.to_string()))
+            .map_err(|error| plot_error(path, error))
     }
 
     fn to_svg(&self, path: &Path) -> Result<String, FileError> {
@@ -166,7 +162,7 @@ impl Drawing {
         let mut text = String::new();
         {
             let area = SVGBackend::with_string(&mut text, (width, height)).into_drawing_area();
-            self.draw(&area, 0.0).map_err(|what| plot_error(path, what))?;
+            self.draw(&area, 0.0).map_err(|error| plot_error(path, error))?;
         }
         // Keep the fine grid inside, show it at nominal size.
         let fine = format!("width=\"{width}\" height=\"{height}\" viewBox");
@@ -175,12 +171,10 @@ impl Drawing {
         Ok(text.replacen(&fine, &nominal, 1))
     }
 
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, text_drop: f64) -> Result<(), String> {
-        area.fill(&plotters::style::WHITE).map_err(|error| error.to_string())?;
-        for shape in &self.shapes {
-            draw_shape(area, shape, text_drop).map_err(|error| error.to_string())?;
-        }
-        area.present().map_err(|error| error.to_string())
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, text_drop: f64) -> Drawn<B> {
+        area.fill(&plotters::style::WHITE)?;
+        self.shapes.iter().try_for_each(|shape| draw_shape(area, shape, text_drop))?;
+        area.present()
     }
 }
 
@@ -204,10 +198,10 @@ fn register_font() {
     });
 }
 
-fn plot_error(path: &Path, what: String) -> FileError {
+fn plot_error(path: &Path, error: impl std::fmt::Display) -> FileError {
     FileError::Plot {
         path: path.to_owned(),
-        what,
+        what: error.to_string(),
         hint: "check the disk; the data themselves are in the CSV and state files",
     }
 }
@@ -245,11 +239,9 @@ fn fine_point((x, y): Point) -> (i32, i32) {
     (fine(x), fine(y))
 }
 
-fn draw_shape<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    shape: &Shape,
-    text_drop: f64,
-) -> Result<(), plotters::drawing::DrawingAreaErrorKind<B::ErrorType>> {
+type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
+
+fn draw_shape<B: DrawingBackend>(area: &DrawingArea<B, Shift>, shape: &Shape, text_drop: f64) -> Drawn<B> {
     let scale = FINE as f64;
     let paint = |[red, green, blue]: Color, opacity: f64| RGBAColor(red, green, blue, opacity);
     match shape {
@@ -277,17 +269,12 @@ fn draw_shape<B: DrawingBackend>(
             area.draw(&Circle::new(fine_point(*centre), radius, style))
         }
         Shape::Label { text, at, size, anchor, color } => {
-            let (horizontal, vertical) = match anchor {
-                Anchor::Left => (HPos::Left, VPos::Center),
-                Anchor::Right => (HPos::Right, VPos::Center),
-                Anchor::Upwards => (HPos::Center, VPos::Center),
-                Anchor::Top => (HPos::Center, VPos::Top),
-            };
             let drop = text_drop * size;
-            let at = match anchor {
-                Anchor::Left | Anchor::Right => (at.0, at.1 + drop),
-                Anchor::Upwards => (at.0 + drop, at.1),
-                Anchor::Top => *at,
+            let (horizontal, vertical, at) = match anchor {
+                Anchor::Left => (HPos::Left, VPos::Center, (at.0, at.1 + drop)),
+                Anchor::Right => (HPos::Right, VPos::Center, (at.0, at.1 + drop)),
+                Anchor::Upwards => (HPos::Center, VPos::Center, (at.0 + drop, at.1)),
+                Anchor::Top => (HPos::Center, VPos::Top, *at),
             };
             let mut font = ("sans-serif", size * scale).into_font();
             if matches!(anchor, Anchor::Upwards) {

@@ -20,6 +20,6 @@ pub use history::{history, HistoryPoint};
 pub use relief::{relief, ReliefPanel};
 pub use side_by_side::{side_by_side, SideBySide};
 pub use stability::{stability, StabilityAxes, StabilityPanel};
-pub use temperature::{colored_particles, temperature_particles, TemperaturePanel};
+pub use temperature::{colored_particles, TemperaturePanel};
 pub use training::{training_curves, ErrorCurve};
 pub use wall_shapes::wall_shapes;

@@ -1,13 +1,12 @@
 //! Walls over x and z, seen from above: colours for their heights.
 
-use super::axis::{Axis, PlotArea, INK};
+use super::axis::{PlotArea, INK, TICKS};
 use super::colors;
 use super::drawing::{Anchor, Drawing};
-use super::temperature::{color_bar, ticks_for};
+use super::temperature::{check_ranges, color_bar};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
-/// One wall.
 #[derive(Clone, Copy, Debug)]
 pub struct ReliefPanel<'a> {
     pub title: &'a str,
@@ -32,12 +31,7 @@ pub fn relief(
         let lengths: Vec<usize> = panels.iter().map(|panel| panel.heights.len()).collect();
         return Err(FileError::input(path_stem, format!("walls have {lengths:?} heights"), format!("{cells} each")));
     }
-    for (name, low, high) in [("height", -most, most), ("x", x.0, x.1), ("z", z.0, z.1)] {
-        if !(low < high && low.is_finite() && high.is_finite()) {
-            let problem = format!("the {name} range is {low} to {high}");
-            return Err(FileError::input(path_stem, problem, "finite limits, the first below the second"));
-        }
-    }
+    check_ranges(path_stem, [("height", (-most, most)), ("x", (x.0, x.1)), ("z", (z.0, z.1))])?;
     let pixels = f64::min(760.0 / (x.1 - x.0), 460.0 / (z.1 - z.0));
     let (width, height) = (pixels * (x.1 - x.0), pixels * (z.1 - z.0));
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
@@ -45,14 +39,8 @@ pub fn relief(
     let bar_left = left + width + 30.0;
     let mut drawing = Drawing::new(bar_left + 135.0, bottom + 75.0);
     for (index, panel) in panels.iter().enumerate() {
-        let frame = PlotArea {
-            left,
-            top: first_top + index as f64 * (height + gap),
-            width,
-            height,
-            x: Axis::linear(x.0, x.1),
-            y: Axis::linear_with(z.0, z.1, ticks_for(height)),
-        };
+        let top = first_top + index as f64 * (height + gap);
+        let frame = PlotArea::to_scale((left, top), pixels, (x.0, x.1), (z.0, z.1), TICKS);
         let x_label = if index + 1 == panels.len() { "x (scene units)" } else { "" };
         drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
         frame.draw(&mut drawing, x_label, "z (scene units)", INK);
@@ -66,12 +54,7 @@ pub fn relief(
         }
         frame.outline(&mut drawing);
     }
-    color_bar(
-        &mut drawing,
-        (bar_left, first_top),
-        bottom - first_top,
-        (-most, most),
-        "height of the wall (scene units)",
-    );
+    let label = "height of the wall (scene units)";
+    color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (-most, most), label);
     drawing.save(path_stem)
 }

@@ -1,8 +1,8 @@
 //! Predicted, true, difference: three panels of particles in a row, row under row.
 
-use super::axis::{Axis, PlotArea, INK};
+use super::axis::{PlotArea, INK};
 use super::drawing::{Anchor, Drawing};
-use super::temperature::{check, color_bar, draw_particles, ticks_for, TemperaturePanel};
+use super::temperature::{check, color_bar, draw_particles, TemperaturePanel};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -42,14 +42,8 @@ pub fn side_by_side(
     let mut drawing = Drawing::new(last_bar_left + bar, top + total_height + 70.0);
     for (index, row) in rows.iter().enumerate() {
         for (column, (panel, left)) in row.iter().zip([margin, true_left, difference_left]).enumerate() {
-            let frame = PlotArea {
-                left,
-                top: top + index as f64 * (height + gap_y),
-                width,
-                height,
-                x: Axis::linear_with(x_range.0, x_range.1, 5),
-                y: Axis::linear_with(y_range.0, y_range.1, ticks_for(height)),
-            };
+            let corner = (left, top + index as f64 * (height + gap_y));
+            let frame = PlotArea::to_scale(corner, pixels, x_range, y_range, 5);
             drawing.text(panel.title, (left, frame.top - 16.0), 16.0, Anchor::Left, INK);
             let x_label = if index + 1 == rows.len() { "x (scene units)" } else { "" };
             let y_label = if column == 0 { "y (scene units)" } else { "" };

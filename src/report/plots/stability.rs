@@ -47,11 +47,8 @@ pub fn stability(
     let (across, up) = (axes.x.1.len(), axes.y.1.len());
     let fits = |panel: &StabilityPanel| panel.cells.len() == up && panel.cells.iter().all(|row| row.len() == across);
     if panels.is_empty() || columns == 0 || !panels.iter().all(fits) {
-        return Err(FileError::input(
-            path_stem,
-            "cells that do not fit the axes",
-            format!("{up} rows of {across} cells"),
-        ));
+        let allowed = format!("{up} rows of {across} cells");
+        return Err(FileError::input(path_stem, "cells that do not fit the axes", allowed));
     }
     let widest = axes.y.1.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max);
     let (width, height) = (across as f64 * CELL, up as f64 * CELL);

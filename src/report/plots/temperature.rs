@@ -1,6 +1,6 @@
 //! Particles coloured by temperature, true to scale.
 
-use super::axis::{Axis, PlotArea, INK};
+use super::axis::{Axis, PlotArea, INK, TICKS};
 use super::colors;
 use super::drawing::{text_width, Anchor, Color, Drawing, Point};
 use crate::io::FileError;
@@ -22,7 +22,6 @@ const SURFACE_INK: Color = [70, 70, 70];
 /// Of a surface point's radius, in a particle's.
 const SURFACE_SIZE: f64 = 0.22;
 
-/// One picture of particles.
 #[derive(Clone, Copy, Debug)]
 pub struct TemperaturePanel<'a> {
     pub title: &'a str,
@@ -38,25 +37,10 @@ pub struct TemperaturePanel<'a> {
 
 /// Draws panels under each other: fluid particles coloured from `t_min` to `t_max`, wall particles grey (those of
 /// set temperature outlined in red). Both axes have the same scale; particles whose centre lies outside the ranges
-/// are left out.
+/// are left out. `label` names what colours them, and its unit.
 ///
 /// # Errors
 /// [`FileError::Input`] if lengths do not fit, a range is empty, or there is no panel.
-pub fn temperature_particles(
-    path_stem: &Path,
-    panels: &[TemperaturePanel],
-    t_min: f64,
-    t_max: f64,
-    x_range: (f64, f64),
-    y_range: (f64, f64),
-) -> Result<[PathBuf; 2], FileError> {
-    colored_particles(path_stem, "temperature T (scene units)", panels, (t_min, t_max), x_range, y_range)
-}
-
-/// The same for another quantity in the place of the temperature; `label` names it and its unit.
-///
-/// # Errors
-/// As [`temperature_particles`].
 pub fn colored_particles(
     path_stem: &Path,
     label: &str,
@@ -76,14 +60,8 @@ pub fn colored_particles(
     let mut drawing = Drawing::new(bar_left + 125.0, bottom + 110.0);
 
     for (index, panel) in panels.iter().enumerate() {
-        let frame = PlotArea {
-            left,
-            top: first_top + index as f64 * (height + gap),
-            width,
-            height,
-            x: Axis::linear(x_range.0, x_range.1),
-            y: Axis::linear_with(y_range.0, y_range.1, ticks_for(height)),
-        };
+        let top = first_top + index as f64 * (height + gap);
+        let frame = PlotArea::to_scale((left, top), pixels, x_range, y_range, TICKS);
         let last = index + 1 == panels.len();
         let x_label = if last { "x (scene units)" } else { "" };
         drawing.text(panel.title, (left, frame.top - 20.0), 18.0, Anchor::Left, INK);
@@ -94,11 +72,6 @@ pub fn colored_particles(
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     legend(&mut drawing, (left, bottom + 80.0), panels);
     drawing.save(path_stem)
-}
-
-/// Low panels have room for few labels.
-pub(super) fn ticks_for(height: f64) -> usize {
-    ((height / 60.0) as usize).clamp(2, 6)
 }
 
 pub(super) fn draw_particles(
@@ -181,38 +154,31 @@ pub(super) fn check(
     x_range: (f64, f64),
     y_range: (f64, f64),
 ) -> Result<(), FileError> {
+    let bad = |problem: String, allowed: &str| Err(FileError::input(path, problem, allowed));
     if panels.is_empty() {
-        return Err(FileError::input(path, "there is no panel", "at least one"));
+        return bad("there is no panel".into(), "at least one");
     }
-    for (name, (low, high)) in [("temperature", t_range), ("x", x_range), ("y", y_range)] {
-        if !(low < high && low.is_finite() && high.is_finite()) {
-            return Err(FileError::input(
-                path,
-                format!("the {name} range is {low} to {high}"),
-                "finite limits, the first below the second",
-            ));
-        }
-    }
-    for panel in panels {
-        let count = panel.tag.len();
-        if panel.position.len() != 2 * count || panel.temperature.len() != count {
-            return Err(FileError::input(
-                path,
-                format!(
-                    "panel `{}` has {count} tags, {} temperatures, {} coordinates",
-                    panel.title,
-                    panel.temperature.len(),
-                    panel.position.len()
-                ),
+    check_ranges(path, [("temperature", t_range), ("x", x_range), ("y", y_range)])?;
+    for TemperaturePanel { title, position, temperature, tag, diameter } in panels {
+        let (count, warm, places) = (tag.len(), temperature.len(), position.len());
+        if places != 2 * count || warm != count {
+            return bad(
+                format!("panel `{title}` has {count} tags, {warm} temperatures, {places} coordinates"),
                 "one temperature and two coordinates for each tag",
-            ));
+            );
         }
-        if !(panel.diameter > 0.0 && panel.diameter.is_finite()) {
-            return Err(FileError::input(
-                path,
-                format!("the particle diameter is {}", panel.diameter),
-                "a positive length",
-            ));
+        if !(*diameter > 0.0 && diameter.is_finite()) {
+            return bad(format!("the particle diameter is {diameter}"), "a positive length");
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn check_ranges(path: &Path, ranges: [(&str, (f64, f64)); 3]) -> Result<(), FileError> {
+    for (name, (low, high)) in ranges {
+        if !(low < high && low.is_finite() && high.is_finite()) {
+            let problem = format!("the {name} range is {low} to {high}");
+            return Err(FileError::input(path, problem, "finite limits, the first below the second"));
         }
     }
     Ok(())

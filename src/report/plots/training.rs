@@ -17,9 +17,6 @@ pub struct ErrorCurve {
 
 /// Two panels over the steps: `loss` as (step, value), and below it `errors` with those of the baseline called `baseline`
 /// (thin). Curves without a number above 0 are left out.
-///
-/// # Errors
-/// System errors.
 pub fn training_curves(
     path_stem: &Path,
     loss: &[(f64, f64)],

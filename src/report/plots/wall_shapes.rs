@@ -22,22 +22,16 @@ pub fn wall_shapes(
     best: Option<usize>,
     bound: f64,
 ) -> Result<[PathBuf; 2], FileError> {
+    let bad = |problem: String, allowed: String| Err(FileError::input(path_stem, problem, allowed));
     if shapes.is_empty() || nodes.is_empty() {
-        return Err(FileError::input(path_stem, "there is no wall shape to show", "at least one shape with nodes"));
+        return bad("there is no wall shape to show".into(), "at least one shape with nodes".into());
     }
     if let Some((name, offsets)) = shapes.iter().find(|(_, offsets)| offsets.len() != nodes.len()) {
-        return Err(FileError::input(
-            path_stem,
-            format!("shape `{name}` has {} offsets", offsets.len()),
-            format!("{}, one for each node", nodes.len()),
-        ));
+        let problem = format!("shape `{name}` has {} offsets", offsets.len());
+        return bad(problem, format!("{}, one for each node", nodes.len()));
     }
     if let Some(index) = best.filter(|index| *index >= shapes.len()) {
-        return Err(FileError::input(
-            path_stem,
-            format!("the best shape is number {index}"),
-            format!("0 to {}", shapes.len() - 1),
-        ));
+        return bad(format!("the best shape is number {index}"), format!("0 to {}", shapes.len() - 1));
     }
     let color = |index: usize| colors::shade(index as f64 / (shapes.len() - 1).max(1) as f64);
     let profile = |index: usize| -> Vec<Point> { nodes.iter().copied().zip(shapes[index].1.iter().copied()).collect() };

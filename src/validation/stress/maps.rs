@@ -89,6 +89,7 @@ fn few_courant() -> Axis {
 }
 
 const BOTH: &[&str] = &["consistent", "standard"];
+const CONSISTENT: &[&str] = &["consistent"];
 const CHANNEL: &[&str] = &["time.end=1.5"];
 /// The plane channel keeps its speed, 1.15, with any viscosity: the cell Reynolds number is 1.15 dx / viscosity.
 const VISCOSITIES: [(&str, &[&str], bool); 5] = [
@@ -105,15 +106,8 @@ const SHAPES: [(&str, &[&str], bool); 3] = [
 ];
 
 fn heated_channel() -> Vec<Map> {
-    let map = |name, settings, x, y| Map {
-        scene: "heated-channel",
-        name,
-        formulations: BOTH,
-        settings,
-        quick_settings: CHANNEL,
-        x,
-        y,
-    };
+    let (scene, formulations, quick_settings) = ("heated-channel", BOTH, CHANNEL);
+    let map = |name, settings, x, y| Map { scene, name, formulations, settings, quick_settings, x, y };
     let amplitude = |values: &[&str]| axis("amplitude", "design.amplitude", values, 0, &[0, 2]);
     vec![
         map("step", &[], courant(), jitter()),
@@ -136,15 +130,8 @@ fn heated_channel() -> Vec<Map> {
 
 /// The heated channel with particles that do not move, with which walls are searched.
 fn fixed_particles() -> Vec<Map> {
-    let map = |name, settings, x, y| Map {
-        scene: "heated-channel",
-        name,
-        formulations: &["consistent"],
-        settings,
-        quick_settings: CHANNEL,
-        x,
-        y,
-    };
+    let (scene, formulations, quick_settings) = ("heated-channel", CONSISTENT, CHANNEL);
+    let map = |name, settings, x, y| Map { scene, name, formulations, settings, quick_settings, x, y };
     let amplitude = axis("amplitude", "design.amplitude", &["0", "0.01", "0.02", "0.03", "0.04"], 1, &[1, 4]);
     vec![
         map("fixed-step", &["method.name=fixed", "design.bound=0.04", "design.shape=sine"], courant(), amplitude),
@@ -172,7 +159,7 @@ fn three_dimensions() -> Vec<Map> {
     let channel = Map {
         scene: "heated-channel-3d",
         name: "step",
-        formulations: &["consistent"],
+        formulations: CONSISTENT,
         settings: &["design.shape=random"],
         quick_settings: &["time.end=0.5", "objective.window=0.1"],
         x: courant(),
@@ -205,6 +192,8 @@ fn dam_break() -> Vec<Map> {
         x,
         y,
     };
+    let few_courant = || axis("CFL", "time.cfl", &["0.25", "0.5", "1", "1.5"], 0, &[0, 2]);
+    let velocities = ["2", "1.4142135623730951", "0.7", "0.3"];
     let divided = [
         ("divided", &["time.adaptive=true", "time.cfl=1"] as &[&str], true),
         ("whole", &["time.adaptive=false", "time.cfl=1"], true),
@@ -215,25 +204,15 @@ fn dam_break() -> Vec<Map> {
             axis("CFL", "time.cfl", &["0.25", "0.5", "0.75", "1", "1.25", "1.5", "2", "3"], 0, &[0, 1, 3, 7]),
             jitter(),
         ),
-        map(
-            "resolution",
-            axis("CFL", "time.cfl", &["0.25", "0.5", "1", "1.5"], 0, &[0, 2]),
-            axis("dx", "resolution.dx", &["0.1", "0.05", "0.04"], 1, &[0, 1]),
-        ),
+        map("resolution", few_courant(), axis("dx", "resolution.dx", &["0.1", "0.05", "0.04"], 1, &[0, 1])),
         map(
             "viscosity",
-            axis("CFL", "time.cfl", &["0.25", "0.5", "1", "1.5"], 0, &[0, 2]),
+            few_courant(),
             axis("artificial viscosity", "method.artificial_viscosity", &["0.5", "0.1", "0.02", "0.005"], 1, &[1, 3]),
         ),
         map(
             "speed",
-            axis(
-                "reference velocity",
-                "fluid.reference_velocity",
-                &["2", "1.4142135623730951", "0.7", "0.3"],
-                1,
-                &[1, 3],
-            ),
+            axis("reference velocity", "fluid.reference_velocity", &velocities, 1, &[1, 3]),
             axis_of("steps", &divided, 0),
         ),
     ]

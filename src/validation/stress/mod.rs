@@ -177,11 +177,11 @@ impl Job {
                     time: found.step as f64 * dt,
                     quantity: found.quantity,
                     value: found.value,
-                    limit: None,
                     particle: Some(found.particle),
                     tag: Some(found.tag.into()),
                     position: Some(found.position),
                     cause: Some(found.cause.why),
+                    ..Fault::default()
                 })
             }
         };
@@ -236,15 +236,9 @@ impl Found {
                     if record.verdict != Verdict::Stable {
                         let (at, from) = (&x.values[place].label, last.map_or("", |k: usize| &x.values[k].label));
                         let range = if last.is_none() { at.clone() } else { format!("{from} -> {at}") };
-                        return format!(
-                            "{} {range} ({} {}, {}, {}): {}",
-                            x.name,
-                            y.name,
-                            y.values[row].label,
-                            panel.formulation,
-                            panel.precision.name(),
-                            record.why()
-                        );
+                        let (at_y, precision, why) = (&y.values[row].label, panel.precision.name(), record.why());
+                        let place = format!("{} {at_y}, {}, {precision}", y.name, panel.formulation);
+                        return format!("{} {range} ({place}): {why}", x.name);
                     }
                     last = Some(place);
                 }

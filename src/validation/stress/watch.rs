@@ -30,7 +30,7 @@ const LOOKS: usize = 100;
 const SETTLING: f64 = 0.1;
 
 /// What was wrong first.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
     pub step: usize,
     pub time: f64,
@@ -123,18 +123,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Watch<'_, R> {
 }
 
 fn fault(step: usize, time: f64, quantity: &str, value: f64, limit: f64) -> Fault {
-    let limit = Some(limit);
-    Fault {
-        step,
-        time,
-        quantity: quantity.into(),
-        value,
-        limit,
-        particle: None,
-        tag: None,
-        position: None,
-        cause: None,
-    }
+    Fault { step, time, quantity: quantity.into(), value, limit: Some(limit), ..Fault::default() }
 }
 
 /// A heat balance that is open, over the window at the end of a run.
