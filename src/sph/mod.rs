@@ -18,6 +18,7 @@ pub mod method;
 pub mod pace;
 pub mod pairs;
 pub mod plan;
+mod precisions;
 pub mod rows;
 pub mod solver;
 pub mod standard;

@@ -85,13 +85,13 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
 
     fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut known = state.to_vec();
-        R::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
+        self::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
     fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         let mut state_bar = bar.to_vec();
-        R::known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
+        known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
         Ok([Some(state_bar)])
     }
 }
@@ -144,14 +144,13 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
 
     fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut filled = pressure.to_vec();
-        R::wall_pressure(&self.0.geometry(), &mut self.0.kept(), known, &mut filled);
+        R::fill(&self.0.geometry(), known, &mut filled, &mut self.0.kept(), false);
         Ok((filled, shapes[1].clone()))
     }
 
     fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
         let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
-        let geometry = self.0.geometry();
-        R::wall_pressure_bar(&geometry, &self.0.kept(), known, filled, &mut pressure_bar, &mut known_bar);
+        R::fill_bar(&self.0.geometry(), known, filled, &self.0.kept(), false, &mut pressure_bar, &mut known_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
     }
 }
@@ -248,9 +247,7 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
 fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, usize, R)) {
     let (l, density) = (geometry.model.layout, geometry.model.equation_of_state.reference_density);
     let row = l.fields() * monomials(l.dimension);
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        let i = fluid.members[place] as usize;
+    for (place, i) in geometry.blocks.fluid.each() {
         let at = Place::of::<R>(place, rows(l.dimension, l.fields())).row(row);
         each(i, at, R::of(density) * geometry.model.fits.quadrature[i]);
     }
@@ -264,9 +261,7 @@ pub fn masses<R: Real>(geometry: &Geometry<'_, R>, derivatives: &[R], masses: &m
 /// Calls `each` for each conducting fluid particle with x < `until`, with its index and the place of its derivatives.
 fn each_conducting<R: Real>(geometry: &Geometry<'_, R>, known: &[R], until: f64, mut each: impl FnMut(usize, Place)) {
     let l = geometry.model.layout;
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        let i = fluid.members[place] as usize;
+    for (place, i) in geometry.blocks.fluid.each() {
         if conduction::conducts(geometry.model, known[i]) && known[i].f64() < until {
             each(i, Place::of::<R>(place, rows(l.dimension, l.fields())));
         }
@@ -381,7 +376,7 @@ impl<R: Sweeps> Buffers<R> {
     pub fn look(&mut self, geometry: &Geometry<'_, R>, state: &[R]) {
         self.known.clear();
         self.known.extend_from_slice(state);
-        R::known(geometry, &mut self.kept, &mut self.known);
+        known(geometry, &mut self.kept, &mut self.known);
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
@@ -390,7 +385,7 @@ impl<R: Sweeps> Buffers<R> {
         self.look(geometry, state);
         self.pressure.resize(geometry.model.particles(), R::default());
         R::continuity(geometry, &self.known, &self.derivatives, &self.kept, &mut self.pressure);
-        R::wall_pressure(geometry, &mut self.kept, &self.known, &mut self.pressure);
+        R::fill(geometry, &self.known, &mut self.pressure, &mut self.kept, false);
         R::pressure_gradient(geometry, &mut self.kept, &self.known, &self.pressure, &mut self.gradient);
         R::advance(geometry, &self.known, &self.derivatives, &self.gradient, state);
         geometry.model.drive?;
@@ -401,19 +396,19 @@ impl<R: Sweeps> Buffers<R> {
 }
 
 /// Fills in the values of dummy particles in all fields, in place, see [`super::wall_values`].
-pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
+fn known<R: Sweeps>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     // Positions and mirror images are read while values are written.
     let (places, fields) = known[..l.last_rates() * n].split_at_mut(l.pressure() * n);
-    super::wall_values::fill(geometry, places, fields, kept, true);
+    R::fill(geometry, places, fields, kept, true);
 }
 
 /// The adjoint of [`known`], in place: maps the cotangent of `known` to that of the state.
-pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
+fn known_bar<R: Sweeps>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     let (places_bar, fields_bar) = bar[..l.last_rates() * n].split_at_mut(l.pressure() * n);
     let (places, fields) = known[..l.last_rates() * n].split_at(l.pressure() * n);
-    super::wall_values::backward(geometry, places, fields, kept, true, fields_bar, places_bar);
+    R::fill_bar(geometry, places, fields, kept, true, fields_bar, places_bar);
 }
 
 /// The derivatives of all fields, see [`super::derivatives`], followed by the shift.
@@ -438,22 +433,6 @@ pub fn derivatives_bar<R: Real>(
     super::derivatives::backward(geometry, kept, derivatives, bar, position_bar, fields_bar);
 }
 
-/// Fills in the values of dummy particles in the new pressure, in place, see [`super::wall_values`].
-pub fn wall_pressure<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], pressure: &mut [R]) {
-    super::wall_values::fill(geometry, known, pressure, kept, false);
-}
-
-pub fn wall_pressure_bar<R: Real>(
-    geometry: &Geometry<'_, R>,
-    kept: &Kept<R>,
-    known: &[R],
-    filled: &[R],
-    pressure_bar: &mut [R],
-    known_bar: &mut [R],
-) {
-    super::wall_values::backward(geometry, known, filled, kept, false, pressure_bar, known_bar);
-}
-
 /// The derivatives of the new pressure, see [`super::derivatives`], followed by the pressure itself.
 pub fn pressure_gradient<R: Real>(
     geometry: &Geometry<'_, R>,
@@ -464,9 +443,8 @@ pub fn pressure_gradient<R: Real>(
 ) {
     super::derivatives::forward(geometry, known, pressure, kept, gradient);
     let d = geometry.model.layout.dimension;
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[fluid.members[place] as usize];
+    for (place, i) in geometry.blocks.fluid.each() {
+        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[i];
     }
 }
 
@@ -480,11 +458,10 @@ pub fn pressure_gradient_bar<R: Real>(
     pressure_bar: &mut [R],
 ) {
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
+    for (place, i) in geometry.blocks.fluid.each() {
         let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
         // The adjoint of the fits takes this row for the volume, which is not used here.
-        pressure_bar[fluid.members[place] as usize] += std::mem::take(&mut bar[at]);
+        pressure_bar[i] += std::mem::take(&mut bar[at]);
     }
     super::derivatives::backward(geometry, kept, gradient, bar, &mut known_bar[..d * n], pressure_bar);
 }
