@@ -45,7 +45,7 @@ impl<R: Real> Chain<R> {
     pub fn new(step: Arc<Step<R>>) -> Arc<Self> {
         // The reused buffers have arbitrary content, so none is marked as filled.
         let kept = step.model.caches.take().unwrap_or_default();
-        let kept = Mutex::new(PairCache { has_pairs: false, has_fluid_records: false, has_records: false, ..kept });
+        let kept = Mutex::new(PairCache { has_pairs: false, has_fluid_records: false, ..kept });
         Arc::new(Self { step, kept })
     }
 

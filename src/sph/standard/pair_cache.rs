@@ -17,9 +17,8 @@ pub struct PairCache<R> {
     pub records: Vec<R>,
     /// Whether `position` and `slope` are filled.
     pub has_pairs: bool,
-    /// Whether `records` is filled for fluid particles, and for all particles.
+    /// Whether `records` is filled for fluid particles.
     pub has_fluid_records: bool,
-    pub has_records: bool,
 }
 
 impl<R: Real> PairCache<R> {

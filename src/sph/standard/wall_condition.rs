@@ -364,7 +364,6 @@ pub fn forward<R: Real>(
         dispatch!(l, go);
     }
     kept.records = records;
-    kept.has_records = true;
 }
 
 const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
