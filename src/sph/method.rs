@@ -220,9 +220,6 @@ pub trait Worker<R>: Debug + Send {
     fn look(&mut self, place: &mut Place<'_, R>, state: &[R], to: &mut Looked<R>) -> Result<(), RunError>;
     /// Heat that walls give to the conducting fluid with x < `until`, for the state of the last [`Self::look`]. Its
     /// unit is density * temperature * volume / time (times the heat capacity: power).
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn wall_heat(&self, place: &Place<'_, R>, state: &[R], until: f64) -> Result<f64, RunError>;
     /// The acceleration along x that held the flow rate or the power in the last step; none where the force is given.
     fn drive(&self) -> Option<f64> {
@@ -260,9 +257,6 @@ pub trait Recorder<R>: Send {
         false
     }
     /// The fields of a state, by the present neighbour list.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn look(&mut self, place: &mut Place<'_, R>, state: &Tensor) -> Result<Shown, RunError>;
     /// Takes the numbers that [`Worker::remember`] copied for the next step.
     fn recall(&mut self, _numbers: &[R]) {}
@@ -277,9 +271,6 @@ pub trait Steady<R> {
     /// positions.
     fn gradient(&self, state: &[R], bar: &[R]) -> SteadyGradient<R>;
     /// The fields of a steady state, on the graph if the state is.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn shown(&self, state: &Tensor) -> candle_core::Result<Shown>;
 }
 

@@ -330,9 +330,6 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
 }
 
 /// The evaluated fields of a state, on the graph.
-///
-/// # Errors
-/// Tensor errors.
 pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Known> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;
@@ -343,9 +340,6 @@ pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Known> {
 }
 
 /// Makes one step on the graph.
-///
-/// # Errors
-/// Tensor errors.
 pub fn advance<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Tensor> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;

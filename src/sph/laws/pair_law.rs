@@ -113,9 +113,6 @@ pub struct PairTensors {
 
 impl PairTensors {
     /// Adds to one of the sums.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn add(sum: &mut Option<Tensor>, term: Tensor) -> Result<()> {
         *sum = Some(match sum.take() {
             Some(sum) => (sum + term)?,
@@ -153,9 +150,6 @@ pub trait PairLaw: Copy + Send + Sync {
     );
 
     /// [`Self::add`] from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()>;
 
     /// What it is called in a plan.

@@ -13,9 +13,6 @@ pub struct TransportVelocity;
 
 impl TransportVelocity {
     /// Adds only the transport acceleration by the background pressure.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn spread(pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
         PairTensors::add(&mut sums.spread, pairs.difference.broadcast_mul(&fields.weight)?.sum(2)?)
     }

@@ -280,9 +280,6 @@ impl<R: Sweeps> Operator<1> for Evolution<R> {
 }
 
 /// moved `[M, N]` -> drho/dt, `[1, N]`, from candle's operators.
-///
-/// # Errors
-/// Tensor errors.
 pub fn rate<R: Real>(step: &Step<R>, pairs: &Pairs, moved: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let density = moved.narrow(0, l.moved_density(), 1)?;
@@ -307,9 +304,6 @@ pub fn rate<R: Real>(step: &Step<R>, pairs: &Pairs, moved: &Tensor) -> Result<Te
 }
 
 /// moved `[M, N]` -> density `[1, N]`, of walls the moved one, from candle's operators: the oracle.
-///
-/// # Errors
-/// Tensor errors.
 pub fn composed<R: Real>(step: &Step<R>, pairs: &Pairs, dt: f64, moved: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let before = moved.narrow(0, l.moved_density(), 1)?;

@@ -49,9 +49,6 @@ pub fn advance<E: Execution>(execution: &mut E, dt: f64, state: &E::Field) -> Re
 }
 
 /// Moved state and primitives of a state that is not advanced, by the present neighbour list.
-///
-/// # Errors
-/// Tensor errors.
 pub fn look<E: Execution>(execution: &mut E, state: &E::Field) -> Result<(E::Field, E::Field), RunError> {
     let moved = execution.drift(0.0, state)?;
     let density = execution.density(0.0, &moved)?;

@@ -32,9 +32,6 @@ impl<R: Sweeps> Tape<R> {
     }
 
     /// Moved state `[M, N]` and primitives `[C, N]` of a state that is not advanced.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn fields(&self, place: &mut Place<'_, R>, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
         let failed = RunError::tensor(place.step);
         if self.kernels == Kernels::Composed {
