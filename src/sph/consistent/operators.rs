@@ -60,6 +60,9 @@ fn zeros<R: Real>(shape: impl IntoIterator<Item = usize>) -> Vec<R> {
     vec![R::default(); shape.into_iter().product()]
 }
 
+/// Cotangents of an operator's inputs.
+type Bars<R, const N: usize> = Result<[Option<Vec<R>>; N]>;
+
 /// state `[F, N]` -> known `[F, N]`: the state with the values of dummy particles filled in.
 pub struct WallValues<R: Sweeps>(pub Arc<Chain<R>>);
 /// known -> derivatives of all fields.
@@ -89,7 +92,7 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
-    fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let mut state_bar = bar.to_vec();
         known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
         Ok([Some(state_bar)])
@@ -106,7 +109,7 @@ impl<R: Sweeps> Operator<1> for Derivatives<R> {
         Ok((derivatives, Shape::from(self.0.shape(self.0.model.layout.fields()).to_vec())))
     }
 
-    fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let (mut bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
         R::derivatives_bar(&self.0.geometry(), &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
         Ok([Some(known_bar)])
@@ -124,13 +127,7 @@ impl<R: Sweeps> Operator<2> for Continuity<R> {
         Ok((pressure, (1, n).into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives]: [&[R]; 2],
-        _: &[R],
-        bar: &[R],
-        _: [bool; 2],
-    ) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, derivatives]: [&[R]; 2], _: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut known_bar, mut derivatives_bar) = (zeros([known.len()]), zeros([derivatives.len()]));
         let geometry = self.0.geometry();
         R::continuity_bar(&geometry, known, derivatives, &self.0.kept(), bar, &mut known_bar, &mut derivatives_bar);
@@ -148,7 +145,7 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
         Ok((filled, shapes[1].clone()))
     }
 
-    fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
         R::fill_bar(&self.0.geometry(), known, filled, &self.0.kept(), false, &mut pressure_bar, &mut known_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
@@ -165,13 +162,7 @@ impl<R: Sweeps> Operator<2> for PressureGradient<R> {
         Ok((gradient, Shape::from(self.0.shape(1).to_vec())))
     }
 
-    fn adjoint(
-        &self,
-        [known, pressure]: [&[R]; 2],
-        gradient: &[R],
-        bar: &[R],
-        _: [bool; 2],
-    ) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, pressure]: [&[R]; 2], gradient: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut known_bar, mut pressure_bar) = (zeros([known.len()]), zeros([pressure.len()]));
         let geometry = self.0.geometry();
         let mut bar = bar.to_vec();
@@ -190,13 +181,7 @@ impl<R: Sweeps> Operator<3> for Advance<R> {
         Ok((state, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives, gradient]: [&[R]; 3],
-        state: &[R],
-        bar: &[R],
-        _: [bool; 3],
-    ) -> Result<[Option<Vec<R>>; 3]> {
+    fn adjoint(&self, [known, derivatives, gradient]: [&[R]; 3], state: &[R], bar: &[R], _: [bool; 3]) -> Bars<R, 3> {
         let mut bars = [zeros([known.len()]), zeros([derivatives.len()]), zeros([gradient.len()])];
         let [known_bar, derivatives_bar, gradient_bar] = &mut bars;
         let geometry = self.0.geometry();
@@ -217,7 +202,7 @@ impl<R: Sweeps> Operator<1> for Masses<R> {
         Ok((masses, (1, n).into()))
     }
 
-    fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let geometry = self.0.geometry();
         let mut derivatives_bar = zeros([derivatives.len()]);
         each_mass(&geometry, |i, at, factor| derivatives_bar[at] = bar[i] * factor);
@@ -235,7 +220,7 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
         Ok((after, shapes[0].clone()))
     }
 
-    fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut state_bar, mut masses_bar) = (bar.to_vec(), zeros([masses.len()]));
         drive::backward(&self.0.geometry(), masses, state, after, &mut state_bar, &mut masses_bar);
         Ok([Some(state_bar), Some(masses_bar)])
@@ -309,13 +294,7 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
         Ok((vec![R::of(heating(&self.0.geometry(), known, derivatives, masses, self.1))], ().into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives, masses]: [&[R]; 3],
-        _: &[R],
-        bar: &[R],
-        _: [bool; 3],
-    ) -> Result<[Option<Vec<R>>; 3]> {
+    fn adjoint(&self, [known, derivatives, masses]: [&[R]; 3], _: &[R], bar: &[R], _: [bool; 3]) -> Bars<R, 3> {
         let geometry = self.0.geometry();
         let (mut derivatives_bar, mut masses_bar) = (zeros([derivatives.len()]), zeros([masses.len()]));
         let bar = bar[0].f64();

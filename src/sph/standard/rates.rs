@@ -227,8 +227,9 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let own_bar = splat_fields::<L>(self.bars.of(i), bar_fields);
         let volume2 = a.volume * a.volume;
         let (zero, none) = ([L::zero(); D], L::zero());
-        let mut bar =
+        let own =
             SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
+        let mut bar = PairBar { scalar: none, by_difference: zero, by_slope: none, own };
         let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
         for (k, (names, mask)) in pairs::row::<L>(list, i).enumerate() {
             let (other, other_bar) = (records.fields(fields, names), self.bars.fields(bar_fields, names));
@@ -244,15 +245,15 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
             let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
             let fluid = mask.up_to(k * L::COUNT, fluids);
             let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
-            let mut pair_bar = PairBar { scalar: none, by_difference: zero, by_slope: none };
-            self.laws.adjoint(&prepared, &pair, &bars, &mut pair_bar, &mut bar);
-            bar.volume = (slope * pair_bar.scalar).mul_add(two * a.volume, bar.volume);
-            let radial = volumes2.mul_add(pair_bar.scalar, pair_bar.by_slope) * curvature;
+            bar = PairBar { scalar: none, by_difference: zero, by_slope: none, ..bar };
+            self.laws.adjoint(&prepared, &pair, &bars, &mut bar);
+            bar.own.volume = (slope * bar.scalar).mul_add(two * a.volume, bar.own.volume);
+            let radial = volumes2.mul_add(bar.scalar, bar.by_slope) * curvature;
             for d in 0..D {
-                bar.position[d] += radial.mul_add(difference[d], weight * pair_bar.by_difference[d]);
+                bar.own.position[d] += radial.mul_add(difference[d], weight * bar.by_difference[d]);
             }
         }
-        bar
+        bar.own
     }
 }
 
