@@ -318,11 +318,8 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
                         }
                     }
                 }
-                // SAFETY: a unit's own columns.
-                unsafe {
-                    c.to_state(&self.state_bar, row::U, j, at, u_bar);
-                    c.to_state(&self.state_bar, row::V, j, at, v_bar);
-                }
+                c.to_state(&self.state_bar, row::U, j, at, u_bar);
+                c.to_state(&self.state_bar, row::V, j, at, v_bar);
                 let rho_bar = own.d * u * bar[0] + (v - own.s * u) * bar[1];
                 c.put(field::P_BAR, j, at, L::splat(n.compressibility).mul_add(rho_bar, get(field::P_BAR)));
                 if METRIC {
@@ -381,11 +378,8 @@ impl<R: Real> RowKernel<R> for Finish<'_, R> {
                         }
                     }
                 }
-                // SAFETY: a unit's own columns.
-                unsafe {
-                    c.to_state(&self.state_bar, row::P, j, at, p_bar);
-                    c.to_state(&self.state_bar, row::T, j, at, t_bar);
-                }
+                c.to_state(&self.state_bar, row::P, j, at, p_bar);
+                c.to_state(&self.state_bar, row::T, j, at, t_bar);
             }
         }
     }

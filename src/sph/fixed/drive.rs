@@ -60,8 +60,7 @@ impl<R: Real> RowKernel<R> for Push<'_, R> {
                 let (u, v) = (get(field::KICKED_U) + L::splat(self.kick), get(field::KICKED_V));
                 c.put(field::KICKED_U, j, at, u);
                 if let Some(next) = self.next {
-                    // SAFETY: a unit's own columns.
-                    unsafe { c.to_state(next, row::U, j, at, u) };
+                    c.to_state(next, row::U, j, at, u);
                 }
                 let m = mass_flux(d, get(field::S), c.density(get(field::P)), u, v);
                 put_flux(c, [field::KICKED_MX, field::KICKED_MY], j, at, m, [get(field::GX), get(field::GY)]);
