@@ -156,22 +156,31 @@ pub struct Place<'a, R> {
 }
 
 impl<R: Search> Place<'_, R> {
-    /// Makes the neighbour list valid for the positions of a state, which may be on any device.
+    /// Makes the neighbour list valid for positions `[D, N]`.
     ///
     /// # Errors
-    /// Particles that are lost or too fast; tensor errors.
-    pub fn update_list(&mut self, flow: &Flow<R>, state: &Tensor) -> Result<(), RunError> {
+    /// Particles that are lost or too fast.
+    pub fn update(&mut self, flow: &Flow<R>, position: &[R]) -> Result<(), RunError> {
         let step = self.step;
-        let failed = RunError::tensor(step);
+        let updated = self.neighbourhood.update(&flow.reach(), position);
+        updated.map_err(|source| RunError::Neighbours { step, source })
+    }
+
+    /// [`Self::update`] for the positions of a state, which may be on any device.
+    ///
+    /// # Errors
+    /// As there; tensor errors.
+    pub fn update_list(&mut self, flow: &Flow<R>, state: &Tensor) -> Result<(), RunError> {
+        let failed = RunError::tensor(self.step);
         let position = state.detach().narrow(0, 0, flow.dimension());
         let position = position.and_then(|position| position.to_device(&Device::Cpu)?.to_dtype(R::DTYPE));
         let mut updated = Ok(());
         read(&position.map_err(&failed)?, |position: &[R]| {
-            updated = self.neighbourhood.update(&flow.reach(), position);
+            updated = self.update(flow, position);
             Ok(())
         })
         .map_err(&failed)?;
-        updated.map_err(|source| RunError::Neighbours { step, source })
+        updated
     }
 }
 
