@@ -34,7 +34,7 @@ impl<R: Sweeps> Tape<R> {
     pub fn fields(&self, place: &mut Place<'_, R>, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
         let failed = RunError::tensor(place.step);
         if self.kernels == Kernels::Composed {
-            let (_, _, moved, primitives) = composed(&self.model, place, 0.0, state, false)?;
+            let Composed { moved, primitives, .. } = composed(&self.model, place, 0.0, state, false)?;
             return Ok((moved, primitives));
         }
         let chain = Chain::new(Step::now(&self.model, place));
@@ -62,7 +62,7 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
             let density = self.density.take();
             return whole_step::advance(whole_step::At { model: &self.model, place, density }, state, after);
         }
-        let (step, pairs, moved, primitives) = composed(&self.model, place, place.times.now, state, true)?;
+        let Composed { step, pairs, moved, primitives } = composed(&self.model, place, place.times.now, state, true)?;
         let rates = rates::composed(&step, &pairs, &moved, &primitives);
         let next = rates.and_then(|rates| assemble::composed(&step, &moved, &primitives, &rates));
         next.map_err(RunError::tensor(place.step))
@@ -111,15 +111,22 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
     }
 }
 
-/// The step, moved state, primitives and pairs of a state after a time, by ordinary candle operators, on any device. `moves`
-/// asks for a neighbour list of the moved state, which is built on the CPU.
+/// What ordinary candle operators make of a state after a time, on any device.
+struct Composed<R> {
+    step: Arc<Step<R>>,
+    pairs: Pairs,
+    moved: Tensor,
+    primitives: Tensor,
+}
+
+/// `moves` asks for a neighbour list of the moved state, which is built on the CPU.
 fn composed<R: Sweeps>(
     model: &Arc<Standard<R>>,
     place: &mut Place<'_, R>,
     dt: f64,
     state: &Tensor,
     moves: bool,
-) -> Result<(Arc<Step<R>>, Pairs, Tensor, Tensor), RunError> {
+) -> Result<Composed<R>, RunError> {
     let failed = RunError::tensor(place.step);
     let moved = drift::composed(model, dt, state).map_err(&failed)?;
     if moves {
@@ -133,7 +140,7 @@ fn composed<R: Sweeps>(
             false => density::composed(&step, &pairs, &moved),
         }?;
         let primitives = wall_condition::composed(&step, &pairs, &moved, &density)?;
-        Ok((step, pairs, moved, primitives))
+        Ok(Composed { step, pairs, moved, primitives })
     };
     go().map_err(failed)
 }
