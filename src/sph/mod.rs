@@ -15,6 +15,7 @@ pub mod kernels;
 pub mod laws;
 pub mod masks;
 pub mod method;
+pub mod own;
 pub mod pace;
 pub mod pairs;
 pub mod plan;

@@ -1,11 +1,12 @@
 //! What every sweep over pairs shares: rows, records, differences, packing.
 
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::Images;
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
 use crate::sph::kernels::KernelLanes;
+use crate::sph::own::Own;
 use std::marker::PhantomData;
 use std::ops::Range;
 
@@ -298,7 +299,7 @@ struct Packing<'a, R> {
     flow: &'a Flow<R>,
     moved: &'a [R],
     extra: Option<&'a (dyn Fn(usize) -> R + Sync)>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Packing<'_, R> {
@@ -328,5 +329,5 @@ pub fn pack_positions<R: Real>(
 ) {
     let n = flow.particles();
     records.resize(4 * n, R::default());
-    run_rows(&Packing { flow, moved, extra, records: Shared::new(records) }, n);
+    run_rows(&Packing { flow, moved, extra, records: Own::new(records) }, n);
 }

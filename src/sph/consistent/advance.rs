@@ -23,8 +23,9 @@ use super::geometry::Geometry;
 use super::kinds::rows;
 use super::stencil::{laplacian, monomials, quadratic};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::laws::conduction;
+use crate::sph::own::Own;
 use crate::sph::pairs::with_dimension;
 use std::ops::Range;
 
@@ -56,7 +57,7 @@ struct Forward<'a, R, const D: usize> {
     known: &'a [R],
     derivatives: &'a [R],
     gradient: &'a [R],
-    state: Shared<'a, R>,
+    state: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Forward<'_, R, D> {
@@ -104,8 +105,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
             let i = geometry.blocks.fluid.particle(place);
             let known = |row: usize| self.known[row * n + i];
             let (acceleration, warming, shift) = self.rates(&factors, place);
-            // SAFETY (all): each place writes its own particle.
-            let set = |row: usize, value: R| unsafe { self.state.set(row * n + i, value) };
+            let set = |row: usize, value: R| self.state.set(row * n + i, value);
             let mut x = R::default();
             for k in 0..D {
                 let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
@@ -159,7 +159,7 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[
             (l.pressure()..l.state_rows()).for_each(|row| state[row * n + dummy as usize] = R::default());
         }
     }
-    let (geometry, state) = (*geometry, Shared::new(state));
+    let (geometry, state) = (*geometry, Own::new(state));
     with_dimension!(l.dimension, |D| run_rows(
         &Forward::<R, D> { geometry, known, derivatives, gradient, state },
         places,
@@ -173,9 +173,9 @@ struct Backward<'a, R, const D: usize> {
     /// The state at the step's end.
     state: &'a [R],
     state_bar: &'a [R],
-    known_bar: Shared<'a, R>,
-    derivatives_bar: Shared<'a, R>,
-    gradient_bar: Shared<'a, R>,
+    known_bar: Own<'a, R>,
+    derivatives_bar: Own<'a, R>,
+    gradient_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
@@ -193,10 +193,9 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
             let of_pressure = Place::of::<R>(place, rows(D, 1));
             let bar = |row: usize| self.state_bar[row * n + i];
             let shift = |k: usize| self.derivatives[at.row(fields * q + 1 + k)];
-            // SAFETY (all): each place writes its own particle and its own rows.
-            let add = |row: usize, value: R| unsafe { self.known_bar.add(row * n + i, value) };
-            let derivative = |row: usize, value: R| unsafe { self.derivatives_bar.set(at.row(row), value) };
-            let gradient = |row: usize, value: R| unsafe { self.gradient_bar.set(of_pressure.row(row), value) };
+            let add = |row: usize, value: R| self.known_bar.add(row * n + i, value);
+            let derivative = |row: usize, value: R| self.derivatives_bar.set(at.row(row), value);
+            let gradient = |row: usize, value: R| self.gradient_bar.set(of_pressure.row(row), value);
             let mut shift_bar = [R::default(); D];
             (0..fields * q + 1).for_each(|m| derivative(m, R::default()));
             (0..const { rows(D, 1) }).for_each(|m| gradient(m, R::default()));
@@ -277,8 +276,8 @@ pub fn backward<R: Real>(
             (l.pressure()..l.state_rows()).for_each(|row| known_bar[row * n + i] -= state_bar[row * n + i]);
         }
     }
-    let (geometry, known_bar) = (*geometry, Shared::new(known_bar));
-    let (derivatives_bar, gradient_bar) = (Shared::new(derivatives_bar), Shared::new(gradient_bar));
+    let (geometry, known_bar) = (*geometry, Own::new(known_bar));
+    let (derivatives_bar, gradient_bar) = (Own::new(derivatives_bar), Own::new(gradient_bar));
     with_dimension!(l.dimension, |D| run_rows(
         &Backward::<R, D> { geometry, known, derivatives, state, state_bar, known_bar, derivatives_bar, gradient_bar },
         places,

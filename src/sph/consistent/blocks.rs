@@ -6,8 +6,9 @@
 //! neither happens, and a particle's sums run in the order of its neighbours whatever the instruction set is.
 
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::NeighbourList;
+use crate::sph::own::Own;
 use crate::sph::pairs::Names;
 use std::iter::StepBy;
 use std::marker::PhantomData;
@@ -149,9 +150,9 @@ impl Table {
             width,
             capacity: self.capacity,
             members: &self.members,
-            depth: Shared::new(&mut self.depth),
-            count: Shared::new(&mut self.count),
-            index: Shared::new(&mut self.index),
+            depth: Own::new(&mut self.depth),
+            count: Own::new(&mut self.count),
+            index: Own::new(&mut self.index),
             real: PhantomData::<R>,
         };
         run_rows(&filling, blocks);
@@ -165,9 +166,9 @@ struct Filling<'a, R, F> {
     width: usize,
     capacity: usize,
     members: &'a [u32],
-    depth: Shared<'a, u32>,
-    count: Shared<'a, u32>,
-    index: Shared<'a, u32>,
+    depth: Own<'a, u32>,
+    count: Own<'a, u32>,
+    index: Own<'a, u32>,
     real: PhantomData<R>,
 }
 
@@ -182,13 +183,13 @@ impl<R: Real, F: Fn(&NeighbourList, usize) -> Range<usize> + Sync> RowKernel<R> 
                 false => 0..0,
             };
             let depth = (0..self.width).map(|lane| part(lane).len()).max().unwrap_or(0);
-            // SAFETY (all): each block writes its own part.
-            unsafe { self.depth.set(block, depth as u32) };
+            self.depth.set(block, depth as u32);
             let to = block * self.capacity * self.width;
+            // SAFETY: each block writes its own rows.
             let index = unsafe { self.index.slice(to..to + depth * self.width) };
             for (lane, &i) in members.iter().enumerate() {
                 let neighbours = &self.list.row(i as usize)[part(lane)];
-                unsafe { self.count.set(from + lane, neighbours.len() as u32) };
+                self.count.set(from + lane, neighbours.len() as u32);
                 for k in 0..depth {
                     index[k * self.width + lane] = neighbours.get(k).copied().unwrap_or(i);
                 }
@@ -260,33 +261,30 @@ pub fn load<L: Lanes, const K: usize>(numbers: &[L::Real], at: Place, row: usize
 
 /// Stores a vector of places' numbers in rows `row ..`.
 #[inline(always)]
-pub fn store<L: Lanes, const K: usize>(numbers: &Shared<'_, L::Real>, at: Place, row: usize, values: [L; K]) {
+pub fn store<L: Lanes, const K: usize>(numbers: &Own<'_, L::Real>, at: Place, row: usize, values: [L; K]) {
     for k in 0..K {
-        // SAFETY: a sweep over blocks gives every block, and so its places, to one thread.
-        unsafe { numbers.store(at.row(row + k), values[k]) };
+        numbers.store(at.row(row + k), values[k]);
     }
 }
 
-/// Numbers of particles, which the sweeps over a table write, each place those of its own particle.
-pub struct OfParticles<'a, R>(Shared<'a, R>);
+/// Numbers of particles, which the sweeps over a table write: a particle has one place.
+pub struct OfParticles<'a, R>(Own<'a, R>);
 
 impl<'a, R: Real> OfParticles<'a, R> {
     pub fn new(numbers: &'a mut [R]) -> Self {
-        Self(Shared::new(numbers))
+        Self(Own::new(numbers))
     }
 
     /// Sets number k of the particles' records, `[N, width]`.
     #[inline(always)]
     pub fn set<L: Lanes<Real = R>>(&self, table: &Table, place: usize, [k, width]: [usize; 2], value: L) {
-        // SAFETY: a particle has one place, which a sweep gives to one thread.
-        table.scatter(place, value, |i, value| unsafe { self.0.set(width * i + k, value) });
+        table.scatter(place, value, |i, value| self.0.set(width * i + k, value));
     }
 
     /// Adds to the particles' numbers in a row that begins at `row`.
     #[inline(always)]
     pub fn add<L: Lanes<Real = R>>(&self, table: &Table, place: usize, row: usize, value: L) {
-        // SAFETY: as for `set`.
-        table.scatter(place, value, |i, value| unsafe { self.0.add(row + i, value) });
+        table.scatter(place, value, |i, value| self.0.add(row + i, value));
     }
 }
 

@@ -16,7 +16,8 @@ use super::kept::Kept;
 use super::kinds::{rows, PRESSURE};
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::sph::own::Own;
 use crate::sph::pairs::{stride, with_dimension, Records};
 use std::ops::Range;
 
@@ -31,7 +32,7 @@ struct Pass<'a, R, const D: usize, const G: usize> {
     /// F of the fluid's pairs.
     slope: &'a [R],
     /// Sums D_i, `[blocks, width]`; backward: cotangents of p, V, grad p, r of the fluid, `[blocks, 2 + 2 D, width]`.
-    sums: Shared<'a, R>,
+    sums: Own<'a, R>,
     /// Cotangents of p and r of dummy particles.
     known_bar: OfParticles<'a, R>,
     mode: Mode,
@@ -228,7 +229,7 @@ pub fn forward<R: Real>(
             geometry: *geometry,
             records: Records::new(&records, stride(record_fields(D)), n),
             slope: &kept.slope,
-            sums: Shared::new(&mut sums),
+            sums: Own::new(&mut sums),
             known_bar: OfParticles::new(&mut []),
             mode: Mode::Forward,
         },
@@ -298,7 +299,7 @@ pub fn backward<R: Real>(
             geometry: *geometry,
             records: Records::new(&records, stride(record_fields(D)), n),
             slope: &kept.slope,
-            sums: Shared::new(&mut sums),
+            sums: Own::new(&mut sums),
             known_bar: OfParticles::new(known_bar),
             mode: Mode::Fluid,
         };

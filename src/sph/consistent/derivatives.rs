@@ -18,7 +18,8 @@ use super::kept::Kept;
 use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::sph::own::Own;
 use crate::sph::pairs::{stride, Records};
 use std::ops::Range;
 
@@ -60,12 +61,12 @@ struct Forward<'a, R, const D: usize, const Q: usize, const P: usize, const N: u
     /// Position and fields of every particle, `[N, 4 G]`.
     records: Records<'a, R>,
     /// W and F of the fluid's pairs, as the table's index, and the matrices, `[blocks, KINDS, P, width]`, where they are made.
-    made: [Shared<'a, R>; 3],
+    made: [Own<'a, R>; 3],
     /// W of the fluid's pairs and the matrices, where they are there.
     value: &'a [R],
     factors: &'a [R],
     /// `[blocks, rows, width]`.
-    derivatives: Shared<'a, R>,
+    derivatives: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, const G: usize> RowKernel<R>
@@ -112,11 +113,8 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
                     spread[d] = (-f).mul_add(r[d], spread[d]);
                 }
             }
-            // SAFETY: each block writes its own pairs.
-            unsafe {
-                value.store(pair.at, w);
-                slope.store(pair.at, f);
-            }
+            value.store(pair.at, w);
+            slope.store(pair.at, f);
         }
         let lacking = |table: &Table| L::splat(R::of(table.depth::<R>(place) as f64)) - table.counts::<L>(place);
         let mut padding = lacking(fluid);
@@ -271,12 +269,12 @@ pub fn forward<R: Real>(
     derivatives.resize(blocks * rows(d, count) * width::<R>(), R::default());
     let records = if first { &kept.records } else { &kept.pressure_records };
     let records = Records::new(records, stride(d + count), n);
-    let (factors, derivatives) = (&mut kept.factors, Shared::new(derivatives));
+    let (factors, derivatives) = (&mut kept.factors, Own::new(derivatives));
     let (made, value, factors): ([&mut [R]; 3], &[R], &[R]) = match first {
         true => ([&mut kept.value, &mut kept.slope, factors], &[], &[]),
         false => ([&mut [], &mut [], &mut []], &kept.value, factors),
     };
-    let (geometry, made) = (*geometry, made.map(Shared::new));
+    let (geometry, made) = (*geometry, made.map(Own::new));
     macro_rules! go {
         ($d:literal, $q:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {
             run_rows(&Forward::<R, $d, $q, $p, $n, $g> { geometry, records, made, value, factors, derivatives }, blocks)

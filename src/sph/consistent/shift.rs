@@ -18,8 +18,9 @@ use super::kinds::rows;
 use super::layout::Layout;
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::Domain;
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Where a place lies between two particles of a row: the places of both in it, and how far they are to the right of it.
@@ -140,8 +141,8 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
         }
         Shift::Chain(chain) => {
             let at = Rows::new(geometry, chain, known);
-            let hints = Shared::new(hints(chain, &mut kept.hints));
-            let sweep = ChainSweep { geometry: *geometry, at, hints, derivatives: Shared::new(derivatives) };
+            let hints = Own::new(hints(chain, &mut kept.hints));
+            let sweep = ChainSweep { geometry: *geometry, at, hints, derivatives: Own::new(derivatives) };
             run_rows(&sweep, fluid.places);
         }
     }
@@ -151,8 +152,8 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
 struct ChainSweep<'a, R> {
     geometry: Geometry<'a, R>,
     at: Rows<'a, R>,
-    hints: Shared<'a, u32>,
-    derivatives: Shared<'a, R>,
+    hints: Own<'a, u32>,
+    derivatives: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
@@ -171,9 +172,8 @@ impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
             let along = at.toward(x, previous) + at.toward(x, next);
             let mut across = -two * y;
             for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
-                // SAFETY (all): each place has its own particle, and that its own hints.
-                let between = at.between(beside, x, unsafe { self.hints.get(2 * i + side) } as usize);
-                unsafe { self.hints.set(2 * i + side, between.left as u32) };
+                let between = at.between(beside, x, self.hints.get(2 * i + side) as usize);
+                self.hints.set(2 * i + side, between.left as u32);
                 let (share, _) = at.share(&between);
                 let height = |place: usize| at.y[chain.rows[beside][place] as usize];
                 let (low, high) = (height(between.left), height(between.right));
@@ -187,8 +187,7 @@ impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
                 w[1] += (u + w[0]) * slope - v;
             }
             for (k, w) in w.into_iter().enumerate() {
-                // SAFETY: likewise.
-                unsafe { self.derivatives.set(self::at::<R>(l, place, k), w) };
+                self.derivatives.set(self::at::<R>(l, place, k), w);
             }
         }
     }

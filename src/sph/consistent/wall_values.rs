@@ -12,7 +12,8 @@ use super::geometry::{get, Around, Geometry};
 use super::kept::Kept;
 use super::stencil::{accumulate, at, dot, factorise, packed, solve};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::sph::own::Own;
 use crate::sph::pairs::{stride, Records};
 use std::ops::Range;
 
@@ -37,10 +38,10 @@ struct Fitting<'a, R, const D: usize, const K: usize, const P: usize, const N: u
     /// Position and fields, `[N, 4 G]`.
     records: Records<'a, R>,
     /// The matrices `[blocks, P, width]`, where they are made, and where they are there.
-    made: Option<Shared<'a, R>>,
+    made: Option<Own<'a, R>>,
     factors: &'a [R],
     /// `[blocks, N K, width]`.
-    coefficients: Shared<'a, R>,
+    coefficients: Own<'a, R>,
 }
 
 /// r_j - r_i, its square, and q = (1, s).
@@ -133,10 +134,10 @@ pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], 
     {
         let (geometry, records) = (*geometry, Records::new(&records, stride(d + count), n));
         let (made, factors): (_, &[R]) = match all {
-            true => (Some(Shared::new(&mut kept.wall_factors)), &[]),
+            true => (Some(Own::new(&mut kept.wall_factors)), &[]),
             false => (None, &kept.wall_factors),
         };
-        let coefficients = Shared::new(coefficients);
+        let coefficients = Own::new(coefficients);
         macro_rules! go {
             ($d:literal, $k:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {
                 run_rows(&Fitting::<R, $d, $k, $p, $n, $g> { geometry, records, made, factors, coefficients }, blocks)

@@ -4,7 +4,8 @@
 //! channel is periodic: the two columns beyond either end are copies of those at the other end.
 
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{run_rows, run_rows_alone, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, run_rows_alone, RowKernel};
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Rows of ghosts beyond each wall, and columns that are copied beyond each end: how far a stencil reaches.
@@ -94,7 +95,7 @@ impl Grid {
 /// its own.
 pub struct Fields<'a, R> {
     pub grid: Grid,
-    numbers: Shared<'a, R>,
+    numbers: Own<'a, R>,
     /// Where the lines begin.
     lines: usize,
 }
@@ -103,7 +104,7 @@ impl<'a, R: Real> Fields<'a, R> {
     pub fn new(grid: Grid, fields: usize, lines: usize, numbers: &'a mut [R]) -> Self {
         let first_line = fields * grid.field();
         assert!(numbers.len() >= first_line + lines * grid.stride, "a field or a line without numbers");
-        Self { grid, numbers: Shared::new(numbers), lines: first_line }
+        Self { grid, numbers: Own::new(numbers), lines: first_line }
     }
 
     /// A field's numbers at a row from a column on, both of fluid particles or up to [`REACH`] beyond; behind the last column
@@ -134,8 +135,7 @@ impl<'a, R: Real> Fields<'a, R> {
     /// Sum of a line's columns, in their order.
     pub fn sum_of_line(&self, line: usize) -> f64 {
         let from = self.lines + line * self.grid.stride + self.grid.column(0);
-        // SAFETY: in bounds; sweeps that write lines have ended.
-        (0..self.grid.columns).map(|column| unsafe { self.numbers.get(from + column) }.f64()).sum()
+        (0..self.grid.columns).map(|column| self.numbers.get(from + column).f64()).sum()
     }
 
     #[inline(always)]
@@ -149,10 +149,8 @@ impl<'a, R: Real> Fields<'a, R> {
         let n = self.grid.columns;
         store_part(&self.numbers, start + column, value, n - column);
         if column < REACH || column + L::COUNT > n - REACH {
-            let copy = |from: usize, to: usize| {
-                // SAFETY: only the unit that has a column makes its copies.
-                unsafe { self.numbers.set(to, self.numbers.get(from)) }
-            };
+            // Only the unit that has a column makes its copies.
+            let copy = |from: usize, to: usize| self.numbers.set(to, self.numbers.get(from));
             for k in column..n.min(column + L::COUNT) {
                 if k < REACH {
                     copy(start + k, start + n + k);
@@ -167,17 +165,14 @@ impl<'a, R: Real> Fields<'a, R> {
 
 /// Stores the first `count` lanes, or all, in columns of a unit's own: a sweep over units gives each to one thread.
 #[inline(always)]
-pub fn store_part<L: Lanes>(to: &Shared<'_, L::Real>, place: usize, value: L, count: usize) {
-    // SAFETY: a unit's own columns; no lane type is wider than WIDEST.
-    unsafe {
-        if count >= L::COUNT {
-            to.store(place, value);
-        } else {
-            let mut lanes = [L::Real::default(); WIDEST];
-            value.store(lanes.as_mut_ptr());
-            to.slice(place..place + count).copy_from_slice(&lanes[..count]);
-        }
+pub fn store_part<L: Lanes>(to: &Own<'_, L::Real>, place: usize, value: L, count: usize) {
+    if count >= L::COUNT {
+        return to.store(place, value);
     }
+    let mut lanes = [L::Real::default(); WIDEST];
+    // SAFETY: no lane type is wider than WIDEST.
+    unsafe { value.store(lanes.as_mut_ptr()) };
+    (0..count).for_each(|k| to.set(place + k, lanes[k]));
 }
 
 #[cfg(test)]

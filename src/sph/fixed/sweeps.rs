@@ -10,7 +10,8 @@ use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::work::{field, line, Work};
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{RowKernel, Shared};
+use crate::numerics::sweep::RowKernel;
+use crate::sph::own::Own;
 use std::ops::{Deref, Range};
 
 /// What every sweep of a step reads.
@@ -75,7 +76,7 @@ impl<'a, R: Real> Context<'a, R> {
 
     /// Writes fluid particles' numbers in a row `[N]` of a state, in a unit's own columns.
     #[inline(always)]
-    pub fn to_state<L: Lanes<Real = R>>(&self, state: &Shared<'_, R>, row: usize, j: isize, column: usize, value: L) {
+    pub fn to_state<L: Lanes<Real = R>>(&self, state: &Own<'_, R>, row: usize, j: isize, column: usize, value: L) {
         let nx = self.fixed.grid.columns;
         let from = row * self.fixed.particles() + j as usize * nx;
         store_part(state, from + column, value, nx - column);
@@ -431,7 +432,7 @@ impl<'a, L: Lanes> Pairs<'a, L> {
 struct Kick<'a, R: Real> {
     context: &'a Context<'a, R>,
     /// Where the velocities go: the next state.
-    next: Option<&'a Shared<'a, R>>,
+    next: Option<&'a Own<'a, R>>,
     /// Or fields, with what the adjoint wants of the next state's cotangent.
     bar: Option<&'a [R]>,
 }
@@ -490,7 +491,7 @@ impl<R: Real> RowKernel<R> for Kick<'_, R> {
 /// The flux behind the kick -> pressure and temperature.
 struct Advance<'a, R: Real> {
     context: &'a Context<'a, R>,
-    next: Shared<'a, R>,
+    next: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Advance<'_, R> {
@@ -529,8 +530,8 @@ impl<R: Real> RowKernel<R> for Advance<'_, R> {
                 if at <= outlet {
                     store_part(&self.next, from + at, t, outlet + 1 - at);
                     if outlet < at + L::COUNT {
-                        // SAFETY: the columns behind the outlet are its unit's.
-                        unsafe { self.next.slice(from + outlet + 1..from + nx).fill(self.next.get(from + outlet)) };
+                        // The columns behind the outlet are its unit's.
+                        (outlet + 1..nx).for_each(|i| self.next.set(from + i, self.next.get(from + outlet)));
                     }
                 }
             }
@@ -549,7 +550,7 @@ impl<R: Real> Fixed<R> {
         for row in row::U..row::COUNT {
             next[row * n + fluid..(row + 1) * n].fill(R::default());
         }
-        let next = Shared::new(next);
+        let next = Own::new(next);
         self.metric(state, work);
         let context = self.kicked(state, work, Some(&next), None);
         run(&Advance { context: &context, next }, self.grid.units());
@@ -561,7 +562,7 @@ impl<R: Real> Fixed<R> {
         &'a self,
         state: &'a [R],
         work: &'a mut Work<R>,
-        next: Option<&Shared<'_, R>>,
+        next: Option<&Own<'_, R>>,
         bar: Option<&[R]>,
     ) -> Context<'a, R> {
         let mut context = Context::new(self, work);

@@ -5,10 +5,11 @@
 use super::chain::Step;
 use super::model::Standard;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::fluid_mask;
 use crate::sph::laws::conduction;
 use crate::sph::masks::below;
+use crate::sph::own::Own;
 use candle_core::{Result, Tensor};
 use std::ops::Range;
 
@@ -17,7 +18,7 @@ struct Forward<'a, R> {
     moved: &'a [R],
     primitives: &'a [R],
     rates: &'a [R],
-    state: Shared<'a, R>,
+    state: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Forward<'_, R> {
@@ -54,15 +55,15 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
 /// The forward pass, on plain numbers; `primitives` are read where the density evolves.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], rates: &[R], state: &mut [R]) {
     let model = &*step.model;
-    run_rows(&Forward { model, moved, primitives, rates, state: Shared::new(state) }, model.particles());
+    run_rows(&Forward { model, moved, primitives, rates, state: Own::new(state) }, model.particles());
 }
 
 struct Backward<'a, R> {
     model: &'a Standard<R>,
     moved: &'a [R],
     state_bar: &'a [R],
-    moved_bar: Shared<'a, R>,
-    rates_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
+    rates_bar: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Backward<'_, R> {
@@ -99,7 +100,7 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
 
 /// The adjoint, on plain numbers.
 pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
-    let (model, moved_bar, rates_bar) = (&*step.model, Shared::new(moved_bar), Shared::new(rates_bar));
+    let (model, moved_bar, rates_bar) = (&*step.model, Own::new(moved_bar), Own::new(rates_bar));
     run_rows(&Backward { model, moved, state_bar, moved_bar, rates_bar }, model.particles());
 }
 

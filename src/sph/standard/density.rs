@@ -12,8 +12,9 @@ use super::sweeps::Sweeps;
 use super::wall_condition::pack_fluid;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
+use crate::sph::own::Own;
 use crate::sph::pairs;
 use crate::sph::pairs::{pack_positions, stride, with_dimension, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
@@ -27,10 +28,10 @@ struct Forward<'a, R, const D: usize> {
     step: &'a Step<R>,
     position: Records<'a, R>,
     mass: Masses<'a, R>,
-    density: Shared<'a, R>,
-    slope: Shared<'a, R>,
+    density: Own<'a, R>,
+    slope: Own<'a, R>,
     moved: &'a [R],
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Forward<'_, R, D> {
@@ -46,8 +47,7 @@ impl<R: Real, const D: usize> Forward<'_, R, D> {
             let (_, r2) = geometry.difference::<EDGE>(&here[0], &there);
             let (w, f, _) = geometry.kernel.all(r2);
             sum += mask.apply(w);
-            // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe { self.slope.store(from + k * L::COUNT, mask.apply(f)) };
+            self.slope.store(from + k * L::COUNT, mask.apply(f));
         }
         sum
     }
@@ -69,12 +69,10 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
                 false => self.row::<L, false>(&geometry, i),
             };
             let (mass, sum) = (self.mass.of(i), own + sum.sum());
-            // SAFETY: each row writes its own particle and record.
-            unsafe {
-                self.density.set(i, mass * sum);
-                let record = self.records.slice(i * width..(i + 1) * width);
-                pack_fluid(self.step, self.moved, mass, mass * sum, i, record);
-            }
+            self.density.set(i, mass * sum);
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            pack_fluid(self.step, self.moved, mass, mass * sum, i, record);
         }
     }
 }
@@ -86,8 +84,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, de
     let (mass, l) = (Masses::new(model, moved), model.layout);
     kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * model.particles(), R::default());
     kept.has_fluid_records = true;
-    let (position, density) = (Records::new(&kept.position, 4, model.particles()), Shared::new(density));
-    let (slope, records) = (Shared::new(&mut kept.slope), Shared::new(&mut kept.records));
+    let (position, density) = (Records::new(&kept.position, 4, model.particles()), Own::new(density));
+    let (slope, records) = (Own::new(&mut kept.slope), Own::new(&mut kept.records));
     with_dimension!(l.dimension, |D| run_rows(
         &Forward::<R, D> { step, position, mass, density, slope, moved, records },
         list.fluid_rows.len(),
@@ -98,7 +96,7 @@ struct Backward<'a, R, const D: usize> {
     step: &'a Step<R>,
     /// Positions and b, `[N, 4]`: x y [z] b.
     position: Records<'a, R>,
-    moved_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Backward<'_, R, D> {
@@ -133,8 +131,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
                 false => self.row::<L, false>(&geometry, i),
             };
             for d in 0..D {
-                // SAFETY: each row writes its own particle.
-                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
+                self.moved_bar.add(d * n + i, sum[d].sum());
             }
         }
     }
@@ -149,7 +146,7 @@ pub fn backward<R: Real>(step: &Step<R>, moved: &[R], density: &[R], density_bar
     let b = |i: usize| if model.is_fluid(i) { density_bar[i] * mass.of(i) } else { R::default() };
     pack_positions(model, moved, Some(&b), &mut position);
     let (position, rows) = (Records::new(&position, 4, n), pairs::all_rows(&step.list));
-    let shared = Shared::new(moved_bar);
+    let shared = Own::new(moved_bar);
     with_dimension!(l.dimension, |D| run_rows(&Backward::<R, D> { step, position, moved_bar: shared }, rows));
     if l.mass {
         for i in 0..n {

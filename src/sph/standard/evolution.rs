@@ -16,11 +16,12 @@ use crate::numerics::candle::Operator;
 use crate::numerics::gather::Gather;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::Buffer;
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::Pairs;
 use crate::sph::laws::continuity::{self, Flowing};
 use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::Flux;
+use crate::sph::own::Own;
 use crate::sph::pairs;
 use crate::sph::pairs::{splat_fields, with_dimension, Fields, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
@@ -40,7 +41,7 @@ struct Packing<'a, R> {
     mass: Masses<'a, R>,
     /// dt times the cotangent of the density, in the adjoint.
     bar: Option<(R, &'a [R])>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 /// The packed records, in a buffer of the model.
@@ -48,7 +49,7 @@ fn pack<R: Real>(step: &Step<R>, moved: &[R], bar: Option<(R, &[R])>) -> Buffer<
     let (model, n) = (&*step.model, step.model.particles());
     let mut records = model.scratch.buffers.buffer(WIDTH * n);
     let mass = Masses::new(model, moved);
-    run_rows(&Packing { step, moved, mass, bar, records: Shared::new(&mut records) }, n);
+    run_rows(&Packing { step, moved, mass, bar, records: Own::new(&mut records) }, n);
     records
 }
 
@@ -104,8 +105,8 @@ struct Forward<'a, R, const D: usize> {
     dt: f64,
     records: Records<'a, R>,
     before: &'a [R],
-    density: Shared<'a, R>,
-    slope: Shared<'a, R>,
+    density: Own<'a, R>,
+    slope: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Forward<'_, R, D> {
@@ -121,8 +122,7 @@ impl<R: Real, const D: usize> Forward<'_, R, D> {
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
             let f = mask.apply(geometry.kernel.slope(apart.square));
             sum = (there[2 * D / 4][2 * D % 4] * f).mul_add(apart.parting, sum);
-            // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe { self.slope.store(from + k * L::COUNT, f) };
+            self.slope.store(from + k * L::COUNT, f);
         }
         sum
     }
@@ -143,8 +143,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
                 false => self.row::<L, false>(&geometry, i),
             };
             let before = self.before[i];
-            // SAFETY: each row writes its own particle.
-            unsafe { self.density.set(i, before + dt * (before * sum.sum())) };
+            self.density.set(i, before + dt * (before * sum.sum()));
         }
     }
 }
@@ -156,7 +155,7 @@ pub fn forward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], kept: &mut PairCac
     let records = pack(step, moved, None);
     let before = &moved[model.layout.moved_density() * n..][..n];
     density[..n].copy_from_slice(before);
-    let (density, slope) = (Shared::new(density), Shared::new(&mut kept.slope));
+    let (density, slope) = (Own::new(density), Own::new(&mut kept.slope));
     let records = Records::new(&records, WIDTH, n);
     with_dimension!(model.layout.dimension, |D| run_rows(
         &Forward::<R, D> { step, dt, records, before, density, slope },
@@ -171,7 +170,7 @@ struct Backward<'a, R, const D: usize> {
     before: &'a [R],
     density: &'a [R],
     density_bar: &'a [R],
-    moved_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 /// Sums of a row of the adjoint.
@@ -226,17 +225,14 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
                 // The moved density of a wall is handed on.
                 false => self.density_bar[i],
             };
-            // SAFETY: each row writes its own particle.
-            unsafe {
-                let add = |field: usize, value: R| self.moved_bar.add(field * n + i, value);
-                for d in 0..D {
-                    add(d, sums.position[d].sum());
-                    add(l.velocity() + d, sums.velocity[d].sum());
-                }
-                add(l.moved_density(), own - volume_bar * record[2 * D] / before);
-                if l.mass {
-                    add(l.moved_mass(), volume_bar * record[2 * D] / self.mass.of(i));
-                }
+            let add = |field: usize, value: R| self.moved_bar.add(field * n + i, value);
+            for d in 0..D {
+                add(d, sums.position[d].sum());
+                add(l.velocity() + d, sums.velocity[d].sum());
+            }
+            add(l.moved_density(), own - volume_bar * record[2 * D] / before);
+            if l.mass {
+                add(l.moved_mass(), volume_bar * record[2 * D] / self.mass.of(i));
             }
         }
     }
@@ -252,8 +248,7 @@ pub fn backward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], density: &[R], de
         moved_bar[l.moved_density() * n + i] += density_bar[i];
     }
     let before = &moved[l.moved_density() * n..][..n];
-    let (records, mass, moved_bar) =
-        (Records::new(&records, WIDTH, n), Masses::new(model, moved), Shared::new(moved_bar));
+    let (records, mass, moved_bar) = (Records::new(&records, WIDTH, n), Masses::new(model, moved), Own::new(moved_bar));
     with_dimension!(l.dimension, |D| run_rows(
         &Backward::<R, D> { step, records, mass, before, density, density_bar, moved_bar },
         pairs::all_rows(list),

@@ -16,7 +16,7 @@ use super::evolution;
 use super::pair_cache::PairCache;
 use super::records::{record_fields, record_temperature};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::flow::{Heat, Materials};
 use crate::sph::laws::riemann::Surroundings;
@@ -25,6 +25,7 @@ use crate::sph::laws::{
     Sums, TransportVelocity,
 };
 use crate::sph::masks;
+use crate::sph::own::Own;
 use crate::sph::pairs;
 use crate::sph::pairs::{splat_fields, stride, Fields, Records, RowGeometry};
 use candle_core::{Result, Tensor};
@@ -79,7 +80,7 @@ struct Forward<'a, R, W, const D: usize> {
     laws: W,
     kept: &'a PairCache<R>,
     mass: Masses<'a, R>,
-    rates: Shared<'a, R>,
+    rates: Own<'a, R>,
 }
 
 impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
@@ -137,20 +138,17 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
                 false => self.row::<L, false>(&geometry, i),
             };
             let inverse_mass = R::of(1.0) / self.mass.of(i);
-            // SAFETY (all writes): each fluid row writes its own particle.
-            unsafe {
-                for d in 0..D {
-                    let given = R::of(model.body_force.along(d, record[1].f64()));
-                    self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
-                    if W::TRANSPORT {
-                        self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
-                    }
+            for d in 0..D {
+                let given = R::of(model.body_force.along(d, record[1].f64()));
+                self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
+                if W::TRANSPORT {
+                    self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
                 }
-                if W::HEAT {
-                    let rate = conduction * inverse_mass * sums.warmth.sum() / conduction::capacity(model, i);
-                    let open = conduction::conducts(model, record[0]);
-                    self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
-                }
+            }
+            if W::HEAT {
+                let rate = conduction * inverse_mass * sums.warmth.sum() / conduction::capacity(model, i);
+                let open = conduction::conducts(model, record[0]);
+                self.rates.set(model.layout.rate_temperature() * n + i, if open { rate } else { R::default() });
             }
         }
     }
@@ -159,7 +157,7 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
 /// The forward pass, on plain numbers, from [`PairCache`]'s pairs and records. `rates` must be zero for walls.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates: &mut [R]) {
     let mass = Masses::new(&step.model, moved);
-    let rates = Shared::new(rates);
+    let rates = Own::new(rates);
     with_laws!(&*step.model, |laws, D| run_rows(
         &Forward::<R, _, D> { step, laws, kept, mass, rates },
         step.list.fluid_rows.len(),
@@ -183,8 +181,8 @@ struct Backward<'a, R, W, const D: usize> {
     /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
     bars: Records<'a, R>,
     mass: Masses<'a, R>,
-    moved_bar: Shared<'a, R>,
-    primitives_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
+    primitives_bar: Own<'a, R>,
 }
 
 const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
@@ -278,26 +276,23 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
             let mut density_bar = bar.density.sum();
             let volume_bar = bar.volume.sum();
             density_bar -= volume_bar * volume / density;
-            // SAFETY (all writes): each row writes its own particle.
-            unsafe {
-                for d in 0..D {
-                    self.moved_bar.add(d * n + i, bar.position[d].sum());
-                    self.primitives_bar.set((l.primitive_velocity() + d) * n + i, bar.velocity[d].sum());
-                    if W::TRANSPORT {
-                        // transport = rho w / 2
-                        let t = bar.transport[d].sum();
-                        let half = R::of(0.5) * t;
-                        density_bar += half * record[2 * D + 2 + d];
-                        self.primitives_bar.set((l.primitive_shift() + d) * n + i, half * density);
-                    }
+            for d in 0..D {
+                self.moved_bar.add(d * n + i, bar.position[d].sum());
+                self.primitives_bar.set((l.primitive_velocity() + d) * n + i, bar.velocity[d].sum());
+                if W::TRANSPORT {
+                    // transport = rho w / 2
+                    let t = bar.transport[d].sum();
+                    let half = R::of(0.5) * t;
+                    density_bar += half * record[2 * D + 2 + d];
+                    self.primitives_bar.set((l.primitive_shift() + d) * n + i, half * density);
                 }
-                if W::HEAT {
-                    self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
-                }
-                self.primitives_bar.set(i, density_bar);
-                if l.mass {
-                    self.moved_bar.add(l.moved_mass() * n + i, volume_bar * volume / self.mass.of(i));
-                }
+            }
+            if W::HEAT {
+                self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
+            }
+            self.primitives_bar.set(i, density_bar);
+            if l.mass {
+                self.moved_bar.add(l.moved_mass() * n + i, volume_bar * volume / self.mass.of(i));
             }
         }
     }
@@ -311,8 +306,8 @@ struct PackingBars<'a, R> {
     rates: &'a [R],
     rates_bar: &'a [R],
     mass: Masses<'a, R>,
-    bars: Shared<'a, R>,
-    moved_bar: Shared<'a, R>,
+    bars: Own<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
@@ -358,8 +353,7 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
                 }
             }
             if l.mass {
-                // SAFETY: each row writes its own particle.
-                unsafe { self.moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass) };
+                self.moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass);
             }
         }
     }
@@ -381,18 +375,11 @@ pub fn backward<R: Real>(
     let mass = Masses::new(model, moved);
     let width = stride(bar_fields(l.dimension, l.transport, l.heat));
     let mut bars = model.scratch.buffers.buffer(width * n);
-    let packing = PackingBars {
-        step,
-        moved,
-        rates,
-        rates_bar,
-        mass,
-        bars: Shared::new(&mut bars),
-        moved_bar: Shared::new(moved_bar),
-    };
+    let packing =
+        PackingBars { step, moved, rates, rates_bar, mass, bars: Own::new(&mut bars), moved_bar: Own::new(moved_bar) };
     run_rows(&packing, n);
     let (bars, moved_bar, primitives_bar) =
-        (Records::new(&bars, width, n), Shared::new(moved_bar), Shared::new(primitives_bar));
+        (Records::new(&bars, width, n), Own::new(moved_bar), Own::new(primitives_bar));
     with_laws!(model, |laws, D| run_rows(
         &Backward::<R, _, D> { step, laws, kept, bars, mass, moved_bar, primitives_bar },
         pairs::all_rows(&step.list),

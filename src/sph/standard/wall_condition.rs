@@ -25,11 +25,12 @@ use super::records::{dispatch, record_fields, record_temperature};
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::{Flux, Slip};
 use crate::sph::masks;
+use crate::sph::own::Own;
 use crate::sph::pairs;
 use crate::sph::pairs::{gather_fields, pack_positions, splat_fields, stride, Fields, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
@@ -216,7 +217,7 @@ struct FluidRecords<'a, R> {
     moved: &'a [R],
     density: &'a [R],
     mass: Masses<'a, R>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for FluidRecords<'_, R> {
@@ -260,8 +261,8 @@ struct Walls<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     position: Records<'a, R>,
     moved: &'a [R],
     mass: Masses<'a, R>,
-    records: Shared<'a, R>,
-    primitives: Option<Shared<'a, R>>,
+    records: Own<'a, R>,
+    primitives: Option<Own<'a, R>>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -281,7 +282,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             let (weight, sums) = wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &geometry, self.position, records, i);
             let average = averages(step, weight.sum(), &sums.map(|sum| sum.sum()));
             let values = wall_values(step, self.moved, &average, i);
-            // SAFETY (all writes): each wall row writes its own particle.
+            // SAFETY: each wall row writes its own record.
             let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
             for d in 0..D {
                 record[d] = self.moved[d * n + i];
@@ -296,7 +297,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 record[record_temperature(D, TRANSPORT)] = values.temperature;
             }
             if let Some(primitives) = &self.primitives {
-                store_rows(step, &values, i, |place, value| unsafe { primitives.set(place, value) });
+                store_rows(step, &values, i, |place, value| primitives.set(place, value));
             }
         }
     }
@@ -329,10 +330,7 @@ pub fn forward<R: Real>(
     let mut records = std::mem::take(&mut kept.records);
     records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
     if !kept.has_fluid_records {
-        run_rows(
-            &FluidRecords { step, moved, density, mass, records: Shared::new(&mut records) },
-            list.fluid_rows.len(),
-        );
+        run_rows(&FluidRecords { step, moved, density, mass, records: Own::new(&mut records) }, list.fluid_rows.len());
     }
     if list.fluid_rows.len() < n && !kept.has_pairs {
         pack_positions(model, moved, None, &mut kept.position);
@@ -354,8 +352,8 @@ pub fn forward<R: Real>(
                 position: Records::new(&kept.position, 4, n),
                 moved,
                 mass,
-                records: Shared::new(&mut records),
-                primitives: primitives.map(Shared::new),
+                records: Own::new(&mut records),
+                primitives: primitives.map(Own::new),
             };
             run_rows(&walls, list.wall_rows.len())
         }};
@@ -376,8 +374,8 @@ struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> 
     step: &'a Step<R>,
     kept: &'a PairCache<R>,
     primitives_bar: &'a [R],
-    sums_bar: Shared<'a, R>,
-    moved_bar: Shared<'a, R>,
+    sums_bar: Own<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -457,8 +455,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 }
             }
             for d in 0..D {
-                // SAFETY: each wall row writes its own particle.
-                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
+                self.moved_bar.add(d * n + i, sum[d].sum());
             }
         }
     }
@@ -469,8 +466,8 @@ struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool>
     step: &'a Step<R>,
     kept: &'a PairCache<R>,
     sums_bar: Records<'a, R>,
-    moved_bar: Shared<'a, R>,
-    density_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
+    density_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -543,22 +540,19 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     position[d] = factor.mul_add(dr[d], position[d]);
                 }
             }
-            // SAFETY: each fluid row writes its own particle, on top of what the copies gave.
-            unsafe {
-                let add = |field: usize, value: R| self.moved_bar.add(field * n + j, value);
-                for d in 0..D {
-                    add(d, position[d].sum());
-                    add(l.velocity() + d, sums.velocity[d].sum());
-                    if TRANSPORT {
-                        add(l.moved_shift() + d, sums.shift[d].sum());
-                    }
+            let add = |field: usize, value: R| self.moved_bar.add(field * n + j, value);
+            for d in 0..D {
+                add(d, position[d].sum());
+                add(l.velocity() + d, sums.velocity[d].sum());
+                if TRANSPORT {
+                    add(l.moved_shift() + d, sums.shift[d].sum());
                 }
-                if HEAT {
-                    add(l.moved_old_temperature(), sums.temperature.sum());
-                }
-                let slope = model.equation_of_state.slope(record[D + 1]);
-                self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
             }
+            if HEAT {
+                add(l.moved_old_temperature(), sums.temperature.sum());
+            }
+            let slope = model.equation_of_state.slope(record[D + 1]);
+            self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
         }
     }
 }
@@ -578,7 +572,7 @@ pub fn backward<R: Real>(
     let two = R::of(2.0);
     let mut copy = |to: usize, from: usize, count: usize, wall: R| {
         let from = &primitives_bar[from * n..(from + count) * n];
-        let to = Shared::new(&mut moved_bar[to * n..(to + count) * n]);
+        let to = Own::new(&mut moved_bar[to * n..(to + count) * n]);
         run_rows(&Handing { model, from, to, wall }, n);
     };
     copy(l.velocity(), l.primitive_velocity(), d, two);
@@ -589,7 +583,7 @@ pub fn backward<R: Real>(
         copy(l.moved_temperature(), l.primitive_temperature(), 1, R::default());
     }
     // (Where it is zero.)
-    run_rows(&Handing { model, from: &primitives_bar[..n], to: Shared::new(density_bar), wall: R::default() }, n);
+    run_rows(&Handing { model, from: &primitives_bar[..n], to: Own::new(density_bar), wall: R::default() }, n);
     if list.fluid_rows.len() == n {
         return;
     }
@@ -603,8 +597,8 @@ pub fn backward<R: Real>(
                     step,
                     kept,
                     primitives_bar,
-                    sums_bar: Shared::new(&mut sums_bar),
-                    moved_bar: Shared::new(moved_bar),
+                    sums_bar: Own::new(&mut sums_bar),
+                    moved_bar: Own::new(moved_bar),
                 },
                 list.wall_rows.len(),
             );
@@ -613,8 +607,8 @@ pub fn backward<R: Real>(
                     step,
                     kept,
                     sums_bar: Records::new(&sums_bar, width, n),
-                    moved_bar: Shared::new(moved_bar),
-                    density_bar: Shared::new(density_bar),
+                    moved_bar: Own::new(moved_bar),
+                    density_bar: Own::new(density_bar),
                 },
                 list.fluid_rows.len(),
             );
@@ -627,7 +621,7 @@ pub fn backward<R: Real>(
 struct Handing<'a, R: Real> {
     model: &'a Standard<R>,
     from: &'a [R],
-    to: Shared<'a, R>,
+    to: Own<'a, R>,
     wall: R,
 }
 
