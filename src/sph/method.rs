@@ -4,7 +4,7 @@
 //! gradients and [`super::plan`] prints what it computes; none of them depends on which method it is.
 
 use super::flow::Flow;
-use super::inventory::{Dropped, Field, Operator};
+use super::inventory::{dropped, Dropped, Field, Operator};
 use super::pace::TimeSteps;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
@@ -130,9 +130,16 @@ pub trait Method<R>: Any + Debug + Send + Sync {
     /// The operators of a step, in order.
     fn operators(&self, list: &NeighbourList) -> Vec<Operator>;
     /// The packed tensors of a step.
-    fn fields(&self) -> Vec<Field>;
+    fn fields(&self) -> Vec<Field> {
+        vec![Field::of::<R>("state", self.flow().rows.names(), self.flow().particles())]
+    }
     /// What is left out of a step, and why.
-    fn dropped(&self) -> Vec<Dropped>;
+    fn dropped(&self) -> Vec<Dropped> {
+        vec![
+            dropped("transport velocity and its acceleration", "the formulation has a shift"),
+            dropped("density summation, mass, background pressure", "the pressure is a field of its own"),
+        ]
+    }
 }
 
 impl<R: 'static> Deref for dyn Method<R> {
