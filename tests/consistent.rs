@@ -155,7 +155,7 @@ fn derivatives<R: Sweeps>(model: &Consistent<R>, known: &[f64]) -> Vec<(usize, V
     let (q, rows) = (monomials(d), found.len() / lanes / blocks.fluid.blocks());
     let at = |place: usize, row: usize| found[(place / lanes * rows + row) * lanes + place % lanes].f64();
     let of = |place: usize| (0..fields).map(|f| (0..q).map(|m| at(place, f * q + m)).collect()).collect();
-    (0..blocks.fluid.places).map(|place| (blocks.fluid.members[place] as usize, of(place))).collect()
+    blocks.fluid.each().map(|(place, i)| (i, of(place))).collect()
 }
 
 /// A quadratic around a place: its value, and its derivatives in units of dx.

@@ -2,6 +2,7 @@
 
 use crate::support::final_sum::{FinalSum, Summed};
 use crate::support::random_scene::{permute, Options, RandomScene, DX};
+use crate::support::standard::{Assemble, AssembleEvolved, Rates};
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
@@ -84,7 +85,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         false => apply1(density::Density(Chain::new(step.clone())), &moved).unwrap(),
     };
     let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
-    let rates = apply2(rates::Rates(Chain::new(step.clone())), &moved, &primitives).unwrap();
+    let rates = apply2(Rates(Chain::new(step.clone())), &moved, &primitives).unwrap();
     let targets = targets(&model.clone().into(), scene);
     let interpolation = Interpolation { kernel: model.kernel, domain: model.domain, targets, kernels: Kernels::Fused };
     let taken: Arc<Vec<bool>> = Arc::new((0..n).map(|i| i % 7 != 3).collect());
@@ -133,7 +134,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
     add(
         "rates",
         &[&moved, &primitives],
-        Box::new(move |t| apply2(rates::Rates(Chain::new(s.clone())), &t[0], &t[1])),
+        Box::new(move |t| apply2(Rates(Chain::new(s.clone())), &t[0], &t[1])),
         Box::new(move |t| rates::composed(&s2, &s2.pairs(&t[0])?, &t[0], &t[1])),
     );
     let (s, s2) = (step.clone(), step.clone());
@@ -141,7 +142,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
         true => add(
             "assemble",
             &[&moved, &primitives, &rates],
-            Box::new(move |t| apply3(assemble::AssembleEvolved(Chain::new(s.clone())), &t[0], &t[1], &t[2])),
+            Box::new(move |t| apply3(AssembleEvolved(Chain::new(s.clone())), &t[0], &t[1], &t[2])),
             Box::new(move |t| assemble::composed(&s2, &t[0], &t[1], &t[2])),
         ),
         false => {
@@ -149,7 +150,7 @@ fn operators<R: Sweeps>(scene: &RandomScene) -> Vec<Operator> {
             add(
                 "assemble",
                 &[&moved, &rates],
-                Box::new(move |t| apply2(assemble::Assemble(Chain::new(s.clone())), &t[0], &t[1])),
+                Box::new(move |t| apply2(Assemble(Chain::new(s.clone())), &t[0], &t[1])),
                 Box::new(move |t| assemble::composed(&s2, &t[0], &primitives, &t[1])),
             )
         }
@@ -416,7 +417,7 @@ fn rates_of<R: Sweeps>(scene: &RandomScene) -> (Vec<f64>, Vec<f64>) {
     let step = scene.step(&model, &moved.flatten_all().unwrap().to_vec1::<R>().unwrap());
     let density = apply1(density::Density(Chain::new(step.clone())), &moved).unwrap();
     let primitives = apply2(wall_condition::WallCondition(Chain::new(step.clone())), &moved, &density).unwrap();
-    let rates = apply2(rates::Rates(Chain::new(step)), &moved, &primitives).unwrap();
+    let rates = apply2(Rates(Chain::new(step)), &moved, &primitives).unwrap();
     let mass = match scene.options.mass {
         true => scene.state[model.layout.state_mass() * n..].to_vec(),
         false => vec![model.mass; n],

@@ -28,9 +28,6 @@ pub struct Pairs {
 
 impl Pairs {
     /// The pairs of a list, with positions in the first rows of `moved`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new<R: Real>(flow: &Flow<R>, list: &NeighbourList, moved: &Tensor) -> Result<Self> {
         let (n, k, d) = (list.particles, list.capacity, flow.dimension());
         let (index, mask) = list.tensors(moved.device(), moved.dtype())?;

@@ -31,9 +31,6 @@ struct Near<R> {
 
 impl Interpolation {
     /// Positions `[D, N]`, fields `[C, N]` -> sums `[C, targets]` over the particles whose `taken` is true.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn sums(&self, position: &Tensor, fields: &Tensor, taken: &Arc<Vec<bool>>) -> Result<Tensor> {
         if self.kernels == Kernels::Composed {
             return self.composed(position, fields, taken);
@@ -46,9 +43,6 @@ impl Interpolation {
     }
 
     /// The same sums by ordinary candle operators, as reference for tests.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, position: &Tensor, fields: &Tensor, taken: &[bool]) -> Result<Tensor> {
         let (n, m, device) = (taken.len(), self.targets.len(), position.device());
         // Keeps the root differentiable where a target coincides with a particle; W has no slope there.

@@ -17,6 +17,28 @@ pub struct Operator {
     pub bytes_gathered: usize,
 }
 
+impl Operator {
+    pub fn new(
+        name: &'static str,
+        does: Vec<String>,
+        [rows, pairs]: [usize; 2],
+        [bytes_read, bytes_written, bytes_gathered]: [usize; 3],
+    ) -> Self {
+        Self { name, does, rows, pairs, bytes_read, bytes_written, bytes_gathered }
+    }
+
+    /// The check whether a neighbour list is still valid, in these many dimensions.
+    pub fn neighbours<R>(particles: usize, dimension: usize) -> Self {
+        let does = words(&[(true, "largest move since the list was built; a new list at half the skin")]);
+        Self::new("neighbours", does, [particles, 0], [2 * dimension * particles * std::mem::size_of::<R>(), 0, 0])
+    }
+}
+
+/// Those words that are wanted.
+pub fn words(parts: &[(bool, &str)]) -> Vec<String> {
+    parts.iter().filter(|(wanted, _)| *wanted).map(|(_, text)| text.to_string()).collect()
+}
+
 /// A packed tensor `[rows, N]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Field {

@@ -4,7 +4,7 @@
 //! gradients and [`super::plan`] prints what it computes; none of them depends on which method it is.
 
 use super::flow::Flow;
-use super::inventory::{Dropped, Field, Operator};
+use super::inventory::{dropped, Dropped, Field, Operator};
 use super::pace::TimeSteps;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
@@ -130,9 +130,16 @@ pub trait Method<R>: Any + Debug + Send + Sync {
     /// The operators of a step, in order.
     fn operators(&self, list: &NeighbourList) -> Vec<Operator>;
     /// The packed tensors of a step.
-    fn fields(&self) -> Vec<Field>;
+    fn fields(&self) -> Vec<Field> {
+        vec![Field::of::<R>("state", self.flow().rows.names(), self.flow().particles())]
+    }
     /// What is left out of a step, and why.
-    fn dropped(&self) -> Vec<Dropped>;
+    fn dropped(&self) -> Vec<Dropped> {
+        vec![
+            dropped("transport velocity and its acceleration", "the formulation has a shift"),
+            dropped("density summation, mass, background pressure", "the pressure is a field of its own"),
+        ]
+    }
 }
 
 impl<R: 'static> Deref for dyn Method<R> {
@@ -156,22 +163,31 @@ pub struct Place<'a, R> {
 }
 
 impl<R: Search> Place<'_, R> {
-    /// Makes the neighbour list valid for the positions of a state, which may be on any device.
+    /// Makes the neighbour list valid for positions `[D, N]`.
     ///
     /// # Errors
-    /// Particles that are lost or too fast; tensor errors.
-    pub fn update_list(&mut self, flow: &Flow<R>, state: &Tensor) -> Result<(), RunError> {
+    /// Particles that are lost or too fast.
+    pub fn update(&mut self, flow: &Flow<R>, position: &[R]) -> Result<(), RunError> {
         let step = self.step;
-        let failed = RunError::tensor(step);
+        let updated = self.neighbourhood.update(&flow.reach(), position);
+        updated.map_err(|source| RunError::Neighbours { step, source })
+    }
+
+    /// [`Self::update`] for the positions of a state, which may be on any device.
+    ///
+    /// # Errors
+    /// As there; tensor errors.
+    pub fn update_list(&mut self, flow: &Flow<R>, state: &Tensor) -> Result<(), RunError> {
+        let failed = RunError::tensor(self.step);
         let position = state.detach().narrow(0, 0, flow.dimension());
         let position = position.and_then(|position| position.to_device(&Device::Cpu)?.to_dtype(R::DTYPE));
         let mut updated = Ok(());
         read(&position.map_err(&failed)?, |position: &[R]| {
-            updated = self.neighbourhood.update(&flow.reach(), position);
+            updated = self.update(flow, position);
             Ok(())
         })
         .map_err(&failed)?;
-        updated.map_err(|source| RunError::Neighbours { step, source })
+        updated
     }
 }
 
@@ -220,9 +236,6 @@ pub trait Worker<R>: Debug + Send {
     fn look(&mut self, place: &mut Place<'_, R>, state: &[R], to: &mut Looked<R>) -> Result<(), RunError>;
     /// Heat that walls give to the conducting fluid with x < `until`, for the state of the last [`Self::look`]. Its
     /// unit is density * temperature * volume / time (times the heat capacity: power).
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn wall_heat(&self, place: &Place<'_, R>, state: &[R], until: f64) -> Result<f64, RunError>;
     /// The acceleration along x that held the flow rate or the power in the last step; none where the force is given.
     fn drive(&self) -> Option<f64> {
@@ -260,9 +273,6 @@ pub trait Recorder<R>: Send {
         false
     }
     /// The fields of a state, by the present neighbour list.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn look(&mut self, place: &mut Place<'_, R>, state: &Tensor) -> Result<Shown, RunError>;
     /// Takes the numbers that [`Worker::remember`] copied for the next step.
     fn recall(&mut self, _numbers: &[R]) {}
@@ -277,9 +287,6 @@ pub trait Steady<R> {
     /// positions.
     fn gradient(&self, state: &[R], bar: &[R]) -> SteadyGradient<R>;
     /// The fields of a steady state, on the graph if the state is.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn shown(&self, state: &Tensor) -> candle_core::Result<Shown>;
 }
 

@@ -1,15 +1,32 @@
-//! What every sweep over pairs shares: rows, differences, masses, packing.
+//! What every sweep over pairs shares: rows, records, differences, packing.
 
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::Images;
-use crate::particles::Domain;
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
+use crate::sph::kernels::KernelLanes;
+use crate::sph::own::Own;
+use std::marker::PhantomData;
 use std::ops::Range;
 
-/// Differences of positions, in lanes.
+/// Calls `$go` with the constant of a flow's dimension.
+macro_rules! with_dimension {
+    ($dimension:expr, |$d:ident| $go:expr) => {
+        if $dimension == 2 {
+            const $d: usize = 2;
+            $go
+        } else {
+            const $d: usize = 3;
+            $go
+        }
+    };
+}
+pub(super) use with_dimension;
+
+/// Differences of positions and the kernel of them, in lanes.
 pub struct RowGeometry<L: Lanes, const D: usize> {
+    pub kernel: KernelLanes<L>,
     images: Images<L, D>,
     /// Between these no neighbour within the cut-off lies across a periodic edge.
     low: [L::Real; D],
@@ -18,10 +35,11 @@ pub struct RowGeometry<L: Lanes, const D: usize> {
 
 impl<L: Lanes, const D: usize> RowGeometry<L, D> {
     #[inline(always)]
-    pub fn new(domain: &Domain, cutoff: f64) -> Self {
-        let of = L::Real::of;
-        let edge = |d: usize, at: f64, none: f64| of(if domain.periodic[d] { at } else { none });
+    pub fn new(flow: &Flow<L::Real>) -> Self {
+        let (domain, cutoff) = (&flow.domain, flow.kernel.cutoff());
+        let edge = |d: usize, at: f64, none: f64| L::Real::of(if domain.periodic[d] { at } else { none });
         Self {
+            kernel: flow.kernel.lanes(),
             images: Images::new(domain),
             low: std::array::from_fn(|d| edge(d, cutoff, f64::NEG_INFINITY)),
             high: std::array::from_fn(|d| edge(d, domain.size[d] - cutoff, f64::INFINITY)),
@@ -73,9 +91,7 @@ impl<L: Lanes> Mask<L> {
             self.lane.select_less(self.end, inside, L::zero())
         }
     }
-}
 
-impl<L: Lanes> Mask<L> {
     /// The same vector's lanes up to the entry `end` only.
     #[inline(always)]
     pub fn up_to(&self, at: usize, end: usize) -> Self {
@@ -84,7 +100,78 @@ impl<L: Lanes> Mask<L> {
     }
 }
 
-/// The vectors of row i: where their particle numbers stand, and their mask.
+/// The numbers of COUNT particles, one for each lane.
+#[derive(Clone, Copy)]
+pub struct Names<'a, L> {
+    numbers: &'a [u32],
+    lanes: PhantomData<L>,
+}
+
+impl<'a, L: Lanes> Names<'a, L> {
+    /// The first COUNT of some numbers of a neighbour list: all of them are below the list's number of particles.
+    #[inline(always)]
+    pub fn first_of(numbers: &'a [u32]) -> Self {
+        Self { numbers: &numbers[..L::COUNT], lanes: PhantomData }
+    }
+}
+
+/// Records of all particles of a neighbour list.
+#[derive(Clone, Copy)]
+pub struct Records<'a, R> {
+    numbers: &'a [R],
+    width: usize,
+}
+
+impl<'a, R: Real> Records<'a, R> {
+    /// Records of so many particles, each `width` numbers long.
+    #[inline(always)]
+    pub fn new(numbers: &'a [R], width: usize, particles: usize) -> Self {
+        assert!(numbers.len() >= width * particles, "a particle without a record");
+        Self { numbers, width }
+    }
+
+    /// A particle's own record.
+    #[inline(always)]
+    pub fn of(&self, i: usize) -> &'a [R] {
+        &self.numbers[i * self.width..(i + 1) * self.width]
+    }
+
+    /// `values[name]`, of records that are one number long.
+    #[inline(always)]
+    pub fn numbers<L: Lanes<Real = R>>(&self, names: Names<'_, L>) -> L {
+        self.check(1, names);
+        // SAFETY: every particle has a record, see `new`, and names are of particles.
+        unsafe { L::gather(self.numbers.as_ptr(), names.numbers.as_ptr()) }
+    }
+
+    /// Whole records of G groups of four numbers, transposed.
+    #[inline(always)]
+    pub fn groups<L: Lanes<Real = R>, const G: usize>(&self, names: Names<'_, L>) -> [[L; 4]; G] {
+        self.check(4 * G, names);
+        let mut all = [[L::zero(); 4]; G];
+        for group in 0..G {
+            // SAFETY: as for `numbers`.
+            all[group] = unsafe { L::gather4(self.numbers.as_ptr().add(4 * group), 4 * G, names.numbers.as_ptr()) };
+        }
+        all
+    }
+
+    /// Whole records of so many fields.
+    #[inline(always)]
+    pub fn fields<L: Lanes<Real = R>>(&self, fields: usize, names: Names<'_, L>) -> Fields<L> {
+        self.check(stride(fields), names);
+        // SAFETY: as for `numbers`.
+        unsafe { gather_fields(self.numbers.as_ptr(), fields, names) }
+    }
+
+    #[inline(always)]
+    fn check<L: Lanes>(&self, width: usize, names: Names<'_, L>) {
+        debug_assert_eq!(width, self.width);
+        debug_assert!(names.numbers.iter().all(|&i| (i as usize + 1) * width <= self.numbers.len()));
+    }
+}
+
+/// The vectors of row i: their particles and their mask.
 #[inline(always)]
 pub fn row<L: Lanes>(list: &NeighbourList, i: usize) -> Vectors<'_, L> {
     part(list, i, 0, list.count[i] as usize)
@@ -93,7 +180,15 @@ pub fn row<L: Lanes>(list: &NeighbourList, i: usize) -> Vectors<'_, L> {
 /// [`row`] for the entries `from..to` only.
 #[inline(always)]
 pub fn part<L: Lanes>(list: &NeighbourList, i: usize, from: usize, to: usize) -> Vectors<'_, L> {
-    Vectors { row: list.row(i), at: from / L::COUNT * L::COUNT, from, to, lanes: std::marker::PhantomData }
+    Vectors { row: list.row(i), at: from / L::COUNT * L::COUNT, from, to, lanes: PhantomData }
+}
+
+/// [`row`] with the numbers that were kept of each pair, as the list's index.
+#[inline(always)]
+pub fn row_with<'a, L: Lanes>(list: &'a NeighbourList, i: usize, numbers: &'a [L::Real]) -> RowWith<'a, L> {
+    let numbers = &numbers[i * list.capacity..(i + 1) * list.capacity];
+    assert!(numbers.len() >= list.row(i).len());
+    RowWith { vectors: row(list, i), numbers }
 }
 
 /// Iterator of [`row`]. Not a function that takes a closure: big closures are not inlined, and an AVX-512 body outside
@@ -103,11 +198,11 @@ pub struct Vectors<'a, L> {
     at: usize,
     from: usize,
     to: usize,
-    lanes: std::marker::PhantomData<L>,
+    lanes: PhantomData<L>,
 }
 
-impl<L: Lanes> Iterator for Vectors<'_, L> {
-    type Item = (*const u32, Mask<L>);
+impl<'a, L: Lanes> Iterator for Vectors<'a, L> {
+    type Item = (Names<'a, L>, Mask<L>);
 
     #[inline(always)]
     fn next(&mut self) -> Option<Self::Item> {
@@ -124,7 +219,25 @@ impl<L: Lanes> Iterator for Vectors<'_, L> {
         };
         self.at += L::COUNT;
         // Rows are padded to a multiple of every lane count, with valid particle numbers.
-        Some((self.row[at..at + L::COUNT].as_ptr(), mask))
+        Some((Names::first_of(&self.row[at..]), mask))
+    }
+}
+
+/// Iterator of [`row_with`].
+pub struct RowWith<'a, L: Lanes> {
+    vectors: Vectors<'a, L>,
+    numbers: &'a [L::Real],
+}
+
+impl<'a, L: Lanes> Iterator for RowWith<'a, L> {
+    type Item = (Names<'a, L>, Mask<L>, L);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Self::Item> {
+        let at = self.vectors.at;
+        let (names, mask) = self.vectors.next()?;
+        // SAFETY: this vector ends in the row, and `row_with` has checked that the row has as many numbers.
+        Some((names, mask, unsafe { L::load(self.numbers.as_ptr().add(at)) }))
     }
 }
 
@@ -151,10 +264,10 @@ pub const fn stride(fields: usize) -> usize {
 /// The records of COUNT particles, loaded whole and transposed.
 ///
 /// # Safety
-/// `index` must be readable for COUNT numbers of particles that have a record in `records`, `stride(fields)` long.
+/// The particles must have a record in `records`, `stride(fields)` long.
 #[inline(always)]
-pub unsafe fn gather_fields<L: Lanes>(records: *const L::Real, fields: usize, index: *const u32) -> Fields<L> {
-    let width = stride(fields);
+pub unsafe fn gather_fields<L: Lanes>(records: *const L::Real, fields: usize, names: Names<'_, L>) -> Fields<L> {
+    let (width, index) = (stride(fields), names.numbers.as_ptr());
     let nothing = [L::zero(); 4];
     // SAFETY: as the caller promises.
     unsafe {
@@ -186,7 +299,7 @@ struct Packing<'a, R> {
     flow: &'a Flow<R>,
     moved: &'a [R],
     extra: Option<&'a (dyn Fn(usize) -> R + Sync)>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Packing<'_, R> {
@@ -216,5 +329,5 @@ pub fn pack_positions<R: Real>(
 ) {
     let n = flow.particles();
     records.resize(4 * n, R::default());
-    run_rows(&Packing { flow, moved, extra, records: Shared::new(records) }, n);
+    run_rows(&Packing { flow, moved, extra, records: Own::new(records) }, n);
 }

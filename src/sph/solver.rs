@@ -181,9 +181,6 @@ impl<R: Sweeps> Solver<R> {
     /// Heat that walls give to the conducting fluid with x < `until`, for the state of the last [`Self::look`], in
     /// units of density * temperature * volume / time (times the heat capacity: power). With fits it is what conduction
     /// brings to that fluid, because the flux at the walls themselves is infinite at both ends of the hot section.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn wall_heat_flux(&mut self, until: f64) -> Result<f64, RunError> {
         let Self { model, state, step, pace, neighbourhood, worker, device, .. } = self;
         let times = pace.times(model.dt, *step);
@@ -378,9 +375,6 @@ impl<R: Sweeps> TensorSolver<R> {
     }
 
     /// The fields of a state, on the graph if the state is.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn look(&mut self, state: &Tensor) -> Result<Shown, RunError> {
         let there = self.there(state)?;
         let shown = self.with(|recorder, place| recorder.look(place, &there))?;

@@ -8,3 +8,4 @@ pub mod jax_sph;
 pub mod lanes;
 pub mod program;
 pub mod random_scene;
+pub mod standard;

@@ -21,75 +21,91 @@
 use super::blocks::Place;
 use super::geometry::Geometry;
 use super::kinds::rows;
-use super::stencil::{laplacian, monomials};
+use super::stencil::{laplacian, monomials, quadratic};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::laws::conduction;
+use crate::sph::own::Own;
+use crate::sph::pairs::with_dimension;
 use std::ops::Range;
 
-struct Forward<'a, R> {
+/// What the terms of the rates are multiplied with.
+struct Factors<R> {
+    /// 1/dx.
+    scale: R,
+    viscosity: R,
+    diffusivity: R,
+    inverse_density: R,
+}
+
+impl<R: Real> Factors<R> {
+    #[inline(always)]
+    fn of(geometry: &Geometry<'_, R>) -> Self {
+        let (model, fits) = (geometry.model, &geometry.model.fits);
+        let scale = R::of(1.0 / fits.spacing);
+        Self {
+            scale,
+            viscosity: R::of(fits.viscosity) * scale * scale,
+            diffusivity: R::of(fits.diffusivity) * scale * scale,
+            inverse_density: R::of(1.0 / model.equation_of_state.reference_density) * scale,
+        }
+    }
+}
+
+struct Forward<'a, R, const D: usize> {
     geometry: Geometry<'a, R>,
     known: &'a [R],
     derivatives: &'a [R],
     gradient: &'a [R],
-    state: Shared<'a, R>,
+    state: Own<'a, R>,
 }
 
-/// Rates of a fluid particle.
-#[inline(always)]
-fn rates<R: Real, const D: usize>(
-    geometry: &Geometry<'_, R>,
-    derivatives: &[R],
-    gradient: &[R],
-    place: usize,
-) -> ([R; D], R, [R; D]) {
-    let (model, fits) = (geometry.model, &geometry.model.fits);
-    let fields = model.layout.fields();
-    let q = const { monomials(D) };
-    let at = Place::of::<R>(place, rows(D, fields));
-    let of_pressure = Place::of::<R>(place, rows(D, 1));
-    let scale = R::of(1.0 / fits.spacing);
-    let viscosity = R::of(fits.viscosity) * scale * scale;
-    let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
-    let mut shift = [R::default(); D];
-    for k in 0..D {
-        shift[k] = derivatives[at.row(fields * q + 1 + k)];
-    }
-    let carried = |field: usize| {
-        let mut sum = R::default();
-        for k in 0..D {
-            sum += shift[k] * derivatives[at.row(field * q + k)];
-        }
-        sum * scale
-    };
-    let mut acceleration = [R::default(); D];
-    for k in 0..D {
-        let spread = laplacian::<R, D>(|m| derivatives[at.row(k * q + m)]);
-        acceleration[k] = carried(k) + viscosity * spread - inverse_density * gradient[of_pressure.row(k)];
-    }
-    let warming = match model.heat.is_some() {
-        true => {
-            let spread = laplacian::<R, D>(|m| derivatives[at.row((D + 1) * q + m)]);
-            carried(D + 1) + R::of(fits.diffusivity) * scale * scale * spread
-        }
-        false => R::default(),
-    };
-    (acceleration, warming, shift)
-}
-
-impl<R: Real> Forward<'_, R> {
+impl<R: Real, const D: usize> Forward<'_, R, D> {
+    /// Acceleration, warming and shift of a fluid particle.
     #[inline(always)]
-    fn places<const D: usize>(&self, places: Range<usize>) {
+    fn rates(&self, factors: &Factors<R>, place: usize) -> ([R; D], R, [R; D]) {
+        let fields = self.geometry.model.layout.fields();
+        let q = const { monomials(D) };
+        let at = Place::of::<R>(place, rows(D, fields));
+        let of_pressure = Place::of::<R>(place, rows(D, 1));
+        let derivative = |row: usize| self.derivatives[at.row(row)];
+        let mut shift = [R::default(); D];
+        for k in 0..D {
+            shift[k] = derivative(fields * q + 1 + k);
+        }
+        let carried = |field: usize| {
+            let mut sum = R::default();
+            for k in 0..D {
+                sum += shift[k] * derivative(field * q + k);
+            }
+            sum * factors.scale
+        };
+        let spread = |field: usize| laplacian::<R, D>(|m| derivative(field * q + m));
+        let mut acceleration = [R::default(); D];
+        for k in 0..D {
+            let pushed = factors.inverse_density * self.gradient[of_pressure.row(k)];
+            acceleration[k] = carried(k) + factors.viscosity * spread(k) - pushed;
+        }
+        let warming = match self.geometry.model.heat.is_some() {
+            true => carried(D + 1) + factors.diffusivity * spread(D + 1),
+            false => R::default(),
+        };
+        (acceleration, warming, shift)
+    }
+}
+
+impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, places: Range<usize>) {
         let geometry = &self.geometry;
-        let (n, l) = (geometry.model.particles(), geometry.model.layout);
+        let (n, l, factors) = (geometry.model.particles(), geometry.model.layout, Factors::of(geometry));
         let dt = R::of(geometry.times.now);
         let (half, half_before) = (R::of(0.5 * geometry.times.now), R::of(0.5 * geometry.times.before));
         for place in places {
-            let i = geometry.blocks.fluid.members[place] as usize;
+            let i = geometry.blocks.fluid.particle(place);
             let known = |row: usize| self.known[row * n + i];
-            let (acceleration, warming, shift) = rates::<R, D>(geometry, self.derivatives, self.gradient, place);
-            // SAFETY (all): each place writes its own particle.
-            let set = |row: usize, value: R| unsafe { self.state.set(row * n + i, value) };
+            let (acceleration, warming, shift) = self.rates(&factors, place);
+            let set = |row: usize, value: R| self.state.set(row * n + i, value);
             let mut x = R::default();
             for k in 0..D {
                 let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
@@ -134,79 +150,65 @@ impl<R: Real> Forward<'_, R> {
     }
 }
 
-impl<R: Real> RowKernel<R> for Forward<'_, R> {
-    #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        match self.geometry.model.layout.dimension {
-            2 => self.places::<2>(rows),
-            _ => self.places::<3>(rows),
-        }
-    }
-}
-
 /// known `[F, N]`, derivatives, derivatives of the new pressure with itself behind them -> state `[F, N]`.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], gradient: &[R], state: &mut [R]) {
-    let (model, fits) = (geometry.model, &geometry.model.fits);
-    let (n, l) = (model.particles(), model.layout);
-    if geometry.blocks.fluid.places < n {
+    let (n, l, places) = (geometry.model.particles(), geometry.model.layout, geometry.blocks.fluid.places);
+    if places < n {
         state.copy_from_slice(known);
-        for &(dummy, _) in &fits.dummies {
+        for &(dummy, _) in &geometry.model.fits.dummies {
             (l.pressure()..l.state_rows()).for_each(|row| state[row * n + dummy as usize] = R::default());
         }
     }
-    let state = Shared::new(state);
-    run_rows(&Forward { geometry: *geometry, known, derivatives, gradient, state }, geometry.blocks.fluid.places);
+    let (geometry, state) = (*geometry, Own::new(state));
+    with_dimension!(l.dimension, |D| run_rows(
+        &Forward::<R, D> { geometry, known, derivatives, gradient, state },
+        places,
+    ));
 }
 
-struct Backward<'a, R> {
+struct Backward<'a, R, const D: usize> {
     geometry: Geometry<'a, R>,
     known: &'a [R],
     derivatives: &'a [R],
     /// The state at the step's end.
     state: &'a [R],
     state_bar: &'a [R],
-    known_bar: Shared<'a, R>,
-    derivatives_bar: Shared<'a, R>,
-    gradient_bar: Shared<'a, R>,
+    known_bar: Own<'a, R>,
+    derivatives_bar: Own<'a, R>,
+    gradient_bar: Own<'a, R>,
 }
 
-impl<R: Real> Backward<'_, R> {
+impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
     #[inline(always)]
-    fn places<const D: usize>(&self, places: Range<usize>) {
-        let geometry = &self.geometry;
-        let (model, fits) = (geometry.model, &geometry.model.fits);
-        let (n, l) = (model.particles(), model.layout);
+    fn rows<L: Lanes<Real = R>>(&self, places: Range<usize>) {
+        let (geometry, model) = (&self.geometry, self.geometry.model);
+        let (n, l, factors) = (model.particles(), model.layout, Factors::of(geometry));
         let fields = l.fields();
         let q = const { monomials(D) };
         let dt = R::of(geometry.times.now);
         let (half, half_before) = (R::of(0.5 * geometry.times.now), R::of(0.5 * geometry.times.before));
-        let scale = R::of(1.0 / fits.spacing);
-        let viscosity = R::of(fits.viscosity) * scale * scale;
-        let diffusivity = R::of(fits.diffusivity) * scale * scale;
-        let inverse_density = R::of(1.0 / model.equation_of_state.reference_density) * scale;
         for place in places {
-            let i = geometry.blocks.fluid.members[place] as usize;
+            let i = geometry.blocks.fluid.particle(place);
             let at = Place::of::<R>(place, rows(D, fields));
             let of_pressure = Place::of::<R>(place, rows(D, 1));
             let bar = |row: usize| self.state_bar[row * n + i];
             let shift = |k: usize| self.derivatives[at.row(fields * q + 1 + k)];
-            // SAFETY (all): each place writes its own particle and its own rows.
-            let add = |row: usize, value: R| unsafe { self.known_bar.add(row * n + i, value) };
-            let derivative = |row: usize, value: R| unsafe { self.derivatives_bar.set(at.row(row), value) };
+            let add = |row: usize, value: R| self.known_bar.add(row * n + i, value);
+            let derivative = |row: usize, value: R| self.derivatives_bar.set(at.row(row), value);
+            let gradient = |row: usize, value: R| self.gradient_bar.set(of_pressure.row(row), value);
             let mut shift_bar = [R::default(); D];
-            for m in 0..fields * q + 1 {
-                derivative(m, R::default());
-            }
-            for m in 0..const { rows(D, 1) } {
-                unsafe { self.gradient_bar.set(of_pressure.row(m), R::default()) };
-            }
+            (0..fields * q + 1).for_each(|m| derivative(m, R::default()));
+            (0..const { rows(D, 1) }).for_each(|m| gradient(m, R::default()));
             // What a field's rate is carried with and spread by.
             let carry = |field: usize, rate_bar: R, shift_bar: &mut [R; D]| {
-                let scaled = rate_bar * scale;
+                let scaled = rate_bar * factors.scale;
                 for k in 0..D {
                     shift_bar[k] += scaled * self.derivatives[at.row(field * q + k)];
                     derivative(field * q + k, scaled * shift(k));
                 }
+            };
+            let spread = |field: usize, bar: R| {
+                (0..D).for_each(|a| derivative(field * q + quadratic(D, a, a), bar));
             };
             for k in 0..D {
                 let place_bar = bar(k);
@@ -221,12 +223,10 @@ impl<R: Real> Backward<'_, R> {
                     add(l.last_rates() + k, -(half_before * velocity_bar));
                 }
                 carry(k, rate_bar, &mut shift_bar);
-                for a in 0..D {
-                    derivative(k * q + super::stencil::quadratic(D, a, a), viscosity * rate_bar);
-                }
-                unsafe { self.gradient_bar.set(of_pressure.row(k), -(inverse_density * rate_bar)) };
+                spread(k, factors.viscosity * rate_bar);
+                gradient(k, -(factors.inverse_density * rate_bar));
             }
-            unsafe { self.gradient_bar.set(of_pressure.row(q), bar(l.pressure())) };
+            gradient(q, bar(l.pressure()));
             if l.heat {
                 // Which side of the inlet's end it is on does not change with an infinitesimal step.
                 let reset = conduction::is_inlet(model, self.state[i]);
@@ -243,24 +243,12 @@ impl<R: Real> Backward<'_, R> {
                         add(row, -(half_before * after_bar));
                     }
                     carry(D + 1, rate_bar, &mut shift_bar);
-                    for a in 0..D {
-                        derivative((D + 1) * q + super::stencil::quadratic(D, a, a), diffusivity * rate_bar);
-                    }
+                    spread(D + 1, factors.diffusivity * rate_bar);
                 }
             }
             for k in 0..D {
                 derivative(fields * q + 1 + k, shift_bar[k]);
             }
-        }
-    }
-}
-
-impl<R: Real> RowKernel<R> for Backward<'_, R> {
-    #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        match self.geometry.model.layout.dimension {
-            2 => self.places::<2>(rows),
-            _ => self.places::<3>(rows),
         }
     }
 }
@@ -277,26 +265,21 @@ pub fn backward<R: Real>(
     derivatives_bar: &mut [R],
     gradient_bar: &mut [R],
 ) {
-    let (model, fits) = (geometry.model, &geometry.model.fits);
-    let (n, l) = (model.particles(), model.layout);
-    if geometry.blocks.fluid.places < n {
+    let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
+    let places = geometry.blocks.fluid.places;
+    if places < n {
         for i in (0..n).filter(|&i| !model.is_fluid(i)) {
             (0..l.state_rows()).for_each(|row| known_bar[row * n + i] += state_bar[row * n + i]);
         }
-        for &(dummy, _) in &fits.dummies {
+        for &(dummy, _) in &model.fits.dummies {
             let i = dummy as usize;
             (l.pressure()..l.state_rows()).for_each(|row| known_bar[row * n + i] -= state_bar[row * n + i]);
         }
     }
-    let backward = Backward {
-        geometry: *geometry,
-        known,
-        derivatives,
-        state,
-        state_bar,
-        known_bar: Shared::new(known_bar),
-        derivatives_bar: Shared::new(derivatives_bar),
-        gradient_bar: Shared::new(gradient_bar),
-    };
-    run_rows(&backward, geometry.blocks.fluid.places);
+    let (geometry, known_bar) = (*geometry, Own::new(known_bar));
+    let (derivatives_bar, gradient_bar) = (Own::new(derivatives_bar), Own::new(gradient_bar));
+    with_dimension!(l.dimension, |D| run_rows(
+        &Backward::<R, D> { geometry, known, derivatives, state, state_bar, known_bar, derivatives_bar, gradient_bar },
+        places,
+    ));
 }

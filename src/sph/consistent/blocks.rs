@@ -6,8 +6,12 @@
 //! neither happens, and a particle's sums run in the order of its neighbours whatever the instruction set is.
 
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::NeighbourList;
+use crate::sph::own::Own;
+use crate::sph::pairs::Names;
+use std::iter::StepBy;
+use std::marker::PhantomData;
 use std::ops::Range;
 
 /// Particles side by side: a cache line of numbers.
@@ -15,21 +19,29 @@ pub const fn width<R>() -> usize {
     64 / std::mem::size_of::<R>()
 }
 
-/// Some particles and their neighbours of one kind.
+/// The first places of the vectors of some blocks.
+#[inline(always)]
+pub fn vectors<L: Lanes>(blocks: Range<usize>) -> StepBy<Range<usize>> {
+    let width = width::<L::Real>();
+    (blocks.start * width..blocks.end * width).step_by(L::COUNT)
+}
+
+/// Some particles and their neighbours of one kind. Only [`Blocks::rebuild`] fills a table: every number in it is that of a
+/// particle of the neighbour list, and `index` has room for `depth` rows of every block.
 #[derive(Debug, Clone, Default)]
 pub struct Table {
     /// Particle of each place, `[blocks, width]`; behind the last one it is repeated.
-    pub members: Vec<u32>,
+    members: Vec<u32>,
     /// Places that are somebody's.
     pub places: usize,
     /// Rows of each block: the most neighbours of its particles.
-    pub depth: Vec<u32>,
+    depth: Vec<u32>,
     /// Neighbours of each place; 0 behind the last.
-    pub count: Vec<u32>,
+    count: Vec<u32>,
     /// Rows that each block has room for.
-    pub capacity: usize,
+    capacity: usize,
     /// `[blocks, capacity, width]`; a particle itself where it has no neighbour left.
-    pub index: Vec<u32>,
+    index: Vec<u32>,
 }
 
 impl Table {
@@ -37,9 +49,70 @@ impl Table {
         self.depth.len()
     }
 
+    /// Room for a number of every pair.
+    pub fn pairs(&self) -> usize {
+        self.index.len()
+    }
+
+    #[inline(always)]
+    pub fn particle(&self, place: usize) -> usize {
+        self.members[place] as usize
+    }
+
+    /// Each particle with its place.
+    pub fn each(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.members[..self.places].iter().map(|&i| i as usize).enumerate()
+    }
+
+    /// The neighbours of the particle at a place.
+    pub fn neighbours(&self, place: usize) -> impl Iterator<Item = u32> + '_ {
+        let (width, count) = (self.members.len() / self.blocks(), self.count[place] as usize);
+        let from = place / width * self.capacity * width + place % width;
+        (0..count).map(move |k| self.index[from + k * width])
+    }
+
+    /// The particles at a vector of places.
+    #[inline(always)]
+    pub fn own<L: Lanes>(&self, place: usize) -> Names<'_, L> {
+        Names::first_of(&self.members[place..])
+    }
+
+    /// How many neighbours each of a vector of places has.
+    #[inline(always)]
+    pub fn counts<L: Lanes>(&self, place: usize) -> L {
+        let mut numbers = [L::Real::default(); WIDEST];
+        for lane in 0..L::COUNT {
+            numbers[lane] = L::Real::of(self.count[place + lane] as f64);
+        }
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { L::load(numbers.as_ptr()) }
+    }
+
+    /// Rows of the block of a place.
+    #[inline(always)]
+    pub fn depth<R>(&self, place: usize) -> usize {
+        self.depth[place / width::<R>()] as usize
+    }
+
+    /// The pairs of a vector of places, row by row.
+    #[inline(always)]
+    pub fn pairs_of<L: Lanes>(&self, place: usize) -> Pairs<'_, L> {
+        let width = width::<L::Real>();
+        let (from, depth) = (place / width * self.capacity * width + place % width, self.depth::<L::Real>(place));
+        assert!(depth == 0 || from + (depth - 1) * width + L::COUNT <= self.index.len());
+        Pairs { index: &self.index, from, row: 0, depth, lanes: PhantomData }
+    }
+
+    /// [`Self::pairs_of`] with the numbers that were kept of each pair, as `index`.
+    #[inline(always)]
+    pub fn pairs_with<'a, L: Lanes>(&'a self, place: usize, numbers: &'a [L::Real]) -> PairsWith<'a, L> {
+        assert!(numbers.len() >= self.index.len());
+        PairsWith { pairs: self.pairs_of(place), numbers }
+    }
+
     /// Calls `each` with the particle and the number of every lane that is somebody's, of lanes that begin at a place.
     #[inline(always)]
-    pub fn scatter<L: Lanes>(&self, place: usize, value: L, mut each: impl FnMut(usize, L::Real)) {
+    fn scatter<L: Lanes>(&self, place: usize, value: L, mut each: impl FnMut(usize, L::Real)) {
         let mut numbers = [L::Real::default(); WIDEST];
         // SAFETY: no lane type is wider than WIDEST.
         unsafe { value.store(numbers.as_mut_ptr()) };
@@ -77,10 +150,10 @@ impl Table {
             width,
             capacity: self.capacity,
             members: &self.members,
-            depth: Shared::new(&mut self.depth),
-            count: Shared::new(&mut self.count),
-            index: Shared::new(&mut self.index),
-            real: std::marker::PhantomData::<R>,
+            depth: Own::new(&mut self.depth),
+            count: Own::new(&mut self.count),
+            index: Own::new(&mut self.index),
+            real: PhantomData::<R>,
         };
         run_rows(&filling, blocks);
     }
@@ -93,10 +166,10 @@ struct Filling<'a, R, F> {
     width: usize,
     capacity: usize,
     members: &'a [u32],
-    depth: Shared<'a, u32>,
-    count: Shared<'a, u32>,
-    index: Shared<'a, u32>,
-    real: std::marker::PhantomData<R>,
+    depth: Own<'a, u32>,
+    count: Own<'a, u32>,
+    index: Own<'a, u32>,
+    real: PhantomData<R>,
 }
 
 impl<R: Real, F: Fn(&NeighbourList, usize) -> Range<usize> + Sync> RowKernel<R> for Filling<'_, R, F> {
@@ -110,13 +183,13 @@ impl<R: Real, F: Fn(&NeighbourList, usize) -> Range<usize> + Sync> RowKernel<R> 
                 false => 0..0,
             };
             let depth = (0..self.width).map(|lane| part(lane).len()).max().unwrap_or(0);
-            // SAFETY (all): each block writes its own part.
-            unsafe { self.depth.set(block, depth as u32) };
+            self.depth.set(block, depth as u32);
             let to = block * self.capacity * self.width;
+            // SAFETY: each block writes its own rows.
             let index = unsafe { self.index.slice(to..to + depth * self.width) };
             for (lane, &i) in members.iter().enumerate() {
                 let neighbours = &self.list.row(i as usize)[part(lane)];
-                unsafe { self.count.set(from + lane, neighbours.len() as u32) };
+                self.count.set(from + lane, neighbours.len() as u32);
                 for k in 0..depth {
                     index[k * self.width + lane] = neighbours.get(k).copied().unwrap_or(i);
                 }
@@ -174,43 +247,103 @@ impl Place {
     }
 }
 
-/// Numbers of some places as lanes.
+/// Loads a vector of places' numbers in rows `row ..`.
 #[inline(always)]
-pub fn counts<L: Lanes>(count: &[u32]) -> L {
-    let mut numbers = [L::Real::default(); WIDEST];
-    for lane in 0..L::COUNT {
-        numbers[lane] = L::Real::of(count[lane] as f64);
+pub fn load<L: Lanes, const K: usize>(numbers: &[L::Real], at: Place, row: usize) -> [L; K] {
+    let mut values = [L::zero(); K];
+    assert!(at.row(row + K - 1) + L::COUNT <= numbers.len());
+    for k in 0..K {
+        // SAFETY: the last row ends in the numbers, and the others stand before it.
+        values[k] = unsafe { L::load(numbers.as_ptr().add(at.row(row + k))) };
     }
-    // SAFETY: no lane type is wider than WIDEST.
-    unsafe { L::load(numbers.as_ptr()) }
+    values
 }
 
-/// Loads and transposes `G` groups of four numbers of each record.
-///
-/// # Safety
-/// `index` must be readable for COUNT numbers of records in `records`, 4 G long.
+/// Stores a vector of places' numbers in rows `row ..`.
 #[inline(always)]
-pub unsafe fn gather<L: Lanes, const G: usize>(records: *const L::Real, index: *const u32) -> [[L; 4]; G] {
-    let mut all = [[L::zero(); 4]; G];
-    for group in 0..G {
-        // SAFETY: as the caller promises.
-        all[group] = unsafe { L::gather4(records.add(4 * group), 4 * G, index) };
+pub fn store<L: Lanes, const K: usize>(numbers: &Own<'_, L::Real>, at: Place, row: usize, values: [L; K]) {
+    for k in 0..K {
+        numbers.store(at.row(row + k), values[k]);
     }
-    all
 }
 
-/// The position, which stands first in a record.
-#[inline(always)]
-pub fn position<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L; D] {
-    let mut position = [L::zero(); D];
-    for d in 0..D {
-        position[d] = get(record, d);
+/// Numbers of particles, which the sweeps over a table write: a particle has one place.
+pub struct OfParticles<'a, R>(Own<'a, R>);
+
+impl<'a, R: Real> OfParticles<'a, R> {
+    pub fn new(numbers: &'a mut [R]) -> Self {
+        Self(Own::new(numbers))
     }
-    position
+
+    /// Sets number k of the particles' records, `[N, width]`.
+    #[inline(always)]
+    pub fn set<L: Lanes<Real = R>>(&self, table: &Table, place: usize, [k, width]: [usize; 2], value: L) {
+        table.scatter(place, value, |i, value| self.0.set(width * i + k, value));
+    }
+
+    /// Adds to the particles' numbers in a row that begins at `row`.
+    #[inline(always)]
+    pub fn add<L: Lanes<Real = R>>(&self, table: &Table, place: usize, row: usize, value: L) {
+        table.scatter(place, value, |i, value| self.0.add(row + i, value));
+    }
 }
 
-/// A field of gathered groups.
-#[inline(always)]
-pub fn get<L: Lanes, const G: usize>(groups: &[[L; 4]; G], field: usize) -> L {
-    groups[field / 4][field % 4]
+/// The pairs of a vector of places, see [`Table::pairs_of`].
+pub struct Pairs<'a, L> {
+    index: &'a [u32],
+    from: usize,
+    row: usize,
+    depth: usize,
+    lanes: PhantomData<L>,
+}
+
+/// See [`Table::pairs_with`].
+pub struct PairsWith<'a, L: Lanes> {
+    pairs: Pairs<'a, L>,
+    numbers: &'a [L::Real],
+}
+
+/// A row of pairs.
+pub struct Pair<'a, L> {
+    row: usize,
+    /// Where it stands in the index, and in what is kept of pairs.
+    pub at: usize,
+    pub names: Names<'a, L>,
+}
+
+impl<'a, L: Lanes> Iterator for Pairs<'a, L> {
+    type Item = Pair<'a, L>;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Pair<'a, L>> {
+        if self.row == self.depth {
+            return None;
+        }
+        let (row, at) = (self.row, self.from + self.row * width::<L::Real>());
+        self.row += 1;
+        // SAFETY: `Table::pairs_of` has checked that the last row ends in the index.
+        let names = Names::first_of(unsafe { self.index.get_unchecked(at..at + L::COUNT) });
+        Some(Pair { row, at, names })
+    }
+}
+
+impl<'a, L: Lanes> Iterator for PairsWith<'a, L> {
+    type Item = (Pair<'a, L>, L);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(Pair<'a, L>, L)> {
+        let pair = self.pairs.next()?;
+        // SAFETY: the pair's place is in the index, and `Table::pairs_with` has checked that there are as many numbers.
+        let number = unsafe { L::load(self.numbers.as_ptr().add(pair.at)) };
+        Some((pair, number))
+    }
+}
+
+impl<L: Lanes> Pair<'_, L> {
+    /// A value where a particle has a neighbour here, 0 where it stands in for one that it lacks; `counts` are
+    /// [`Table::counts`].
+    #[inline(always)]
+    pub fn there(&self, counts: L, value: L) -> L {
+        L::splat(L::Real::of(self.row as f64)).select_less(counts, value, L::zero())
+    }
 }

@@ -342,9 +342,6 @@ fn known<R: Real>(around: &Around<'_, R>, state: &Tensor) -> Result<Tensor> {
 }
 
 /// The composed form of [`super::operators::look`].
-///
-/// # Errors
-/// Tensor errors.
 pub fn look<R: Real>(model: &Consistent<R>, list: &NeighbourList, state: &Tensor) -> Result<Known> {
     let around = Around::new(model, list, state)?;
     let (known, masses) = (known(&around, state)?, around.masses(state)?);
@@ -368,9 +365,6 @@ pub fn look<R: Real>(model: &Consistent<R>, list: &NeighbourList, state: &Tensor
 }
 
 /// The composed form of [`super::operators::advance`].
-///
-/// # Errors
-/// Tensor errors.
 pub fn advance<R: Real>(
     model: &Consistent<R>,
     list: &NeighbourList,

@@ -12,15 +12,15 @@
 //! Besides, V_i = 1 / sum_j W_ij over fluid, dummy particles and i itself, and, for the isotropic shift,
 //! c_i = sum_j F_ij r_ij over the same.
 
-use super::blocks::{counts, gather, get, position, width, Table};
-use super::geometry::Geometry;
+use super::blocks::{load, store, vectors, width, OfParticles, Place, Table};
+use super::geometry::{get, Around, Geometry};
 use super::kept::Kept;
 use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::sph::kernels::KernelLanes;
-use crate::sph::pairs::{stride, RowGeometry};
+use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::sph::own::Own;
+use crate::sph::pairs::{stride, Records};
 use std::ops::Range;
 
 /// A pivot below this share of sum W belongs to a direction without neighbours.
@@ -45,44 +45,6 @@ macro_rules! sizes {
     };
 }
 
-/// What a pair's geometry is made of.
-struct Around<L: Lanes, const D: usize> {
-    pairs: RowGeometry<L, D>,
-    kernel: KernelLanes<L>,
-    scale: L,
-}
-
-impl<L: Lanes, const D: usize> Around<L, D> {
-    #[inline(always)]
-    fn new<R: Real>(geometry: &Geometry<'_, R>) -> Self
-    where
-        L: Lanes<Real = R>,
-    {
-        Self {
-            pairs: RowGeometry::new(&geometry.model.domain, geometry.model.kernel.cutoff()),
-            kernel: geometry.model.kernel.lanes::<L>(),
-            scale: L::splat(R::of(1.0 / geometry.model.fits.spacing)),
-        }
-    }
-
-    /// r_j - r_i and its square.
-    #[inline(always)]
-    fn towards(&self, here: &[L; D], there: &[L; D]) -> ([L; D], L) {
-        self.pairs.difference::<true>(there, here)
-    }
-
-    /// r over the spacing.
-    #[inline(always)]
-    fn scaled(&self, r: &[L; D], sign: f64) -> [L; D] {
-        let scale = self.scale * L::splat(L::Real::of(sign));
-        let mut s = *r;
-        for d in 0..D {
-            s[d] = r[d] * scale;
-        }
-        s
-    }
-}
-
 /// Where a point on the surface has its normal.
 #[inline(always)]
 fn normal<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L; D] {
@@ -97,14 +59,14 @@ fn normal<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L;
 struct Forward<'a, R, const D: usize, const Q: usize, const P: usize, const N: usize, const G: usize> {
     geometry: Geometry<'a, R>,
     /// Position and fields of every particle, `[N, 4 G]`.
-    records: &'a [R],
-    /// W and F of the fluid's pairs, as the table's index.
-    value: Shared<'a, R>,
-    slope: Shared<'a, R>,
-    /// `[blocks, KINDS, P, width]`.
-    factors: Shared<'a, R>,
+    records: Records<'a, R>,
+    /// W and F of the fluid's pairs, as the table's index, and the matrices, `[blocks, KINDS, P, width]`, where they are made.
+    made: [Own<'a, R>; 3],
+    /// W of the fluid's pairs and the matrices, where they are there.
+    value: &'a [R],
+    factors: &'a [R],
     /// `[blocks, rows, width]`.
-    derivatives: Shared<'a, R>,
+    derivatives: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, const G: usize> RowKernel<R>
@@ -114,16 +76,11 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let width = width::<R>();
-        for block in rows {
-            let mut part = 0;
-            while part < width {
-                if N > 1 {
-                    self.with_matrices::<L>(block, part);
-                } else {
-                    self.again::<L>(block, part);
-                }
-                part += L::COUNT;
+        for place in vectors::<L>(rows) {
+            if N > 1 {
+                self.with_matrices::<L>(place);
+            } else {
+                self.again::<L>(place);
             }
         }
     }
@@ -133,24 +90,19 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
     Forward<'_, R, D, Q, P, N, G>
 {
     #[inline(always)]
-    fn with_matrices<L: Lanes<Real = R>>(&self, block: usize, part: usize) {
-        let (geometry, width) = (&self.geometry, width::<R>());
+    fn with_matrices<L: Lanes<Real = R>>(&self, place: usize) {
+        let geometry = &self.geometry;
         let around = Around::<L, D>::new(geometry);
         let (fluid, wall) = (&geometry.blocks.fluid, &geometry.blocks.wall);
-        let place = block * width + part;
         let isotropic = geometry.model.fits.shift.is_isotropic();
-        // SAFETY (of every gather below): tables name particles only, and each has a record.
-        let own = unsafe { gather::<L, G>(self.records.as_ptr(), fluid.members[place..].as_ptr()) };
-        let here = position::<L, D, G>(&own);
+        let [value, slope, factors] = &self.made;
+        let own = self.records.groups::<L, G>(fluid.own(place));
         let mut matrix = [L::zero(); P];
         let mut right = [[L::zero(); Q]; N];
         let (mut sum, mut spread) = (L::zero(), [L::zero(); D]);
-        let depth = fluid.depth[block] as usize;
-        let from = block * fluid.capacity * width + part;
-        for k in 0..depth {
-            let at = from + k * width;
-            let other = unsafe { gather::<L, G>(self.records.as_ptr(), fluid.index.as_ptr().add(at)) };
-            let (r, r2) = around.towards(&here, &position::<L, D, G>(&other));
+        for pair in fluid.pairs_of::<L>(place) {
+            let other = self.records.groups::<L, G>(pair.names);
+            let (r, r2) = around.towards(&own, &other);
             let (w, f, _) = around.kernel.all(r2);
             let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
             accumulate::<L, Q, P>(&mut matrix, w, &q);
@@ -161,22 +113,18 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
                     spread[d] = (-f).mul_add(r[d], spread[d]);
                 }
             }
-            // SAFETY: each block writes its own pairs.
-            unsafe {
-                self.value.store(at, w);
-                self.slope.store(at, f);
-            }
+            value.store(pair.at, w);
+            slope.store(pair.at, f);
         }
-        let mut padding = L::splat(R::of(depth as f64)) - counts::<L>(&fluid.count[place..]);
+        let lacking = |table: &Table| L::splat(R::of(table.depth::<R>(place) as f64)) - table.counts::<L>(place);
+        let mut padding = lacking(fluid);
         let mut matrices = [matrix; KINDS];
-        let walls = wall.depth[block] as usize;
-        if walls > 0 {
-            let from = block * wall.capacity * width + part;
-            for k in 0..walls {
-                let index = unsafe { wall.index.as_ptr().add(from + k * width) };
-                let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
-                let (r, r2) = around.towards(&here, &position::<L, D, G>(&other));
+        let has_walls = wall.depth::<R>(place) > 0;
+        if has_walls {
+            for pair in wall.pairs_of::<L>(place) {
+                let other = self.records.groups::<L, G>(pair.names);
+                let weights = around.weights(pair.names);
+                let (r, r2) = around.towards(&own, &other);
                 let (w, f, _) = around.kernel.all(r2);
                 let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
                 for kind in 0..KINDS {
@@ -194,13 +142,13 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
                     }
                 }
             }
-            padding += L::splat(R::of(walls as f64)) - counts::<L>(&wall.count[place..]);
+            padding += lacking(wall);
         }
         // A particle stands in for the neighbours that it lacks: nothing but sum W notices.
         let at_zero = L::splat(R::of(geometry.model.kernel.at_zero()));
         let sum = at_zero.mul_add(L::splat(R::of(1.0)) - padding, sum);
         let least = L::splat(R::of(LEAST_PIVOT)) * sum;
-        if walls > 0 {
+        if has_walls {
             for kind in 0..KINDS {
                 factorise::<L, Q, P>(&mut matrices[kind], least);
             }
@@ -209,68 +157,43 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
             matrices[1] = matrices[0];
             matrices[2] = matrices[0];
         }
-        let to = block * const { KINDS } * P * width + part;
         for kind in 0..KINDS {
-            for a in 0..P {
-                // SAFETY: as above.
-                unsafe { self.factors.store(to + (kind * P + a) * width, matrices[kind][a]) };
-            }
+            store(factors, Place::of::<R>(place, const { KINDS * P }), kind * P, matrices[kind]);
         }
-        let to = block * const { self::rows(D, N) } * width + part;
+        let to = Place::of::<R>(place, const { self::rows(D, N) });
         for field in 0..N {
             let d = solve::<L, Q, P>(&matrices[kind(D, N, field)], right[field]);
-            for a in 0..Q {
-                // SAFETY: as above.
-                unsafe { self.derivatives.store(to + (field * Q + a) * width, d[a]) };
-            }
+            store(&self.derivatives, to, field * Q, d);
         }
-        // SAFETY: as above.
-        unsafe {
-            self.derivatives.store(to + N * Q * width, L::splat(R::of(1.0)) / sum);
-            for d in 0..D {
-                self.derivatives.store(to + (N * Q + 1 + d) * width, spread[d]);
-            }
-        }
+        store(&self.derivatives, to, N * Q, [L::splat(R::of(1.0)) / sum]);
+        store(&self.derivatives, to, N * Q + 1, spread);
     }
 
     /// With the matrices and the fluid's W of the pass before.
     #[inline(always)]
-    fn again<L: Lanes<Real = R>>(&self, block: usize, part: usize) {
-        let (geometry, width) = (&self.geometry, width::<R>());
-        let around = Around::<L, D>::new(geometry);
-        let (fluid, wall) = (&geometry.blocks.fluid, &geometry.blocks.wall);
-        let place = block * width + part;
-        // SAFETY (of every gather and load below): as in the first pass.
-        let own = unsafe { gather::<L, G>(self.records.as_ptr(), fluid.members[place..].as_ptr()) };
-        let here = position::<L, D, G>(&own);
+    fn again<L: Lanes<Real = R>>(&self, place: usize) {
+        let around = Around::<L, D>::new(&self.geometry);
+        let (fluid, wall) = (&self.geometry.blocks.fluid, &self.geometry.blocks.wall);
+        let own = self.records.groups::<L, G>(fluid.own(place));
         let mut right = [[L::zero(); Q]; N];
-        let from = block * fluid.capacity * width + part;
-        for k in 0..fluid.depth[block] as usize {
-            let at = from + k * width;
-            let other = unsafe { gather::<L, G>(self.records.as_ptr(), fluid.index.as_ptr().add(at)) };
-            let w = unsafe { L::load(self.value.as_ptr().add(at)) };
-            let (r, _) = around.towards(&here, &position::<L, D, G>(&other));
+        for (pair, w) in fluid.pairs_with::<L>(place, self.value) {
+            let other = self.records.groups::<L, G>(pair.names);
+            let (r, _) = around.towards(&own, &other);
             let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
             add_right::<L, D, Q, N, G>(&mut right, [w; N], &q, &own, &other);
         }
-        let from = block * wall.capacity * width + part;
-        for k in 0..wall.depth[block] as usize {
-            let index = unsafe { wall.index.as_ptr().add(from + k * width) };
-            let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-            let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
-            let (r, r2) = around.towards(&here, &position::<L, D, G>(&other));
+        for pair in wall.pairs_of::<L>(place) {
+            let other = self.records.groups::<L, G>(pair.names);
+            let (r, r2) = around.towards(&own, &other);
             let w = around.kernel.value(r2);
             let q = values::<L, D, Q>(&around.scaled(&r, 1.0));
-            add_right::<L, D, Q, N, G>(&mut right, of_fields::<L, D, N>(w, &weights), &q, &own, &other);
+            let weights = of_fields::<L, D, N>(w, &around.weights(pair.names));
+            add_right::<L, D, Q, N, G>(&mut right, weights, &q, &own, &other);
         }
-        let to = block * const { self::rows(D, N) } * width + part;
+        let to = Place::of::<R>(place, const { self::rows(D, N) });
         for field in 0..N {
-            let factor = load_factor::<R, L, P>(self.factors.as_ptr(), block, part, kind(D, N, field));
-            let d = solve::<L, Q, P>(&factor, right[field]);
-            for a in 0..Q {
-                // SAFETY: each block writes its own rows.
-                unsafe { self.derivatives.store(to + (field * Q + a) * width, d[a]) };
-            }
+            let factor = load_factor::<L, P>(self.factors, place, kind(D, N, field));
+            store(&self.derivatives, to, field * Q, solve::<L, Q, P>(&factor, right[field]));
         }
     }
 }
@@ -303,20 +226,8 @@ fn of_fields<L: Lanes, const D: usize, const N: usize>(w: L, weights: &[L; 4]) -
 }
 
 #[inline(always)]
-fn load_factor<R: Real, L: Lanes<Real = R>, const P: usize>(
-    factors: *const R,
-    block: usize,
-    part: usize,
-    kind: usize,
-) -> [L; P] {
-    let width = width::<R>();
-    let from = block * KINDS * P * width + part + kind * P * width;
-    let mut factor = [L::zero(); P];
-    for a in 0..P {
-        // SAFETY: every block has its factors.
-        factor[a] = unsafe { L::load(factors.add(from + a * width)) };
-    }
-    factor
+fn load_factor<L: Lanes, const P: usize>(factors: &[L::Real], place: usize, kind: usize) -> [L; P] {
+    load(factors, Place::of::<L::Real>(place, const { KINDS * P }), kind * P)
 }
 
 /// Packs positions and fields `[fields, N]` into records.
@@ -351,33 +262,34 @@ pub fn forward<R: Real>(
     let records = if first { &mut kept.records } else { &mut kept.pressure_records };
     pack(geometry, position, fields, records);
     if first {
-        kept.value.resize(geometry.blocks.fluid.index.len(), R::default());
-        kept.slope.resize(geometry.blocks.fluid.index.len(), R::default());
+        kept.value.resize(geometry.blocks.fluid.pairs(), R::default());
+        kept.slope.resize(geometry.blocks.fluid.pairs(), R::default());
         kept.factors.resize(blocks * KINDS * packed(monomials(d)) * width::<R>(), R::default());
     }
     derivatives.resize(blocks * rows(d, count) * width::<R>(), R::default());
     let records = if first { &kept.records } else { &kept.pressure_records };
-    let (value, slope) = (Shared::new(&mut kept.value), Shared::new(&mut kept.slope));
-    let (factors, derivatives) = (Shared::new(&mut kept.factors), Shared::new(derivatives));
+    let records = Records::new(records, stride(d + count), n);
+    let (factors, derivatives) = (&mut kept.factors, Own::new(derivatives));
+    let (made, value, factors): ([&mut [R]; 3], &[R], &[R]) = match first {
+        true => ([&mut kept.value, &mut kept.slope, factors], &[], &[]),
+        false => ([&mut [], &mut [], &mut []], &kept.value, factors),
+    };
+    let (geometry, made) = (*geometry, made.map(Own::new));
     macro_rules! go {
         ($d:literal, $q:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {
-            run_rows(
-                &Forward::<R, $d, $q, $p, $n, $g> { geometry: *geometry, records, value, slope, factors, derivatives },
-                blocks,
-            )
+            run_rows(&Forward::<R, $d, $q, $p, $n, $g> { geometry, records, made, value, factors, derivatives }, blocks)
         };
     }
     sizes!(d, count, go)
 }
 
-/// lambda of every fit, and the records of all that a pair's adjoint reads of its other side.
+/// lambda of every fit, as the records of all that a pair's adjoint reads of its other side.
 struct Solving<'a, R, const D: usize, const Q: usize, const P: usize, const N: usize, const B: usize> {
     geometry: Geometry<'a, R>,
     factors: &'a [R],
     derivatives: &'a [R],
     bar: &'a [R],
-    lambda: Shared<'a, R>,
-    records: Shared<'a, R>,
+    records: OfParticles<'a, R>,
 }
 
 impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, const B: usize> RowKernel<R>
@@ -387,56 +299,24 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let width = width::<R>();
-        let fluid = &self.geometry.blocks.fluid;
-        for block in rows {
-            let base = block * const { self::rows(D, N) } * width;
-            let mut part = 0;
-            while part < width {
-                let from = base + part;
-                for field in 0..N {
-                    let mut bar = [L::zero(); Q];
-                    for a in 0..Q {
-                        // SAFETY: every block has its rows.
-                        bar[a] = unsafe { L::load(self.bar.as_ptr().add(from + (field * Q + a) * width)) };
-                    }
-                    let factor = load_factor::<R, L, P>(self.factors.as_ptr(), block, part, kind(D, N, field));
-                    let lambda = solve::<L, Q, P>(&factor, bar);
-                    for a in 0..Q {
-                        // SAFETY: each block writes its own rows.
-                        unsafe { self.lambda.store(from + (field * Q + a) * width, lambda[a]) };
-                    }
+        let (fluid, to) = (&self.geometry.blocks.fluid, &self.records);
+        for place in vectors::<L>(rows) {
+            let at = Place::of::<R>(place, const { self::rows(D, N) });
+            for field in 0..N {
+                let factor = load_factor::<L, P>(self.factors, place, kind(D, N, field));
+                let lambda = solve::<L, Q, P>(&factor, load(self.bar, at, field * Q));
+                let d = load::<L, Q>(self.derivatives, at, field * Q);
+                for a in 0..Q {
+                    to.set(fluid, place, [field * Q + a, 4 * B], lambda[a]);
+                    to.set(fluid, place, [(N + field) * Q + a, 4 * B], d[a]);
                 }
-                // V = 1 / sum W.
-                let last = from + N * Q * width;
-                // SAFETY: as above.
-                unsafe {
-                    let volume = L::load(self.derivatives.as_ptr().add(last));
-                    let bar = L::load(self.bar.as_ptr().add(last));
-                    self.lambda.store(last, -(volume * volume * bar));
-                    for d in 0..D {
-                        let bar = L::load(self.bar.as_ptr().add(last + (1 + d) * width));
-                        self.lambda.store(last + (1 + d) * width, bar);
-                    }
-                }
-                part += L::COUNT;
             }
-            for lane in 0..width {
-                let place = block * width + lane;
-                if place >= fluid.places {
-                    break;
-                }
-                let i = fluid.members[place] as usize;
-                // SAFETY: each fluid particle has one place, and writes its own record; the block's lambda is complete.
-                let record = unsafe { self.records.slice(4 * B * i..4 * B * (i + 1)) };
-                let lambda = |k: usize| unsafe { self.lambda.get(base + k * width + lane) };
-                for k in 0..N * Q {
-                    record[k] = lambda(k);
-                    record[N * Q + k] = self.derivatives[base + k * width + lane];
-                }
-                for k in 0..1 + D {
-                    record[2 * N * Q + k] = lambda(N * Q + k);
-                }
+            // V = 1 / sum W.
+            let ([volume], [bar]) = (load::<L, 1>(self.derivatives, at, N * Q), load(self.bar, at, N * Q));
+            to.set(fluid, place, [2 * N * Q, 4 * B], -(volume * volume * bar));
+            let spread_bar = load::<L, D>(self.bar, at, N * Q + 1);
+            for d in 0..D {
+                to.set(fluid, place, [2 * N * Q + 1 + d, 4 * B], spread_bar[d]);
             }
         }
     }
@@ -444,12 +324,12 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
 
 struct Backward<'a, R, const D: usize, const Q: usize, const N: usize, const G: usize, const B: usize> {
     geometry: Geometry<'a, R>,
-    records: &'a [R],
-    bars: &'a [R],
+    records: Records<'a, R>,
+    bars: Records<'a, R>,
     /// The fluid's particles, or the wall's.
     solid: bool,
-    position_bar: Shared<'a, R>,
-    fields_bar: Shared<'a, R>,
+    position_bar: OfParticles<'a, R>,
+    fields_bar: OfParticles<'a, R>,
 }
 
 /// What a pair's two fits give to one of its sides.
@@ -539,7 +419,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
     #[allow(clippy::too_many_arguments)]
     fn pair<L: Lanes<Real = R>, const OWN: bool, const OTHER: bool>(
         &self,
-        around: &Around<L, D>,
+        around: &Around<'_, L, D>,
         own: &[[L; 4]; G],
         other: &[[L; 4]; G],
         own_bar: &[[L; 4]; B],
@@ -547,8 +427,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
         weights: &[L; 4],
         sums: &mut PairBar<L, D, N>,
     ) {
-        let (here, there) = (position::<L, D, G>(own), position::<L, D, G>(other));
-        let (r, r2) = around.towards(&here, &there);
+        let (r, r2) = around.towards(own, other);
         let (w, f, g) = around.kernel.all(r2);
         let mut difference = [L::zero(); N];
         for field in 0..N {
@@ -619,18 +498,6 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
             }
         }
     }
-
-    #[inline(always)]
-    fn write<L: Lanes<Real = R>>(&self, table: &Table, place: usize, sums: &PairBar<L, D, N>) {
-        let n = self.geometry.model.particles();
-        // SAFETY (both): each place writes its own particle.
-        for d in 0..D {
-            table.scatter(place, sums.position[d], |i, bar| unsafe { self.position_bar.add(d * n + i, bar) });
-        }
-        for field in 0..N {
-            table.scatter(place, sums.fields[field], |i, bar| unsafe { self.fields_bar.add(field * n + i, bar) });
-        }
-    }
 }
 
 impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, const B: usize> RowKernel<R>
@@ -640,50 +507,39 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (geometry, width) = (&self.geometry, width::<R>());
-        let around = Around::<L, D>::new(geometry);
-        let blocks = geometry.blocks;
+        let (n, blocks) = (self.geometry.model.particles(), self.geometry.blocks);
+        let around = Around::<L, D>::new(&self.geometry);
         let one = [L::splat(R::of(1.0)); 4];
-        for block in rows {
-            let mut part = 0;
-            while part < width {
-                let mut sums = PairBar { position: [L::zero(); D], fields: [L::zero(); N] };
-                let table = if self.solid { &blocks.solid } else { &blocks.fluid };
-                let place = block * width + part;
-                let members = table.members[place..].as_ptr();
-                // SAFETY (of every gather): as in the forward pass; the walls' cotangents are zero.
-                let own = unsafe { gather::<L, G>(self.records.as_ptr(), members) };
-                let own_bar = unsafe { gather::<L, B>(self.bars.as_ptr(), members) };
-                let from = block * table.capacity * width + part;
-                if self.solid {
-                    let weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, members) };
-                    for k in 0..table.depth[block] as usize {
-                        let index = unsafe { table.index.as_ptr().add(from + k * width) };
-                        let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                        let other_bar = unsafe { gather::<L, B>(self.bars.as_ptr(), index) };
-                        self.pair::<L, false, true>(&around, &own, &other, &own_bar, &other_bar, &weights, &mut sums);
-                    }
-                } else {
-                    for k in 0..table.depth[block] as usize {
-                        let index = unsafe { table.index.as_ptr().add(from + k * width) };
-                        let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                        let other_bar = unsafe { gather::<L, B>(self.bars.as_ptr(), index) };
-                        self.pair::<L, true, true>(&around, &own, &other, &own_bar, &other_bar, &one, &mut sums);
-                    }
-                    let wall = &blocks.wall;
-                    let from = block * wall.capacity * width + part;
-                    let count = counts::<L>(&wall.count[place..]);
-                    for k in 0..wall.depth[block] as usize {
-                        let index = unsafe { wall.index.as_ptr().add(from + k * width) };
-                        let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                        let mut weights = unsafe { L::gather4(geometry.model.fits.weights.as_ptr(), 4, index) };
-                        // F is not zero where a particle stands in for the neighbours that it lacks: c must not notice.
-                        weights[PRESSURE] = L::splat(R::of(k as f64)).select_less(count, weights[PRESSURE], L::zero());
-                        self.pair::<L, true, false>(&around, &own, &other, &own_bar, &own_bar, &weights, &mut sums);
-                    }
+        let table = if self.solid { &blocks.solid } else { &blocks.fluid };
+        for place in vectors::<L>(rows) {
+            let mut sums = PairBar { position: [L::zero(); D], fields: [L::zero(); N] };
+            let members = table.own(place);
+            // (The walls' cotangents are zero.)
+            let (own, own_bar) = (self.records.groups::<L, G>(members), self.bars.groups::<L, B>(members));
+            if self.solid {
+                let weights = around.weights(members);
+                for pair in table.pairs_of::<L>(place) {
+                    let (other, other_bar) = (self.records.groups(pair.names), self.bars.groups(pair.names));
+                    self.pair::<L, false, true>(&around, &own, &other, &own_bar, &other_bar, &weights, &mut sums);
                 }
-                self.write::<L>(table, place, &sums);
-                part += L::COUNT;
+            } else {
+                for pair in table.pairs_of::<L>(place) {
+                    let (other, other_bar) = (self.records.groups(pair.names), self.bars.groups(pair.names));
+                    self.pair::<L, true, true>(&around, &own, &other, &own_bar, &other_bar, &one, &mut sums);
+                }
+                let counts = blocks.wall.counts::<L>(place);
+                for pair in blocks.wall.pairs_of::<L>(place) {
+                    let (other, mut weights) = (self.records.groups(pair.names), around.weights(pair.names));
+                    // F is not zero where a particle stands in for the neighbours that it lacks: c must not notice.
+                    weights[PRESSURE] = pair.there(counts, weights[PRESSURE]);
+                    self.pair::<L, true, false>(&around, &own, &other, &own_bar, &own_bar, &weights, &mut sums);
+                }
+            }
+            for d in 0..D {
+                self.position_bar.add(table, place, d * n, sums.position[d]);
+            }
+            for field in 0..N {
+                self.fields_bar.add(table, place, field * n, sums.fields[field]);
             }
         }
     }
@@ -702,7 +558,6 @@ pub fn backward<R: Real>(
     let (count, blocks) = (fields_bar.len() / n, geometry.blocks.fluid.blocks());
     let buffers = &geometry.model.scratch.buffers;
     let records = if count > 1 { &kept.records } else { &kept.pressure_records };
-    let mut lambda = buffers.buffer(derivatives.len());
     let mut bars = buffers.buffer(stride(bar_fields(d, count)) * n);
     // Walls have no fit.
     bars.fill(R::default());
@@ -714,18 +569,16 @@ pub fn backward<R: Real>(
                 factors: &kept.factors,
                 derivatives,
                 bar: derivatives_bar,
-                lambda: Shared::new(&mut lambda),
-                records: Shared::new(&mut bars),
+                records: OfParticles::new(&mut bars),
             };
             run_rows(&solving, blocks);
-            let (position_bar, fields_bar) = (Shared::new(position_bar), Shared::new(fields_bar));
             let mut backward = Backward::<R, $d, $q, $n, $g, $b> {
                 geometry: *geometry,
-                records,
-                bars: &bars,
+                records: Records::new(records, 4 * $g, n),
+                bars: Records::new(&bars, 4 * $b, n),
                 solid: false,
-                position_bar,
-                fields_bar,
+                position_bar: OfParticles::new(position_bar),
+                fields_bar: OfParticles::new(fields_bar),
             };
             run_rows(&backward, blocks);
             backward.solid = true;

@@ -67,9 +67,6 @@ pub fn backward<R: Real>(
 }
 
 /// [`forward`] by candle's operators; masses `[1, N]`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn composed<R: Real>(
     model: &Consistent<R>,
     dt: f64,

@@ -1,20 +1,78 @@
-//! Inputs of the operators of a step besides fields.
+//! Inputs of the operators of a step besides fields, and what is made of pairs.
 
 use super::blocks::Blocks;
 use super::model::Consistent;
+use crate::numerics::lanes::{Lanes, Real};
+use crate::sph::kernels::KernelLanes;
 use crate::sph::pace::TimeSteps;
+use crate::sph::pairs::{Names, Records, RowGeometry};
 
 /// The model, the tables of the neighbour list and the time steps.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub struct Geometry<'a, R> {
     pub model: &'a Consistent<R>,
     pub blocks: &'a Blocks,
     pub times: TimeSteps,
 }
 
-impl<R> Clone for Geometry<'_, R> {
-    fn clone(&self) -> Self {
-        *self
+/// What a pair's geometry is made of.
+pub struct Around<'a, L: Lanes, const D: usize> {
+    pairs: RowGeometry<L, D>,
+    pub kernel: KernelLanes<L>,
+    /// 1/dx.
+    pub scale: L,
+    weights: Records<'a, L::Real>,
+}
+
+impl<'a, L: Lanes, const D: usize> Around<'a, L, D> {
+    #[inline(always)]
+    pub fn new(geometry: &Geometry<'a, L::Real>) -> Self {
+        let (model, fits) = (geometry.model, &geometry.model.fits);
+        let pairs = RowGeometry::new(&model.flow);
+        Self {
+            kernel: pairs.kernel,
+            pairs,
+            scale: L::splat(L::Real::of(1.0 / fits.spacing)),
+            weights: Records::new(&fits.weights, 4, model.particles()),
+        }
+    }
+
+    /// r_j - r_i and its square, from the records of i and j, which begin with their positions.
+    #[inline(always)]
+    pub fn towards<const G: usize>(&self, here: &[[L; 4]; G], there: &[[L; 4]; G]) -> ([L; D], L) {
+        self.pairs.difference::<true>(&position::<L, D, G>(there), &position::<L, D, G>(here))
+    }
+
+    /// r over the spacing.
+    #[inline(always)]
+    pub fn scaled(&self, r: &[L; D], sign: f64) -> [L; D] {
+        let scale = self.scale * L::splat(L::Real::of(sign));
+        let mut s = *r;
+        for d in 0..D {
+            s[d] = r[d] * scale;
+        }
+        s
+    }
+
+    /// [`super::Fits::weights`] of some particles.
+    #[inline(always)]
+    pub fn weights(&self, names: Names<'_, L>) -> [L; 4] {
+        self.weights.groups::<L, 1>(names)[0]
     }
 }
-impl<R> Copy for Geometry<'_, R> {}
+
+/// The position, which stands first in a record.
+#[inline(always)]
+fn position<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L; D] {
+    let mut position = [L::zero(); D];
+    for d in 0..D {
+        position[d] = get(record, d);
+    }
+    position
+}
+
+/// A field of gathered groups.
+#[inline(always)]
+pub fn get<L: Lanes, const G: usize>(groups: &[[L; 4]; G], field: usize) -> L {
+    groups[field / 4][field % 4]
+}

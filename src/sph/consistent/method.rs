@@ -12,7 +12,7 @@ use crate::config::scene::Kernels;
 use crate::config::stability::{self, CflLimit};
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
-use crate::sph::inventory::{dropped, Dropped, Field, Operator};
+use crate::sph::inventory::Operator;
 use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Worker};
 use crate::sph::pairs::stride;
 use std::sync::Arc;
@@ -92,15 +92,6 @@ impl<R: Sweeps> Method<R> for Consistent<R> {
     }
     fn operators(&self, list: &NeighbourList) -> Vec<Operator> {
         plan::operators(self, list)
-    }
-    fn fields(&self) -> Vec<Field> {
-        vec![Field::of::<R>("state", self.rows.names(), self.particles())]
-    }
-    fn dropped(&self) -> Vec<Dropped> {
-        vec![
-            dropped("transport velocity and its acceleration", "the formulation has a shift"),
-            dropped("density summation, mass, background pressure", "the pressure is a field of its own"),
-        ]
     }
 }
 

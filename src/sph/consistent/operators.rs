@@ -60,6 +60,9 @@ fn zeros<R: Real>(shape: impl IntoIterator<Item = usize>) -> Vec<R> {
     vec![R::default(); shape.into_iter().product()]
 }
 
+/// Cotangents of an operator's inputs.
+type Bars<R, const N: usize> = Result<[Option<Vec<R>>; N]>;
+
 /// state `[F, N]` -> known `[F, N]`: the state with the values of dummy particles filled in.
 pub struct WallValues<R: Sweeps>(pub Arc<Chain<R>>);
 /// known -> derivatives of all fields.
@@ -85,13 +88,13 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
 
     fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut known = state.to_vec();
-        R::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
+        self::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
-    fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let mut state_bar = bar.to_vec();
-        R::known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
+        known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
         Ok([Some(state_bar)])
     }
 }
@@ -106,7 +109,7 @@ impl<R: Sweeps> Operator<1> for Derivatives<R> {
         Ok((derivatives, Shape::from(self.0.shape(self.0.model.layout.fields()).to_vec())))
     }
 
-    fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let (mut bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
         R::derivatives_bar(&self.0.geometry(), &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
         Ok([Some(known_bar)])
@@ -124,13 +127,7 @@ impl<R: Sweeps> Operator<2> for Continuity<R> {
         Ok((pressure, (1, n).into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives]: [&[R]; 2],
-        _: &[R],
-        bar: &[R],
-        _: [bool; 2],
-    ) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, derivatives]: [&[R]; 2], _: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut known_bar, mut derivatives_bar) = (zeros([known.len()]), zeros([derivatives.len()]));
         let geometry = self.0.geometry();
         R::continuity_bar(&geometry, known, derivatives, &self.0.kept(), bar, &mut known_bar, &mut derivatives_bar);
@@ -144,14 +141,13 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
 
     fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut filled = pressure.to_vec();
-        R::wall_pressure(&self.0.geometry(), &mut self.0.kept(), known, &mut filled);
+        R::fill(&self.0.geometry(), known, &mut filled, &mut self.0.kept(), false);
         Ok((filled, shapes[1].clone()))
     }
 
-    fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
-        let geometry = self.0.geometry();
-        R::wall_pressure_bar(&geometry, &self.0.kept(), known, filled, &mut pressure_bar, &mut known_bar);
+        R::fill_bar(&self.0.geometry(), known, filled, &self.0.kept(), false, &mut pressure_bar, &mut known_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
     }
 }
@@ -166,13 +162,7 @@ impl<R: Sweeps> Operator<2> for PressureGradient<R> {
         Ok((gradient, Shape::from(self.0.shape(1).to_vec())))
     }
 
-    fn adjoint(
-        &self,
-        [known, pressure]: [&[R]; 2],
-        gradient: &[R],
-        bar: &[R],
-        _: [bool; 2],
-    ) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [known, pressure]: [&[R]; 2], gradient: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut known_bar, mut pressure_bar) = (zeros([known.len()]), zeros([pressure.len()]));
         let geometry = self.0.geometry();
         let mut bar = bar.to_vec();
@@ -191,13 +181,7 @@ impl<R: Sweeps> Operator<3> for Advance<R> {
         Ok((state, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives, gradient]: [&[R]; 3],
-        state: &[R],
-        bar: &[R],
-        _: [bool; 3],
-    ) -> Result<[Option<Vec<R>>; 3]> {
+    fn adjoint(&self, [known, derivatives, gradient]: [&[R]; 3], state: &[R], bar: &[R], _: [bool; 3]) -> Bars<R, 3> {
         let mut bars = [zeros([known.len()]), zeros([derivatives.len()]), zeros([gradient.len()])];
         let [known_bar, derivatives_bar, gradient_bar] = &mut bars;
         let geometry = self.0.geometry();
@@ -218,7 +202,7 @@ impl<R: Sweeps> Operator<1> for Masses<R> {
         Ok((masses, (1, n).into()))
     }
 
-    fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
+    fn adjoint(&self, [derivatives]: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
         let geometry = self.0.geometry();
         let mut derivatives_bar = zeros([derivatives.len()]);
         each_mass(&geometry, |i, at, factor| derivatives_bar[at] = bar[i] * factor);
@@ -236,7 +220,7 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
         Ok((after, shapes[0].clone()))
     }
 
-    fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
+    fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut state_bar, mut masses_bar) = (bar.to_vec(), zeros([masses.len()]));
         drive::backward(&self.0.geometry(), masses, state, after, &mut state_bar, &mut masses_bar);
         Ok([Some(state_bar), Some(masses_bar)])
@@ -248,9 +232,7 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
 fn each_mass<R: Real>(geometry: &Geometry<'_, R>, mut each: impl FnMut(usize, usize, R)) {
     let (l, density) = (geometry.model.layout, geometry.model.equation_of_state.reference_density);
     let row = l.fields() * monomials(l.dimension);
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        let i = fluid.members[place] as usize;
+    for (place, i) in geometry.blocks.fluid.each() {
         let at = Place::of::<R>(place, rows(l.dimension, l.fields())).row(row);
         each(i, at, R::of(density) * geometry.model.fits.quadrature[i]);
     }
@@ -264,9 +246,7 @@ pub fn masses<R: Real>(geometry: &Geometry<'_, R>, derivatives: &[R], masses: &m
 /// Calls `each` for each conducting fluid particle with x < `until`, with its index and the place of its derivatives.
 fn each_conducting<R: Real>(geometry: &Geometry<'_, R>, known: &[R], until: f64, mut each: impl FnMut(usize, Place)) {
     let l = geometry.model.layout;
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        let i = fluid.members[place] as usize;
+    for (place, i) in geometry.blocks.fluid.each() {
         if conduction::conducts(geometry.model, known[i]) && known[i].f64() < until {
             each(i, Place::of::<R>(place, rows(l.dimension, l.fields())));
         }
@@ -314,13 +294,7 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
         Ok((vec![R::of(heating(&self.0.geometry(), known, derivatives, masses, self.1))], ().into()))
     }
 
-    fn adjoint(
-        &self,
-        [known, derivatives, masses]: [&[R]; 3],
-        _: &[R],
-        bar: &[R],
-        _: [bool; 3],
-    ) -> Result<[Option<Vec<R>>; 3]> {
+    fn adjoint(&self, [known, derivatives, masses]: [&[R]; 3], _: &[R], bar: &[R], _: [bool; 3]) -> Bars<R, 3> {
         let geometry = self.0.geometry();
         let (mut derivatives_bar, mut masses_bar) = (zeros([derivatives.len()]), zeros([masses.len()]));
         let bar = bar[0].f64();
@@ -335,9 +309,6 @@ impl<R: Sweeps> Operator<3> for Heating<R> {
 }
 
 /// The evaluated fields of a state, on the graph.
-///
-/// # Errors
-/// Tensor errors.
 pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Known> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;
@@ -348,9 +319,6 @@ pub fn look<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Known> {
 }
 
 /// Makes one step on the graph.
-///
-/// # Errors
-/// Tensor errors.
 pub fn advance<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Tensor> {
     let known = apply1(WallValues(chain.clone()), state)?;
     let derivatives = apply1(Derivatives(chain.clone()), &known)?;
@@ -381,7 +349,7 @@ impl<R: Sweeps> Buffers<R> {
     pub fn look(&mut self, geometry: &Geometry<'_, R>, state: &[R]) {
         self.known.clear();
         self.known.extend_from_slice(state);
-        R::known(geometry, &mut self.kept, &mut self.known);
+        known(geometry, &mut self.kept, &mut self.known);
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
@@ -390,7 +358,7 @@ impl<R: Sweeps> Buffers<R> {
         self.look(geometry, state);
         self.pressure.resize(geometry.model.particles(), R::default());
         R::continuity(geometry, &self.known, &self.derivatives, &self.kept, &mut self.pressure);
-        R::wall_pressure(geometry, &mut self.kept, &self.known, &mut self.pressure);
+        R::fill(geometry, &self.known, &mut self.pressure, &mut self.kept, false);
         R::pressure_gradient(geometry, &mut self.kept, &self.known, &self.pressure, &mut self.gradient);
         R::advance(geometry, &self.known, &self.derivatives, &self.gradient, state);
         geometry.model.drive?;
@@ -401,19 +369,19 @@ impl<R: Sweeps> Buffers<R> {
 }
 
 /// Fills in the values of dummy particles in all fields, in place, see [`super::wall_values`].
-pub fn known<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
+fn known<R: Sweeps>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     // Positions and mirror images are read while values are written.
     let (places, fields) = known[..l.last_rates() * n].split_at_mut(l.pressure() * n);
-    super::wall_values::fill(geometry, places, fields, kept, true);
+    R::fill(geometry, places, fields, kept, true);
 }
 
 /// The adjoint of [`known`], in place: maps the cotangent of `known` to that of the state.
-pub fn known_bar<R: Real>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
+fn known_bar<R: Sweeps>(geometry: &Geometry<'_, R>, kept: &Kept<R>, known: &[R], bar: &mut [R]) {
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
     let (places_bar, fields_bar) = bar[..l.last_rates() * n].split_at_mut(l.pressure() * n);
     let (places, fields) = known[..l.last_rates() * n].split_at(l.pressure() * n);
-    super::wall_values::backward(geometry, places, fields, kept, true, fields_bar, places_bar);
+    R::fill_bar(geometry, places, fields, kept, true, fields_bar, places_bar);
 }
 
 /// The derivatives of all fields, see [`super::derivatives`], followed by the shift.
@@ -438,22 +406,6 @@ pub fn derivatives_bar<R: Real>(
     super::derivatives::backward(geometry, kept, derivatives, bar, position_bar, fields_bar);
 }
 
-/// Fills in the values of dummy particles in the new pressure, in place, see [`super::wall_values`].
-pub fn wall_pressure<R: Real>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &[R], pressure: &mut [R]) {
-    super::wall_values::fill(geometry, known, pressure, kept, false);
-}
-
-pub fn wall_pressure_bar<R: Real>(
-    geometry: &Geometry<'_, R>,
-    kept: &Kept<R>,
-    known: &[R],
-    filled: &[R],
-    pressure_bar: &mut [R],
-    known_bar: &mut [R],
-) {
-    super::wall_values::backward(geometry, known, filled, kept, false, pressure_bar, known_bar);
-}
-
 /// The derivatives of the new pressure, see [`super::derivatives`], followed by the pressure itself.
 pub fn pressure_gradient<R: Real>(
     geometry: &Geometry<'_, R>,
@@ -464,9 +416,8 @@ pub fn pressure_gradient<R: Real>(
 ) {
     super::derivatives::forward(geometry, known, pressure, kept, gradient);
     let d = geometry.model.layout.dimension;
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
-        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[fluid.members[place] as usize];
+    for (place, i) in geometry.blocks.fluid.each() {
+        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[i];
     }
 }
 
@@ -480,11 +431,10 @@ pub fn pressure_gradient_bar<R: Real>(
     pressure_bar: &mut [R],
 ) {
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
-    let fluid = &geometry.blocks.fluid;
-    for place in 0..fluid.places {
+    for (place, i) in geometry.blocks.fluid.each() {
         let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
         // The adjoint of the fits takes this row for the volume, which is not used here.
-        pressure_bar[fluid.members[place] as usize] += std::mem::take(&mut bar[at]);
+        pressure_bar[i] += std::mem::take(&mut bar[at]);
     }
     super::derivatives::backward(geometry, kept, gradient, bar, &mut known_bar[..d * n], pressure_bar);
 }

@@ -5,7 +5,7 @@ use super::model::Consistent;
 use super::stencil::monomials;
 use super::sweeps::Sweeps;
 use crate::particles::NeighbourList;
-use crate::sph::inventory::Operator;
+use crate::sph::inventory::{words, Operator};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::pairs::stride;
 
@@ -21,14 +21,8 @@ pub fn operators<R: Sweeps>(model: &Consistent<R>, list: &NeighbourList) -> Vec<
     let of_points: usize = fits.surface.iter().map(|&i| list.count[i as usize] as usize).sum();
     let derivatives = |fields: usize| (fields * terms + 1 + d) * fluid * number;
     let record = |fields: usize| stride(fields) * number;
-    let operator = |name, does: Vec<String>, rows, pairs, bytes_read, bytes_written, gathered| Operator {
-        name,
-        does,
-        rows,
-        pairs,
-        bytes_read,
-        bytes_written,
-        bytes_gathered: gathered * pairs,
+    let operator = |name, does, rows, pairs, bytes_read, bytes_written, gathered: usize| {
+        Operator::new(name, does, [rows, pairs], [bytes_read, bytes_written, gathered * pairs])
     };
     let text = |texts: &[&str]| texts.iter().map(|text| text.to_string()).collect::<Vec<String>>();
     let shift = match &fits.shift {
@@ -36,8 +30,7 @@ pub fn operators<R: Sweeps>(model: &Consistent<R>, list: &NeighbourList) -> Vec<
         Shift::Chain(_) => "shift along rows",
         Shift::Isotropic(_) => "shift away from crowds",
     };
-    let moves = text(&["largest move since the list was built; a new list at half the skin"]);
-    let mut all = vec![operator("neighbours", moves, n, 0, 2 * row(d), 0, 0)];
+    let mut all = vec![Operator::neighbours::<R>(n, d)];
     if has_dummies {
         let does = text(&["dummy particles: the fluid's values at their mirror images"]);
         let points = fits.surface.len();
@@ -59,13 +52,14 @@ pub fn operators<R: Sweeps>(model: &Consistent<R>, list: &NeighbourList) -> Vec<
     }
     let does = text(&["fits of the new pressure, with the matrices that there are"]);
     all.push(operator("pressure gradient", does, fluid, fluid_pairs, row(d + 1), derivatives(1), record(d + 1)));
-    let mut does = text(&["kick", "move", "periodic wrap"]);
-    if l.heat {
-        does.extend(text(&["conduction", "inlet temperature"]));
-    }
-    if model.body_force != BodyForce::None {
-        does.extend(text(&["body force"]));
-    }
+    let does = words(&[
+        (true, "kick"),
+        (true, "move"),
+        (true, "periodic wrap"),
+        (l.heat, "conduction"),
+        (l.heat, "inlet temperature"),
+        (model.body_force != BodyForce::None, "body force"),
+    ]);
     let read = known + derivatives(l.fields()) + derivatives(1);
     all.push(operator("advance", does, fluid + walls, 0, read, known, 0));
     all

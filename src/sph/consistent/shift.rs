@@ -11,14 +11,16 @@
 //! * `none`.
 
 use super::arrangement::{Chain, Isotropic, Shift};
-use super::blocks::{width, Place};
+use super::blocks::Place;
 use super::geometry::Geometry;
 use super::kept::Kept;
 use super::kinds::rows;
+use super::layout::Layout;
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::Domain;
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Where a place lies between two particles of a row: the places of both in it, and how far they are to the right of it.
@@ -103,19 +105,23 @@ fn hints<'a>(chain: &Chain, hints: &'a mut Vec<u32>) -> &'a mut [u32] {
     hints
 }
 
+/// Where component k of c_i, then of w, of a place stands in the derivatives.
+#[inline(always)]
+fn at<R>(l: Layout, place: usize, k: usize) -> usize {
+    let (d, fields) = (l.dimension, l.fields());
+    Place::of::<R>(place, rows(d, fields)).row(fields * monomials(d) + 1 + k)
+}
+
 /// Replaces the derivatives' last rows (c_i) by w.
 pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept<R>, derivatives: &mut [R]) {
     let (model, fits) = (geometry.model, &geometry.model.fits);
-    let l = model.layout;
-    let (d, fields) = (l.dimension, l.fields());
-    let fluid = &geometry.blocks.fluid;
-    let first = fields * monomials(d) + 1;
-    let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
+    let (d, fluid) = (model.layout.dimension, &geometry.blocks.fluid);
+    let row = |place: usize, k: usize| at::<R>(model.layout, place, k);
     match &fits.shift {
         Shift::None => {}
         Shift::Isotropic(isotropic) => {
             // The adjoint needs c where w is limited.
-            kept.spread.resize(d * fluid.members.len(), R::default());
+            kept.spread.resize(d * fluid.places, R::default());
             let factor = R::of(-isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1));
             let limit = R::of(isotropic.limit * fits.velocity);
             for place in 0..fluid.places {
@@ -135,8 +141,8 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
         }
         Shift::Chain(chain) => {
             let at = Rows::new(geometry, chain, known);
-            let hints = Shared::new(hints(chain, &mut kept.hints));
-            let sweep = ChainSweep { geometry: *geometry, at, hints, derivatives: Shared::new(derivatives) };
+            let hints = Own::new(hints(chain, &mut kept.hints));
+            let sweep = ChainSweep { geometry: *geometry, at, hints, derivatives: Own::new(derivatives) };
             run_rows(&sweep, fluid.places);
         }
     }
@@ -146,8 +152,8 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
 struct ChainSweep<'a, R> {
     geometry: Geometry<'a, R>,
     at: Rows<'a, R>,
-    hints: Shared<'a, u32>,
-    derivatives: Shared<'a, R>,
+    hints: Own<'a, u32>,
+    derivatives: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
@@ -156,21 +162,18 @@ impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
         let (geometry, at) = (&self.geometry, &self.at);
         let (model, fits, chain) = (geometry.model, &geometry.model.fits, at.chain);
         let (n, l) = (model.particles(), model.layout);
-        let (d, fields) = (l.dimension, l.fields());
-        let first = fields * monomials(d) + 1;
         let factor = R::of(0.5 * chain.strength * fits.velocity / fits.spacing);
         let two = R::of(2.0);
         let last = chain.rows.len() - 1;
         for place in places {
-            let i = geometry.blocks.fluid.members[place] as usize;
+            let i = geometry.blocks.fluid.particle(place);
             let (r, previous, next) = chain.beside(i);
             let (x, y) = (at.x[i], at.y[i]);
             let along = at.toward(x, previous) + at.toward(x, next);
             let mut across = -two * y;
             for (side, beside) in [r - 1, r + 1].into_iter().enumerate() {
-                // SAFETY (all): each place has its own particle, and that its own hints.
-                let between = at.between(beside, x, unsafe { self.hints.get(2 * i + side) } as usize);
-                unsafe { self.hints.set(2 * i + side, between.left as u32) };
+                let between = at.between(beside, x, self.hints.get(2 * i + side) as usize);
+                self.hints.set(2 * i + side, between.left as u32);
                 let (share, _) = at.share(&between);
                 let height = |place: usize| at.y[chain.rows[beside][place] as usize];
                 let (low, high) = (height(between.left), height(between.right));
@@ -184,8 +187,7 @@ impl<R: Real> RowKernel<R> for ChainSweep<'_, R> {
                 w[1] += (u + w[0]) * slope - v;
             }
             for (k, w) in w.into_iter().enumerate() {
-                // SAFETY: likewise.
-                unsafe { self.derivatives.set(Place::of::<R>(place, rows(d, fields)).row(first + k), w) };
+                self.derivatives.set(self::at::<R>(l, place, k), w);
             }
         }
     }
@@ -200,11 +202,8 @@ pub fn backward<R: Real>(
     known_bar: &mut [R],
 ) {
     let (model, fits) = (geometry.model, &geometry.model.fits);
-    let (n, l) = (model.particles(), model.layout);
-    let (d, fields) = (l.dimension, l.fields());
-    let fluid = &geometry.blocks.fluid;
-    let first = fields * monomials(d) + 1;
-    let row = |place: usize, k: usize| Place::of::<R>(place, rows(d, fields)).row(first + k);
+    let (n, l, d, fluid) = (model.particles(), model.layout, model.layout.dimension, &geometry.blocks.fluid);
+    let row = |place: usize, k: usize| at::<R>(l, place, k);
     match &fits.shift {
         Shift::None => {
             for place in 0..fluid.places {
@@ -237,8 +236,7 @@ pub fn backward<R: Real>(
             let two = R::of(2.0);
             let last = chain.rows.len() - 1;
             let hints = hints(chain, &mut kept.hints);
-            for place in 0..fluid.places {
-                let i = fluid.members[place] as usize;
+            for (place, i) in fluid.each() {
                 let mut w_bar = [derivatives_bar[row(place, 0)], derivatives_bar[row(place, 1)]];
                 // What c_i would get: nothing comes of it.
                 (0..d).for_each(|k| derivatives_bar[row(place, k)] = R::default());
@@ -291,18 +289,14 @@ fn near<R: Real>(
     known: &[R],
     mut each: impl FnMut(usize, usize, &[f64; 3], R),
 ) {
-    let fits = &geometry.model.fits;
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
-    let (table, width) = (&geometry.blocks.wall, width::<R>());
+    let table = &geometry.blocks.wall;
     if isotropic.normals.is_empty() {
         return;
     }
-    for place in 0..table.places {
-        let i = table.members[place] as usize;
+    for (place, i) in table.each() {
         let mut best: Option<(R, u32, &[f64; 3], [R; 3])> = None;
-        let from = place / width * table.capacity * width + place % width;
-        for k in 0..table.count[place] as usize {
-            let j = table.index[from + k * width];
+        for j in table.neighbours(place) {
             let Some(normal) = isotropic.normals.get(&j) else { continue };
             let mut r = [R::default(); 3];
             let mut square = R::default();
@@ -317,7 +311,7 @@ fn near<R: Real>(
         }
         if let Some((_, point, normal, r)) = best {
             let distance: R = (0..d).map(|a| r[a] * R::of(normal[a])).sum();
-            if distance < R::of(0.5 * fits.spacing) {
+            if distance < R::of(0.5 * geometry.model.fits.spacing) {
                 each(place, point as usize, normal, distance);
             }
         }
@@ -344,7 +338,7 @@ fn push_back<R: Real>(
     let fits = &geometry.model.fits;
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
     near(geometry, isotropic, known, |place, point, normal, _| {
-        let i = geometry.blocks.wall.members[place] as usize;
+        let i = geometry.blocks.wall.particle(place);
         let along: R = (0..d).map(|k| bar(place, k) * R::of(normal[k])).sum();
         let distance_bar = -along * R::of(fits.velocity / fits.spacing);
         for k in 0..d {

@@ -1,24 +1,39 @@
 //! The sweeps of the consistent method over particles, for f32 and f64.
 //!
-//! They are called through a trait with implementations that are not generic, see [`crate::sph::standard::sweeps`].
+//! They are called through a trait with implementations that are not generic, see [`crate::sph::precisions`].
 
 use super::blocks::Blocks;
 use super::geometry::Geometry;
 use super::kept::Kept;
-use crate::particles::{NeighbourList, Search};
+use crate::particles::NeighbourList;
+use crate::sph::precisions::declare;
 
 /// Calls a macro with the signature of every sweep and the function that implements it.
 macro_rules! sweeps {
     ($with:ident) => {
         $with! {
-            fn known(geometry: &Geometry<'_, Self>, kept: &mut Kept<Self>, known: &mut [Self]) = consistent::known;
-            fn known_bar(geometry: &Geometry<'_, Self>, kept: &Kept<Self>, known: &[Self], bar: &mut [Self]) = consistent::known_bar;
+            fn fill(
+                geometry: &Geometry<'_, Self>,
+                known: &[Self],
+                fields: &mut [Self],
+                kept: &mut Kept<Self>,
+                all: bool,
+            ) = wall_values::fill;
+            fn fill_bar(
+                geometry: &Geometry<'_, Self>,
+                known: &[Self],
+                fields: &[Self],
+                kept: &Kept<Self>,
+                all: bool,
+                fields_bar: &mut [Self],
+                known_bar: &mut [Self],
+            ) = wall_values::backward;
             fn derivatives(
                 geometry: &Geometry<'_, Self>,
                 kept: &mut Kept<Self>,
                 known: &[Self],
                 derivatives: &mut Vec<Self>,
-            ) = consistent::derivatives;
+            ) = operators::derivatives;
             fn derivatives_bar(
                 geometry: &Geometry<'_, Self>,
                 kept: &mut Kept<Self>,
@@ -26,7 +41,7 @@ macro_rules! sweeps {
                 derivatives: &[Self],
                 bar: &mut [Self],
                 known_bar: &mut [Self],
-            ) = consistent::derivatives_bar;
+            ) = operators::derivatives_bar;
             fn continuity(
                 geometry: &Geometry<'_, Self>,
                 known: &[Self],
@@ -43,22 +58,13 @@ macro_rules! sweeps {
                 known_bar: &mut [Self],
                 derivatives_bar: &mut [Self],
             ) = continuity::backward;
-            fn wall_pressure(geometry: &Geometry<'_, Self>, kept: &mut Kept<Self>, known: &[Self], pressure: &mut [Self]) = consistent::wall_pressure;
-            fn wall_pressure_bar(
-                geometry: &Geometry<'_, Self>,
-                kept: &Kept<Self>,
-                known: &[Self],
-                filled: &[Self],
-                pressure_bar: &mut [Self],
-                known_bar: &mut [Self],
-            ) = consistent::wall_pressure_bar;
             fn pressure_gradient(
                 geometry: &Geometry<'_, Self>,
                 kept: &mut Kept<Self>,
                 known: &[Self],
                 pressure: &[Self],
                 gradient: &mut Vec<Self>,
-            ) = consistent::pressure_gradient;
+            ) = operators::pressure_gradient;
             fn pressure_gradient_bar(
                 geometry: &Geometry<'_, Self>,
                 kept: &Kept<Self>,
@@ -66,7 +72,7 @@ macro_rules! sweeps {
                 bar: &mut [Self],
                 known_bar: &mut [Self],
                 pressure_bar: &mut [Self],
-            ) = consistent::pressure_gradient_bar;
+            ) = operators::pressure_gradient_bar;
             fn advance(
                 geometry: &Geometry<'_, Self>,
                 known: &[Self],
@@ -90,13 +96,4 @@ macro_rules! sweeps {
 }
 pub(super) use sweeps;
 
-macro_rules! declare {
-    ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
-        /// The sweeps of a precision: forward, and the adjoints with names that end in `_bar`.
-        #[allow(clippy::too_many_arguments)]
-        pub trait Sweeps: Search {
-            $(fn $name($($argument: $type),*) $(-> $output)?;)*
-        }
-    };
-}
 sweeps!(declare);

@@ -7,13 +7,14 @@
 //!
 //! The mirror image of a dummy particle stands in its rows of velocity, which it has no other use for.
 
-use super::blocks::{counts, gather, get, position, width};
-use super::geometry::Geometry;
+use super::blocks::{load, store, vectors, width, OfParticles, Place};
+use super::geometry::{get, Around, Geometry};
 use super::kept::Kept;
-use super::stencil::{accumulate, dot, factorise, packed, solve};
+use super::stencil::{accumulate, at, dot, factorise, packed, solve};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
-use crate::sph::pairs::{stride, RowGeometry};
+use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::sph::own::Own;
+use crate::sph::pairs::{stride, Records};
 use std::ops::Range;
 
 /// Added to the linear terms' diagonal, in units of sum W.
@@ -35,27 +36,25 @@ macro_rules! sizes {
 struct Fitting<'a, R, const D: usize, const K: usize, const P: usize, const N: usize, const G: usize> {
     geometry: Geometry<'a, R>,
     /// Position and fields, `[N, 4 G]`.
-    records: &'a [R],
-    /// Whether the matrices are made here.
-    first: bool,
-    /// `[blocks, P, width]`.
-    factors: Shared<'a, R>,
+    records: Records<'a, R>,
+    /// The matrices `[blocks, P, width]`, where they are made, and where they are there.
+    made: Option<Own<'a, R>>,
+    factors: &'a [R],
     /// `[blocks, N K, width]`.
-    coefficients: Shared<'a, R>,
+    coefficients: Own<'a, R>,
 }
 
 /// r_j - r_i, its square, and q = (1, s).
 #[inline(always)]
 fn around<L: Lanes, const D: usize, const K: usize, const G: usize>(
-    pairs: &RowGeometry<L, D>,
-    scale: L,
+    pairs: &Around<'_, L, D>,
     here: &[[L; 4]; G],
     there: &[[L; 4]; G],
 ) -> ([L; D], L, [L; K]) {
-    let (r, r2) = pairs.difference::<true>(&position::<L, D, G>(there), &position::<L, D, G>(here));
+    let (r, r2) = pairs.towards(here, there);
     let mut q = [L::splat(L::Real::of(1.0)); K];
     for d in 0..D {
-        q[1 + d] = r[d] * scale;
+        q[1 + d] = r[d] * pairs.scale;
     }
     (r, r2, q)
 }
@@ -67,64 +66,42 @@ impl<R: Real, const D: usize, const K: usize, const P: usize, const N: usize, co
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (geometry, width) = (&self.geometry, width::<R>());
-        let pairs = RowGeometry::<L, D>::new(&geometry.model.domain, geometry.model.kernel.cutoff());
-        let kernel = geometry.model.kernel.lanes::<L>();
-        let scale = L::splat(R::of(1.0 / geometry.model.fits.spacing));
-        let table = &geometry.blocks.surface;
-        for block in rows {
-            let mut part = 0;
-            while part < width {
-                let place = block * width + part;
-                let count = counts::<L>(&table.count[place..]);
-                // SAFETY (of every gather): tables name particles only.
-                let own = unsafe { gather::<L, G>(self.records.as_ptr(), table.members[place..].as_ptr()) };
-                let (mut matrix, mut right) = ([L::zero(); P], [[L::zero(); K]; N]);
-                let from = block * table.capacity * width + part;
-                for k in 0..table.depth[block] as usize {
-                    let index = unsafe { table.index.as_ptr().add(from + k * width) };
-                    let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                    let (_, r2, q) = around::<L, D, K, G>(&pairs, scale, &own, &other);
-                    let w = L::splat(R::of(k as f64)).select_less(count, kernel.value(r2), L::zero());
-                    if self.first {
-                        accumulate::<L, K, P>(&mut matrix, w, &q);
-                    }
-                    for field in 0..N {
-                        let weighted = w * get(&other, D + field);
-                        for a in 0..K {
-                            right[field][a] = weighted.mul_add(q[a], right[field][a]);
-                        }
-                    }
+        let pairs = Around::<L, D>::new(&self.geometry);
+        let table = &self.geometry.blocks.surface;
+        for place in vectors::<L>(rows) {
+            let counts = table.counts::<L>(place);
+            let own = self.records.groups::<L, G>(table.own(place));
+            let (mut matrix, mut right) = ([L::zero(); P], [[L::zero(); K]; N]);
+            for pair in table.pairs_of::<L>(place) {
+                let other = self.records.groups::<L, G>(pair.names);
+                let (_, r2, q) = around::<L, D, K, G>(&pairs, &own, &other);
+                let w = pair.there(counts, pairs.kernel.value(r2));
+                if self.made.is_some() {
+                    accumulate::<L, K, P>(&mut matrix, w, &q);
                 }
-                let to = block * P * width + part;
-                if self.first {
-                    let sum = matrix[0];
-                    let extra = sum * L::splat(R::of(REGULARISATION));
-                    for a in 1..K {
-                        let place = super::stencil::at(a, a);
-                        matrix[place] += extra;
-                    }
-                    let least = sum.mul_add(L::splat(R::of(1e-9)), L::splat(R::of(1e-30)));
-                    factorise::<L, K, P>(&mut matrix, least);
-                    for a in 0..P {
-                        // SAFETY: each block writes its own rows.
-                        unsafe { self.factors.store(to + a * width, matrix[a]) };
-                    }
-                } else {
-                    for a in 0..P {
-                        // SAFETY: written by the first pass.
-                        matrix[a] = unsafe { L::load(self.factors.as_ptr().add(to + a * width)) };
-                    }
-                }
-                let to = block * N * K * width + part;
                 for field in 0..N {
-                    let c = solve::<L, K, P>(&matrix, right[field]);
+                    let weighted = w * get(&other, D + field);
                     for a in 0..K {
-                        // SAFETY: each block writes its own rows.
-                        unsafe { self.coefficients.store(to + (field * K + a) * width, c[a]) };
+                        right[field][a] = weighted.mul_add(q[a], right[field][a]);
                     }
                 }
-                part += L::COUNT;
+            }
+            let of_matrix = Place::of::<R>(place, P);
+            if let Some(made) = &self.made {
+                let sum = matrix[0];
+                let extra = sum * L::splat(R::of(REGULARISATION));
+                for a in 1..K {
+                    matrix[at(a, a)] += extra;
+                }
+                let least = sum.mul_add(L::splat(R::of(1e-9)), L::splat(R::of(1e-30)));
+                factorise::<L, K, P>(&mut matrix, least);
+                store(made, of_matrix, 0, matrix);
+            } else {
+                matrix = load(self.factors, of_matrix, 0);
+            }
+            for field in 0..N {
+                let c = solve::<L, K, P>(&matrix, right[field]);
+                store(&self.coefficients, Place::of::<R>(place, N * K), field * K, c);
             }
         }
     }
@@ -155,31 +132,25 @@ pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], 
     let coefficients = if all { &mut kept.wall_coefficients } else { &mut kept.pressure_coefficients };
     coefficients.resize(blocks * count * (d + 1) * width::<R>(), R::default());
     {
-        let factors = Shared::new(&mut kept.wall_factors);
-        let coefficients = Shared::new(coefficients);
+        let (geometry, records) = (*geometry, Records::new(&records, stride(d + count), n));
+        let (made, factors): (_, &[R]) = match all {
+            true => (Some(Own::new(&mut kept.wall_factors)), &[]),
+            false => (None, &kept.wall_factors),
+        };
+        let coefficients = Own::new(coefficients);
         macro_rules! go {
             ($d:literal, $k:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {
-                run_rows(
-                    &Fitting::<R, $d, $k, $p, $n, $g> {
-                        geometry: *geometry,
-                        records: &records,
-                        first: all,
-                        factors,
-                        coefficients,
-                    },
-                    blocks,
-                )
+                run_rows(&Fitting::<R, $d, $k, $p, $n, $g> { geometry, records, made, factors, coefficients }, blocks)
             };
         }
         sizes!(d, count, go)
     }
-    let (unknowns, width) = (d + 1, width::<R>());
+    let unknowns = d + 1;
     for &(dummy, place) in &fits.dummies {
         let (i, place) = (dummy as usize, place as usize);
-        let point = fits.surface[place] as usize;
-        let from = place / width * count * unknowns * width + place % width;
+        let (point, at) = (fits.surface[place] as usize, Place::of::<R>(place, count * unknowns));
         for field in 0..count {
-            let c = |a: usize| coefficients[from + (field * unknowns + a) * width];
+            let c = |a: usize| coefficients[at.row(field * unknowns + a)];
             let mut value = c(0);
             for a in 0..d {
                 value += c(1 + a) * mirror(geometry, known, i, point, a);
@@ -189,13 +160,13 @@ pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], 
     }
 }
 
-/// lambda of every fit, and the records of the pairs' adjoint.
+/// lambda of every fit, as the records of the pairs' adjoint.
 struct Solving<'a, R, const K: usize, const P: usize, const N: usize, const B: usize> {
     geometry: Geometry<'a, R>,
     factors: &'a [R],
     coefficients: &'a [R],
-    bar: Shared<'a, R>,
-    records: Shared<'a, R>,
+    bar: &'a [R],
+    records: OfParticles<'a, R>,
 }
 
 impl<R: Real, const K: usize, const P: usize, const N: usize, const B: usize> RowKernel<R>
@@ -205,45 +176,16 @@ impl<R: Real, const K: usize, const P: usize, const N: usize, const B: usize> Ro
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let width = width::<R>();
-        let table = &self.geometry.blocks.surface;
-        for block in rows {
-            let base = block * N * K * width;
-            let mut part = 0;
-            while part < width {
-                let from = block * P * width + part;
-                let mut factor = [L::zero(); P];
-                for a in 0..P {
-                    // SAFETY: every block has its rows.
-                    factor[a] = unsafe { L::load(self.factors.as_ptr().add(from + a * width)) };
-                }
-                for field in 0..N {
-                    let place = |a: usize| base + part + (field * K + a) * width;
-                    let mut bar = [L::zero(); K];
-                    for a in 0..K {
-                        // SAFETY: as above.
-                        bar[a] = unsafe { L::load(self.bar.as_ptr().add(place(a))) };
-                    }
-                    let lambda = solve::<L, K, P>(&factor, bar);
-                    for a in 0..K {
-                        // SAFETY: each block writes its own rows.
-                        unsafe { self.bar.store(place(a), lambda[a]) };
-                    }
-                }
-                part += L::COUNT;
-            }
-            for lane in 0..width {
-                let place = block * width + lane;
-                if place >= table.places {
-                    break;
-                }
-                let i = table.members[place] as usize;
-                // SAFETY: each point has one place.
-                let record = unsafe { self.records.slice(4 * B * i..4 * B * (i + 1)) };
-                for k in 0..N * K {
-                    // SAFETY: the block's lambda is complete.
-                    record[k] = unsafe { self.bar.get(base + k * width + lane) };
-                    record[N * K + k] = self.coefficients[base + k * width + lane];
+        let (table, to) = (&self.geometry.blocks.surface, &self.records);
+        for place in vectors::<L>(rows) {
+            let factor = load(self.factors, Place::of::<R>(place, P), 0);
+            let at = Place::of::<R>(place, N * K);
+            for field in 0..N {
+                let lambda = solve::<L, K, P>(&factor, load(self.bar, at, field * K));
+                let c = load::<L, K>(self.coefficients, at, field * K);
+                for a in 0..K {
+                    to.set(table, place, [field * K + a, 4 * B], lambda[a]);
+                    to.set(table, place, [(N + field) * K + a, 4 * B], c[a]);
                 }
             }
         }
@@ -252,12 +194,13 @@ impl<R: Real, const K: usize, const P: usize, const N: usize, const B: usize> Ro
 
 struct Backward<'a, R, const D: usize, const K: usize, const N: usize, const G: usize, const B: usize> {
     geometry: Geometry<'a, R>,
-    records: &'a [R],
-    bars: &'a [R],
+    records: Records<'a, R>,
+    /// 0 for other particles than points on the surface.
+    bars: Records<'a, R>,
     /// Rows of the points on the surface, or of the fluid.
     surface: bool,
-    position_bar: Shared<'a, R>,
-    fields_bar: Shared<'a, R>,
+    position_bar: OfParticles<'a, R>,
+    fields_bar: OfParticles<'a, R>,
 }
 
 impl<R: Real, const D: usize, const K: usize, const N: usize, const G: usize, const B: usize> RowKernel<R>
@@ -267,75 +210,56 @@ impl<R: Real, const D: usize, const K: usize, const N: usize, const G: usize, co
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (geometry, width) = (&self.geometry, width::<R>());
-        let pairs = RowGeometry::<L, D>::new(&geometry.model.domain, geometry.model.kernel.cutoff());
-        let kernel = geometry.model.kernel.lanes::<L>();
-        let scale = L::splat(R::of(1.0 / geometry.model.fits.spacing));
+        let (n, blocks) = (self.geometry.model.particles(), self.geometry.blocks);
+        let pairs = Around::<L, D>::new(&self.geometry);
         let regularisation = L::splat(R::of(REGULARISATION));
-        let blocks = geometry.blocks;
         let table = if self.surface { &blocks.surface } else { &blocks.wall };
-        let n = geometry.model.particles();
-        for block in rows {
-            let mut part = 0;
-            while part < width {
-                let place = block * width + part;
-                let count = counts::<L>(&table.count[place..]);
-                let members = table.members[place..].as_ptr();
-                // SAFETY (of every gather): tables name particles only, and each has records; those of other particles than
-                // points on the surface are zero.
-                let own = unsafe { gather::<L, G>(self.records.as_ptr(), members) };
-                let own_bar = unsafe { gather::<L, B>(self.bars.as_ptr(), members) };
-                let (mut position_bar, mut fields_bar) = ([L::zero(); D], [L::zero(); N]);
-                let from = block * table.capacity * width + part;
-                for k in 0..table.depth[block] as usize {
-                    let index = unsafe { table.index.as_ptr().add(from + k * width) };
-                    let other = unsafe { gather::<L, G>(self.records.as_ptr(), index) };
-                    // The point, and the fluid particle that it sees.
-                    let (point, fluid) = if self.surface { (&own, &other) } else { (&other, &own) };
-                    let bar = if self.surface { own_bar } else { unsafe { gather::<L, B>(self.bars.as_ptr(), index) } };
-                    let (r, r2, q) = around::<L, D, K, G>(&pairs, scale, point, fluid);
-                    let (w, f, _) = kernel.all(r2);
-                    let there = |x: L| L::splat(R::of(k as f64)).select_less(count, x, L::zero());
-                    let (w, f) = (there(w), there(f));
-                    let mut value_bar = L::zero();
-                    let mut toward = [L::zero(); D];
-                    for field in 0..N {
-                        let (mut lambda, mut c) = ([L::zero(); K], [L::zero(); K]);
-                        for a in 0..K {
-                            let place = field * K + a;
-                            lambda[a] = get(&bar, place);
-                            c[a] = get(&bar, N * K + place);
-                        }
-                        let l = dot(&lambda, &q);
-                        let e = get(fluid, D + field) - dot(&c, &q);
-                        value_bar = l.mul_add(e, value_bar);
-                        for d in 0..D {
-                            let both = lambda[1 + d] * c[1 + d];
-                            value_bar = (-both).mul_add(regularisation, value_bar);
-                            toward[d] = (-c[1 + d]).mul_add(l, lambda[1 + d].mul_add(e, toward[d]));
-                        }
-                        fields_bar[field] = w.mul_add(l, fields_bar[field]);
+        for place in vectors::<L>(rows) {
+            let counts = table.counts::<L>(place);
+            let members = table.own(place);
+            let (own, own_bar) = (self.records.groups::<L, G>(members), self.bars.groups::<L, B>(members));
+            let (mut position_bar, mut fields_bar) = ([L::zero(); D], [L::zero(); N]);
+            for pair in table.pairs_of::<L>(place) {
+                let other = self.records.groups::<L, G>(pair.names);
+                // The point, and the fluid particle that it sees.
+                let (point, fluid) = if self.surface { (&own, &other) } else { (&other, &own) };
+                let bar = if self.surface { own_bar } else { self.bars.groups(pair.names) };
+                let (r, r2, q) = around::<L, D, K, G>(&pairs, point, fluid);
+                let (w, f, _) = pairs.kernel.all(r2);
+                let (w, f) = (pair.there(counts, w), pair.there(counts, f));
+                let mut value_bar = L::zero();
+                let mut toward = [L::zero(); D];
+                for field in 0..N {
+                    let (mut lambda, mut c) = ([L::zero(); K], [L::zero(); K]);
+                    for a in 0..K {
+                        lambda[a] = get(&bar, field * K + a);
+                        c[a] = get(&bar, (N + field) * K + a);
                     }
-                    let (along, radial) = (w * scale, f * value_bar);
+                    let l = dot(&lambda, &q);
+                    let e = get(fluid, D + field) - dot(&c, &q);
+                    value_bar = l.mul_add(e, value_bar);
                     for d in 0..D {
-                        // By the fluid particle's position; the point's is the opposite.
-                        position_bar[d] += along.mul_add(toward[d], radial * r[d]);
+                        let both = lambda[1 + d] * c[1 + d];
+                        value_bar = (-both).mul_add(regularisation, value_bar);
+                        toward[d] = (-c[1 + d]).mul_add(l, lambda[1 + d].mul_add(e, toward[d]));
                     }
+                    fields_bar[field] = w.mul_add(l, fields_bar[field]);
                 }
-                // SAFETY (both): each place writes its own particle.
+                let (along, radial) = (w * pairs.scale, f * value_bar);
                 for d in 0..D {
-                    let bar = if self.surface { -position_bar[d] } else { position_bar[d] };
-                    table.scatter(place, bar, |i, bar| unsafe { self.position_bar.add(d * n + i, bar) });
+                    // By the fluid particle's position; the point's is the opposite.
+                    position_bar[d] += along.mul_add(toward[d], radial * r[d]);
                 }
-                // Points give the fluid's fields nothing: the fluid takes its share itself.
-                if !self.surface {
-                    for field in 0..N {
-                        table.scatter(place, fields_bar[field], |i, bar| unsafe {
-                            self.fields_bar.add(field * n + i, bar)
-                        });
-                    }
+            }
+            for d in 0..D {
+                let bar = if self.surface { -position_bar[d] } else { position_bar[d] };
+                self.position_bar.add(table, place, d * n, bar);
+            }
+            // Points give the fluid's fields nothing: the fluid takes its share itself.
+            if !self.surface {
+                for field in 0..N {
+                    self.fields_bar.add(table, place, field * n, fields_bar[field]);
                 }
-                part += L::COUNT;
             }
         }
     }
@@ -360,18 +284,17 @@ pub fn backward<R: Real>(
     let d = l.dimension;
     let (count, blocks) = (fields.len() / n, geometry.blocks.surface.blocks());
     let buffers = &geometry.model.scratch.buffers;
-    let (unknowns, width) = (d + 1, width::<R>());
+    let unknowns = d + 1;
     let coefficients = if all { &kept.wall_coefficients } else { &kept.pressure_coefficients };
     let mut bar = buffers.buffer(coefficients.len());
     bar.fill(R::default());
     let scale = R::of(1.0 / fits.spacing);
     for &(dummy, place) in &fits.dummies {
         let (i, place) = (dummy as usize, place as usize);
-        let point = fits.surface[place] as usize;
-        let from = place / width * count * unknowns * width + place % width;
+        let (point, places) = (fits.surface[place] as usize, Place::of::<R>(place, count * unknowns));
         for field in 0..count {
             let value_bar = std::mem::take(&mut fields_bar[field * n + i]);
-            let at = |a: usize| from + (field * unknowns + a) * width;
+            let at = |a: usize| places.row(field * unknowns + a);
             bar[at(0)] += value_bar;
             for a in 0..d {
                 bar[at(1 + a)] += value_bar * mirror(geometry, known, i, point, a);
@@ -392,17 +315,17 @@ pub fn backward<R: Real>(
                 geometry: *geometry,
                 factors: &kept.wall_factors,
                 coefficients,
-                bar: Shared::new(&mut bar),
-                records: Shared::new(&mut bars),
+                bar: &bar,
+                records: OfParticles::new(&mut bars),
             };
             run_rows(&solving, blocks);
             let mut backward = Backward::<R, $d, $k, $n, $g, $b> {
                 geometry: *geometry,
-                records: &records,
-                bars: &bars,
+                records: Records::new(&records, 4 * $g, n),
+                bars: Records::new(&bars, 4 * $b, n),
                 surface: true,
-                position_bar: Shared::new(known_bar),
-                fields_bar: Shared::new(fields_bar),
+                position_bar: OfParticles::new(known_bar),
+                fields_bar: OfParticles::new(fields_bar),
             };
             run_rows(&backward, blocks);
             backward.surface = false;

@@ -59,9 +59,7 @@ impl<R: Sweeps> Run<R> {
 
 impl<R: Sweeps> Worker<R> for Run<R> {
     fn advance(&mut self, place: &mut Place<'_, R>, state: &mut Vec<R>) -> Result<(), RunError> {
-        let step = place.step;
-        let updated = place.neighbourhood.update(&self.model.reach(), state);
-        updated.map_err(|source| RunError::Neighbours { step, source })?;
+        place.update(&self.model, state)?;
         let blocks = self.tables.update(&self.model, place.neighbourhood);
         let geometry = Geometry { model: &self.model, blocks: &blocks, times: place.times };
         self.drive = self.buffers.advance(&geometry, state);

@@ -19,7 +19,8 @@ use super::stencil::{Weight, WIDTH};
 use super::sweeps::{along, hot, Context, End, Pairs, Wall, WALLS};
 use super::work::{field, line, Work};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{RowKernel, Shared};
+use crate::numerics::sweep::RowKernel;
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Cotangents of the metric's columns.
@@ -232,7 +233,7 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
 /// From the kicked velocities to those of the state.
 struct PullBack<'a, R: Real, const METRIC: bool> {
     context: &'a Context<'a, R>,
-    state_bar: Shared<'a, R>,
+    state_bar: Own<'a, R>,
 }
 
 impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
@@ -318,11 +319,8 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
                         }
                     }
                 }
-                // SAFETY: a unit's own columns.
-                unsafe {
-                    c.to_state(&self.state_bar, row::U, j, at, u_bar);
-                    c.to_state(&self.state_bar, row::V, j, at, v_bar);
-                }
+                c.to_state(&self.state_bar, row::U, j, at, u_bar);
+                c.to_state(&self.state_bar, row::V, j, at, v_bar);
                 let rho_bar = own.d * u * bar[0] + (v - own.s * u) * bar[1];
                 c.put(field::P_BAR, j, at, L::splat(n.compressibility).mul_add(rho_bar, get(field::P_BAR)));
                 if METRIC {
@@ -339,7 +337,7 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
 /// Through the gradient of the density and the ghosts to pressure and temperature.
 struct Finish<'a, R: Real> {
     context: &'a Context<'a, R>,
-    state_bar: Shared<'a, R>,
+    state_bar: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Finish<'_, R> {
@@ -381,11 +379,8 @@ impl<R: Real> RowKernel<R> for Finish<'_, R> {
                         }
                     }
                 }
-                // SAFETY: a unit's own columns.
-                unsafe {
-                    c.to_state(&self.state_bar, row::P, j, at, p_bar);
-                    c.to_state(&self.state_bar, row::T, j, at, t_bar);
-                }
+                c.to_state(&self.state_bar, row::P, j, at, p_bar);
+                c.to_state(&self.state_bar, row::T, j, at, t_bar);
             }
         }
     }
@@ -418,8 +413,8 @@ impl<R: Real> Fixed<R> {
             if let Some(drive) = self.channel.drive {
                 self.push_bar(&context, drive);
             }
-            run(&PullBack::<R, METRIC> { context: &context, state_bar: Shared::new(state_bar) }, units);
-            run(&Finish { context: &context, state_bar: Shared::new(state_bar) }, units);
+            run(&PullBack::<R, METRIC> { context: &context, state_bar: Own::new(state_bar) }, units);
+            run(&Finish { context: &context, state_bar: Own::new(state_bar) }, units);
         }
         if METRIC {
             let walls = row::Y * n + fluid..(row::Y + 1) * n;

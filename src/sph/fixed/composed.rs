@@ -142,9 +142,6 @@ impl<R: Real> Fixed<R> {
     /// temperature * volume / time, `[]`: that of the walls, and the little that is conducted along the channel.
     /// (Ghosts have a mass flux, which is zero on the wall. Its heat is included, so that in a steady flow this equals
     /// the heat that flows out.)
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn heating(&self, state: &Tensor, until: f64) -> Result<Tensor> {
         let c = &self.channel;
         let (nx, ny, fluid) = (c.columns, c.rows, self.fluid_particles());
@@ -171,9 +168,6 @@ impl<R: Real> Fixed<R> {
     }
 
     /// State `[6, N]` -> next `[6, N]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, state: &Tensor) -> Result<Tensor> {
         let c = &self.channel;
         let (nx, ny, n, fluid) = (c.columns, c.rows, self.particles(), self.fluid_particles());

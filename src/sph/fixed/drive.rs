@@ -5,8 +5,9 @@ use super::lattice::{row, Fixed};
 use super::sweeps::{mass_flux, put_flux, Context};
 use super::work::{field, line};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{RowKernel, Shared};
+use crate::numerics::sweep::RowKernel;
 use crate::sph::laws::drive::Drive;
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Sums over columns: of the fluid's momentum and mass, rho D and rho D u times the rows' weights in a section.
@@ -42,7 +43,7 @@ fn weight<R: Real, L: Lanes<Real = R>>(c: &Context<'_, R>, j: isize) -> L {
 /// KICKED_U += kick, and the mass flux again.
 struct Push<'a, R: Real> {
     context: &'a Context<'a, R>,
-    next: Option<&'a Shared<'a, R>>,
+    next: Option<&'a Own<'a, R>>,
     kick: R,
 }
 
@@ -60,8 +61,7 @@ impl<R: Real> RowKernel<R> for Push<'_, R> {
                 let (u, v) = (get(field::KICKED_U) + L::splat(self.kick), get(field::KICKED_V));
                 c.put(field::KICKED_U, j, at, u);
                 if let Some(next) = self.next {
-                    // SAFETY: a unit's own columns.
-                    unsafe { c.to_state(next, row::U, j, at, u) };
+                    c.to_state(next, row::U, j, at, u);
                 }
                 let m = mass_flux(d, get(field::S), c.density(get(field::P)), u, v);
                 put_flux(c, [field::KICKED_MX, field::KICKED_MY], j, at, m, [get(field::GX), get(field::GY)]);
@@ -144,7 +144,7 @@ impl<R: Real> Fixed<R> {
 
     /// Kicks the velocities behind the other forces, in `context` and in the next state, and keeps the acceleration as the
     /// context's body force.
-    pub(super) fn push(&self, context: &mut Context<'_, R>, drive: Drive, next: Option<&Shared<'_, R>>) {
+    pub(super) fn push(&self, context: &mut Context<'_, R>, drive: Drive, next: Option<&Own<'_, R>>) {
         let [momentum, mass] = self.momentum_and_mass(context);
         let kick = drive.kick(self.channel.dt, momentum, mass).kick;
         run(&Push { context, next, kick: R::of(kick) }, self.grid.units());

@@ -4,7 +4,8 @@
 //! channel is periodic: the two columns beyond either end are copies of those at the other end.
 
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{run_rows, run_rows_alone, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, run_rows_alone, RowKernel};
+use crate::sph::own::Own;
 use std::ops::Range;
 
 /// Rows of ghosts beyond each wall, and columns that are copied beyond each end: how far a stencil reaches.
@@ -94,97 +95,82 @@ impl Grid {
 /// its own.
 pub struct Fields<'a, R> {
     pub grid: Grid,
-    numbers: Shared<'a, R>,
+    numbers: Own<'a, R>,
     /// Where the lines begin.
     lines: usize,
 }
 
 impl<'a, R: Real> Fields<'a, R> {
-    pub fn new(grid: Grid, fields: usize, numbers: &'a mut [R]) -> Self {
-        Self { grid, numbers: Shared::new(numbers), lines: fields * grid.field() }
+    pub fn new(grid: Grid, fields: usize, lines: usize, numbers: &'a mut [R]) -> Self {
+        let first_line = fields * grid.field();
+        assert!(numbers.len() >= first_line + lines * grid.stride, "a field or a line without numbers");
+        Self { grid, numbers: Own::new(numbers), lines: first_line }
     }
 
-    /// A field's numbers at a row from a column on; behind the last column come copies, then anything.
-    ///
-    /// # Safety
-    /// The field must exist, and row and column lie in it with [`REACH`] columns to spare; nobody else may write there.
+    /// A field's numbers at a row from a column on, both of fluid particles or up to [`REACH`] beyond; behind the last column
+    /// come copies, then anything. Sweeps read only what was written before them, or by the unit itself.
     #[inline(always)]
-    pub unsafe fn get<L: Lanes<Real = R>>(&self, field: usize, row: isize, column: isize) -> L {
-        // SAFETY: in the field by the contract; the margins are as wide as the widest vector.
-        unsafe { L::load(self.numbers.as_ptr().add(field * self.grid.field() + self.grid.place(row, column))) }
-    }
-
-    /// Stores what belongs to columns `column ..`, and the copies that are made of them.
-    ///
-    /// # Safety
-    /// As for [`Self::get`]; nobody else may access these columns and their copies in this field and row.
-    #[inline(always)]
-    pub unsafe fn put<L: Lanes<Real = R>>(&self, field: usize, row: isize, column: usize, value: L) {
-        // SAFETY: the same contract.
-        unsafe { self.put_at(field * self.grid.field() + self.grid.place(row, 0), column, value) }
+    pub fn get<L: Lanes<Real = R>>(&self, field: usize, row: isize, column: isize) -> L {
+        self.load(field * self.grid.field() + self.grid.place(row, column))
     }
 
     /// [`Self::get`] of a line.
-    ///
-    /// # Safety
-    /// As there.
     #[inline(always)]
-    pub unsafe fn line<L: Lanes<Real = R>>(&self, line: usize, column: isize) -> L {
-        // SAFETY: as for `get`.
-        unsafe { L::load(self.numbers.as_ptr().add(self.lines + line * self.grid.stride + self.grid.column(column))) }
+    pub fn line<L: Lanes<Real = R>>(&self, line: usize, column: isize) -> L {
+        self.load(self.lines + line * self.grid.stride + self.grid.column(column))
+    }
+
+    /// Stores what belongs to columns `column ..` of a unit, and the copies that are made of them.
+    #[inline(always)]
+    pub fn put<L: Lanes<Real = R>>(&self, field: usize, row: isize, column: usize, value: L) {
+        self.store(field * self.grid.field() + self.grid.place(row, 0), column, value);
     }
 
     /// [`Self::put`] of a line.
-    ///
-    /// # Safety
-    /// As there.
     #[inline(always)]
-    pub unsafe fn put_line<L: Lanes<Real = R>>(&self, line: usize, column: usize, value: L) {
-        // SAFETY: the same contract.
-        unsafe { self.put_at(self.lines + line * self.grid.stride + self.grid.column(0), column, value) }
+    pub fn put_line<L: Lanes<Real = R>>(&self, line: usize, column: usize, value: L) {
+        self.store(self.lines + line * self.grid.stride + self.grid.column(0), column, value);
     }
 
     /// Sum of a line's columns, in their order.
     pub fn sum_of_line(&self, line: usize) -> f64 {
         let from = self.lines + line * self.grid.stride + self.grid.column(0);
-        // SAFETY: in bounds; sweeps that write lines have ended.
-        (0..self.grid.columns).map(|column| unsafe { self.numbers.get(from + column) }.f64()).sum()
+        (0..self.grid.columns).map(|column| self.numbers.get(from + column).f64()).sum()
     }
 
     #[inline(always)]
-    unsafe fn put_at<L: Lanes<Real = R>>(&self, start: usize, column: usize, value: L) {
+    fn load<L: Lanes<Real = R>>(&self, place: usize) -> L {
+        // SAFETY: `new` has checked that fields and lines are there, whose margins are as wide as the widest vector.
+        unsafe { L::load(self.numbers.as_ptr().add(place)) }
+    }
+
+    #[inline(always)]
+    fn store<L: Lanes<Real = R>>(&self, start: usize, column: usize, value: L) {
         let n = self.grid.columns;
-        // SAFETY: in bounds, and ours by the contract of the callers.
-        unsafe {
-            store_part(&self.numbers, start + column, value, n - column);
-            if column < REACH || column + L::COUNT > n - REACH {
-                for k in column..n.min(column + L::COUNT) {
-                    if k < REACH {
-                        self.numbers.set(start + n + k, self.numbers.get(start + k));
-                    }
-                    if k >= n - REACH {
-                        self.numbers.set(start + k - n, self.numbers.get(start + k));
-                    }
+        store_part(&self.numbers, start + column, value, n - column);
+        if column < REACH || column + L::COUNT > n - REACH {
+            // Only the unit that has a column makes its copies.
+            let copy = |from: usize, to: usize| self.numbers.set(to, self.numbers.get(from));
+            for k in column..n.min(column + L::COUNT) {
+                if k < REACH {
+                    copy(start + k, start + n + k);
+                }
+                if k >= n - REACH {
+                    copy(start + k, start + k - n);
                 }
             }
         }
     }
 }
 
-/// Stores the first `count` lanes, or all.
-///
-/// # Safety
-/// Nobody else may access these places.
+/// Stores the first `count` lanes, or all, in columns of a unit's own: a sweep over units gives each to one thread.
 #[inline(always)]
-pub unsafe fn store_part<L: Lanes>(to: &Shared<'_, L::Real>, place: usize, value: L, count: usize) {
-    // SAFETY: the caller's contract; no lane type is wider than WIDEST.
-    unsafe {
-        if count >= L::COUNT {
-            to.store(place, value);
-        } else {
-            let mut lanes = [L::Real::default(); WIDEST];
-            value.store(lanes.as_mut_ptr());
-            to.slice(place..place + count).copy_from_slice(&lanes[..count]);
-        }
+pub fn store_part<L: Lanes>(to: &Own<'_, L::Real>, place: usize, value: L, count: usize) {
+    if count >= L::COUNT {
+        return to.store(place, value);
     }
+    let mut lanes = [L::Real::default(); WIDEST];
+    // SAFETY: no lane type is wider than WIDEST.
+    unsafe { value.store(lanes.as_mut_ptr()) };
+    (0..count).for_each(|k| to.set(place + k, lanes[k]));
 }

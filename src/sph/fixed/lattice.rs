@@ -153,9 +153,6 @@ impl<R: Real> Fixed<R> {
 
     /// Mass of fluid particles in sums over a cross-section, rho D dx^2 times [`Self::section_weights`]; 0 for walls;
     /// `[1, N]`, on the graph.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn masses(&self, state: &Tensor) -> candle_core::Result<Tensor> {
         let (nx, fluid, c) = (self.channel.columns, self.fluid_particles(), &self.channel);
         let y = state.narrow(0, row::Y, 1)?;

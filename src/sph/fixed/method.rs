@@ -11,7 +11,7 @@ use crate::numerics::candle::apply1;
 use crate::numerics::lanes::Real;
 use crate::particles::{tag, NeighbourList};
 use crate::sph::flow::Flow;
-use crate::sph::inventory::{dropped, Dropped, Field, Operator};
+use crate::sph::inventory::Operator;
 use crate::sph::masks::per_particle;
 use crate::sph::method::{
     Looked, Memory, Method, Model, Parts, Place, Recorder, Shown, Steady, SteadyGradient, Worker,
@@ -98,30 +98,14 @@ impl<R: Real> Method<R> for FixedParticles<R> {
     fn operators(&self, _: &NeighbourList) -> Vec<Operator> {
         let fluid = self.lattice.fluid_particles();
         let bytes = row::COUNT * self.flow.particles() * std::mem::size_of::<R>();
-        let operator = |name, does: &str| Operator {
-            name,
-            does: vec![does.to_string()],
-            rows: fluid,
-            // The stencil is 5 x 5 without its corners and its centre.
-            pairs: 20 * fluid,
-            bytes_read: bytes,
-            bytes_written: bytes,
-            bytes_gathered: 0,
-        };
+        // The stencil is 5 x 5 without its corners and its centre.
+        let operator =
+            |name, does: &str| Operator::new(name, vec![does.to_string()], [fluid, 20 * fluid], [bytes, bytes, 0]);
         vec![
             operator("flux", "mass flux of every pair, with diffusion"),
             operator("kick", "velocity: pressure, viscosity, what the flux carries, body force"),
             operator("flux again", "of the new velocity"),
             operator("advance", "density and temperature by the same flux; inlet and outlet"),
-        ]
-    }
-    fn fields(&self) -> Vec<Field> {
-        vec![Field::of::<R>("state", self.flow.rows.names(), self.flow.particles())]
-    }
-    fn dropped(&self) -> Vec<Dropped> {
-        vec![
-            dropped("transport velocity and its acceleration", "the formulation has a shift"),
-            dropped("density summation, mass, background pressure", "the pressure is a field of its own"),
         ]
     }
 }

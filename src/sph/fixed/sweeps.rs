@@ -10,8 +10,9 @@ use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::work::{field, line, Work};
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
-use crate::numerics::sweep::{RowKernel, Shared};
-use std::ops::Range;
+use crate::numerics::sweep::RowKernel;
+use crate::sph::own::Own;
+use std::ops::{Deref, Range};
 
 /// What every sweep of a step reads.
 pub(super) struct Context<'a, R: Real> {
@@ -73,57 +74,18 @@ impl<'a, R: Real> Context<'a, R> {
         L::load_part(&state[from + column..from + nx])
     }
 
-    /// Writes fluid particles' numbers in a row `[N]` of a state.
-    ///
-    /// # Safety
-    /// No other thread writes these columns.
+    /// Writes fluid particles' numbers in a row `[N]` of a state, in a unit's own columns.
     #[inline(always)]
-    pub unsafe fn to_state<L: Lanes<Real = R>>(
-        &self,
-        state: &Shared<'_, R>,
-        row: usize,
-        j: isize,
-        column: usize,
-        value: L,
-    ) {
+    pub fn to_state<L: Lanes<Real = R>>(&self, state: &Own<'_, R>, row: usize, j: isize, column: usize, value: L) {
         let nx = self.fixed.grid.columns;
         let from = row * self.fixed.particles() + j as usize * nx;
-        // SAFETY: by the contract.
-        unsafe { store_part(state, from + column, value, nx - column) };
-    }
-
-    /// A field; `j` and `column` are of fluid particles or up to two beyond.
-    #[inline(always)]
-    pub fn get<L: Lanes<Real = R>>(&self, field: usize, j: isize, column: isize) -> L {
-        // SAFETY: sweeps ask for fields that exist, rows -2 .. rows + 2 and columns up to two beyond the channel's ends, and
-        // read only what was written before the sweep, or by the unit itself.
-        unsafe { self.fields.get(field, j, column) }
-    }
-
-    #[inline(always)]
-    pub fn line<L: Lanes<Real = R>>(&self, line: usize, column: isize) -> L {
-        // SAFETY: as for `get`.
-        unsafe { self.fields.line(line, column) }
+        store_part(state, from + column, value, nx - column);
     }
 
     /// A constant line of the ghosts.
     #[inline(always)]
     pub fn constant<L: Lanes<Real = R>>(&self, line: &[R], column: isize) -> L {
         L::load_part(&line[self.fixed.grid.column(column)..])
-    }
-
-    /// Stores a vector of a unit's own columns.
-    #[inline(always)]
-    pub fn put<L: Lanes<Real = R>>(&self, field: usize, j: isize, column: usize, value: L) {
-        // SAFETY: a unit writes its own columns, and only it makes their copies.
-        unsafe { self.fields.put(field, j, column, value) }
-    }
-
-    /// Stores a vector of a line, of a unit's own columns.
-    #[inline(always)]
-    pub fn put_line<L: Lanes<Real = R>>(&self, line: usize, column: usize, value: L) {
-        // SAFETY: a unit writes its own columns, and only it makes their copies.
-        unsafe { self.fields.put_line(line, column, value) }
     }
 
     /// Stores ghosts, those next to the wall first: below the bottom or above the top wall.
@@ -173,6 +135,15 @@ impl<'a, R: Real> Context<'a, R> {
     #[inline(always)]
     pub fn weights(&self, j: isize, other: isize) -> &[Weight<R>; WIDTH] {
         &self.fixed.stencil[(other - j + REACH as isize) as usize]
+    }
+}
+
+impl<'a, R: Real> Deref for Context<'a, R> {
+    type Target = Fields<'a, R>;
+
+    #[inline(always)]
+    fn deref(&self) -> &Fields<'a, R> {
+        &self.fields
     }
 }
 
@@ -461,7 +432,7 @@ impl<'a, L: Lanes> Pairs<'a, L> {
 struct Kick<'a, R: Real> {
     context: &'a Context<'a, R>,
     /// Where the velocities go: the next state.
-    next: Option<&'a Shared<'a, R>>,
+    next: Option<&'a Own<'a, R>>,
     /// Or fields, with what the adjoint wants of the next state's cotangent.
     bar: Option<&'a [R]>,
 }
@@ -499,11 +470,8 @@ impl<R: Real> RowKernel<R> for Kick<'_, R> {
                 let u = (lightness * -half).mul_add(pu, su).mul_add(over, L::splat(n.dt * n.body_force) + u);
                 let v = lightness.mul_add(pv, sv).mul_add(over, v);
                 if let Some(next) = &self.next {
-                    // SAFETY: a unit's own columns.
-                    unsafe {
-                        c.to_state(next, row::U, j, at, u);
-                        c.to_state(next, row::V, j, at, v);
-                    }
+                    c.to_state(next, row::U, j, at, u);
+                    c.to_state(next, row::V, j, at, v);
                 }
                 if self.bar.is_some() || c.fixed.channel.drive.is_some() {
                     c.put(field::KICKED_U, j, at, u);
@@ -523,7 +491,7 @@ impl<R: Real> RowKernel<R> for Kick<'_, R> {
 /// The flux behind the kick -> pressure and temperature.
 struct Advance<'a, R: Real> {
     context: &'a Context<'a, R>,
-    next: Shared<'a, R>,
+    next: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Advance<'_, R> {
@@ -557,16 +525,13 @@ impl<R: Real> RowKernel<R> for Advance<'_, R> {
                 let over = dt / own.d;
                 let p = (mass * over).mul_add(-L::splat(n.stiffness), own.p);
                 let t = (heat * (over / rho)).mul_add(open, t * open);
-                // SAFETY: a unit's own columns; those behind the outlet are its unit's.
-                unsafe {
-                    c.to_state(&self.next, row::P, j, at, p);
-                    let from = row::T * c.fixed.particles() + j as usize * nx;
-                    if at <= outlet {
-                        store_part(&self.next, from + at, t, outlet + 1 - at);
-                        if outlet < at + L::COUNT {
-                            let last = self.next.get(from + outlet);
-                            self.next.slice(from + outlet + 1..from + nx).fill(last);
-                        }
+                c.to_state(&self.next, row::P, j, at, p);
+                let from = row::T * c.fixed.particles() + j as usize * nx;
+                if at <= outlet {
+                    store_part(&self.next, from + at, t, outlet + 1 - at);
+                    if outlet < at + L::COUNT {
+                        // The columns behind the outlet are its unit's.
+                        (outlet + 1..nx).for_each(|i| self.next.set(from + i, self.next.get(from + outlet)));
                     }
                 }
             }
@@ -585,7 +550,7 @@ impl<R: Real> Fixed<R> {
         for row in row::U..row::COUNT {
             next[row * n + fluid..(row + 1) * n].fill(R::default());
         }
-        let next = Shared::new(next);
+        let next = Own::new(next);
         self.metric(state, work);
         let context = self.kicked(state, work, Some(&next), None);
         run(&Advance { context: &context, next }, self.grid.units());
@@ -597,7 +562,7 @@ impl<R: Real> Fixed<R> {
         &'a self,
         state: &'a [R],
         work: &'a mut Work<R>,
-        next: Option<&Shared<'_, R>>,
+        next: Option<&Own<'_, R>>,
         bar: Option<&[R]>,
     ) -> Context<'a, R> {
         let mut context = Context::new(self, work);

@@ -79,7 +79,7 @@ impl<R: Real> Work<R> {
 
     /// The buffers in a form that threads share.
     pub(crate) fn fields(&mut self, grid: Grid) -> Fields<'_, R> {
-        Fields::new(grid, field::COUNT, &mut self.numbers)
+        Fields::new(grid, field::COUNT, line::COUNT, &mut self.numbers)
     }
 
     pub(crate) fn line(&mut self, grid: &Grid, line: usize) -> &mut [R] {

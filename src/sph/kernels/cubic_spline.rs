@@ -6,6 +6,7 @@
 //! w'/q = -3/4 (4 - 3 q) for q < 1, -3/4 (2-q)^2/q beyond; (w'/q)'/q = -3/4 (-3/q), -3/4 (-(2-q) (2+q)/q^3). Its second
 //! derivative has a kink at 1: rougher sums than the quintic spline's, from fewer neighbours.
 
+use super::shape::ratio;
 use super::{number, SmoothingKernel};
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
@@ -18,16 +19,8 @@ impl SmoothingKernel for CubicSpline {
     const SUPPORT: f64 = 2.0;
     const SLOPE: f64 = -0.75;
 
-    fn at_zero(_: usize) -> f64 {
-        1.0
-    }
-
     fn sigma(dimension: usize, h: f64) -> f64 {
-        match dimension {
-            1 => 2.0 / (3.0 * h),
-            2 => 10.0 / (7.0 * PI * h * h),
-            _ => 1.0 / (PI * h * h * h),
-        }
+        ratio([(2.0, 3.0), (10.0, 7.0 * PI), (1.0, PI)], dimension, h)
     }
 
     #[inline(always)]

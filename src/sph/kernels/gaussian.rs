@@ -30,10 +30,6 @@ impl SmoothingKernel for Gaussian {
     const SUPPORT: f64 = 3.0;
     const SLOPE: f64 = -2.0;
 
-    fn at_zero(_: usize) -> f64 {
-        1.0
-    }
-
     fn sigma(dimension: usize, h: f64) -> f64 {
         (PI.sqrt() * h).powi(-(dimension as i32))
     }

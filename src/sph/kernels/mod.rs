@@ -35,38 +35,19 @@ pub struct Kernel {
     pub sigma: f64,
 }
 
-/// Calls `$go` with the type of a kernel's shape.
+/// Calls `$go` with the type of a kernel's shape, which is called as its name.
 macro_rules! with_shape {
     ($shape:expr, $kernel:ident => $go:expr) => {
+        with_shape!($shape, $kernel => $go, {
+            QuinticSpline WendlandC2 CubicSpline WendlandC4 WendlandC6 Gaussian SuperGaussian
+        })
+    };
+    ($shape:expr, $kernel:ident => $go:expr, { $($name:ident)* }) => {
         match $shape {
-            KernelName::QuinticSpline => {
-                type $kernel = QuinticSpline;
+            $(KernelName::$name => {
+                type $kernel = $name;
                 $go
-            }
-            KernelName::WendlandC2 => {
-                type $kernel = WendlandC2;
-                $go
-            }
-            KernelName::CubicSpline => {
-                type $kernel = CubicSpline;
-                $go
-            }
-            KernelName::WendlandC4 => {
-                type $kernel = WendlandC4;
-                $go
-            }
-            KernelName::WendlandC6 => {
-                type $kernel = WendlandC6;
-                $go
-            }
-            KernelName::Gaussian => {
-                type $kernel = Gaussian;
-                $go
-            }
-            KernelName::SuperGaussian => {
-                type $kernel = SuperGaussian;
-                $go
-            }
+            })*
         }
     };
 }
@@ -113,9 +94,6 @@ impl Kernel {
     }
 
     /// W and F of distances, from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, distance: &Tensor) -> Result<(Tensor, Tensor)> {
         let h = self.smoothing_length;
         let q = distance.affine(1.0 / h, 0.0)?;

@@ -6,6 +6,7 @@
 //! For q < 1 the slopes are polynomials without a difference: w'/q = -5 (24 - 24 q^2 + 10 q^3),
 //! (w'/q)'/q = -5 (-48 + 30 q). The textbook form subtracts numbers of size 100 to get 0 there, which ruins f32 gradients.
 
+use super::shape::ratio;
 use super::{number, SmoothingKernel};
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
@@ -23,11 +24,7 @@ impl SmoothingKernel for QuinticSpline {
     }
 
     fn sigma(dimension: usize, h: f64) -> f64 {
-        match dimension {
-            1 => 1.0 / (120.0 * h),
-            2 => 7.0 / (478.0 * PI * h * h),
-            _ => 3.0 / (359.0 * PI * h * h * h),
-        }
+        ratio([(1.0, 120.0), (7.0, 478.0 * PI), (3.0, 359.0 * PI)], dimension, h)
     }
 
     #[inline(always)]

@@ -11,7 +11,9 @@ pub trait SmoothingKernel: Copy {
     const SLOPE: f64;
 
     /// w(0).
-    fn at_zero(dimension: usize) -> f64;
+    fn at_zero(_dimension: usize) -> f64 {
+        1.0
+    }
 
     /// sigma: W integrates to 1.
     fn sigma(dimension: usize, smoothing_length: f64) -> f64;
@@ -21,9 +23,6 @@ pub trait SmoothingKernel: Copy {
     fn shape<L: Lanes>(q: L, inverse: L, dimension: L) -> (L, L, L);
 
     /// w and w'/q of a tensor of q > 0, from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn composed(q: &Tensor, dimension: usize) -> Result<(Tensor, Tensor)>;
 }
 
@@ -31,4 +30,10 @@ pub trait SmoothingKernel: Copy {
 #[inline(always)]
 pub(crate) fn number<L: Lanes>(value: f64) -> L {
     L::splat(L::Real::of(value))
+}
+
+/// A sigma that is a numerator over a denominator and h^D, given for 1, 2 and 3 dimensions.
+pub(super) fn ratio(of: [(f64, f64); 3], dimension: usize, h: f64) -> f64 {
+    let (numerator, denominator) = of[dimension - 1];
+    numerator / (0..dimension).fold(denominator, |product, _| product * h)
 }

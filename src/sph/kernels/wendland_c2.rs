@@ -7,6 +7,7 @@
 //! w'/q = -5 (1 - q/2)^3, (w'/q)'/q = -5 (-3/2) (1 - q/2)^2/q. Its Fourier transform is positive, so particles do not
 //! pair however many neighbours they have; h of 1.3 to 2 spacings is usual.
 
+use super::shape::ratio;
 use super::{number, SmoothingKernel};
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
@@ -19,16 +20,8 @@ impl SmoothingKernel for WendlandC2 {
     const SUPPORT: f64 = 2.0;
     const SLOPE: f64 = -5.0;
 
-    fn at_zero(_: usize) -> f64 {
-        1.0
-    }
-
     fn sigma(dimension: usize, h: f64) -> f64 {
-        match dimension {
-            1 => 3.0 / (4.0 * h),
-            2 => 7.0 / (4.0 * PI * h * h),
-            _ => 21.0 / (16.0 * PI * h * h * h),
-        }
+        ratio([(3.0, 4.0), (7.0, 4.0 * PI), (21.0, 16.0 * PI)], dimension, h)
     }
 
     #[inline(always)]

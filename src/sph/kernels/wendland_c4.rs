@@ -6,6 +6,7 @@
 //! w'/q = -14/3 (1 - q/2)^5 (5/2 q + 1), (w'/q)'/q = -14/3 (-15/2) (1 - q/2)^4. Narrower than C2 at the same h: it wants
 //! an h of about 1.6 to 2 spacings.
 
+use super::shape::ratio;
 use super::{number, SmoothingKernel};
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
@@ -18,16 +19,8 @@ impl SmoothingKernel for WendlandC4 {
     const SUPPORT: f64 = 2.0;
     const SLOPE: f64 = -14.0 / 3.0;
 
-    fn at_zero(_: usize) -> f64 {
-        1.0
-    }
-
     fn sigma(dimension: usize, h: f64) -> f64 {
-        match dimension {
-            1 => 27.0 / (32.0 * h),
-            2 => 9.0 / (4.0 * PI * h * h),
-            _ => 495.0 / (256.0 * PI * h * h * h),
-        }
+        ratio([(27.0, 32.0), (9.0, 4.0 * PI), (495.0, 256.0 * PI)], dimension, h)
     }
 
     #[inline(always)]

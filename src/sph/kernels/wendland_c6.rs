@@ -6,6 +6,7 @@
 //! w'/q = -11/2 (1 - q/2)^7 (4 q^2 + 7/2 q + 1), (w'/q)'/q = -11/2 (-6) (1 - q/2)^6 (3 q + 1). The smoothest and, at the
 //! same h, the narrowest of the three: it wants an h of about 1.8 to 2.2 spacings.
 
+use super::shape::ratio;
 use super::{number, SmoothingKernel};
 use crate::numerics::lanes::Lanes;
 use candle_core::{Result, Tensor};
@@ -18,16 +19,8 @@ impl SmoothingKernel for WendlandC6 {
     const SUPPORT: f64 = 2.0;
     const SLOPE: f64 = -5.5;
 
-    fn at_zero(_: usize) -> f64 {
-        1.0
-    }
-
     fn sigma(dimension: usize, h: f64) -> f64 {
-        match dimension {
-            1 => 15.0 / (16.0 * h),
-            2 => 39.0 / (14.0 * PI * h * h),
-            _ => 1365.0 / (512.0 * PI * h * h * h),
-        }
+        ratio([(15.0, 16.0), (39.0, 14.0 * PI), (1365.0, 512.0 * PI)], dimension, h)
     }
 
     #[inline(always)]

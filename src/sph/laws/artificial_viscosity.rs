@@ -8,7 +8,7 @@
 //! With `every_pair`, as in JAX-SPH, the law also acts on pairs that separate, but not on wall particles. Then it is a
 //! viscosity, while otherwise it only resists compression.
 
-use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use crate::sph::masks::below;
@@ -108,8 +108,7 @@ impl PairLaw for ArtificialViscosity {
         own: &Constants<L>,
         pair: &Pair<L, D>,
         bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
+        to: &mut PairBar<L, D>,
     ) {
         let (a, b, at) = (pair.own, pair.other, own.approach(pair));
         let number = |x: f64| L::splat(L::Real::of(x));
@@ -117,20 +116,20 @@ impl PairLaw for ArtificialViscosity {
         // k over (V_i F). The volume's derivative uses the same factor.
         let per_volume = a.density * other_mass * at.mu * at.strength * at.inverse_density;
         let k = per_volume * a.volume * pair.slope;
-        bar.volume = (per_volume * pair.slope).mul_add(bars.along, bar.volume);
+        to.own.volume = (per_volume * pair.slope).mul_add(bars.along, to.own.volume);
         let by_density = number(1.0) / a.density - number(0.5) * at.inverse_density;
-        bar.density = (k * bars.along).mul_add(by_density, bar.density);
-        pair_bar.by_slope = (per_volume * a.volume).mul_add(bars.along, pair_bar.by_slope);
+        to.own.density = (k * bars.along).mul_add(by_density, to.own.density);
+        to.by_slope = (per_volume * a.volume).mul_add(bars.along, to.by_slope);
         let masses = a.volume * a.density * other_mass;
         let by_mu =
             masses * pair.slope * (at.strength - own.quadratic * at.mu) * at.inverse_density * bars.along * at.inverse;
         for d in 0..D {
             let velocity = a.velocity[d] - b.velocity[d];
             let along = by_mu * own.length;
-            bar.velocity[d] = along.mul_add(pair.difference[d], bar.velocity[d]);
+            to.own.velocity[d] = along.mul_add(pair.difference[d], to.own.velocity[d]);
             let by_distance = number(2.0) * at.mu * pair.difference[d];
             let by_position = by_mu * (own.length * velocity - by_distance);
-            bar.position[d] += k.mul_add(bars.acceleration[d], by_position);
+            to.own.position[d] += k.mul_add(bars.acceleration[d], by_position);
         }
     }
 

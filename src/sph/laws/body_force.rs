@@ -69,9 +69,6 @@ impl BodyForce {
     }
 
     /// [`Self::at`] for heights `[1, N]`. It is piecewise constant, so it has no derivative.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, y: &Tensor) -> Result<Tensor> {
         match *self {
             Self::None => y.zeros_like(),
@@ -82,9 +79,6 @@ impl BodyForce {
     }
 
     /// The acceleration `[D, N]` at positions `[D, N]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn vector(&self, position: &Tensor) -> Result<Tensor> {
         let along = |d: usize| match *self {
             Self::Gravity(g) => position.narrow(0, d, 1)?.detach().affine(0.0, g[d]),

@@ -5,7 +5,7 @@
 //! mean 2 k_i k_j/(k_i + k_j) of the pair, which keeps the flux continuous across a jump, and c_p that of i (Cleary and
 //! Monaghan 1999, eq. 28). The rate is 0 in the inlet strip, where the temperature is reset, and in the outlet strip.
 
-use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use crate::sph::flow::Flow;
@@ -88,25 +88,18 @@ impl<const MATERIALS: bool> PairLaw for Conduction<MATERIALS> {
 
     /// l gains gamma V_i V_j F k (T_i - T_j), k = 1 without materials.
     #[inline(always)]
-    fn adjoint<L: Lanes, const D: usize>(
-        &self,
-        _: &(),
-        pair: &Pair<L, D>,
-        bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
-    ) {
+    fn adjoint<L: Lanes, const D: usize>(&self, _: &(), pair: &Pair<L, D>, bars: &Bars<L, D>, to: &mut PairBar<L, D>) {
         let (a, b) = (pair.own, pair.other);
         let weighted = bars.temperature * b.volume;
         let difference = a.temperature - b.temperature;
         let per_volume = weighted * Self::conductance(pair);
-        bar.temperature = per_volume.mul_add(a.volume, bar.temperature);
-        bar.volume = per_volume.mul_add(difference, bar.volume);
+        to.own.temperature = per_volume.mul_add(a.volume, to.own.temperature);
+        to.own.volume = per_volume.mul_add(difference, to.own.volume);
         let by_slope = match MATERIALS {
             true => weighted * harmonic(a.conductivity, b.conductivity),
             false => weighted,
         };
-        pair_bar.by_slope = (by_slope * a.volume).mul_add(difference, pair_bar.by_slope);
+        to.by_slope = (by_slope * a.volume).mul_add(difference, to.by_slope);
     }
 
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {

@@ -33,9 +33,6 @@ impl Flowing<'_> {
 }
 
 /// drho/dt, `[1, N]`, from candle's operators.
-///
-/// # Errors
-/// Tensor errors.
 pub fn composed(flowing: &Flowing) -> Result<Tensor> {
     flowing.weight()?.mul(&flowing.parting()?)?.sum(2)?.mul(flowing.density)
 }

@@ -98,9 +98,6 @@ impl Matrices {
 
 impl DensityDiffusion {
     /// The gain of drho/dt, `[1, N]`, by candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, flowing: &Flowing, among_walls: impl FnOnce() -> Result<Tensor>) -> Result<Tensor> {
         let (pairs, r) = (flowing.pairs, &flowing.pairs.difference);
         let weight = flowing.weight()?;

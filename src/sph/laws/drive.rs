@@ -55,9 +55,6 @@ impl Drive {
     }
 
     /// [`Self::kick`] for tensors `[1, 1]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(self, dt: f64, momentum: &Tensor, mass: &Tensor) -> Result<Tensor> {
         match self {
             Self::Momentum(wanted) => momentum.affine(-1.0, wanted)?.div(mass),

@@ -77,9 +77,6 @@ impl EquationOfState {
     }
 
     /// Pressure of a tensor of densities, from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn pressure_composed(&self, density: &Tensor) -> Result<Tensor> {
         let ratio = density.affine(1.0 / self.reference_density, 0.0)?;
         let power = if self.gamma == 1 { ratio } else { ratio.powf(self.gamma as f64)? };
@@ -87,9 +84,6 @@ impl EquationOfState {
     }
 
     /// Density of a tensor of pressures.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn density_composed(&self, pressure: &Tensor) -> Result<Tensor> {
         let power = pressure.affine(1.0 / self.reference_pressure, -self.at_vacuum() / self.reference_pressure)?;
         let power = if self.gamma == 1 { power } else { power.powf(1.0 / self.gamma as f64)? };

@@ -67,6 +67,8 @@ pub struct PairBar<L, const D: usize> {
     pub by_difference: [L; D],
     /// Derivative of l with respect to F, except through c.
     pub by_slope: L,
+    /// Derivatives with respect to the fields of the row's own particle, summed over the row.
+    pub own: SideBar<L, D>,
 }
 
 /// Derivatives with respect to the fields of the row's own particle, summed over the row.
@@ -113,9 +115,6 @@ pub struct PairTensors {
 
 impl PairTensors {
     /// Adds to one of the sums.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn add(sum: &mut Option<Tensor>, term: Tensor) -> Result<()> {
         *sum = Some(match sum.take() {
             Some(sum) => (sum + term)?,
@@ -141,21 +140,16 @@ pub trait PairLaw: Copy + Send + Sync {
     /// Adds the pair's share to the sums of i.
     fn add<L: Lanes, const D: usize>(&self, own: &Self::Own<L, D>, pair: &Pair<L, D>, sums: &mut Sums<L, D>);
 
-    /// Adds the derivatives of the pair's share of alpha . acceleration + beta . transport + gamma temperature rate by the
-    /// fields of i, and to the pair's own.
+    /// Adds the derivatives of the pair's share of alpha . acceleration + beta . transport + gamma temperature rate.
     fn adjoint<L: Lanes, const D: usize>(
         &self,
         own: &Self::Own<L, D>,
         pair: &Pair<L, D>,
         bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
+        to: &mut PairBar<L, D>,
     );
 
     /// [`Self::add`] from candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()>;
 
     /// What it is called in a plan.
@@ -179,15 +173,8 @@ macro_rules! tuple_of_laws {
                 $(self.$place.add(&own.$place, pair, sums);)*
             }
             #[inline(always)]
-            fn adjoint<Z: Lanes, const N: usize>(
-                &self,
-                own: &Self::Own<Z, N>,
-                pair: &Pair<Z, N>,
-                bars: &Bars<Z, N>,
-                pair_bar: &mut PairBar<Z, N>,
-                bar: &mut SideBar<Z, N>,
-            ) {
-                $(self.$place.adjoint(&own.$place, pair, bars, pair_bar, bar);)*
+            fn adjoint<Z: Lanes, const N: usize>(&self, own: &Self::Own<Z, N>, pair: &Pair<Z, N>, bars: &Bars<Z, N>, to: &mut PairBar<Z, N>) {
+                $(self.$place.adjoint(&own.$place, pair, bars, to);)*
             }
             fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
                 $(self.$place.composed(pairs, fields, sums)?;)*
@@ -227,11 +214,10 @@ impl<A: PairLaw> PairLaw for Option<A> {
         own: &Self::Own<L, D>,
         pair: &Pair<L, D>,
         bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
+        to: &mut PairBar<L, D>,
     ) {
         if let (Some(law), Some(own)) = (self, own) {
-            law.adjoint(own, pair, bars, pair_bar, bar);
+            law.adjoint(own, pair, bars, to);
         }
     }
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {

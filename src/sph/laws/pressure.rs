@@ -4,7 +4,7 @@
 //! (Adami, Hu and Adams 2013, eq. 7). It is symmetric in i and j, so momentum is conserved.
 
 use super::equation_of_state::EquationOfState;
-use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use candle_core::Result;
@@ -53,17 +53,16 @@ impl PairLaw for Pressure {
         own: &Prepared<L>,
         pair: &Pair<L, D>,
         bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
+        to: &mut PairBar<L, D>,
     ) {
         let (p, other, inverse) = self.mean(own, pair);
-        pair_bar.scalar = pair_bar.scalar - p * bars.along;
+        to.scalar = to.scalar - p * bars.along;
         for d in 0..D {
-            pair_bar.by_difference[d] = pair_bar.by_difference[d] - p * bars.acceleration[d];
+            to.by_difference[d] = to.by_difference[d] - p * bars.acceleration[d];
         }
         let weight = pair.other.density * inverse;
         let derivative = weight * ((other - own.pressure).mul_add(inverse, own.slope));
-        bar.density = bar.density - pair.weight * bars.along * derivative;
+        to.own.density = to.own.density - pair.weight * bars.along * derivative;
     }
 
     fn composed(&self, pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {

@@ -65,9 +65,6 @@ impl Surroundings<'_> {
 
 impl Riemann {
     /// drho/dt, `[1, N]`, by candle's operators; 0 for wall particles.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn density_rate(&self, around: &Surroundings, flowing: &Flowing) -> Result<Tensor> {
         let sides = around.sides(flowing.density)?;
         let [p_left, p_right] = sides.pressure;
@@ -80,9 +77,6 @@ impl Riemann {
 
     /// The force on each particle, `[D, N]`, by candle's operators. Walls in `fields` have the velocity for the shear
     /// stress.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn force(&self, around: &Surroundings, fields: &PairFields, viscosity: f64) -> Result<Tensor> {
         let pairs = around.pairs;
         let sides = around.sides(&fields.density)?;

@@ -3,7 +3,7 @@
 //! Momentum gains e = (A_i + A_j)/2 . r_ij with A = rho u (x) w (Adami, Hu and Adams 2013, eq. 8 and 9). Records hold W
 //! = rho w/2, so e = u_i (W_i.r) + u_j (W_j.r). The transport acceleration is p(0) sum c r (their eq. 13).
 
-use super::pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
 use crate::numerics::lanes::Lanes;
 use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
@@ -13,9 +13,6 @@ pub struct TransportVelocity;
 
 impl TransportVelocity {
     /// Adds only the transport acceleration by the background pressure.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn spread(pairs: &Pairs, fields: &PairFields, sums: &mut PairTensors) -> Result<()> {
         PairTensors::add(&mut sums.spread, pairs.difference.broadcast_mul(&fields.weight)?.sum(2)?)
     }
@@ -40,25 +37,17 @@ impl PairLaw for TransportVelocity {
 
     /// s gains (alpha.u_i)(W_i.r) + (alpha.u_j)(W_j.r) + beta.r.
     #[inline(always)]
-    fn adjoint<L: Lanes, const D: usize>(
-        &self,
-        _: &(),
-        pair: &Pair<L, D>,
-        bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
-    ) {
+    fn adjoint<L: Lanes, const D: usize>(&self, _: &(), pair: &Pair<L, D>, bars: &Bars<L, D>, to: &mut PairBar<L, D>) {
         let (a, b, dr) = (pair.own, pair.other, &pair.difference);
         let (alpha, beta) = (&bars.acceleration, &bars.transport);
         let (own, other) = (dot(&a.transport, dr), dot(&b.transport, dr));
         let (alpha_own, alpha_other) = (dot(alpha, &a.velocity), dot(alpha, &b.velocity));
-        pair_bar.scalar = alpha_own.mul_add(own, alpha_other.mul_add(other, pair_bar.scalar)) + dot(beta, dr);
+        to.scalar = alpha_own.mul_add(own, alpha_other.mul_add(other, to.scalar)) + dot(beta, dr);
         let (c_own, c_alpha) = (pair.weight * own, pair.weight * alpha_own);
         for d in 0..D {
-            pair_bar.by_difference[d] +=
-                alpha_own.mul_add(a.transport[d], alpha_other.mul_add(b.transport[d], beta[d]));
-            bar.velocity[d] = c_own.mul_add(alpha[d], bar.velocity[d]);
-            bar.transport[d] = c_alpha.mul_add(dr[d], bar.transport[d]);
+            to.by_difference[d] += alpha_own.mul_add(a.transport[d], alpha_other.mul_add(b.transport[d], beta[d]));
+            to.own.velocity[d] = c_own.mul_add(alpha[d], to.own.velocity[d]);
+            to.own.transport[d] = c_alpha.mul_add(dr[d], to.own.transport[d]);
         }
     }
 

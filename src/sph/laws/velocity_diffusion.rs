@@ -21,9 +21,6 @@ pub struct VelocityDiffusion {
 
 impl VelocityDiffusion {
     /// The gain of the force on each particle, `[D, N]`, by candle's operators.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn composed(&self, pairs: &Pairs, fields: &PairFields) -> Result<Tensor> {
         let velocity = (pairs.own(&fields.velocity)? - pairs.other(&fields.velocity)?)?;
         let pi = velocity.mul(&pairs.difference)?.sum_keepdim(0)?.div(&pairs.distance.sqr()?)?;

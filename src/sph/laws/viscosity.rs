@@ -3,7 +3,7 @@
 //! e = eta_ij (u_i - u_j), where eta_ij = 2 eta_i eta_j/(eta_i + eta_j) is the harmonic mean (Adami, Hu and Adams 2013,
 //! eq. 6 and 8). A scene has one viscosity, so eta_ij = eta.
 
-use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use candle_core::Result;
@@ -29,19 +29,12 @@ impl PairLaw for Viscosity {
 
     /// s gains eta alpha.(u_i - u_j).
     #[inline(always)]
-    fn adjoint<L: Lanes, const D: usize>(
-        &self,
-        eta: &L,
-        pair: &Pair<L, D>,
-        bars: &Bars<L, D>,
-        pair_bar: &mut PairBar<L, D>,
-        bar: &mut SideBar<L, D>,
-    ) {
+    fn adjoint<L: Lanes, const D: usize>(&self, eta: &L, pair: &Pair<L, D>, bars: &Bars<L, D>, to: &mut PairBar<L, D>) {
         for d in 0..D {
             let weighted = *eta * bars.acceleration[d];
             let difference = pair.own.velocity[d] - pair.other.velocity[d];
-            pair_bar.scalar = weighted.mul_add(difference, pair_bar.scalar);
-            bar.velocity[d] = pair.weight.mul_add(weighted, bar.velocity[d]);
+            to.scalar = weighted.mul_add(difference, to.scalar);
+            to.own.velocity[d] = pair.weight.mul_add(weighted, to.own.velocity[d]);
         }
     }
 

@@ -2,31 +2,23 @@
 //!
 //! The reset cuts the gradient, which is right: what the fluid carried before the inlet does not matter behind it.
 
-use super::chain::{Chain, Step};
+use super::chain::Step;
 use super::model::Standard;
-use super::sweeps::Sweeps;
-use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::fluid_mask;
 use crate::sph::laws::conduction;
 use crate::sph::masks::below;
-use candle_core::{Result, Shape, Tensor};
+use crate::sph::own::Own;
+use candle_core::{Result, Tensor};
 use std::ops::Range;
-use std::sync::Arc;
-
-/// moved `[M, N]`, rates `[A, N]` -> state `[F, N]`.
-pub struct Assemble<R: Sweeps>(pub Arc<Chain<R>>);
-
-/// moved `[M, N]`, primitives `[C, N]`, rates `[A, N]` -> state `[F, N]`, of a density that evolves.
-pub struct AssembleEvolved<R: Sweeps>(pub Arc<Chain<R>>);
 
 struct Forward<'a, R> {
     model: &'a Standard<R>,
     moved: &'a [R],
     primitives: &'a [R],
     rates: &'a [R],
-    state: Shared<'a, R>,
+    state: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Forward<'_, R> {
@@ -63,15 +55,15 @@ impl<R: Real> RowKernel<R> for Forward<'_, R> {
 /// The forward pass, on plain numbers; `primitives` are read where the density evolves.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], primitives: &[R], rates: &[R], state: &mut [R]) {
     let model = &*step.model;
-    run_rows(&Forward { model, moved, primitives, rates, state: Shared::new(state) }, model.particles());
+    run_rows(&Forward { model, moved, primitives, rates, state: Own::new(state) }, model.particles());
 }
 
 struct Backward<'a, R> {
     model: &'a Standard<R>,
     moved: &'a [R],
     state_bar: &'a [R],
-    moved_bar: Shared<'a, R>,
-    rates_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
+    rates_bar: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Backward<'_, R> {
@@ -108,53 +100,8 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
 
 /// The adjoint, on plain numbers.
 pub fn backward<R: Real>(step: &Step<R>, moved: &[R], state_bar: &[R], moved_bar: &mut [R], rates_bar: &mut [R]) {
-    let (model, moved_bar, rates_bar) = (&*step.model, Shared::new(moved_bar), Shared::new(rates_bar));
+    let (model, moved_bar, rates_bar) = (&*step.model, Own::new(moved_bar), Own::new(rates_bar));
     run_rows(&Backward { model, moved, state_bar, moved_bar, rates_bar }, model.particles());
-}
-
-impl<R: Sweeps> Operator<2> for Assemble<R> {
-    type Real = R;
-    const NAME: &'static str = "assemble";
-
-    fn forward(&self, [moved, rates]: [&[R]; 2], _: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
-        let step = &self.0.step;
-        let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
-        let mut state = vec![R::default(); rows * n];
-        R::assemble(step, moved, &[], rates, &mut state);
-        Ok((state, (rows, n).into()))
-    }
-
-    fn adjoint(&self, [moved, _]: [&[R]; 2], _: &[R], bar: &[R], _: [bool; 2]) -> Result<[Option<Vec<R>>; 2]> {
-        let step = &self.0.step;
-        let mut moved_bar = self.0.moved_bar();
-        let mut rates_bar = vec![R::default(); step.model.layout.rate_rows() * step.model.particles()];
-        R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
-        Ok([Some(moved_bar), Some(rates_bar)])
-    }
-}
-
-impl<R: Sweeps> Operator<3> for AssembleEvolved<R> {
-    type Real = R;
-    const NAME: &'static str = "assemble evolved";
-
-    fn forward(&self, [moved, primitives, rates]: [&[R]; 3], _: [&Shape; 3]) -> Result<(Vec<R>, Shape)> {
-        let step = &self.0.step;
-        let (rows, n) = (step.model.layout.state_rows(), step.model.particles());
-        let mut state = vec![R::default(); rows * n];
-        R::assemble(step, moved, primitives, rates, &mut state);
-        Ok((state, (rows, n).into()))
-    }
-
-    fn adjoint(&self, [moved, ..]: [&[R]; 3], _: &[R], bar: &[R], _: [bool; 3]) -> Result<[Option<Vec<R>>; 3]> {
-        let step = &self.0.step;
-        let (l, n) = (step.model.layout, step.model.particles());
-        let mut moved_bar = self.0.moved_bar();
-        let mut rates_bar = vec![R::default(); l.rate_rows() * n];
-        R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
-        let mut primitives_bar = vec![R::default(); l.primitive_rows() * n];
-        primitives_bar[..n].copy_from_slice(&bar[l.state_density() * n..][..n]);
-        Ok([Some(moved_bar), Some(primitives_bar), Some(rates_bar)])
-    }
 }
 
 /// The same from ordinary candle ops: the oracle.

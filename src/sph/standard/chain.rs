@@ -6,6 +6,7 @@ use crate::numerics::lanes::Real;
 use crate::particles::NeighbourList;
 use crate::sph::composed::Pairs;
 use crate::sph::masks::per_particle;
+use crate::sph::method::Place;
 use candle_core::{Result, Tensor};
 use std::sync::{Arc, Mutex, MutexGuard};
 
@@ -17,6 +18,11 @@ pub struct Step<R> {
 }
 
 impl<R: Real> Step<R> {
+    /// With the present neighbour list.
+    pub fn now(model: &Arc<Standard<R>>, place: &Place<'_, R>) -> Arc<Self> {
+        Arc::new(Self { model: model.clone(), list: place.neighbourhood.list.clone() })
+    }
+
     /// The pairs of the neighbour list as tensors, for a moved state `[M, N]`.
     pub fn pairs(&self, moved: &Tensor) -> Result<Pairs> {
         Pairs::new(&self.model.flow, &self.list, moved)
@@ -45,7 +51,7 @@ impl<R: Real> Chain<R> {
     pub fn new(step: Arc<Step<R>>) -> Arc<Self> {
         // The reused buffers have arbitrary content, so none is marked as filled.
         let kept = step.model.caches.take().unwrap_or_default();
-        let kept = Mutex::new(PairCache { has_pairs: false, has_fluid_records: false, has_records: false, ..kept });
+        let kept = Mutex::new(PairCache { has_pairs: false, has_fluid_records: false, ..kept });
         Arc::new(Self { step, kept })
     }
 

@@ -5,19 +5,18 @@
 //! [`super::wall_condition`]. Adjoint, gathered: with b_i = rho_bar_i m_i (0 for walls),
 //! r_bar_i = sum_j (b_i + b_j) F_ij r_ij and m_bar_i = rho_bar_i rho_i / m_i.
 
-use super::chain::Masses;
-use super::chain::{Chain, Step};
+use super::chain::{Chain, Masses, Step};
 use super::pair_cache::PairCache;
 use super::records::record_fields;
 use super::sweeps::Sweeps;
 use super::wall_condition::pack_fluid;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
-use crate::sph::kernels::KernelLanes;
+use crate::sph::own::Own;
 use crate::sph::pairs;
-use crate::sph::pairs::{pack_positions, stride, RowGeometry};
+use crate::sph::pairs::{pack_positions, stride, with_dimension, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -27,35 +26,28 @@ pub struct Density<R: Sweeps>(pub Arc<Chain<R>>);
 
 struct Forward<'a, R, const D: usize> {
     step: &'a Step<R>,
-    position: &'a [R],
+    position: Records<'a, R>,
     mass: Masses<'a, R>,
-    density: Shared<'a, R>,
-    slope: Shared<'a, R>,
+    density: Own<'a, R>,
+    slope: Own<'a, R>,
     moved: &'a [R],
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Forward<'_, R, D> {
     /// Sum of W over a row, whose F are kept on the way.
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(
-        &self,
-        kernel: &KernelLanes<L>,
-        geometry: &RowGeometry<L, D>,
-        i: usize,
-    ) -> L {
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> L {
         let list = &*self.step.list;
-        let here = pairs::splat_fields::<L>(&self.position[4 * i..4 * i + 4], 4);
+        let here = pairs::splat_fields::<L>(self.position.of(i), 4);
         let from = i * list.capacity;
         let mut sum = L::zero();
-        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
-            // SAFETY: `row` gives COUNT valid particle numbers; positions are records of 4.
-            let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
+        for (k, (names, mask)) in pairs::row::<L>(list, i).enumerate() {
+            let [there] = self.position.groups(names);
             let (_, r2) = geometry.difference::<EDGE>(&here[0], &there);
-            let (w, f, _) = kernel.all(r2);
+            let (w, f, _) = geometry.kernel.all(r2);
             sum += mask.apply(w);
-            // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe { self.slope.store(from + k * L::COUNT, mask.apply(f)) };
+            self.slope.store(from + k * L::COUNT, mask.apply(f));
         }
         sum
     }
@@ -67,24 +59,20 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         let own = R::of(model.kernel.at_zero());
         let width = stride(record_fields(D, model.layout.transport, model.layout.heat));
         for row in rows {
             let i = list.fluid_rows[row] as usize;
-            let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
-                self.row::<L, true>(&kernel, &geometry, i)
-            } else {
-                self.row::<L, false>(&kernel, &geometry, i)
+            let sum = match geometry.at_edge(self.position.of(i)) {
+                true => self.row::<L, true>(&geometry, i),
+                false => self.row::<L, false>(&geometry, i),
             };
             let (mass, sum) = (self.mass.of(i), own + sum.sum());
-            // SAFETY: each row writes its own particle and record.
-            unsafe {
-                self.density.set(i, mass * sum);
-                let record = self.records.slice(i * width..(i + 1) * width);
-                pack_fluid(self.step, self.moved, mass, mass * sum, i, record);
-            }
+            self.density.set(i, mass * sum);
+            // SAFETY: each row writes its own record.
+            let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
+            pack_fluid(self.step, self.moved, mass, mass * sum, i, record);
         }
     }
 }
@@ -96,62 +84,30 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, de
     let (mass, l) = (Masses::new(model, moved), model.layout);
     kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * model.particles(), R::default());
     kept.has_fluid_records = true;
-    macro_rules! go {
-        ($d:literal) => {
-            run_rows(
-                &Forward::<R, $d> {
-                    step,
-                    position: &kept.position,
-                    mass,
-                    density: Shared::new(density),
-                    slope: Shared::new(&mut kept.slope),
-                    moved,
-                    records: Shared::new(&mut kept.records),
-                },
-                list.fluid_rows.len(),
-            )
-        };
-    }
-    if l.dimension == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
-}
-
-/// [`PairCache`]'s pairs for an operator that is used without the density in front of it, summed or evolved.
-pub fn keep_pairs<R: Sweeps>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>) {
-    if !kept.has_pairs {
-        let mut density = step.model.scratch.buffers.buffer(step.model.particles());
-        // Records that are there may be of another density.
-        let (records, has_fluid_records) = (std::mem::take(&mut kept.records), kept.has_fluid_records);
-        R::density(step, moved, kept, &mut density);
-        (kept.records, kept.has_fluid_records) = (records, has_fluid_records);
-    }
+    let (position, density) = (Records::new(&kept.position, 4, model.particles()), Own::new(density));
+    let (slope, records) = (Own::new(&mut kept.slope), Own::new(&mut kept.records));
+    with_dimension!(l.dimension, |D| run_rows(
+        &Forward::<R, D> { step, position, mass, density, slope, moved, records },
+        list.fluid_rows.len(),
+    ));
 }
 
 struct Backward<'a, R, const D: usize> {
     step: &'a Step<R>,
     /// Positions and b, `[N, 4]`: x y [z] b.
-    position: &'a [R],
-    moved_bar: Shared<'a, R>,
+    position: Records<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Backward<'_, R, D> {
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(
-        &self,
-        kernel: &KernelLanes<L>,
-        geometry: &RowGeometry<L, D>,
-        i: usize,
-    ) -> [L; D] {
-        let here = pairs::splat_fields::<L>(&self.position[4 * i..4 * i + 4], 4);
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> [L; D] {
+        let here = pairs::splat_fields::<L>(self.position.of(i), 4);
         let mut sum = [L::zero(); D];
-        for (index, mask) in pairs::row::<L>(&self.step.list, i) {
-            // SAFETY: as in the forward pass.
-            let there = unsafe { L::gather4(self.position.as_ptr(), 4, index) };
+        for (names, mask) in pairs::row::<L>(&self.step.list, i) {
+            let [there] = self.position.groups(names);
             let (dr, r2) = geometry.difference::<EDGE>(&here[0], &there);
-            let factor = (here[0][3] + there[3]) * mask.apply(kernel.slope(r2));
+            let factor = (here[0][3] + there[3]) * mask.apply(geometry.kernel.slope(r2));
             for d in 0..D {
                 sum[d] = factor.mul_add(dr[d], sum[d]);
             }
@@ -167,18 +123,15 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let n = model.particles();
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         for row in rows {
             let i = pairs::particle_of_row(list, row);
-            let sum = if geometry.at_edge(&self.position[4 * i..4 * i + 4]) {
-                self.row::<L, true>(&kernel, &geometry, i)
-            } else {
-                self.row::<L, false>(&kernel, &geometry, i)
+            let sum = match geometry.at_edge(self.position.of(i)) {
+                true => self.row::<L, true>(&geometry, i),
+                false => self.row::<L, false>(&geometry, i),
             };
             for d in 0..D {
-                // SAFETY: each row writes its own particle.
-                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
+                self.moved_bar.add(d * n + i, sum[d].sum());
             }
         }
     }
@@ -192,19 +145,9 @@ pub fn backward<R: Real>(step: &Step<R>, moved: &[R], density: &[R], density_bar
     let mass = Masses::new(model, moved);
     let b = |i: usize| if model.is_fluid(i) { density_bar[i] * mass.of(i) } else { R::default() };
     pack_positions(model, moved, Some(&b), &mut position);
-    macro_rules! go {
-        ($d:literal) => {
-            run_rows(
-                &Backward::<R, $d> { step, position: &position, moved_bar: Shared::new(moved_bar) },
-                pairs::all_rows(&step.list),
-            )
-        };
-    }
-    if l.dimension == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
+    let (position, rows) = (Records::new(&position, 4, n), pairs::all_rows(&step.list));
+    let shared = Own::new(moved_bar);
+    with_dimension!(l.dimension, |D| run_rows(&Backward::<R, D> { step, position, moved_bar: shared }, rows));
     if l.mass {
         for i in 0..n {
             if model.is_fluid(i) {

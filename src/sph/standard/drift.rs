@@ -8,9 +8,10 @@ use super::model::Standard;
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::wrapped;
 use crate::sph::masks::per_particle;
+use crate::sph::own::Own;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -22,7 +23,7 @@ struct Forward<'a, R> {
     model: &'a Standard<R>,
     dt: f64,
     state: &'a [R],
-    moved: Shared<'a, R>,
+    moved: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Forward<'_, R> {
@@ -86,14 +87,14 @@ fn stays<R: Real>(model: &Standard<R>, rows: Range<usize>) -> impl Iterator<Item
 
 /// The forward pass, on plain numbers.
 pub fn forward<R: Real>(model: &Standard<R>, dt: f64, state: &[R], moved: &mut [R]) {
-    run_rows(&Forward { model, dt, state, moved: Shared::new(moved) }, model.particles());
+    run_rows(&Forward { model, dt, state, moved: Own::new(moved) }, model.particles());
 }
 
 struct Backward<'a, R> {
     model: &'a Standard<R>,
     dt: f64,
     moved_bar: &'a [R],
-    state_bar: Shared<'a, R>,
+    state_bar: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for Backward<'_, R> {
@@ -147,7 +148,7 @@ impl<R: Real> RowKernel<R> for Backward<'_, R> {
 
 /// The adjoint: cotangent of `moved` -> cotangent of `state`.
 pub fn backward<R: Real>(model: &Standard<R>, dt: f64, moved_bar: &[R], state_bar: &mut [R]) {
-    run_rows(&Backward { model, dt, moved_bar, state_bar: Shared::new(state_bar) }, model.particles());
+    run_rows(&Backward { model, dt, moved_bar, state_bar: Own::new(state_bar) }, model.particles());
 }
 
 impl<R: Sweeps> Operator<1> for Drift<R> {

@@ -8,22 +8,22 @@
 //! e_ij = c_i V_j + c_j V_i and q = (u_i - u_j).r_ij, u_bar_i = sum_j e F r_ij, r_bar_i = sum_j e (F (u_i - u_j) + q G r_ij),
 //! V_bar_i = sum_j c_j F q, rho_bar_i = rho'_bar_i rho'_i/rho_i - V_bar_i V_i/rho_i and m_bar_i = V_bar_i/rho_i.
 
-use super::chain::Masses;
-use super::chain::{Chain, Step};
+use super::chain::{Chain, Masses, Step};
 use super::pair_cache::PairCache;
 use super::renormalisation;
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
 use crate::numerics::gather::Gather;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::pool::Buffer;
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::Pairs;
-use crate::sph::kernels::KernelLanes;
 use crate::sph::laws::continuity::{self, Flowing};
 use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::Flux;
+use crate::sph::own::Own;
 use crate::sph::pairs;
-use crate::sph::pairs::{gather_fields, splat_fields, Fields, RowGeometry};
+use crate::sph::pairs::{splat_fields, with_dimension, Fields, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -41,7 +41,16 @@ struct Packing<'a, R> {
     mass: Masses<'a, R>,
     /// dt times the cotangent of the density, in the adjoint.
     bar: Option<(R, &'a [R])>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
+}
+
+/// The packed records, in a buffer of the model.
+fn pack<R: Real>(step: &Step<R>, moved: &[R], bar: Option<(R, &[R])>) -> Buffer<R> {
+    let (model, n) = (&*step.model, step.model.particles());
+    let mut records = model.scratch.buffers.buffer(WIDTH * n);
+    let mass = Masses::new(model, moved);
+    run_rows(&Packing { step, moved, mass, bar, records: Own::new(&mut records) }, n);
+    records
 }
 
 impl<R: Real> RowKernel<R> for Packing<'_, R> {
@@ -94,33 +103,26 @@ fn apart<L: Lanes, const D: usize, const EDGE: bool>(
 struct Forward<'a, R, const D: usize> {
     step: &'a Step<R>,
     dt: f64,
-    records: &'a [R],
+    records: Records<'a, R>,
     before: &'a [R],
-    density: Shared<'a, R>,
-    slope: Shared<'a, R>,
+    density: Own<'a, R>,
+    slope: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize> Forward<'_, R, D> {
     /// sum of V_j F q over a row, whose F are kept on the way.
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(
-        &self,
-        kernel: &KernelLanes<L>,
-        geometry: &RowGeometry<L, D>,
-        i: usize,
-    ) -> L {
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> L {
         let list = &*self.step.list;
-        let here = splat_fields::<L>(&self.records[WIDTH * i..WIDTH * (i + 1)], WIDTH);
+        let here = splat_fields::<L>(self.records.of(i), WIDTH);
         let from = i * list.capacity;
         let mut sum = L::zero();
-        for (k, (index, mask)) in pairs::row::<L>(list, i).enumerate() {
-            // SAFETY: `row` gives COUNT valid particle numbers, each of which has a record.
-            let there = unsafe { gather_fields::<L>(self.records.as_ptr(), WIDTH, index) };
+        for (k, (names, mask)) in pairs::row::<L>(list, i).enumerate() {
+            let there = self.records.fields(WIDTH, names);
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
-            let f = mask.apply(kernel.slope(apart.square));
+            let f = mask.apply(geometry.kernel.slope(apart.square));
             sum = (there[2 * D / 4][2 * D % 4] * f).mul_add(apart.parting, sum);
-            // SAFETY: each row writes its own pairs; rows are whole vectors.
-            unsafe { self.slope.store(from + k * L::COUNT, f) };
+            self.slope.store(from + k * L::COUNT, f);
         }
         sum
     }
@@ -132,19 +134,16 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         let dt = R::of(self.dt);
         for row in rows {
             let i = list.fluid_rows[row] as usize;
-            let sum = if geometry.at_edge(&self.records[WIDTH * i..WIDTH * (i + 1)]) {
-                self.row::<L, true>(&kernel, &geometry, i)
-            } else {
-                self.row::<L, false>(&kernel, &geometry, i)
+            let sum = match geometry.at_edge(self.records.of(i)) {
+                true => self.row::<L, true>(&geometry, i),
+                false => self.row::<L, false>(&geometry, i),
             };
             let before = self.before[i];
-            // SAFETY: each row writes its own particle.
-            unsafe { self.density.set(i, before + dt * (before * sum.sum())) };
+            self.density.set(i, before + dt * (before * sum.sum()));
         }
     }
 }
@@ -153,41 +152,25 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
 pub fn forward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], kept: &mut PairCache<R>, density: &mut [R]) {
     let (model, list, n) = (&*step.model, &*step.list, step.model.particles());
     kept.make_room(model, list, moved);
-    let mut records = model.scratch.buffers.buffer(WIDTH * n);
-    let mass = Masses::new(model, moved);
-    run_rows(&Packing { step, moved, mass, bar: None, records: Shared::new(&mut records) }, n);
+    let records = pack(step, moved, None);
     let before = &moved[model.layout.moved_density() * n..][..n];
     density[..n].copy_from_slice(before);
-    macro_rules! go {
-        ($d:literal) => {
-            run_rows(
-                &Forward::<R, $d> {
-                    step,
-                    dt,
-                    records: &records,
-                    before,
-                    density: Shared::new(density),
-                    slope: Shared::new(&mut kept.slope),
-                },
-                list.fluid_rows.len(),
-            )
-        };
-    }
-    if model.layout.dimension == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
+    let (density, slope) = (Own::new(density), Own::new(&mut kept.slope));
+    let records = Records::new(&records, WIDTH, n);
+    with_dimension!(model.layout.dimension, |D| run_rows(
+        &Forward::<R, D> { step, dt, records, before, density, slope },
+        list.fluid_rows.len(),
+    ));
 }
 
 struct Backward<'a, R, const D: usize> {
     step: &'a Step<R>,
-    records: &'a [R],
+    records: Records<'a, R>,
     mass: Masses<'a, R>,
     before: &'a [R],
     density: &'a [R],
     density_bar: &'a [R],
-    moved_bar: Shared<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 /// Sums of a row of the adjoint.
@@ -199,20 +182,14 @@ struct RowBar<L, const D: usize> {
 
 impl<R: Real, const D: usize> Backward<'_, R, D> {
     #[inline(always)]
-    fn row<L: Lanes<Real = R>, const EDGE: bool>(
-        &self,
-        kernel: &KernelLanes<L>,
-        geometry: &RowGeometry<L, D>,
-        i: usize,
-    ) -> RowBar<L, D> {
-        let here = splat_fields::<L>(&self.records[WIDTH * i..WIDTH * (i + 1)], WIDTH);
+    fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> RowBar<L, D> {
+        let here = splat_fields::<L>(self.records.of(i), WIDTH);
         let get = |f: &Fields<L>, q: usize| f[q / 4][q % 4];
         let mut sums = RowBar { position: [L::zero(); D], velocity: [L::zero(); D], volume: L::zero() };
-        for (index, mask) in pairs::row::<L>(&self.step.list, i) {
-            // SAFETY: as in the forward pass.
-            let there = unsafe { gather_fields::<L>(self.records.as_ptr(), WIDTH, index) };
+        for (names, mask) in pairs::row::<L>(&self.step.list, i) {
+            let there = self.records.fields(WIDTH, names);
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
-            let (_, slope, curvature) = kernel.all(apart.square);
+            let (_, slope, curvature) = geometry.kernel.all(apart.square);
             let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
             let (volume, c) = (2 * D, 2 * D + 1);
             let e = get(&here, c).mul_add(get(&there, volume), get(&there, c) * get(&here, volume));
@@ -234,15 +211,13 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (model, list) = (&*self.step.model, &*self.step.list);
         let (n, l) = (model.particles(), model.layout);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         for row in rows {
             let i = pairs::particle_of_row(list, row);
-            let record = &self.records[WIDTH * i..WIDTH * (i + 1)];
-            let sums = if geometry.at_edge(record) {
-                self.row::<L, true>(&kernel, &geometry, i)
-            } else {
-                self.row::<L, false>(&kernel, &geometry, i)
+            let record = self.records.of(i);
+            let sums = match geometry.at_edge(record) {
+                true => self.row::<L, true>(&geometry, i),
+                false => self.row::<L, false>(&geometry, i),
             };
             let (before, volume_bar) = (self.before[i], sums.volume.sum());
             let own = match model.is_fluid(i) {
@@ -250,17 +225,14 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
                 // The moved density of a wall is handed on.
                 false => self.density_bar[i],
             };
-            // SAFETY: each row writes its own particle.
-            unsafe {
-                let add = |field: usize, value: R| self.moved_bar.add(field * n + i, value);
-                for d in 0..D {
-                    add(d, sums.position[d].sum());
-                    add(l.velocity() + d, sums.velocity[d].sum());
-                }
-                add(l.moved_density(), own - volume_bar * record[2 * D] / before);
-                if l.mass {
-                    add(l.moved_mass(), volume_bar * record[2 * D] / self.mass.of(i));
-                }
+            let add = |field: usize, value: R| self.moved_bar.add(field * n + i, value);
+            for d in 0..D {
+                add(d, sums.position[d].sum());
+                add(l.velocity() + d, sums.velocity[d].sum());
+            }
+            add(l.moved_density(), own - volume_bar * record[2 * D] / before);
+            if l.mass {
+                add(l.moved_mass(), volume_bar * record[2 * D] / self.mass.of(i));
             }
         }
     }
@@ -270,36 +242,17 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
 pub fn backward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], density: &[R], density_bar: &[R], moved_bar: &mut [R]) {
     let (model, list, n) = (&*step.model, &*step.list, step.model.particles());
     let l = model.layout;
-    let mut records = model.scratch.buffers.buffer(WIDTH * n);
-    let mass = Masses::new(model, moved);
-    let bar = Some((R::of(dt), density_bar));
-    run_rows(&Packing { step, moved, mass, bar, records: Shared::new(&mut records) }, n);
+    let records = pack(step, moved, Some((R::of(dt), density_bar)));
     // Walls without a row only hand their density on.
     for i in (0..n).filter(|&i| !model.is_fluid(i) && list.count[i] == 0) {
         moved_bar[l.moved_density() * n + i] += density_bar[i];
     }
     let before = &moved[l.moved_density() * n..][..n];
-    macro_rules! go {
-        ($d:literal) => {
-            run_rows(
-                &Backward::<R, $d> {
-                    step,
-                    records: &records,
-                    mass,
-                    before,
-                    density,
-                    density_bar,
-                    moved_bar: Shared::new(moved_bar),
-                },
-                pairs::all_rows(list),
-            )
-        };
-    }
-    if l.dimension == 2 {
-        go!(2)
-    } else {
-        go!(3)
-    }
+    let (records, mass, moved_bar) = (Records::new(&records, WIDTH, n), Masses::new(model, moved), Own::new(moved_bar));
+    with_dimension!(l.dimension, |D| run_rows(
+        &Backward::<R, D> { step, records, mass, before, density, density_bar, moved_bar },
+        pairs::all_rows(list),
+    ));
 }
 
 impl<R: Sweeps> Operator<1> for Evolution<R> {
@@ -322,9 +275,6 @@ impl<R: Sweeps> Operator<1> for Evolution<R> {
 }
 
 /// moved `[M, N]` -> drho/dt, `[1, N]`, from candle's operators.
-///
-/// # Errors
-/// Tensor errors.
 pub fn rate<R: Real>(step: &Step<R>, pairs: &Pairs, moved: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let density = moved.narrow(0, l.moved_density(), 1)?;
@@ -349,9 +299,6 @@ pub fn rate<R: Real>(step: &Step<R>, pairs: &Pairs, moved: &Tensor) -> Result<Te
 }
 
 /// moved `[M, N]` -> density `[1, N]`, of walls the moved one, from candle's operators: the oracle.
-///
-/// # Errors
-/// Tensor errors.
 pub fn composed<R: Real>(step: &Step<R>, pairs: &Pairs, dt: f64, moved: &Tensor) -> Result<Tensor> {
     let (model, l) = (&*step.model, step.model.layout);
     let before = moved.narrow(0, l.moved_density(), 1)?;

@@ -1,6 +1,17 @@
 //! The standard method: density by summation or continuity, pair forces and a background pressure.
 //!
-//! Each pair law is a file of [`crate::sph::laws`]; [`step`] has the order of the operators.
+//! Each pair law is a file of [`crate::sph::laws`], each operator of a step one here:
+//!
+//! ```text
+//! state --drift--> moved --density--> rho --wall condition--> primitives --rates--> rates
+//!                    |                                          |                     |
+//!                    +--------------------------- assemble ----+---------------------+--> state
+//! ```
+//!
+//! The density is summed ([`density`]) or evolves ([`evolution`]); between drift and density the neighbour list is made valid
+//! for the moved state. The order is that of JAX-SPH, so that states agree to rounding. A step is executed on reused buffers
+//! ([`worker`]), as a fused node on candle's graph ([`whole_step`]), or composed of candle's own operators ([`tape`]).
+
 pub mod assemble;
 pub mod chain;
 mod compiled;
@@ -15,7 +26,6 @@ mod plan;
 pub mod rates;
 pub mod records;
 pub mod renormalisation;
-pub mod step;
 pub mod sweeps;
 mod tape;
 pub mod wall_condition;

@@ -3,7 +3,7 @@
 use crate::numerics::lanes::Real;
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
-use crate::sph::pairs::pack_positions;
+use crate::sph::pairs::{pack_positions, stride, Records};
 
 /// Results of one sweep that later sweeps of the same step reuse, so that nothing is computed or packed twice.
 #[derive(Debug, Default)]
@@ -17,9 +17,8 @@ pub struct PairCache<R> {
     pub records: Vec<R>,
     /// Whether `position` and `slope` are filled.
     pub has_pairs: bool,
-    /// Whether `records` is filled for fluid particles, and for all particles.
+    /// Whether `records` is filled for fluid particles.
     pub has_fluid_records: bool,
-    pub has_records: bool,
 }
 
 impl<R: Real> PairCache<R> {
@@ -28,5 +27,10 @@ impl<R: Real> PairCache<R> {
         pack_positions(flow, moved, None, &mut self.position);
         self.slope.resize(list.index.len(), R::default());
         self.has_pairs = true;
+    }
+    /// Positions and records of so many particles.
+    #[inline(always)]
+    pub fn seen(&self, particles: usize, fields: usize) -> (Records<'_, R>, Records<'_, R>) {
+        (Records::new(&self.position, 4, particles), Records::new(&self.records, stride(fields), particles))
     }
 }

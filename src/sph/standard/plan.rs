@@ -4,7 +4,7 @@ use super::model::Standard;
 use super::records::record_fields;
 use super::sweeps::Sweeps;
 use crate::particles::NeighbourList;
-use crate::sph::inventory::{dropped, Dropped, Field, Operator};
+use crate::sph::inventory::{dropped, words, Dropped, Field, Operator};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::{with_laws, Flux, PairLaw};
 use crate::sph::pairs::stride;
@@ -17,84 +17,52 @@ pub fn operators<R: Sweeps>(model: &Standard<R>, list: &NeighbourList) -> Vec<Op
     let row = |rows: usize| rows * n * number;
     let fluid_pairs: usize = list.fluid_rows.iter().map(|&i| list.count[i as usize] as usize).sum();
     let wall_pairs = list.pairs() - fluid_pairs;
-    let words = |parts: &[(bool, &str)]| -> Vec<String> {
-        parts.iter().filter(|(wanted, _)| *wanted).map(|(_, text)| text.to_string()).collect()
-    };
     // Velocity and volume, which are read in addition to the position.
     let evolved = if l.density { d + 1 } else { 0 };
-    let mut all = vec![
-        Operator {
-            name: "drift",
-            does: words(&[
-                (true, "kick with the old acceleration"),
-                (l.transport, "transport velocity"),
-                (true, "move"),
-                (model.domain.periodic[..d].contains(&true), "periodic wrap"),
-                (l.heat, "heat with the old rate"),
-            ]),
-            rows: n,
-            pairs: 0,
-            bytes_read: row(l.state_rows()),
-            bytes_written: row(l.moved_rows()),
-            bytes_gathered: 0,
-        },
-        Operator {
-            name: "neighbours",
-            does: vec!["largest move since the list was built; a new list at half the skin".into()],
-            rows: n,
-            pairs: 0,
-            bytes_read: 2 * row(d),
-            bytes_written: 0,
-            bytes_gathered: 0,
-        },
-        Operator {
-            name: "density",
-            does: density(model),
-            rows: list.fluid_rows.len(),
-            pairs: fluid_pairs,
-            bytes_read: row(evolved + d + l.mass as usize) + 4 * fluid_pairs,
-            bytes_written: row(1),
-            bytes_gathered: (evolved + d) * number * fluid_pairs,
-        },
-    ];
+    let drift = words(&[
+        (true, "kick with the old acceleration"),
+        (l.transport, "transport velocity"),
+        (true, "move"),
+        (model.domain.periodic[..d].contains(&true), "periodic wrap"),
+        (l.heat, "heat with the old rate"),
+    ]);
     // Fields that walls average over the fluid: velocity, [shift], pressure, [temperature].
     let averaged = d * (1 + l.transport as usize) + 1 + l.heat as usize;
     let extrapolates = !list.wall_rows.is_empty();
-    all.push(Operator {
-        name: "wall condition",
-        does: words(&[
-            (true, "copy of the fluid's fields"),
-            (extrapolates, "walls: pressure, density and velocity from the fluid (Adami 2012)"),
-            (extrapolates && matches!(model.body_force, BodyForce::Gravity(_)), "walls: pressure of the depth"),
-            (extrapolates && l.transport, "walls: transport shift"),
-            (extrapolates && l.heat, "walls: temperature"),
-        ]),
-        rows: list.wall_rows.len(),
-        pairs: if extrapolates { wall_pairs } else { 0 },
-        bytes_read: row(l.moved_rows() + 1) + if extrapolates { 4 * wall_pairs } else { 0 },
-        bytes_written: row(l.primitive_rows()),
-        bytes_gathered: if extrapolates { (d + averaged) * number * wall_pairs } else { 0 },
-    });
+    let wall_pairs = if extrapolates { wall_pairs } else { 0 };
+    let walls = words(&[
+        (true, "copy of the fluid's fields"),
+        (extrapolates, "walls: pressure, density and velocity from the fluid (Adami 2012)"),
+        (extrapolates && matches!(model.body_force, BodyForce::Gravity(_)), "walls: pressure of the depth"),
+        (extrapolates && l.transport, "walls: transport shift"),
+        (extrapolates && l.heat, "walls: temperature"),
+    ]);
+    let assemble = words(&[(true, "the new state from its parts"), (l.heat, "inlet temperature")]);
     let record = stride(record_fields(d, l.transport, l.heat));
-    all.push(Operator {
-        name: "rates",
-        does: laws(model),
-        rows: list.fluid_rows.len(),
-        pairs: fluid_pairs,
-        bytes_read: row(d + l.primitive_rows() + l.mass as usize) + 4 * fluid_pairs,
-        bytes_written: row(l.rate_rows()),
-        bytes_gathered: record * number * fluid_pairs,
-    });
-    all.push(Operator {
-        name: "assemble",
-        does: words(&[(true, "the new state from its parts"), (l.heat, "inlet temperature")]),
-        rows: n,
-        pairs: 0,
-        bytes_read: row(l.moved_rows() + l.rate_rows()),
-        bytes_written: row(l.state_rows()),
-        bytes_gathered: 0,
-    });
-    all
+    let (fluid, mass) = (list.fluid_rows.len(), l.mass as usize);
+    let gathered = |fields: usize, pairs: usize| fields * number * pairs;
+    let density_read = row(evolved + d + mass) + 4 * fluid_pairs;
+    let rates_read = row(d + l.primitive_rows() + mass) + 4 * fluid_pairs;
+    let walls_bytes =
+        [row(l.moved_rows() + 1) + 4 * wall_pairs, row(l.primitive_rows()), gathered(d + averaged, wall_pairs)];
+    vec![
+        Operator::new("drift", drift, [n, 0], [row(l.state_rows()), row(l.moved_rows()), 0]),
+        Operator::neighbours::<R>(n, d),
+        Operator::new(
+            "density",
+            density(model),
+            [fluid, fluid_pairs],
+            [density_read, row(1), gathered(evolved + d, fluid_pairs)],
+        ),
+        Operator::new("wall condition", walls, [list.wall_rows.len(), wall_pairs], walls_bytes),
+        Operator::new(
+            "rates",
+            laws(model),
+            [fluid, fluid_pairs],
+            [rates_read, row(l.rate_rows()), gathered(record, fluid_pairs)],
+        ),
+        Operator::new("assemble", assemble, [n, 0], [row(l.moved_rows() + l.rate_rows()), row(l.state_rows()), 0]),
+    ]
 }
 
 /// How the density is computed.

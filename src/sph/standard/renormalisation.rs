@@ -10,9 +10,6 @@ use crate::sph::composed::Pairs;
 use candle_core::{Result, Tensor};
 
 /// The renormalised density `[1, N]`, by candle's operators.
-///
-/// # Errors
-/// Tensor errors.
 pub fn composed<R: Real>(step: &Step<R>, pairs: &Pairs, mass: &Tensor, density: &Tensor) -> Result<Tensor> {
     let kernel = &step.model.kernel;
     let w = kernel.composed(&pairs.distance)?.0.mul(&pairs.mask)?;

@@ -1,13 +1,11 @@
 //! The sweeps of the standard method over particles, for f32 and f64.
 //!
-//! A generic function is compiled where it is called, so each test, bench and binary would compile all kernels for
-//! three instruction sets again (two minutes each). Therefore operators call their sweeps through this trait, whose
-//! implementations (in `compiled.rs`) are not generic.
+//! They are called through a trait with implementations that are not generic, see [`crate::sph::precisions`].
 
 use super::chain::Step;
 use super::model::Standard;
 use super::pair_cache::PairCache;
-use crate::particles::Search;
+use crate::sph::precisions::declare;
 
 /// Calls a macro with the signature of every sweep and the function that implements it.
 macro_rules! sweeps {
@@ -60,7 +58,6 @@ macro_rules! sweeps {
                 moved_bar: &mut [Self],
                 density_bar: &mut [Self],
             ) = wall_condition::backward;
-            fn keep_records(step: &Step<Self>, moved: &[Self], primitives: &[Self], kept: &mut PairCache<Self>) = rates::keep_records;
             fn rates(step: &Step<Self>, moved: &[Self], kept: &PairCache<Self>, rates: &mut [Self]) = rates::forward;
             fn rates_bar(
                 step: &Step<Self>,
@@ -76,13 +73,4 @@ macro_rules! sweeps {
 }
 pub(super) use sweeps;
 
-macro_rules! declare {
-    ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
-        /// The sweeps of a precision: forward, and the adjoints with names that end in `_bar`.
-        #[allow(clippy::too_many_arguments)]
-        pub trait Sweeps: Search {
-            $(fn $name($($argument: $type),*) $(-> $output)?;)*
-        }
-    };
-}
 sweeps!(declare);

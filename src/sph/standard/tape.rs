@@ -2,7 +2,6 @@
 
 use super::chain::{Chain, Step};
 use super::model::Standard;
-use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use super::{assemble, density, drift, evolution, rates, wall_condition, whole_step};
 use crate::adjoint::RunError;
@@ -32,16 +31,13 @@ impl<R: Sweeps> Tape<R> {
     }
 
     /// Moved state `[M, N]` and primitives `[C, N]` of a state that is not advanced.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn fields(&self, place: &mut Place<'_, R>, state: &Tensor) -> Result<(Tensor, Tensor), RunError> {
         let failed = RunError::tensor(place.step);
         if self.kernels == Kernels::Composed {
-            return step::look(&mut Composed { model: &self.model, place, pairs: None }, state);
+            let Composed { moved, primitives, .. } = composed(&self.model, place, 0.0, state, false)?;
+            return Ok((moved, primitives));
         }
-        let step = Step { model: self.model.clone(), list: place.neighbourhood.list.clone() };
-        let chain = Chain::new(Arc::new(step));
+        let chain = Chain::new(Step::now(&self.model, place));
         let go = || {
             let moved = apply1(drift::Drift(self.model.clone(), 0.0), state)?;
             let density = match self.model.layout.density {
@@ -62,14 +58,14 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
         state: &Tensor,
         after: Option<&Tensor>,
     ) -> Result<Tensor, RunError> {
-        let dt = place.times.now;
-        match self.kernels {
-            Kernels::Fused => {
-                let density = self.density.take();
-                whole_step::advance(whole_step::At { model: &self.model, place, density }, dt, state, after)
-            }
-            Kernels::Composed => step::advance(&mut Composed { model: &self.model, place, pairs: None }, dt, state),
+        if self.kernels == Kernels::Fused {
+            let density = self.density.take();
+            return whole_step::advance(whole_step::At { model: &self.model, place, density }, state, after);
         }
+        let Composed { step, pairs, moved, primitives } = composed(&self.model, place, place.times.now, state, true)?;
+        let rates = rates::composed(&step, &pairs, &moved, &primitives);
+        let next = rates.and_then(|rates| assemble::composed(&step, &moved, &primitives, &rates));
+        next.map_err(RunError::tensor(place.step))
     }
     fn pulls_back(&self) -> bool {
         self.kernels == Kernels::Fused
@@ -84,9 +80,8 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
         if !self.pulls_back() {
             return Ok(None);
         }
-        let (dt, density) = (place.times.now, self.density.take());
-        let at = whole_step::At { model: &self.model, place, density };
-        whole_step::pull_back(at, dt, state, after, cotangent).map(Some)
+        let at = whole_step::At { model: &self.model, place, density: self.density.take() };
+        whole_step::pull_back(at, state, after, cotangent).map(Some)
     }
     fn look(&mut self, place: &mut Place<'_, R>, state: &Tensor) -> Result<Shown, RunError> {
         let (moved, primitives) = self.fields(place, state)?;
@@ -116,63 +111,36 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
     }
 }
 
-/// A step by ordinary candle operators, on any device. Only the neighbour list is built on the CPU.
-struct Composed<'a, 'b, R: Sweeps> {
-    model: &'a Arc<Standard<R>>,
-    place: &'a mut Place<'b, R>,
-    pairs: Option<(Arc<Step<R>>, Pairs)>,
+/// What ordinary candle operators make of a state after a time, on any device.
+struct Composed<R> {
+    step: Arc<Step<R>>,
+    pairs: Pairs,
+    moved: Tensor,
+    primitives: Tensor,
 }
 
-impl<R: Sweeps> Composed<'_, '_, R> {
-    fn failed(&self) -> impl Fn(candle_core::Error) -> RunError {
-        RunError::tensor(self.place.step)
+/// `moves` asks for a neighbour list of the moved state, which is built on the CPU.
+fn composed<R: Sweeps>(
+    model: &Arc<Standard<R>>,
+    place: &mut Place<'_, R>,
+    dt: f64,
+    state: &Tensor,
+    moves: bool,
+) -> Result<Composed<R>, RunError> {
+    let failed = RunError::tensor(place.step);
+    let moved = drift::composed(model, dt, state).map_err(&failed)?;
+    if moves {
+        place.update_list(model, &moved)?;
     }
-
-    fn pairs(&mut self, moved: &Tensor) -> Result<&(Arc<Step<R>>, Pairs), RunError> {
-        let failed = self.failed();
-        let found = match self.pairs.take() {
-            Some(pairs) => pairs,
-            None => {
-                let step = Arc::new(Step { model: self.model.clone(), list: self.place.neighbourhood.list.clone() });
-                let pairs = step.pairs(moved).map_err(failed)?;
-                (step, pairs)
-            }
-        };
-        Ok(self.pairs.insert(found))
-    }
-}
-
-impl<R: Sweeps> Execution for Composed<'_, '_, R> {
-    type Field = Tensor;
-
-    fn drift(&mut self, dt: f64, state: &Tensor) -> Result<Tensor, RunError> {
-        drift::composed(self.model, dt, state).map_err(self.failed())
-    }
-    fn neighbours(&mut self, moved: &Tensor) -> Result<(), RunError> {
-        self.place.update_list(self.model, moved)
-    }
-    fn density(&mut self, dt: f64, moved: &Tensor) -> Result<Tensor, RunError> {
-        let failed = self.failed();
-        let (step, pairs) = self.pairs(moved)?;
-        match step.model.layout.density {
-            true => evolution::composed(step, pairs, dt, moved),
-            false => density::composed(step, pairs, moved),
-        }
-        .map_err(failed)
-    }
-    fn wall_condition(&mut self, moved: &Tensor, density: &Tensor) -> Result<Tensor, RunError> {
-        let failed = self.failed();
-        let (step, pairs) = self.pairs(moved)?;
-        wall_condition::composed(step, pairs, moved, density).map_err(failed)
-    }
-    fn rates(&mut self, moved: &Tensor, primitives: &Tensor) -> Result<Tensor, RunError> {
-        let failed = self.failed();
-        let (step, pairs) = self.pairs(moved)?;
-        rates::composed(step, pairs, moved, primitives).map_err(failed)
-    }
-    fn assemble(&mut self, moved: &Tensor, primitives: &Tensor, rates: &Tensor) -> Result<Tensor, RunError> {
-        let failed = self.failed();
-        let (step, _) = self.pairs(moved)?;
-        assemble::composed(step, moved, primitives, rates).map_err(failed)
-    }
+    let step = Step::now(model, place);
+    let go = || {
+        let pairs = step.pairs(&moved)?;
+        let density = match model.layout.density {
+            true => evolution::composed(&step, &pairs, dt, &moved),
+            false => density::composed(&step, &pairs, &moved),
+        }?;
+        let primitives = wall_condition::composed(&step, &pairs, &moved, &density)?;
+        Ok(Composed { step, pairs, moved, primitives })
+    };
+    go().map_err(failed)
 }

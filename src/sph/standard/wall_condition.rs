@@ -17,8 +17,7 @@
 //! Adjoint: wall rows compute D = cotangents of their weighted sums; fluid rows gather them from the walls
 //! that they reach.
 
-use super::chain::Masses;
-use super::chain::{Chain, Step};
+use super::chain::{Chain, Masses, Step};
 use super::evolution;
 use super::model::Standard;
 use super::pair_cache::PairCache;
@@ -26,14 +25,14 @@ use super::records::{dispatch, record_fields, record_temperature};
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
-use crate::sph::kernels::KernelLanes;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::{Flux, Slip};
 use crate::sph::masks;
+use crate::sph::own::Own;
 use crate::sph::pairs;
-use crate::sph::pairs::{gather_fields, pack_positions, splat_fields, stride, Fields, RowGeometry};
+use crate::sph::pairs::{gather_fields, pack_positions, splat_fields, stride, Fields, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -116,21 +115,20 @@ fn lifted<L: Lanes, const D: usize>(gravity: &[L; 3], r: &[L; D], there: &Fields
 #[inline(always)]
 fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, const HEAT: bool>(
     step: &Step<R>,
-    kernel: &KernelLanes<L>,
     geometry: &RowGeometry<L, D>,
-    position: &[R],
+    position: Records<'_, R>,
     records: *const R,
     i: usize,
 ) -> (L, Averages<L, D>) {
-    let here = splat_fields::<L>(&position[4 * i..4 * i + 4], 4);
+    let here = splat_fields::<L>(position.of(i), 4);
     let gravity = across_walls::<R, L>(step);
     let mut weight = L::zero();
     let mut sums = Averages::<L, D>::all(L::zero());
-    for (index, mask) in pairs::row::<L>(&step.list, i) {
-        // SAFETY: `row` gives COUNT valid particle numbers, of fluid, whose records are packed.
-        let there = unsafe { gather_fields::<L>(records, record_fields(D, TRANSPORT, HEAT), index) };
+    for (names, mask) in pairs::row::<L>(&step.list, i) {
+        // SAFETY: `row` gives particles of fluid, whose records are packed.
+        let there = unsafe { gather_fields::<L>(records, record_fields(D, TRANSPORT, HEAT), names) };
         let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
-        let w = mask.apply(kernel.value(r2));
+        let w = mask.apply(geometry.kernel.value(r2));
         weight += w;
         let mut fields = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
         if let Some(gravity) = &gravity {
@@ -219,7 +217,7 @@ struct FluidRecords<'a, R> {
     moved: &'a [R],
     density: &'a [R],
     mass: Masses<'a, R>,
-    records: Shared<'a, R>,
+    records: Own<'a, R>,
 }
 
 impl<R: Real> RowKernel<R> for FluidRecords<'_, R> {
@@ -260,11 +258,11 @@ pub fn pack_fluid<R: Real>(step: &Step<R>, moved: &[R], mass: R, density: R, i: 
 /// Extrapolates to the walls in reach of fluid. Reads records of fluid, writes records of walls.
 struct Walls<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
-    position: &'a [R],
+    position: Records<'a, R>,
     moved: &'a [R],
     mass: Masses<'a, R>,
-    records: Shared<'a, R>,
-    primitives: Option<Shared<'a, R>>,
+    records: Own<'a, R>,
+    primitives: Option<Own<'a, R>>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -276,17 +274,15 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list) = (self.step, &*self.step.model, &*self.step.list);
         let n = model.particles();
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         let width = stride(record_fields(D, TRANSPORT, HEAT));
         for row in rows {
             let i = list.wall_rows[row] as usize;
             let records = self.records.as_ptr();
-            let (weight, sums) =
-                wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &kernel, &geometry, self.position, records, i);
+            let (weight, sums) = wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &geometry, self.position, records, i);
             let average = averages(step, weight.sum(), &sums.map(|sum| sum.sum()));
             let values = wall_values(step, self.moved, &average, i);
-            // SAFETY (all writes): each wall row writes its own particle.
+            // SAFETY: each wall row writes its own record.
             let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
             for d in 0..D {
                 record[d] = self.moved[d * n + i];
@@ -301,7 +297,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 record[record_temperature(D, TRANSPORT)] = values.temperature;
             }
             if let Some(primitives) = &self.primitives {
-                store_rows(step, &values, i, |place, value| unsafe { primitives.set(place, value) });
+                store_rows(step, &values, i, |place, value| primitives.set(place, value));
             }
         }
     }
@@ -334,10 +330,7 @@ pub fn forward<R: Real>(
     let mut records = std::mem::take(&mut kept.records);
     records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
     if !kept.has_fluid_records {
-        run_rows(
-            &FluidRecords { step, moved, density, mass, records: Shared::new(&mut records) },
-            list.fluid_rows.len(),
-        );
+        run_rows(&FluidRecords { step, moved, density, mass, records: Own::new(&mut records) }, list.fluid_rows.len());
     }
     if list.fluid_rows.len() < n && !kept.has_pairs {
         pack_positions(model, moved, None, &mut kept.position);
@@ -356,11 +349,11 @@ pub fn forward<R: Real>(
             }
             let walls = Walls::<R, $d, $transport, $heat> {
                 step,
-                position: &kept.position,
+                position: Records::new(&kept.position, 4, n),
                 moved,
                 mass,
-                records: Shared::new(&mut records),
-                primitives: primitives.map(Shared::new),
+                records: Own::new(&mut records),
+                primitives: primitives.map(Own::new),
             };
             run_rows(&walls, list.wall_rows.len())
         }};
@@ -369,7 +362,6 @@ pub fn forward<R: Real>(
         dispatch!(l, go);
     }
     kept.records = records;
-    kept.has_records = true;
 }
 
 const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
@@ -382,8 +374,8 @@ struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> 
     step: &'a Step<R>,
     kept: &'a PairCache<R>,
     primitives_bar: &'a [R],
-    sums_bar: Shared<'a, R>,
-    moved_bar: Shared<'a, R>,
+    sums_bar: Own<'a, R>,
+    moved_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -395,16 +387,15 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);
         let (n, l) = (model.particles(), model.layout);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         let fields = record_fields(D, TRANSPORT, HEAT);
         let width = stride(bar_fields(D, TRANSPORT, HEAT));
+        let (position, records) = kept.seen(n, fields);
         let bar = |field: usize, i: usize| self.primitives_bar[field * n + i];
         for row in rows {
             let i = list.wall_rows[row] as usize;
-            let records = kept.records.as_ptr();
-            let (weight, sums) =
-                wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &kernel, &geometry, &kept.position, records, i);
+            let pointer = kept.records.as_ptr();
+            let (weight, sums) = wall_sums::<R, L, D, TRANSPORT, HEAT>(step, &geometry, position, pointer, i);
             let weight = weight.sum();
             let average = averages(step, weight, &sums.map(|sum| sum.sum()));
             // Cotangents of the averages, over the weight: of the sums; and of the weight, which divides them all.
@@ -424,7 +415,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 }
             }
             let at = 1 + D * (1 + TRANSPORT as usize);
-            let own_density = kept.records[i * stride(fields) + D + 1];
+            let own_density = records.of(i)[D + 1];
             sums_bar.pressure = bar(0, i) / model.equation_of_state.slope(own_density) * inverse;
             weight_bar -= sums_bar.pressure * average.pressure;
             record[at] = sums_bar.pressure;
@@ -435,20 +426,19 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             }
             record[0] = weight_bar;
             // The wall particle's position: e_ij = weight_bar + sum_q sums_bar_q x_q(j), r_bar = sum_j e_ij F r_ij.
-            let here = splat_fields::<L>(&kept.position[4 * i..4 * i + 4], 4);
+            let here = splat_fields::<L>(position.of(i), 4);
             let by_field = sums_bar.map(|bar| L::splat(bar));
             let gravity = across_walls::<R, L>(step);
             let mut sum = [L::zero(); D];
-            for (index, mask) in pairs::row::<L>(list, i) {
-                // SAFETY: as in the forward pass.
-                let there = unsafe { gather_fields::<L>(records, fields, index) };
+            for (names, mask) in pairs::row::<L>(list, i) {
+                let there = records.fields(fields, names);
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
                 let mut x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
                 if let Some(gravity) = &gravity {
                     x.pressure = lifted::<L, D>(gravity, &dr, &there, x.pressure);
                     // d(rho_j g.r)/dr = rho_j g.
                     let density = there[(D + 1) / 4][(D + 1) % 4];
-                    let share = mask.apply(kernel.value(r2)) * by_field.pressure * density;
+                    let share = mask.apply(geometry.kernel.value(r2)) * by_field.pressure * density;
                     for d in 0..D {
                         sum[d] = share.mul_add(gravity[d], sum[d]);
                     }
@@ -459,14 +449,13 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     e = by_field.velocity[d].mul_add(x.velocity[d], e);
                     e = by_field.shift[d].mul_add(x.shift[d], e);
                 }
-                let factor = mask.apply(e * kernel.slope(r2));
+                let factor = mask.apply(e * geometry.kernel.slope(r2));
                 for d in 0..D {
                     sum[d] = factor.mul_add(dr[d], sum[d]);
                 }
             }
             for d in 0..D {
-                // SAFETY: each wall row writes its own particle.
-                unsafe { self.moved_bar.add(d * n + i, sum[d].sum()) };
+                self.moved_bar.add(d * n + i, sum[d].sum());
             }
         }
     }
@@ -476,9 +465,9 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
 struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
     step: &'a Step<R>,
     kept: &'a PairCache<R>,
-    sums_bar: &'a [R],
-    moved_bar: Shared<'a, R>,
-    density_bar: Shared<'a, R>,
+    sums_bar: Records<'a, R>,
+    moved_bar: Own<'a, R>,
+    density_bar: Own<'a, R>,
 }
 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
@@ -490,10 +479,10 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         let (step, model, list, kept) = (self.step, &*self.step.model, &*self.step.list, self.kept);
         let (n, l) = (model.particles(), model.layout);
-        let kernel = model.kernel.lanes::<L>();
-        let geometry = RowGeometry::<L, D>::new(&model.domain, model.kernel.cutoff());
+        let geometry = RowGeometry::<L, D>::new(model);
         let fields = record_fields(D, TRANSPORT, HEAT);
         let bar_fields = bar_fields(D, TRANSPORT, HEAT);
+        let (positions, records) = kept.seen(n, fields);
         let at = 1 + D * (1 + TRANSPORT as usize);
         for row in rows {
             let j = list.fluid_rows[row] as usize;
@@ -501,25 +490,21 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             if from == to {
                 continue;
             }
-            let record = &kept.records[j * stride(fields)..(j + 1) * stride(fields)];
+            let record = records.of(j);
             let own = splat_fields::<L>(record, fields);
             let x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &own);
-            let here = splat_fields::<L>(&kept.position[4 * j..4 * j + 4], 4);
+            let here = splat_fields::<L>(positions.of(j), 4);
             let mut sums = Averages::<L, D>::all(L::zero());
             let mut position = [L::zero(); D];
             let gravity = across_walls::<R, L>(step);
             // Of rho_j, by the force across walls.
             let mut depth = L::zero();
-            for (index, mask) in pairs::part::<L>(list, j, from, to) {
-                // SAFETY: `part` gives COUNT valid particle numbers. Fluid ones among them are masked; their records of
-                // cotangents are zero.
-                let (there, bar) = unsafe {
-                    let there = L::gather4(kept.position.as_ptr(), 4, index);
-                    (there, gather_fields::<L>(self.sums_bar.as_ptr(), bar_fields, index))
-                };
+            for (names, mask) in pairs::part::<L>(list, j, from, to) {
+                // Fluid particles among them are masked; their records of cotangents are zero.
+                let ([there], bar) = (positions.groups(names), self.sums_bar.fields(bar_fields, names));
                 let get = |q: usize| bar[q / 4][q % 4];
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there);
-                let (w, f, _) = kernel.all(r2);
+                let (w, f, _) = geometry.kernel.all(r2);
                 let w = mask.apply(w);
                 let mut pressure = x.pressure;
                 if let Some(gravity) = &gravity {
@@ -555,22 +540,19 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     position[d] = factor.mul_add(dr[d], position[d]);
                 }
             }
-            // SAFETY: each fluid row writes its own particle, on top of what the copies gave.
-            unsafe {
-                let add = |field: usize, value: R| self.moved_bar.add(field * n + j, value);
-                for d in 0..D {
-                    add(d, position[d].sum());
-                    add(l.velocity() + d, sums.velocity[d].sum());
-                    if TRANSPORT {
-                        add(l.moved_shift() + d, sums.shift[d].sum());
-                    }
+            let add = |field: usize, value: R| self.moved_bar.add(field * n + j, value);
+            for d in 0..D {
+                add(d, position[d].sum());
+                add(l.velocity() + d, sums.velocity[d].sum());
+                if TRANSPORT {
+                    add(l.moved_shift() + d, sums.shift[d].sum());
                 }
-                if HEAT {
-                    add(l.moved_old_temperature(), sums.temperature.sum());
-                }
-                let slope = model.equation_of_state.slope(record[D + 1]);
-                self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
             }
+            if HEAT {
+                add(l.moved_old_temperature(), sums.temperature.sum());
+            }
+            let slope = model.equation_of_state.slope(record[D + 1]);
+            self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
         }
     }
 }
@@ -590,7 +572,7 @@ pub fn backward<R: Real>(
     let two = R::of(2.0);
     let mut copy = |to: usize, from: usize, count: usize, wall: R| {
         let from = &primitives_bar[from * n..(from + count) * n];
-        let to = Shared::new(&mut moved_bar[to * n..(to + count) * n]);
+        let to = Own::new(&mut moved_bar[to * n..(to + count) * n]);
         run_rows(&Handing { model, from, to, wall }, n);
     };
     copy(l.velocity(), l.primitive_velocity(), d, two);
@@ -601,21 +583,22 @@ pub fn backward<R: Real>(
         copy(l.moved_temperature(), l.primitive_temperature(), 1, R::default());
     }
     // (Where it is zero.)
-    run_rows(&Handing { model, from: &primitives_bar[..n], to: Shared::new(density_bar), wall: R::default() }, n);
+    run_rows(&Handing { model, from: &primitives_bar[..n], to: Own::new(density_bar), wall: R::default() }, n);
     if list.fluid_rows.len() == n {
         return;
     }
     macro_rules! go {
         ($d:literal, $transport:literal, $heat:literal) => {{
-            let mut sums_bar = model.scratch.buffers.buffer(stride(bar_fields($d, $transport, $heat)) * n);
+            let width = stride(bar_fields($d, $transport, $heat));
+            let mut sums_bar = model.scratch.buffers.buffer(width * n);
             sums_bar.fill(R::default());
             run_rows(
                 &WallRows::<R, $d, $transport, $heat> {
                     step,
                     kept,
                     primitives_bar,
-                    sums_bar: Shared::new(&mut sums_bar),
-                    moved_bar: Shared::new(moved_bar),
+                    sums_bar: Own::new(&mut sums_bar),
+                    moved_bar: Own::new(moved_bar),
                 },
                 list.wall_rows.len(),
             );
@@ -623,9 +606,9 @@ pub fn backward<R: Real>(
                 &FluidRows::<R, $d, $transport, $heat> {
                     step,
                     kept,
-                    sums_bar: &sums_bar,
-                    moved_bar: Shared::new(moved_bar),
-                    density_bar: Shared::new(density_bar),
+                    sums_bar: Records::new(&sums_bar, width, n),
+                    moved_bar: Own::new(moved_bar),
+                    density_bar: Own::new(density_bar),
                 },
                 list.fluid_rows.len(),
             );
@@ -638,7 +621,7 @@ pub fn backward<R: Real>(
 struct Handing<'a, R: Real> {
     model: &'a Standard<R>,
     from: &'a [R],
-    to: Shared<'a, R>,
+    to: Own<'a, R>,
     wall: R,
 }
 

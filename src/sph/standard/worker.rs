@@ -3,7 +3,6 @@
 use super::chain::Step;
 use super::model::Standard;
 use super::pair_cache::PairCache;
-use super::step::{self, Execution};
 use super::sweeps::Sweeps;
 use super::tape::Tape;
 use super::wall_heat::wall_flux;
@@ -40,6 +39,16 @@ impl<R: Sweeps> Buffers<R> {
         }
     }
 
+    /// Density and, where the walls' are read, primitives of the moved state. (A step needs only the records.)
+    fn evaluate(&mut self, step: &Step<R>, dt: f64, shows: bool) {
+        match self.model.layout.density {
+            true => R::evolution(step, dt, &self.moved, &mut self.kept, &mut self.density),
+            false => R::density(step, &self.moved, &mut self.kept, &mut self.density),
+        }
+        let primitives = shows.then_some(self.primitives.as_mut_slice());
+        R::primitives(step, &self.moved, &self.density, &mut self.kept, primitives);
+    }
+
     /// Moved state and primitives of a state that is not advanced, by candle's operators.
     fn look_composed(&mut self, place: &mut Place<'_, R>, state: &[R]) -> Result<(), RunError> {
         let failed = RunError::tensor(place.step);
@@ -62,13 +71,22 @@ impl<R: Sweeps> Buffers<R> {
 impl<R: Sweeps> Worker<R> for Buffers<R> {
     fn advance(&mut self, place: &mut Place<'_, R>, state: &mut Vec<R>) -> Result<(), RunError> {
         let dt = place.times.now;
-        step::advance(&mut Run { buffers: self, place, state: Some(state), from: None }, dt, &())
+        R::drift(&self.model, dt, state, &mut self.moved);
+        place.update(&self.model, &self.moved)?;
+        let step = Step::now(&self.model, place);
+        self.evaluate(&step, dt, self.model.layout.density);
+        R::rates(&step, &self.moved, &self.kept, &mut self.rates);
+        R::assemble(&step, &self.moved, &self.primitives, &self.rates, state);
+        Ok(())
     }
     fn look(&mut self, place: &mut Place<'_, R>, state: &[R], to: &mut Looked<R>) -> Result<(), RunError> {
         let (n, l) = (self.model.particles(), self.model.layout);
         self.primitives.resize(l.primitive_rows() * n, R::default());
         match self.model.is_fused() {
-            true => step::look(&mut Run { buffers: self, place, state: None, from: Some(state) }, &()).map(|_| ())?,
+            true => {
+                R::drift(&self.model, 0.0, state, &mut self.moved);
+                self.evaluate(&Step::now(&self.model, place), 0.0, true);
+            }
             false => self.look_composed(place, state)?,
         }
         let rows = |of: &[R], row: usize, rows: usize| of[row * n..(row + rows) * n].to_vec();
@@ -86,68 +104,9 @@ impl<R: Sweeps> Worker<R> for Buffers<R> {
         Ok(())
     }
     fn wall_heat(&self, place: &Place<'_, R>, _: &[R], until: f64) -> Result<f64, RunError> {
-        let step = Step { model: self.model.clone(), list: place.neighbourhood.list.clone() };
-        Ok(wall_flux(&step, &self.moved, &self.primitives, until))
+        Ok(wall_flux(&Step::now(&self.model, place), &self.moved, &self.primitives, until))
     }
     fn remember(&self, to: &mut [R]) {
         copy(&self.density, to);
-    }
-}
-
-/// A step, or the evaluation of a state, on the buffers. Each field has its own buffer, so none is passed on.
-struct Run<'a, 'b, R: Sweeps> {
-    buffers: &'a mut Buffers<R>,
-    place: &'a mut Place<'b, R>,
-    /// The state that a step advances.
-    state: Option<&'a mut Vec<R>>,
-    /// The state that is evaluated. Only then are the primitives needed; a step needs only the records.
-    from: Option<&'a [R]>,
-}
-
-impl<R: Sweeps> Run<'_, '_, R> {
-    fn step_now(&self) -> Step<R> {
-        Step { model: self.buffers.model.clone(), list: self.place.neighbourhood.list.clone() }
-    }
-}
-
-impl<R: Sweeps> Execution for Run<'_, '_, R> {
-    type Field = ();
-
-    fn drift(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
-        let state = self.from.or(self.state.as_deref().map(Vec::as_slice)).unwrap_or_default();
-        R::drift(&self.buffers.model, dt, state, &mut self.buffers.moved);
-        Ok(())
-    }
-    fn neighbours(&mut self, _: &()) -> Result<(), RunError> {
-        let step = self.place.step;
-        let updated = self.place.neighbourhood.update(&self.buffers.model.reach(), &self.buffers.moved);
-        updated.map_err(|source| RunError::Neighbours { step, source })
-    }
-    fn density(&mut self, dt: f64, _: &()) -> Result<(), RunError> {
-        let (step, b) = (self.step_now(), &mut *self.buffers);
-        match b.model.layout.density {
-            true => R::evolution(&step, dt, &b.moved, &mut b.kept, &mut b.density),
-            false => R::density(&step, &b.moved, &mut b.kept, &mut b.density),
-        }
-        Ok(())
-    }
-    fn wall_condition(&mut self, _: &(), _: &()) -> Result<(), RunError> {
-        let (step, b) = (self.step_now(), &mut *self.buffers);
-        let shows = self.from.is_some() || b.model.layout.density;
-        let primitives = shows.then_some(b.primitives.as_mut_slice());
-        R::primitives(&step, &b.moved, &b.density, &mut b.kept, primitives);
-        Ok(())
-    }
-    fn rates(&mut self, _: &(), _: &()) -> Result<(), RunError> {
-        let (step, b) = (self.step_now(), &mut *self.buffers);
-        R::rates(&step, &b.moved, &b.kept, &mut b.rates);
-        Ok(())
-    }
-    fn assemble(&mut self, _: &(), _: &(), _: &()) -> Result<(), RunError> {
-        let (step, b) = (self.step_now(), &*self.buffers);
-        if let Some(state) = &mut self.state {
-            R::assemble(&step, &b.moved, &b.primitives, &b.rates, state);
-        }
-        Ok(())
     }
 }
