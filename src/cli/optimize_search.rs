@@ -14,7 +14,6 @@ use crate::io::csv::write_rows;
 use crate::report::progress::{Progress, Tasks};
 use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
-use crate::scene::search::solver;
 use crate::sph::Sweeps;
 use crate::surrogate::design::{model_of, SurrogateProblem};
 use crate::surrogate::models::load::identity;
@@ -68,7 +67,7 @@ fn go<R: Sweeps>(
     tasks: &Tasks,
 ) -> anyhow::Result<(RunFolder, Outcome)> {
     let config = &loaded.config;
-    let solver = solver::<R>(loaded)?;
+    let solver = loaded.scheduled::<R>()?;
     // The scene for plots and reports, if it differs from that of the search.
     let scene = match loaded.for_search()?.config == *config {
         true => None,

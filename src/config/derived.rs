@@ -108,6 +108,11 @@ impl Config {
         (self.support() - first - 1e-9).ceil() as usize
     }
 
+    /// The number of rows of dummy particles per wall in scenes without `channel.wall_rows`.
+    pub fn wall_rows(&self) -> usize {
+        self.least_wall_rows().max(3)
+    }
+
     /// The kinematic viscosity of the artificial viscosity, alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
     pub fn artificial_kinematic_viscosity(&self) -> f64 {
         let alpha = self.method.artificial_viscosity();

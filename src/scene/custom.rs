@@ -4,16 +4,16 @@
 //! the kernel reaches. Every particle is in the centre of a lattice cell, and is fluid or wall by the last shape that
 //! contains it. Moving walls stay in place ([`crate::sph::flow::Flow::walls_slide`]).
 
-use super::assembly::{Assembled, Numerics, Parts};
+use super::assembly::{Assembled, Parts};
 use super::custom_shape::{functions, Shape};
 use super::distance::{images, Foot, Walls};
 use super::exact::Stated;
 use super::lattice::Lattice;
-use super::surface::{Dummy, Knows, Point, Settings, Surface};
+use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
 use crate::config::custom::{Fill, Kind, VariableEntry};
 use crate::config::formula::Function;
-use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, ObjectiveKind};
+use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
 use crate::design::objectives::{self, Figure, Outlet, Samples};
 use crate::design::parametrisations::Numbers;
@@ -24,7 +24,6 @@ use crate::particles::{tag, Domain};
 use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::solver::Snapshot;
 use crate::sph::{Model, Sweeps};
 use std::sync::Arc;
 
@@ -113,7 +112,7 @@ fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
 
 fn lattice(config: &Config) -> Lattice {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
-    let rows = Numerics::from_config(config).wall_rows;
+    let rows = config.wall_rows();
     let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
     let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize + 2 * walls[e] } else { 1 };
     Lattice {
@@ -130,8 +129,7 @@ fn lattice(config: &Config) -> Lattice {
 /// Formulas that are not finite somewhere, and shapes that contain nothing.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
     let Built { parts, model, base, .. } = assemble(config)?;
-    let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
-    Ok(parts.scene(model, start))
+    Ok(parts.started(model, &base))
 }
 
 /// The design problem of a checked configuration with `variables`.
@@ -141,7 +139,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
 pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput> {
     // Only optimised runs use the window, so others may be shorter.
     config.check_window()?;
-    let Built { parts, mut model, base, points, dummies } = assemble::<R>(config)?;
+    let Built { mut model, base, points, dummies, .. } = assemble::<R>(config)?;
     if config.objective.kind == ObjectiveKind::WallHeat {
         model = model.with(|flow| flow.wall_heat_until = Some(config.objective.target_x));
     }
@@ -160,7 +158,7 @@ pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput
     };
     let (columns, particles) = (shapes.numbers.len(), model.particles());
     let base = super::assembly::rounded(&model, &base).into_iter().map(R::f64).collect();
-    let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), parts.numerics.steps);
+    let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), config.steps());
     let samples = Samples::window(steps, window, config.objective.samples);
     Ok(Problem {
         model,
@@ -216,7 +214,10 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let warmth = config.initial.temperature.as_ref();
     let warmth = warmth.map(|formula| formula.function("initial.temperature", d)).transpose()?;
     let reference = fluid.inlet_temperature;
-    let settings = Settings::from_config(config);
+    let consistent = match config.method {
+        Method::Consistent(own) => Some(own),
+        _ => None,
+    };
     let surroundings = surroundings(config, &shapes);
     // Walls have a velocity, and T_wall = constant + factor <T>.
     let mut of_wall = vec![[0.0; 3]; n];
@@ -255,19 +256,10 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let mut acceleration = [0.0; 3];
     acceleration[..d].copy_from_slice(&region.acceleration);
     let mut parts = Parts {
-        name: config.scene.name(),
-        lattice,
-        numerics: Numerics::from_config(config),
-        density: fluid.density,
-        velocity: fluid.reference_velocity,
-        viscosity: fluid.viscosity,
         body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Gravity(acceleration) },
-        drive: None,
-        lid: 0.0,
-        own_mass: false,
         heat,
-        heat_walls: None,
         exact: stated(config)?,
+        ..Parts::new(config, lattice)
     };
     let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);
     (model.flow.tags, model.flow.walls_slide) = (tags, true);
@@ -283,7 +275,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
             continue;
         }
         let mut p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
-        if settings.is_some() {
+        if consistent.is_some() {
             p = surroundings.away_from_walls(p);
             (0..d).for_each(|e| base[e * n + i] = p[e]);
         }
@@ -295,14 +287,13 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
         }
     }
     let (mut points, mut dummies) = (vec![], vec![]);
-    if let Some(settings) = settings {
-        let (dx, holder) = (config.resolution.dx, Holder::new(config, &shapes));
+    if let Some(own) = consistent {
+        let holder = Holder::new(config, &shapes);
         let (surface, feet) = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
             knows_at(config, &shapes, &holder, foot, warmth.is_some())
         })?;
         let old = base.clone();
-        let assembled = Assembled { model, base };
-        let (fitted, mut base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+        let (fitted, mut base) = parts.with_surface(Assembled { model, base }, &surface, own);
         if warmth.is_some() {
             let more = fitted.particles();
             let fluid = (0..n).filter(|&i| !is_wall[i]);

@@ -4,14 +4,14 @@
 //! of dummy particles below and above; in three dimensions z across the flow, with periodicity. Particles are on a
 //! lattice in rows from the bottom, x fastest, and in layers along z.
 
-use super::assembly::{Assembled, Numerics, Parts};
+use super::assembly::{Assembled, Parts};
 use super::heated_channel_3d;
 use super::lattice::Lattice;
-use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
-use super::{Exact, Scene};
+use super::surface::{self, Dummy, Knows, Point, Rows};
+use super::Scene;
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, GradientMode, HotIsotherm, Interpolation as Mode, KernelName,
-    MassConvention, Method, ObjectiveKind, Start,
+    self, BodyForceRegion, Config, DesignWalls, DriveName, GradientMode, HotIsotherm, Interpolation as Mode,
+    KernelName, MassConvention, Method, ObjectiveKind, Start,
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
@@ -41,19 +41,11 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let hot = |i: usize| if lattice.is_below(i, 1) { share[lattice.rows(i)[0]] } else { 0.0 };
     let hot: Vec<f64> = (0..lattice.particles()).map(hot).collect();
     let mut parts = Parts {
-        name: config.scene.name(),
-        lattice,
-        numerics: Numerics { wall_rows: config.channel.wall_rows, ..Numerics::from_config(config) },
-        density: config.fluid.density,
-        velocity: config.fluid.reference_velocity,
-        viscosity: config.fluid.viscosity,
         body_force: body_force(config),
         drive: drive(config),
-        lid: 0.0,
         own_mass: config.wall.mass == MassConvention::ColumnArea && config.method.facts().wall_cells,
         heat: Some(heat(config, &hot)),
-        heat_walls: None,
-        exact: Exact::Unknown,
+        ..Parts::new(config, lattice)
     };
     let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
     if config.objective.kind == ObjectiveKind::WallHeat {
@@ -68,10 +60,6 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
     let (model, deformation) = match config.method {
-        _ if model.dimension() == 3 => {
-            let (model, deformation) = heated_channel_3d::consistent(config, &parts, Assembled { model, base });
-            (Model::new(model), deformation)
-        }
         Method::Standard(_) => {
             let deformation = deformation(config, &parts.lattice, &model, base);
             (Model::new(model), deformation)
@@ -80,8 +68,9 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
             let (model, deformation) = fixed(config, &parts, model, own.pressure_diffusion)?;
             (Model::new(model), deformation)
         }
-        Method::Consistent(_) => {
-            let (model, deformation) = consistent(config, &parts, Assembled { model, base });
+        Method::Consistent(own) => {
+            let of = if model.dimension() == 3 { heated_channel_3d::consistent } else { consistent };
+            let (model, deformation) = of(config, &parts, Assembled { model, base }, own);
             (Model::new(model), deformation)
         }
     };
@@ -94,7 +83,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         }
         _ => parametrisations::of_config(config, &Shape::from_config(config)?)?,
     };
-    let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
+    let (outlet, window, steps) = (outlet(config, &model), window(config), config.steps());
     let samples = Samples::window(steps, window, config.objective.samples);
     let design = Problem {
         model,
@@ -202,6 +191,7 @@ fn consistent<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
     mut assembled: Assembled<R>,
+    own: scene::Consistent,
 ) -> (Consistent<R>, Deformation) {
     let (channel, lattice) = (&config.channel, &parts.lattice);
     let (dx, length, height, columns) = (config.resolution.dx, channel.length, channel.height, config.columns());
@@ -251,8 +241,7 @@ fn consistent<R: Sweeps>(
         fluid: fluid.chunks(columns).map(|row| row.iter().map(|&i| i as u32).collect()).collect(),
     };
     let surface = surface::Surface { points, dummies, rows: Some(rows) };
-    let settings = Settings::from_config(config).unwrap_or_default();
-    let (model, base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+    let (model, base) = parts.with_surface(assembled, &surface, own);
     let first = n + vertices.len();
     let bottom = deformation::Surface {
         points: (n..first).collect(),

@@ -2,8 +2,8 @@
 //! its deformation by the height of the lower wall over x and z.
 
 use super::assembly::{Assembled, Parts};
-use super::surface::{Dummy, Knows, Point, Settings, Surface};
-use crate::config::scene::Config;
+use super::surface::{Dummy, Knows, Point, Surface};
+use crate::config::scene::{self, Config};
 use crate::design::deformation::Map;
 use crate::design::relief::Relief;
 use crate::design::shape::HotSection;
@@ -26,6 +26,7 @@ pub(super) fn consistent<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
     mut assembled: Assembled<R>,
+    own: scene::Consistent,
 ) -> (Consistent<R>, Deformation) {
     let (channel, lattice) = (&config.channel, &parts.lattice);
     let (dx, height, columns, layers) = (config.resolution.dx, channel.height, config.columns(), config.layers());
@@ -74,8 +75,7 @@ pub(super) fn consistent<R: Sweeps>(
         }
     }
     let surface = Surface { points, dummies, rows: None };
-    let settings = Settings::from_config(config).unwrap_or_default();
-    let (model, base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+    let (model, base) = parts.with_surface(assembled, &surface, own);
     let particles = model.particles();
     let place = |i: usize| [base[i], base[2 * particles + i]];
     let mut relief = Relief::new(0.5 * dx, model.rows.velocity());

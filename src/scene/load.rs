@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use toml_edit::{Array, Value};
 
+use super::build_design;
 use crate::config::before;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
@@ -17,8 +18,9 @@ use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
-use crate::design::start_shape;
+use crate::design::{start_shape, Scheduled};
 use crate::error::{BadInput, Error};
+use crate::sph::Sweeps;
 
 /// The origin of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -187,6 +189,17 @@ impl Loaded {
             }
             _ => Ok(self.clone()),
         }
+    }
+
+    /// The design problem that `optimise.search` chooses, with the schedule of its gradient.
+    ///
+    /// # Errors
+    /// A scene without a design, and values that are not allowed.
+    pub fn scheduled<R: Sweeps>(&self) -> Result<Scheduled<R>, Error> {
+        let located = |error| self.located_error(error);
+        let (problem, _) = build_design::<R>(&self.for_search()?.config).map_err(located)?;
+        let schedule = problem.schedule(&self.config.optimise, self.config.run.precision).map_err(located)?;
+        Ok(Scheduled { problem, schedule })
     }
 }
 

@@ -1,38 +1,29 @@
 //! Scenes: geometries, initial states and wall shapes.
 //!
-//! A scene family is a file here with what distinguishes it (lattice, walls, forces, start, exact solution), from which
-//! [`assembly`] makes a [`Scene`]. A new one needs such a file and an arm in [`Scene::from_config`].
+//! `data/scenes` has the values of a scene family. The code here says what distinguishes it (lattice, walls, forces, start,
+//! exact solution), from which [`assembly`] makes a [`Scene`]. A new verification flow needs its TOML and an arm in
+//! [`flows`].
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
 pub mod composite_slab;
-pub mod couette;
 pub mod custom;
 mod custom_shape;
-pub mod dam_break;
 pub mod developed;
 mod distance;
 pub mod exact;
-pub mod falling_block;
 pub mod figures;
+pub mod flows;
 pub mod heated_channel;
 mod heated_channel_3d;
-pub mod hydrostatic_tank;
-pub mod isothermal_channel;
 mod lattice;
-pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
 pub mod plausible;
-pub mod poiseuille;
 pub mod record;
-pub mod reverse_poiseuille;
-pub mod search;
-pub mod slab;
 mod surface;
 mod tank;
-pub mod taylor_green;
 pub mod verification;
 pub mod warnings;
 
@@ -87,21 +78,9 @@ impl<R: Sweeps> Scene<R> {
     fn built(config: &Config) -> Result<Self, Error> {
         Ok(match config.scene {
             Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
-            Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
-            Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
-            Family::Couette => couette::Couette::from_config(config).build(),
-            Family::ReversePoiseuille | Family::ReversePoiseuille3d => {
-                reverse_poiseuille::ReversePoiseuille::from_config(config).build()
-            }
-            Family::LidDrivenCavity | Family::LidDrivenCavity3d => {
-                lid_driven_cavity::LidDrivenCavity::from_config(config).build()
-            }
-            Family::Slab => slab::Slab::from_config(config).build(),
-            Family::IsothermalChannel => isothermal_channel::IsothermalChannel::from_config(config).build(),
             Family::Custom => custom::build(config)?,
-            Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
-            Family::FallingBlock => falling_block::build(config),
-            Family::HydrostaticTank => hydrostatic_tank::build(config),
+            scene if scene.has_surface() => tank::build(config),
+            _ => flows::build(config),
         })
     }
 

@@ -2,11 +2,10 @@
 //! dummy particles, and a pressure to the state.
 
 use super::lattice::{Lattice, WallHeat};
-use crate::config::scene::{Config, IntegratorName, Method, ShiftName};
+use crate::config::scene::{self, IntegratorName, ShiftName};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::sph::consistent::arrangement::Shift;
-use crate::sph::consistent::arrangement::{Chain, Isotropic};
+use crate::sph::consistent::arrangement::{Chain, Isotropic, Shift};
 use crate::sph::consistent::kinds::{NO_FLUX, PRESSURE, TEMPERATURE, VELOCITY};
 use crate::sph::consistent::layout::Layout;
 use crate::sph::consistent::{Consistent, Fits};
@@ -67,32 +66,6 @@ pub(super) struct Rows {
     pub upper: Vec<usize>,
     /// Indices of the particles of each row, sorted by x.
     pub fluid: Vec<Vec<u32>>,
-}
-
-/// Settings of the consistent method beyond those of the standard one.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Settings {
-    pub shift: ShiftName,
-    pub strength: f64,
-    pub delta: f64,
-    pub integrator: IntegratorName,
-}
-
-impl Settings {
-    /// The settings of a configuration; none for the standard method.
-    pub(super) fn from_config(config: &Config) -> Option<Self> {
-        let own = match config.method {
-            Method::Standard(_) => return None,
-            Method::Consistent(own) => own,
-            Method::Fixed(own) => return Some(Self { delta: own.pressure_diffusion, ..Self::default() }),
-        };
-        Some(Self {
-            shift: own.shift,
-            strength: own.shift_strength,
-            delta: own.pressure_diffusion,
-            integrator: own.integrator,
-        })
-    }
 }
 
 impl Surface {
@@ -186,11 +159,11 @@ impl Surface {
         base: &[f64],
         spacing: f64,
         [velocity, sound_speed]: [f64; 2],
-        settings: Settings,
+        own: scene::Consistent,
     ) -> (Consistent<R>, Vec<f64>) {
         let (old, l) = (model.particles(), model.layout);
         let d = l.dimension;
-        let rates = settings.integrator == IntegratorName::Verlet;
+        let rates = own.integrator == IntegratorName::Verlet;
         let layout = Layout { dimension: d, heat: l.heat, rates };
         let n = old + self.points.len();
         let mut state = vec![0.0; layout.state_rows() * n];
@@ -241,16 +214,16 @@ impl Surface {
         fitted.dedup();
         let place = |point: usize| fitted.partition_point(|&k| k < point) as u32;
         let mut quadrature = vec![one; n];
-        let shift = match (settings.shift, &self.rows) {
+        let shift = match (own.shift, &self.rows) {
             (ShiftName::None, _) => Shift::None,
             (ShiftName::Chain | ShiftName::Rows, Some(rows)) => {
                 let points = |points: &[usize]| points.iter().map(|&k| numbers[k]).collect::<Vec<u32>>();
                 let all = [vec![points(&rows.lower)], rows.fluid.clone(), vec![points(&rows.upper)]].concat();
-                let is_still = settings.shift == ShiftName::Rows;
-                Shift::Chain(Chain::new(settings.strength, is_still, all, n))
+                let is_still = own.shift == ShiftName::Rows;
+                Shift::Chain(Chain::new(own.shift_strength, is_still, all, n))
             }
             _ => Shift::Isotropic(Isotropic {
-                strength: settings.strength,
+                strength: own.shift_strength,
                 limit: LIMIT,
                 normals: fitted.iter().map(|&k| (numbers[k], self.points[k].normal)).collect(),
             }),
@@ -267,7 +240,7 @@ impl Surface {
             velocity,
             viscosity: model.viscosity / density,
             diffusivity,
-            delta: settings.delta,
+            delta: own.pressure_diffusion,
             shift,
             weights,
             surface: fitted.iter().map(|&k| numbers[k]).collect(),
