@@ -171,7 +171,7 @@ macro_rules! built_in {
 /// The section `[run]`, which is the same in every scene.
 const RUN: &str = include_str!("../../data/run.toml");
 
-/// Complete scenes, one per family, with every key of the family (unset keys are commented out). The first is the
+/// Complete scenes, one per [`Family`] in its order, with every key of the family (unset keys are commented out). The first is the
 /// default.
 pub const SCENES: &[BuiltIn] = &[
     built_in!(
@@ -220,7 +220,12 @@ pub fn scene(name: &str) -> Option<&'static BuiltIn> {
 impl Family {
     /// The built-in scene of this family.
     pub fn built_in(self) -> &'static BuiltIn {
-        scene(self.name()).expect("every family has a built-in scene of its name")
+        &SCENES[self as usize]
+    }
+
+    /// The name in a configuration.
+    pub fn name(self) -> &'static str {
+        self.built_in().name
     }
 
     /// The configuration of the built-in scene.

@@ -171,78 +171,38 @@ pub enum Axis {
 impl Axis {
     /// Index of the direction: 0, 1, 2 for x, y, z.
     pub fn direction(self) -> usize {
-        match self {
-            Self::X => 0,
-            Self::Y => 1,
-            Self::Z => 2,
-        }
+        self as usize
     }
 }
 
 impl Kind {
-    fn name(self) -> &'static str {
+    /// The name in a configuration, and the keys that a shape of this kind must have.
+    fn facts(self) -> (&'static str, &'static [&'static str]) {
         match self {
-            Self::Box => "box",
-            Self::Disc => "disc",
-            Self::Cylinder => "cylinder",
-            Self::Polyline => "polyline",
-            Self::Polygon => "polygon",
-            Self::Where => "where",
-        }
-    }
-
-    /// The keys that a shape of this kind must have.
-    fn keys(self) -> &'static [&'static str] {
-        match self {
-            Self::Box => &["lower", "upper"],
-            Self::Disc => &["centre", "radius"],
-            Self::Cylinder => &["centre", "radius", "axis"],
-            Self::Polyline => &["points", "thickness"],
-            Self::Polygon => &["points"],
-            Self::Where => &["positive"],
+            Self::Box => ("box", &["lower", "upper"]),
+            Self::Disc => ("disc", &["centre", "radius"]),
+            Self::Cylinder => ("cylinder", &["centre", "radius", "axis"]),
+            Self::Polyline => ("polyline", &["points", "thickness"]),
+            Self::Polygon => ("polygon", &["points"]),
+            Self::Where => ("where", &["positive"]),
         }
     }
 }
 
 impl ShapeEntry {
-    /// A shape with every key, for the list of keys.
-    pub fn complete() -> Self {
-        Self {
-            lower: Some(vec![]),
-            upper: Some(vec![]),
-            centre: Some(vec![]),
-            radius: Some(1.0),
-            axis: Some(Axis::Z),
-            points: Some(vec![]),
-            thickness: Some(1.0),
-            positive: Some(1.0.into()),
-            velocity: Some(vec![]),
-            temperature: Some(1.0.into()),
-            ..Self::default()
-        }
-    }
-
     /// Checks shape number `place`; returns the first error.
     pub fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
-        let bad = |name: &str, problem: String| BadInput::new(format!("{}: {problem}", key(name))).key(key(name));
+        let bad = |name: &str, problem: String| BadInput::at(key(name), format!("{}: {problem}", key(name)));
         let kind = self.kind;
-        let given = [
-            ("lower", self.lower.is_some()),
-            ("upper", self.upper.is_some()),
-            ("centre", self.centre.is_some()),
-            ("radius", self.radius.is_some()),
-            ("axis", self.axis.is_some()),
-            ("points", self.points.is_some()),
-            ("thickness", self.thickness.is_some()),
-            ("positive", self.positive.is_some()),
-        ];
-        let allowed = format!("a {} has {}", kind.name(), kind.keys().join(", "));
-        for (name, is_given) in given {
-            let wanted = kind.keys().contains(&name);
-            if wanted != is_given {
+        let (shown, keys) = kind.facts();
+        let given = toml::Table::try_from(self).unwrap_or_default();
+        for name in ["lower", "upper", "centre", "radius", "axis", "points", "thickness", "positive"] {
+            let wanted = keys.contains(&name);
+            if wanted != given.contains_key(name) {
                 let problem = if wanted { "is missing" } else { "has no meaning here" };
-                return Err(bad(name, format!("{problem} (kind = {})", kind.name())).allowed(allowed));
+                return Err(bad(name, format!("{problem} (kind = {shown})"))
+                    .allowed(format!("a {shown} has {}", keys.join(", "))));
             }
         }
         if kind == Kind::Cylinder && dimension == 2 {
@@ -311,8 +271,7 @@ pub fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(
 fn check_components(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
     if vector.len() != dimension {
         let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
-        return Err(BadInput::new(format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
-            .key(key)
+        return Err(BadInput::at(key, format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
             .allowed(format!("{dimension} numbers or formulas, as region.size")));
     }
     Ok(())

@@ -35,6 +35,25 @@ impl Config {
         self.fluid.viscosity / self.fluid.density
     }
 
+    /// The kinematic viscosity of the scene, which verification flows have from their Reynolds number.
+    pub fn model_viscosity(&self) -> f64 {
+        match self.scene {
+            Family::HeatedChannel | Family::HeatedChannel3d | Family::Custom => self.kinematic_viscosity(),
+            _ if self.scene.has_surface() => self.kinematic_viscosity(),
+            // The slab is at rest; its model has this value.
+            Family::Slab => 1.0,
+            _ => 1.0 / self.flow.reynolds,
+        }
+    }
+
+    /// Whether the scene has temperatures.
+    pub fn has_heat(&self) -> bool {
+        match self.scene {
+            Family::Custom => self.initial.temperature.is_some(),
+            scene => scene.has_design() || matches!(scene, Family::Slab | Family::IsothermalChannel),
+        }
+    }
+
     /// The acceleration g that drives the plane channel: the body force, or that which gives its flow rate or power.
     pub fn plane_force(&self) -> f64 {
         let (fluid, channel) = (&self.fluid, &self.channel);
@@ -124,20 +143,8 @@ impl Config {
     /// Re, and most no heat. Under gravity g the first limit is at most cfl sqrt(dx / g) (Monaghan 1992, eq. 10.2).
     pub fn time_step_limits(&self) -> TimeStepLimits {
         let dx = self.resolution.dx;
-        let artificial = self.artificial_kinematic_viscosity();
-        let diffusivity = match self.scene {
-            _ if self.scene.has_surface() => self.kinematic_viscosity() + artificial,
-            Family::HeatedChannel | Family::HeatedChannel3d => {
-                (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
-            }
-            Family::Slab => self.thermal_diffusivity(),
-            Family::IsothermalChannel => (1.0 / self.flow.reynolds + artificial).max(self.thermal_diffusivity()),
-            Family::Custom if self.initial.temperature.is_some() => {
-                (self.kinematic_viscosity() + artificial).max(self.thermal_diffusivity())
-            }
-            Family::Custom => self.kinematic_viscosity() + artificial,
-            _ => 1.0 / self.flow.reynolds + artificial,
-        };
+        let viscous = self.model_viscosity() + self.artificial_kinematic_viscosity();
+        let diffusivity = if self.has_heat() { viscous.max(self.thermal_diffusivity()) } else { viscous };
         let most = self.method.largest_cfl(self.plane_speed() / self.sound_speed());
         let gravity = self.fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let falling = match self.scene.has_surface() {

@@ -5,7 +5,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[design]`.
     "design.": Design {
         /// The walls that are shaped.
         walls: DesignWalls = DesignWalls::Bottom;
@@ -40,30 +39,27 @@ section! {
 }
 
 /// The walls that the optimiser changes, between channel.hot_from and channel.hot_to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DesignWalls {
     /// The bottom wall, which has the hot section.
-    #[default]
     Bottom,
     /// The bottom and the top wall, independently of each other.
     Both,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ParametrisationName {
     /// The offset of every node.
-    #[default]
     Nodes,
     /// The control points of a cubic B-spline over the hot section.
     BSpline,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShapeName {
-    #[default]
     Flat,
     /// Every offset equal to the amplitude.
     Uniform,

@@ -5,7 +5,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[fluid]`.
     "fluid.": Fluid {
         density: f64 = 1.0, Positive;
         /// Dynamic viscosity.
@@ -33,20 +32,18 @@ section! {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BodyForceRegion {
-    #[default]
     Fluid,
     OriginalChannel,
 }
 
 /// The quantity that is held, see [`crate::sph::laws::drive`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DriveName {
     /// A given acceleration.
-    #[default]
     BodyForce,
     /// The acceleration that maintains a given flow rate.
     FlowRate,
@@ -76,11 +73,10 @@ section! {
 }
 
 /// The upper wall of the isothermal channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum UpperWall {
     /// As warm as the lower wall.
-    #[default]
     Isothermal,
     Adiabatic,
 }

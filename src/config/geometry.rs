@@ -5,7 +5,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[channel]`.
     "channel.": Channel {
         /// Length of the periodic direction x.
         length: f64 = 1.0, Positive;

@@ -3,7 +3,8 @@
 //! The crate `bytesize` (2.7) is not used, because it accepts a number without a unit and 0, rejects `1e3B`, and writes
 //! 300 MB as 286.1 MiB, which does not read back.
 
-use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
+use crate::config::notation::{self, Written};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
 /// An amount of memory in bytes.
@@ -73,23 +74,11 @@ impl Serialize for MemorySize {
 
 impl<'de> Deserialize<'de> for MemorySize {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
-            type Value = MemorySize;
-            fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
-                out.write_str(FORM)
-            }
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<MemorySize, E> {
-                text.parse().map_err(E::custom)
-            }
-            fn visit_i64<E: de::Error>(self, number: i64) -> Result<MemorySize, E> {
-                number.to_string().parse().map_err(E::custom)
-            }
-            fn visit_f64<E: de::Error>(self, number: f64) -> Result<MemorySize, E> {
-                number.to_string().parse().map_err(E::custom)
-            }
-        }
-        deserializer.deserialize_any(Visitor)
+        notation::read(deserializer, FORM, |written| match written {
+            Written::Text(text) => Some(text.parse()),
+            Written::Whole(number) => Some(number.to_string().parse()),
+            Written::Number(number) => Some(number.to_string().parse()),
+        })
     }
 }
 

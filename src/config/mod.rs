@@ -13,6 +13,7 @@ pub mod geometry;
 pub mod layers;
 pub mod memory_size;
 pub mod method;
+pub mod notation;
 pub mod objective;
 pub mod optimise;
 pub mod provenance;

@@ -8,7 +8,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[objective]`.
     "objective.": Objective {
         /// The quantity that is maximised.
         kind: ObjectiveKind = ObjectiveKind::HeatOutflow;
@@ -25,11 +24,10 @@ section! {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ObjectiveKind {
     /// The heat that the fluid carries through the target column.
-    #[default]
     HeatOutflow,
     /// The mixed temperature of the fluid at the targets: its flux of u T over its flux of u.
     OutletTemperature,
@@ -39,19 +37,17 @@ pub enum ObjectiveKind {
     FlowRate,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ObjectiveForm {
-    #[default]
     Flux,
     Sum,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Interpolation {
     Fluid,
     FluidAndWalls,
-    #[default]
     Flux,
 }

@@ -11,7 +11,6 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[optimise]`.
     "optimise.": Optimise {
         method: OptimiserName = OptimiserName::LBfgsB;
         /// The method that is used during the search.
@@ -40,32 +39,29 @@ section! {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OptimiserName {
     /// Kingma and Ba (2015).
-    #[default]
     Adam,
     /// Limited-memory quasi-Newton steps within the bounds (Byrd, Lu, Nocedal and Zhu 1995).
     LBfgsB,
 }
 
 /// The method that evaluates designs during the search. The result is shown with the scene's own method.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Search {
     /// The method with the same equations on fixed particles, with the gradient of the steady state; the scene's own
     /// method if it has no such counterpart.
-    #[default]
     Fixed,
     /// The scene's own method.
     Scene,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum GradientMode {
-    #[default]
     Segments,
     Taped,
     Truncated,
@@ -76,10 +72,9 @@ pub enum GradientMode {
 }
 
 /// What judges walls while the optimiser searches. What it finds is judged by the solver in any case.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum DynamicsName {
-    #[default]
     Solver,
     /// A learned model, from frames that the solver makes.
     Surrogate,
@@ -90,25 +85,24 @@ pub enum DynamicsName {
 impl Optimise {
     /// Checks that the gradient is limited only if it goes back through a run, and that states are rounded only if the
     /// schedule keeps every state of a run in double precision.
-    ///
-    /// # Errors
-    /// The first key that violates this.
     pub fn check(&self, precision: Precision) -> Result<(), BadInput> {
         let has_none = matches!(self.gradient, GradientMode::Steady | GradientMode::Differences);
         if has_none && self.clip > 0.0 {
-            return Err(BadInput::new("optimise.clip with a gradient that does not go back through a run")
-                .key("optimise.clip")
-                .allowed("0 with optimise.gradient = steady or differences")
-                .advice("optimise.gradient=segments"));
+            return Err(BadInput::at(
+                "optimise.clip",
+                "optimise.clip with a gradient that does not go back through a run",
+            )
+            .allowed("0 with optimise.gradient = steady or differences")
+            .advice("optimise.gradient=segments"));
         }
         let every_state = self.gradient != GradientMode::Taped && self.segment <= 1;
         if self.store == Precision::F32 && precision == Precision::F64 && !every_state {
-            return Err(BadInput::new("optimise.store = f32 with states that steps are run again from")
-                .key("optimise.store")
-                .allowed("f32 only where every state is kept: a run from a rounded state is another run")
-                .advice(
-                    "optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64",
-                ));
+            return Err(BadInput::at(
+                "optimise.store",
+                "optimise.store = f32 with states that steps are run again from",
+            )
+            .allowed("f32 only where every state is kept: a run from a rounded state is another run")
+            .advice("optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64"));
         }
         Ok(())
     }

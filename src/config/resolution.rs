@@ -5,7 +5,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[resolution]`.
     "resolution.": Resolution {
         /// Particle spacing.
         dx: f64 = 0.02, Positive;
@@ -16,11 +15,10 @@ section! {
 }
 
 /// The smoothing kernel W(r, h).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KernelName {
     /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
-    #[default]
     QuinticSpline,
     /// Cubic spline (Monaghan and Lattanzio 1985): reaches 2 h.
     CubicSpline,

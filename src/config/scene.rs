@@ -56,7 +56,7 @@ pub struct Config {
     pub output: Output,
 }
 
-/// The scene family; one file per family in `src/scene/`.
+/// The scene family, in the order of [`SCENES`](crate::config::builtin::SCENES).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
@@ -87,29 +87,6 @@ pub enum Family {
 }
 
 impl Family {
-    /// The name in a configuration.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::HeatedChannel => "heated-channel",
-            Self::HeatedChannel3d => "heated-channel-3d",
-            Self::TaylorGreen => "taylor-green",
-            Self::TaylorGreen3d => "taylor-green-3d",
-            Self::Poiseuille => "poiseuille",
-            Self::Couette => "couette",
-            Self::ReversePoiseuille => "reverse-poiseuille",
-            Self::ReversePoiseuille3d => "reverse-poiseuille-3d",
-            Self::LidDrivenCavity => "lid-driven-cavity",
-            Self::LidDrivenCavity3d => "lid-driven-cavity-3d",
-            Self::Slab => "slab",
-            Self::IsothermalChannel => "isothermal-channel",
-            Self::DamBreak => "dam-break",
-            Self::DamBreak3d => "dam-break-3d",
-            Self::FallingBlock => "falling-block",
-            Self::HydrostaticTank => "hydrostatic-tank",
-            Self::Custom => "custom",
-        }
-    }
-
     /// Whether the scene is water in a tank with a free surface.
     pub fn has_surface(self) -> bool {
         matches!(self, Self::DamBreak | Self::DamBreak3d | Self::FallingBlock | Self::HydrostaticTank)

@@ -11,7 +11,6 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[surrogate]`.
     "surrogate.": Surrogate {
         /// A model by `hydrograd train`; default: the built-in one.
         #[serde(skip_serializing_if = "Option::is_none")]
@@ -38,22 +37,20 @@ section! {
 }
 
 /// How the gradient treats the first frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstFrames {
     /// They depend on the wall over which the solver made them.
-    #[default]
     Differentiable,
     /// They are constant.
     Detached,
 }
 
 /// How a surrogate is kept honest.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trust {
     /// It is believed; only the first and the best wall are run in the solver, at the end.
-    #[default]
     None,
     /// The solver evaluates every `check_every`th wall, and the best of those wins.
     Check,
@@ -64,11 +61,8 @@ pub enum Trust {
 
 impl Surrogate {
     /// Checks that the settings of a surrogate are given only if a search uses one.
-    ///
-    /// # Errors
-    /// `trust` without a surrogate.
     pub fn check(&self, dynamics: DynamicsName) -> Result<(), BadInput> {
-        let bad = |problem: &str| BadInput::new(problem).key("surrogate.trust");
+        let bad = |problem: &str| BadInput::at("surrogate.trust", problem);
         match (dynamics, self.trust) {
             (DynamicsName::Solver, Trust::Check | Trust::Region) => Err(bad("surrogate.trust without a surrogate")
                 .allowed("none where the solver judges every wall")

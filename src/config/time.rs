@@ -8,7 +8,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[time]`.
     "time.": Time {
         /// Physical time to simulate.
         end: f64 = 2.5, Positive;
@@ -34,10 +33,9 @@ section! {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Start {
     Rest,
-    #[default]
     Developed,
 }

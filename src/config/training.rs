@@ -178,9 +178,11 @@ impl Schema for Settings {
 
     fn check_together(&self) -> Result<(), BadInput> {
         if self.learning_rate_least > self.learning_rate {
-            return Err(BadInput::new(format!("learning_rate_least = {} is out of range", self.learning_rate_least))
-                .key("learning_rate_least")
-                .allowed(format!("learning_rate_least <= learning_rate, {}", self.learning_rate)));
+            return Err(BadInput::at(
+                "learning_rate_least",
+                format!("learning_rate_least = {} is out of range", self.learning_rate_least),
+            )
+            .allowed(format!("learning_rate_least <= learning_rate, {}", self.learning_rate)));
         }
         self.pushforward.check()
     }
@@ -191,13 +193,15 @@ impl Pushforward {
     fn check(&self) -> Result<(), BadInput> {
         let Self { after, unrolls, odds } = self;
         if after.len() != unrolls.len() || after.len() != odds.len() || after.first() != Some(&-1) {
-            return Err(BadInput::new("pushforward's after, unrolls and odds do not belong together")
-                .key("pushforward.after")
-                .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
-                .advice("pushforward.after=[-1] pushforward.unrolls=[0] pushforward.odds=[1]"));
+            return Err(BadInput::at(
+                "pushforward.after",
+                "pushforward's after, unrolls and odds do not belong together",
+            )
+            .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
+            .advice("pushforward.after=[-1] pushforward.unrolls=[0] pushforward.odds=[1]"));
         }
         let wrong = |key: &str, value: String, allowed: String| {
-            let bad = BadInput::new(format!("{key} = {value} is out of range")).key(key);
+            let bad = BadInput::at(key, format!("{key} = {value} is out of range"));
             Err(bad.allowed(format!("{key} {allowed}")))
         };
         if after.windows(2).any(|pair| pair[1] <= pair[0]) {

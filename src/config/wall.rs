@@ -5,7 +5,6 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[wall]`.
     "wall.": Wall {
         hot_temperature: f64 = 1.23, Finite;
         /// Where the hot temperature holds: on the wall's surface, or in its dummy particles (as in JAX-SPH).
@@ -17,27 +16,24 @@ section! {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HotIsotherm {
-    #[default]
     Surface,
     Dummy,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MassConvention {
-    #[default]
     ColumnArea,
     Constant,
 }
 
 /// The velocity condition at walls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SlipName {
-    #[default]
     NoSlip,
     FreeSlip,
 }

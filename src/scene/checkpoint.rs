@@ -27,9 +27,6 @@ pub const KIND: &str = "hydrograd simulation";
 const FREE: [&str; 6] = ["output", "run.threads", "optimise", "time.end", "time.steps", "time.step"];
 
 /// Writes a state of a run with the text of its configuration.
-///
-/// # Errors
-/// System errors.
 pub fn write<R: Real>(
     path: &Path,
     model: &Model<R>,

@@ -34,8 +34,7 @@ fn value(function: &Function, key: impl Fn() -> String, p: [f64; 3]) -> Result<f
         return Ok(value);
     }
     let key = key();
-    Err(BadInput::new(format!("{key} is {value} at x = {}, y = {}, z = {}", p[0], p[1], p[2]))
-        .key(key)
+    Err(BadInput::at(&key, format!("{key} is {value} at x = {}, y = {}, z = {}", p[0], p[1], p[2]))
         .allowed("a formula that is a finite number at every particle that it is for"))
 }
 
@@ -70,14 +69,13 @@ impl Geometry {
         for k in 0..shapes.len() {
             if !shape.contains(&Some(k)) {
                 let key = format!("shapes[{k}]");
-                return Err(BadInput::new(format!("{key} holds no particle"))
-                    .key(key)
+                return Err(BadInput::at(&key, format!("{key} holds no particle"))
                     .allowed("shapes that hold the middle of at least one cell that no later shape has")
                     .advice("a smaller resolution.dx, or another place"));
             }
         }
         if !is_wall.contains(&false) {
-            return Err(BadInput::new("the shapes leave no fluid").key("shapes").allowed("some fluid in the box"));
+            return Err(BadInput::at("shapes", "the shapes leave no fluid").allowed("some fluid in the box"));
         }
         Ok(Self { lattice, shape, is_wall })
     }
@@ -133,9 +131,6 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
 }
 
 /// The design problem of a checked configuration with `variables`.
-///
-/// # Errors
-/// As for [`build`].
 pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput> {
     // Only optimised runs use the window, so others may be shorter.
     config.check_window()?;

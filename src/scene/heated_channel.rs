@@ -32,9 +32,6 @@ use crate::sph::{Model, Sweeps};
 use std::sync::Arc;
 
 /// The channel of a checked configuration, with its initial shape.
-///
-/// # Errors
-/// A wall shape that is not allowed.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let lattice = lattice(config);
     let share = HotSection::of(config).share();

@@ -74,7 +74,7 @@ impl Config {
     /// Errors: anything a user can get wrong, as [`Error::Input`].
     pub fn load(scene_or_file: Option<&str>, preset: Option<&str>, sets: &[String]) -> Result<Loaded, Error> {
         let settings: Vec<Setting> = sets.iter().map(|text| Setting::set(text)).collect();
-        Ok(load(scene_or_file, preset, &settings)?)
+        Self::load_settings(scene_or_file, preset, &settings)
     }
 
     /// [`Config::load`] for settings that carry the names of command-line options for error messages.
@@ -83,7 +83,33 @@ impl Config {
         preset: Option<&str>,
         settings: &[Setting],
     ) -> Result<Loaded, Error> {
-        Ok(load(scene_or_file, preset, settings)?)
+        let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
+        let mut merged = base.merged();
+        if let Some(name) = preset {
+            let preset = builtin::preset(name)?;
+            let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text())?;
+            base.accepts(&layer)?;
+            merged.apply::<Config>(&layer);
+        }
+        if let Some(layer) = file {
+            base.accepts(&layer)?;
+            if base.name == SCENES[0].name && is_from_before(&layer) {
+                for (key, value) in before::FIRST {
+                    merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::option(
+                        "a file of before,",
+                        key,
+                        value,
+                    ))?);
+                }
+            }
+            merged.apply::<Config>(&layer);
+        }
+        for setting in settings {
+            let layer = Layer::from_setting::<Config>(setting)?;
+            base.accepts(&layer)?;
+            merged.apply::<Config>(&layer);
+        }
+        Ok(finish(merged, source)?)
     }
 
     /// Checks every number, their consistency and the wall's shape; the first problem is the error.
@@ -158,9 +184,6 @@ impl Loaded {
     }
 
     /// The configuration with which an optimiser searches, see [`Search`].
-    ///
-    /// # Errors
-    /// As for [`Self::with`].
     pub fn for_search(&self) -> Result<Self, Error> {
         let (facts, methods) = (self.config.method.facts(), self.config.scene.built_in().methods());
         let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
@@ -201,36 +224,6 @@ impl Loaded {
         let schedule = problem.schedule(&self.config.optimise, self.config.run.precision).map_err(located)?;
         Ok(Scheduled { problem, schedule })
     }
-}
-
-fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting]) -> Result<Loaded, BadInput> {
-    let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
-    let mut merged = base.merged();
-    if let Some(name) = preset {
-        let preset = builtin::preset(name)?;
-        let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text())?;
-        base.accepts(&layer)?;
-        merged.apply::<Config>(&layer);
-    }
-    if let Some(layer) = file {
-        base.accepts(&layer)?;
-        if base.name == SCENES[0].name && is_from_before(&layer) {
-            for (key, value) in before::FIRST {
-                merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::option(
-                    "a file of before,",
-                    key,
-                    value,
-                ))?);
-            }
-        }
-        merged.apply::<Config>(&layer);
-    }
-    for setting in settings {
-        let layer = Layer::from_setting::<Config>(setting)?;
-        base.accepts(&layer)?;
-        merged.apply::<Config>(&layer);
-    }
-    finish(merged, source)
 }
 
 /// Number of keys of the shortest complete configuration of the heated channel.

@@ -60,9 +60,6 @@ pub struct Scene<R> {
 
 impl<R: Sweeps> Scene<R> {
     /// The scene of a checked configuration.
-    ///
-    /// # Errors
-    /// A wall shape that is not allowed.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
         let scene = Self::built(config)?;
         log::info!(
@@ -85,9 +82,6 @@ impl<R: Sweeps> Scene<R> {
     }
 
     /// The design problem of a checked configuration; none without a design.
-    ///
-    /// # Errors
-    /// As for [`Self::from_config`].
     pub fn problem(config: &Config) -> Result<Option<Problem<R>>, Error> {
         Ok(match config.scene {
             Family::Custom if config.variables.is_empty() => None,
@@ -97,9 +91,6 @@ impl<R: Sweeps> Scene<R> {
     }
 
     /// The same particles with their initial disorder, without velocity and driving forces.
-    ///
-    /// # Errors
-    /// As for [`Self::from_config`].
     pub fn at_rest(config: &Config) -> Result<Self, Error> {
         let mut scene = Self::from_config(config)?;
         // Its design holds a model with the driving forces.
@@ -123,8 +114,7 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
         return Ok(());
     }
     if config.scene == Family::Custom {
-        return Err(BadInput::new("the scene names no number of a shape that may change")
-            .key("variables")
+        return Err(BadInput::at("variables", "the scene names no number of a shape that may change")
             .allowed("variables = [{ number = \"shapes[0].radius\", lower = 0.05, upper = 0.1 }] or the like, with objective.kind")
             .advice("data/scenes/examples/cylinder.toml, which has some"));
     }

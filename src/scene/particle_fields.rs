@@ -27,9 +27,6 @@ pub struct ParticleFields {
 
 impl ParticleFields {
     /// The fields of a run's present state.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Result<Self, RunError> {
         solver.look()?;
         let model = solver.model.clone();
@@ -74,9 +71,6 @@ impl ParticleFields {
     }
 
     /// Writes `state.h5`.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, folder: &Path, loaded: &Loaded) -> Result<(), FileError> {
         let config = &loaded.config;
         let state = State {

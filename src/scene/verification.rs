@@ -125,9 +125,6 @@ pub type Pair = [Loaded; 2];
 impl Verification {
     /// The checks of a best wall against the first one of its search, or else against the flat wall, with the particles
     /// of the configuration's search.
-    ///
-    /// # Errors
-    /// As for [`Loaded::for_search`].
     pub fn of_search(loaded: &Loaded, first: Option<Shape>, best: Shape) -> Result<Self, Error> {
         let (reference, reference_name) = match first {
             Some(first) => (first, "the first design"),
@@ -138,9 +135,6 @@ impl Verification {
 
     /// Runs both walls under every check. `progress` is called with the completed fraction of the work. A check that
     /// cannot run is a result too.
-    ///
-    /// # Errors
-    /// Walls that are not allowed.
     pub fn run(&self, progress: &mut dyn FnMut(f64)) -> Result<Verified, Error> {
         let clock = Instant::now();
         // A wall that is not allowed fails here and is not a result.
@@ -176,9 +170,6 @@ impl Verification {
     }
 
     /// The configurations of a check.
-    ///
-    /// # Errors
-    /// Values that are not allowed.
     pub fn pair(&self, check: Check) -> Result<Pair, Error> {
         let settings = self.settings(check)?;
         let with = |wall: &Shape| self.loaded.with(&[&settings[..], &self.wall(wall)].concat());

@@ -42,11 +42,10 @@ section! {
 }
 
 /// How particles are kept evenly spread: see [`crate::sph::consistent::shift`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShiftName {
     /// Along rows that stay in order, for channels.
-    #[default]
     Chain,
     /// Along rows that stay in place while the flow passes through them, for channels.
     Rows,
@@ -56,11 +55,10 @@ pub enum ShiftName {
 }
 
 /// The time integrator, see [`crate::sph::consistent::advance`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IntegratorName {
     /// Symplectic Euler: first order in time; velocity and pressure use each other's newest value.
-    #[default]
     SymplecticEuler,
     /// Velocity Verlet: second order, also with one evaluation per step.
     Verlet,
@@ -77,10 +75,12 @@ impl Kind for Consistent {
 
     fn check(&self, rows: bool) -> Result<(), BadInput> {
         if !rows && matches!(self.shift, ShiftName::Chain | ShiftName::Rows) {
-            return Err(BadInput::new("method.shift = chain or rows without rows of particles that stay rows")
-                .key("method.shift")
-                .allowed("isotropic or none, or scene heated-channel")
-                .advice("method.shift=isotropic"));
+            return Err(BadInput::at(
+                "method.shift",
+                "method.shift = chain or rows without rows of particles that stay rows",
+            )
+            .allowed("isotropic or none, or scene heated-channel")
+            .advice("method.shift=isotropic"));
         }
         Ok(())
     }

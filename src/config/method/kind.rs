@@ -80,9 +80,6 @@ pub trait Kind {
     fn numbers(&self) -> Vec<Number>;
 
     /// Checks that its keys are consistent. `rows`: whether particles are in rows along a channel, or fixed.
-    ///
-    /// # Errors
-    /// The first key that is not.
     fn check(&self, _rows: bool) -> Result<(), BadInput> {
         Ok(())
     }

@@ -61,33 +61,30 @@ section! {
 }
 
 /// The pairs on which the artificial viscosity acts, see [`crate::sph::laws::artificial_viscosity`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViscousPairs {
     /// Pairs that approach each other (Monaghan 1992).
-    #[default]
     Approaching,
     /// All pairs of fluid particles, as in JAX-SPH.
     All,
 }
 
 /// How the density is computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityEquation {
     /// A sum over the neighbours.
-    #[default]
     Summation,
     /// Continuity, which needs no neighbours beyond a free surface, see [`crate::sph::standard::evolution`].
     Evolution,
 }
 
 /// The form of the flux between two particles, see [`crate::sph::laws::Flux`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FluxName {
     /// Mean pressure and shear stress.
-    #[default]
     Pair,
     /// Mean pressure and shear stress, with diffusion of density and velocity.
     Delta,
@@ -96,10 +93,9 @@ pub enum FluxName {
 }
 
 /// The gradients in the diffusion of the density, see [`crate::sph::laws::density_diffusion`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityGradientName {
-    #[default]
     Renormalised,
     JaxSph,
 }
@@ -117,10 +113,12 @@ impl Kind for Standard {
     fn check(&self, _rows: bool) -> Result<(), BadInput> {
         let (exponent, usual) = (self.equation_of_state_exponent, Self::default());
         if exponent.fract() != 0.0 {
-            return Err(BadInput::new(format!("method.equation_of_state_exponent = {exponent} is no whole number"))
-                .key("method.equation_of_state_exponent")
-                .allowed("1 ... 20, whole numbers")
-                .advice("method.equation_of_state_exponent=7 for water"));
+            return Err(BadInput::at(
+                "method.equation_of_state_exponent",
+                format!("method.equation_of_state_exponent = {exponent} is no whole number"),
+            )
+            .allowed("1 ... 20, whole numbers")
+            .advice("method.equation_of_state_exponent=7 for water"));
         }
         let pairs = self.artificial_viscosity_pairs != usual.artificial_viscosity_pairs;
         let wrong = [
@@ -152,7 +150,7 @@ impl Kind for Standard {
         match wrong.into_iter().find(|(is_wrong, ..)| *is_wrong) {
             None => Ok(()),
             Some((_, key, problem, advice)) => {
-                Err(BadInput::new(format!("{key} {problem}")).key(key).allowed("its default there").advice(advice))
+                Err(BadInput::at(key, format!("{key} {problem}")).allowed("its default there").advice(advice))
             }
         }
     }
