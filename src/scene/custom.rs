@@ -8,14 +8,15 @@ use super::assembly::{Assembled, Parts};
 use super::custom_shape::{functions, Shape};
 use super::distance::{images, Foot, Walls};
 use super::exact::Stated;
+use super::heated_channel;
 use super::lattice::Lattice;
 use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
 use crate::config::custom::{Fill, Kind, VariableEntry};
 use crate::config::formula::Function;
-use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
+use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
-use crate::design::objectives::{self, Figure, Outlet, Samples};
+use crate::design::objectives::Outlet;
 use crate::design::parametrisations::Numbers;
 use crate::design::shapes::{self, Shapes};
 use crate::design::{Deformation, Problem};
@@ -153,24 +154,10 @@ pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput
     };
     let (columns, particles) = (shapes.numbers.len(), model.particles());
     let base = super::assembly::rounded(&model, &base).into_iter().map(R::f64).collect();
-    let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), config.steps());
-    let samples = Samples::window(steps, window, config.objective.samples);
-    Ok(Problem {
-        model,
-        compute: config.run.compute()?,
-        deformation: Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) }),
-        first: parametrisation.start(),
-        parametrisation: Arc::new(parametrisation),
-        objective: objectives::of_config(config, outlet.clone(), samples),
-        figure: Figure::of_config(config),
-        smoothing: 0.0,
-        steps,
-        outlet,
-        depth: config.depth(),
-        window,
-        is_steady: false,
-        differences: (config.optimise.gradient == GradientMode::Differences).then_some(config.optimise.difference),
-    })
+    let deformation = Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) });
+    let (outlet, first) = (outlet(config, &model), parametrisation.start());
+    let problem = heated_channel::problem(config, model, deformation, Arc::new(parametrisation), first, outlet)?;
+    Ok(Problem { smoothing: 0.0, ..problem })
 }
 
 /// Targets across the box and three spacings beyond its walls, so that each particle counts with its whole kernel.

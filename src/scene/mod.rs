@@ -15,7 +15,6 @@ pub mod exact;
 pub mod figures;
 pub mod flows;
 pub mod heated_channel;
-mod heated_channel_3d;
 mod lattice;
 pub mod load;
 pub mod observers;
