@@ -15,7 +15,6 @@ use toml_edit::{DocumentMut, Item, Table};
 #[derive(Debug, PartialEq, Eq)]
 pub struct BuiltIn {
     pub name: &'static str,
-    /// A description on one line for `hydrograd scenes`.
     pub description: &'static str,
     /// The text in `data/scenes`. That of a scene has a section `[methods.NAME]` for each method that can solve it.
     written: &'static str,
@@ -104,7 +103,6 @@ impl BuiltIn {
         Merged::with_methods(complete.document.clone(), complete.methods.clone())
     }
 
-    /// The scene's family.
     pub fn family(&self) -> Family {
         toml::from_str::<Config>(self.text()).expect("a built-in scene is a configuration").scene
     }
@@ -212,18 +210,15 @@ pub const PRESETS: &[BuiltIn] = &[
     built_in!("report-jax-sph", "the same with the report's own equations, JAX-SPH's (950 particles)", "presets/"),
 ];
 
-/// The built-in scene with a name.
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     SCENES.iter().find(|scene| scene.name == name)
 }
 
 impl Family {
-    /// The built-in scene of this family.
     pub fn built_in(self) -> &'static BuiltIn {
         &SCENES[self as usize]
     }
 
-    /// The name in a configuration.
     pub fn name(self) -> &'static str {
         self.built_in().name
     }

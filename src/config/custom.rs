@@ -7,18 +7,12 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The box.
     "region.": Region {
-        /// Lengths along x, y (and z), one for each dimension. The corner is at 0.
         size: Vec<f64> = vec![1.0, 0.4];
-        /// Whether each direction is periodic; otherwise its sides are walls.
         periodic: Vec<bool> = vec![true, false];
-        /// Body force per mass.
         acceleration: Vec<f64> = vec![0.0, 0.0];
-        /// Fluid at x below this is reset to `fluid.inlet_temperature`.
         #[serde(skip_serializing_if = "Option::is_none")]
         inlet_until: Option<f64> = None, NotNegative;
-        /// Fluid at x above this does not conduct.
         #[serde(skip_serializing_if = "Option::is_none")]
         outlet_from: Option<f64> = None, NotNegative;
     }
@@ -104,7 +98,6 @@ impl ShapeNumber {
         parts.chain(entry.thickness.map(|_| Part::Thickness)).map(|part| Self { shape, part }).collect()
     }
 
-    /// The number itself, if it exists.
     pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
         let entry = shapes.get_mut(self.shape)?;
         match self.part {
@@ -132,7 +125,6 @@ impl std::fmt::Display for ShapeNumber {
     }
 }
 
-/// Kinds of shapes, with their keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {

@@ -46,7 +46,6 @@ impl Config {
         }
     }
 
-    /// Whether the scene has temperatures.
     pub fn has_heat(&self) -> bool {
         match self.scene {
             Family::Custom => self.initial.temperature.is_some(),
@@ -83,12 +82,10 @@ impl Config {
         self.fluid.density * self.plane_force() * self.channel.length * self.plane_flow_rate()
     }
 
-    /// Whether the scene has something to optimise.
     pub fn has_design(&self) -> bool {
         self.scene.has_design() || !self.variables.is_empty()
     }
 
-    /// Number of dimensions, 2 or 3.
     pub fn dimension(&self) -> usize {
         match self.scene {
             Family::HeatedChannel3d
@@ -111,7 +108,6 @@ impl Config {
         self.resolution.kernel.support() * self.resolution.smoothing_length
     }
 
-    /// The largest stable CFL numbers.
     pub fn cfl_limit(&self) -> CflLimit {
         match self.scene.has_surface() {
             true => FREE_SURFACE,
@@ -192,7 +188,6 @@ impl Config {
         }
     }
 
-    /// Simulated time.
     pub fn duration(&self) -> f64 {
         self.time_step() * self.steps() as f64
     }

@@ -18,7 +18,6 @@ pub enum Kernels {
     Composed,
 }
 
-/// A device by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeviceName {
     #[default]

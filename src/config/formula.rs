@@ -20,7 +20,6 @@ literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0
 
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
-/// A parsed formula.
 #[derive(Debug, Clone)]
 pub struct Function {
     expression: Expression,

@@ -7,11 +7,9 @@ use crate::config::notation::{self, Written};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// An amount of memory in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MemorySize(pub u64);
 
-/// Units and their numbers of bytes.
 const UNITS: [(&str, u64); 7] = [
     ("B", 1),
     ("KB", 1_000),
@@ -26,7 +24,6 @@ const UNITS: [(&str, u64); 7] = [
 pub const FORM: &str = "a number above 0 with its unit, B, KB, MB, GB, KiB, MiB or GiB, such as \"200MB\"";
 
 impl MemorySize {
-    /// The number of bytes as `usize`.
     pub fn bytes(self) -> usize {
         usize::try_from(self.0).unwrap_or(usize::MAX)
     }

@@ -9,17 +9,12 @@ use serde::{Deserialize, Serialize};
 
 section! {
     "objective.": Objective {
-        /// The quantity that is maximised.
         kind: ObjectiveKind = ObjectiveKind::HeatOutflow;
-        /// Column of target points where the outflowing heat is measured.
         target_x: f64 = 0.9, NotNegative;
-        /// Average Q over this last part of the run, in time units; 0 takes the last step.
         window: f64 = 0.5, NotNegative;
-        /// Samples of Q in the window (evenly spaced steps).
         samples: usize = 40, Within(1.0, MAX_STEPS);
         /// Which fields are interpolated, and from which particles, see [`crate::sph::interpolation`].
         interpolation: Interpolation = Interpolation::Flux;
-        /// What the loss uses: the flux integral, or the plain sum over the targets as in the report.
         form: ObjectiveForm = ObjectiveForm::Flux;
     }
 }
@@ -33,7 +28,6 @@ pub enum ObjectiveKind {
     OutletTemperature,
     /// The heat that the walls give to the fluid upstream of the targets.
     WallHeat,
-    /// The volume that flows through the target column.
     FlowRate,
 }
 

@@ -13,28 +13,20 @@ use serde::{Deserialize, Serialize};
 section! {
     "optimise.": Optimise {
         method: OptimiserName = OptimiserName::LBfgsB;
-        /// The method that is used during the search.
         search: Search = Search::Fixed;
         epochs: usize = 25, Within(1.0, 1e6);
-        /// Adam's step, or the first step of L-BFGS-B, in offset units: 2e-2 is one spacing at dx = 0.02.
         learning_rate: f64 = 3e-3, Positive;
-        /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
         smoothing: f64 = 0.05, NotNegative;
         gradient: GradientMode = GradientMode::Segments;
         /// Memory budget of the gradient, from which its schedule follows (see [`crate::adjoint::schedule`]).
         memory: MemorySize = MemorySize(300_000_000);
-        /// Precision of kept states; single precision is only for schedules that keep every state.
         store: Precision = Precision::F64;
-        /// Steps per segment; 0 chooses a schedule by memory.
         segment: usize = 0, Within(0.0, MAX_STEPS);
-        /// Number of steps of a `truncated` gradient.
         horizon: usize = 200, Within(1.0, MAX_STEPS);
         /// Limit of the derivative by the state relative to the objective's own terms, see
         /// [`crate::adjoint::schedule::Schedule::clip`]; 0: no limit.
         clip: f64 = 0.0, NotNegative;
-        /// Step of `differences` to both sides, as a fraction of the distance between a number's limits.
         difference: f64 = 0.05, Within(1e-6, 0.5);
-        /// The model that evaluates walls during the search.
         dynamics: DynamicsName = DynamicsName::Solver;
     }
 }
@@ -55,7 +47,6 @@ pub enum Search {
     /// The method with the same equations on fixed particles, with the gradient of the steady state; the scene's own
     /// method if it has no such counterpart.
     Fixed,
-    /// The scene's own method.
     Scene,
 }
 

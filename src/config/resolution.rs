@@ -6,10 +6,8 @@ use serde::{Deserialize, Serialize};
 
 section! {
     "resolution.": Resolution {
-        /// Particle spacing.
         dx: f64 = 0.02, Positive;
         kernel: KernelName = KernelName::QuinticSpline;
-        /// Smoothing length h, in spacings.
         smoothing_length: f64 = 0.8, Within(0.5, 3.0);
     }
 }

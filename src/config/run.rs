@@ -9,18 +9,15 @@ use serde::{Deserialize, Serialize};
 section! {
     "run.": Run {
         precision: Precision = Precision::F64;
-        /// Worker threads; 0 takes every core.
         threads: usize = 0, Within(0.0, 1024.0);
         seed: u64 = 0;
         kernels: Kernels = Kernels::Fused;
-        /// Device of the operators.
         device: DeviceName = DeviceName::Cpu;
     }
 }
 
 section! {
     "output.": Output {
-        /// ParaView frames of a `simulate` run (and of the best design of `optimize`); 0 writes none.
         frames: usize = 40, Within(0.0, 1e5);
     }
 }
@@ -33,7 +30,6 @@ pub enum Precision {
 }
 
 impl Precision {
-    /// The name in a configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",

@@ -92,7 +92,6 @@ impl Family {
         matches!(self, Self::DamBreak | Self::DamBreak3d | Self::FallingBlock | Self::HydrostaticTank)
     }
 
-    /// Whether the scene has something to optimise.
     pub fn has_design(self) -> bool {
         matches!(self, Self::HeatedChannel | Self::HeatedChannel3d)
     }

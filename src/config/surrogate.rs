@@ -12,26 +12,17 @@ use serde::{Deserialize, Serialize};
 
 section! {
     "surrogate.": Surrogate {
-        /// A model by `hydrograd train`; default: the built-in one.
         #[serde(skip_serializing_if = "Option::is_none")]
         model: Option<String> = None;
-        /// Number of reference steps that the solver makes before the first frame.
         settle: usize = 2500, Within(1.0, MAX_STEPS);
-        /// Number of frames that the model predicts after those of the solver.
         steps: usize = 20, Within(1.0, 10_000.0);
-        /// Length of the window at the end of the predicted time over which the objective is averaged, in time units.
         window: f64 = 0.9, NotNegative;
         first_frames: FirstFrames = FirstFrames::Differentiable;
-        /// Precision of the network; it was trained in single precision.
         precision: Precision = Precision::F32;
         trust: Trust = Trust::None;
-        /// With `trust = check`: number of epochs between two evaluations by the solver.
         check_every: usize = 5, Within(1.0, 1e6);
-        /// With `trust = region`: largest change of a node in the first epoch.
         radius: f64 = 5e-3, Positive;
-        /// With `trust = region`: number of optimiser steps within the region per epoch.
         inner_epochs: usize = 10, Within(1.0, 1e6);
-        /// With `dynamics = both`: number of epochs with the surrogate.
         epochs: usize = 10, Within(1.0, 1e6);
     }
 }

@@ -24,7 +24,6 @@ pub struct AccuracyPoint {
     /// Name of the program and the method.
     pub code: String,
     pub scene: &'static str,
-    /// Particle spacing.
     pub dx: f64,
     /// The time step as an acoustic number, dt (c + U)/dx. It is far below 1 where diffusion limits it (Poiseuille).
     pub cfl: f64,
@@ -42,7 +41,6 @@ pub struct AccuracyPoint {
     pub stable: bool,
 }
 
-/// A run to be done.
 struct Run {
     /// Name of the program and the method.
     code: String,

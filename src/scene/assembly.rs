@@ -56,7 +56,6 @@ pub(super) struct Parts<R> {
     pub density: f64,
     /// Reference velocity U.
     pub velocity: f64,
-    /// Dynamic viscosity.
     pub viscosity: f64,
     pub body_force: BodyForce,
     /// Drive that holds the flow rate or the power, if one is given.

@@ -80,7 +80,6 @@ impl Series {
         self.modes.iter().map(move |mode| (mode, (-mode.m * mode.m * time).exp())).take_while(|(_, left)| *left > 1e-17)
     }
 
-    /// The temperature at height y.
     pub fn temperature(&self, y: f64, time: f64) -> f64 {
         let (layer, x) = if y < 0.5 { (0, y) } else { (1, 1.0 - y) };
         let end = if layer == 0 { 1.0 - 2.0 * (1.0 - self.middle) * y } else { 2.0 * self.middle * x };
@@ -100,7 +99,6 @@ impl Series {
         flux
     }
 
-    /// The conductivities of both layers.
     pub fn conductivity(&self) -> [f64; 2] {
         self.conductivity
     }

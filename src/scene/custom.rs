@@ -182,7 +182,6 @@ fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
 struct Built<R> {
     parts: Parts<R>,
     model: Model<R>,
-    /// The initial state.
     base: Vec<f64>,
     points: Vec<shapes::Point>,
     dummies: Vec<shapes::Dummy>,

@@ -14,7 +14,6 @@ use std::collections::HashMap;
 pub(super) struct Walls<'a> {
     pub shapes: &'a [Shape<'a>],
     pub domain: Domain,
-    /// See [`images`].
     pub images: Vec<[f64; 3]>,
     pub spacing: f64,
 }

@@ -25,7 +25,6 @@ pub enum Exact {
     IsothermalChannel(Developed),
     /// The formulas that the configuration of a custom scene states.
     Stated(Arc<Stated>),
-    /// No exact solution.
     Unknown,
 }
 

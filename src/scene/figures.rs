@@ -9,7 +9,6 @@ use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use serde::Serialize;
 
-/// Figures of the flow at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlowFigures {
     pub time: f64,
@@ -46,7 +45,6 @@ fn first_unknown(m: [[f64; 3]; 3], right: [f64; 3]) -> f64 {
 }
 
 impl<R: Real> Scene<R> {
-    /// The figures of a state at a time.
     pub fn figures(&self, state: &[R], time: f64) -> FlowFigures {
         let (model, n) = (&self.model, self.model.particles());
         let vector = |row: usize, i: usize| -> [f64; 3] {

@@ -19,7 +19,6 @@ use std::sync::Arc;
 /// particle is drawn equally from both sides, so no shift acts, and the particles stay in strings until the fit fails.
 const LEAST_JITTER: f64 = 0.02;
 
-/// The scene of a checked configuration.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
     let kinematic_viscosity = 1.0 / config.flow.reynolds;
     let (dimension, walls) = (config.dimension(), config.wall_rows());

@@ -42,9 +42,7 @@ use crate::sph::{Model, Sweeps};
 pub struct Scene<R> {
     pub name: &'static str,
     pub model: Model<R>,
-    /// The initial state.
     pub start: Snapshot<R>,
-    /// Number of steps of the run.
     pub steps: usize,
     pub spacing: f64,
     /// The lower corner of the box that includes the walls.
@@ -58,7 +56,6 @@ pub struct Scene<R> {
 }
 
 impl<R: Sweeps> Scene<R> {
-    /// The scene of a checked configuration.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
         let scene = Self::built(config)?;
         log::info!(

@@ -25,13 +25,11 @@ impl EvenSteps {
         Self { every: if count == 0 { 0 } else { steps.div_ceil(count) }, last: steps }
     }
 
-    /// Whether a step is selected.
     pub fn contains(&self, step: usize) -> bool {
         self.every > 0 && (step.is_multiple_of(self.every) || step == self.last)
     }
 }
 
-/// Writes ParaView frames.
 pub struct Frames {
     series: VtkSeries,
     steps: EvenSteps,
@@ -133,7 +131,6 @@ impl<R: Sweeps> Observer<Sph<R>> for LastGood<R> {
 /// Writes [`checkpoint`]s, except at the end, and one when a stop is requested.
 pub struct Checkpoints<'a> {
     pub path: PathBuf,
-    /// The text of the configuration.
     pub configuration: &'a str,
     pub steps: EvenSteps,
     /// The step at which the run began, which needs no checkpoint.

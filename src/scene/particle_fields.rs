@@ -26,7 +26,6 @@ pub struct ParticleFields {
 }
 
 impl ParticleFields {
-    /// The fields of a run's present state.
     pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Result<Self, RunError> {
         solver.look()?;
         let model = solver.model.clone();
@@ -70,7 +69,6 @@ impl ParticleFields {
         })
     }
 
-    /// Writes `state.h5`.
     pub fn write(&self, folder: &Path, loaded: &Loaded) -> Result<(), FileError> {
         let config = &loaded.config;
         let state = State {

@@ -8,7 +8,6 @@ use crate::error::BadInput;
 use crate::particles::tag;
 use crate::sph::Sweeps;
 
-/// A limit of the time step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Criterion {
     pub name: &'static str,
@@ -17,7 +16,6 @@ pub struct Criterion {
     pub dt: f64,
 }
 
-/// The estimates for a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Findings {
     /// Kinds of particles, and their numbers.

@@ -10,7 +10,6 @@ use crate::sph::laws::body_force::BodyForce;
 use crate::sph::rows::Quantity;
 use crate::sph::Sweeps;
 
-/// The scene of a checked configuration.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
     let (tank, water, spacing) = (&config.tank, &config.water, config.resolution.dx);
     let (dimension, walls) = (config.dimension(), config.wall_rows());

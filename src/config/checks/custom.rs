@@ -6,7 +6,6 @@ use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::BadInput;
 
 impl Config {
-    /// Whether a custom scene has walls.
     pub fn has_walls(&self) -> bool {
         self.region.periodic.contains(&false) || self.shapes.iter().any(|shape| shape.fill == Fill::Wall)
     }

@@ -153,7 +153,6 @@ impl Config {
         2.0 * self.support()
     }
 
-    /// Whether the scene has no walls.
     fn is_periodic(&self) -> bool {
         match self.scene {
             Family::Custom => !self.has_walls(),

@@ -30,10 +30,8 @@ pub const FACTS: Facts = Facts {
 };
 
 section! {
-    /// The keys of the consistent method.
     #[derive(Copy)]
     "method.": Consistent {
-        /// How particles are kept evenly spread.
         shift: ShiftName = ShiftName::Chain;
         shift_strength: f64 = 2.0, Within(0.0, 10.0);
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);

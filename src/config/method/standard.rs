@@ -30,32 +30,19 @@ pub const FACTS: Facts = Facts {
 };
 
 section! {
-    /// The keys of the standard method.
     #[derive(Copy)]
     "method.": Standard {
-        /// Background pressure = factor * density * sound speed^2.
         background_pressure_factor: f64 = 0.05, Within(0.0, 1.0);
-        /// Strength of the transport velocity: 0 switches it off, 1 is Adami, Hu and Adams (2013).
         transport_velocity: f64 = 0.0, Within(0.0, 1.0);
-        /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
         artificial_viscosity: f64 = 0.0, Within(0.0, 10.0);
-        /// The pairs on which the artificial viscosity acts.
         artificial_viscosity_pairs: ViscousPairs = ViscousPairs::Approaching;
-        /// How the density is computed.
         density_equation: DensityEquation = DensityEquation::Summation;
-        /// Whether an evolved density is renormalised in each step.
         density_renormalisation: bool = false;
-        /// The form of the flux between two particles.
         flux: FluxName = FluxName::Pair;
-        /// delta of delta-SPH.
         density_diffusion: f64 = 0.1, Within(0.0, 1.0);
-        /// The gradients in the diffusion of the density.
         density_gradient: DensityGradientName = DensityGradientName::Renormalised;
-        /// alpha of delta-SPH.
         velocity_diffusion: f64 = 0.01, Within(0.0, 10.0);
-        /// eta of the Riemann solver's dissipation limiter.
         riemann_limiter: f64 = 3.0, Within(0.0, 1000.0);
-        /// Tait's exponent: p = rho0 c^2/exponent ((rho/rho0)^exponent - 1).
         equation_of_state_exponent: f64 = 1.0, Within(1.0, 20.0);
     }
 }
@@ -70,7 +57,6 @@ pub enum ViscousPairs {
     All,
 }
 
-/// How the density is computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityEquation {
@@ -109,7 +95,6 @@ impl Kind for Standard {
         Self::numbers(self)
     }
 
-    /// Checks that the keys are consistent.
     fn check(&self, _rows: bool) -> Result<(), BadInput> {
         let (exponent, usual) = (self.equation_of_state_exponent, Self::default());
         if exponent.fract() != 0.0 {
