@@ -234,7 +234,7 @@ impl ShapeEntry {
             if !is_wall {
                 return Err(bad("velocity", "of fluid".into()).allowed("initial.velocity for the fluid's"));
             }
-            check_vector(&key("velocity"), velocity, dimension)?;
+            functions(&key("velocity"), velocity, dimension, Formula::function)?;
         }
         if let Some(temperature) = &self.temperature {
             if !is_wall {
@@ -251,22 +251,23 @@ impl ShapeEntry {
     }
 }
 
-pub fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
-    check_components(key, vector, dimension)?;
-    for (d, formula) in vector.iter().enumerate() {
-        formula.function(&format!("{key}[{d}]"), dimension)?;
-    }
-    Ok(())
-}
-
-/// As many formulas as there are dimensions.
-fn check_components(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
+/// Reads the components of a vector with `read`, as many as there are dimensions.
+///
+/// # Errors
+/// Another number of components, and the first formula that can not be read.
+pub fn functions(
+    key: &str,
+    vector: &[Formula],
+    dimension: usize,
+    read: fn(&Formula, &str, usize) -> Result<Function, BadInput>,
+) -> Result<Vec<Function>, BadInput> {
     if vector.len() != dimension {
         let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
-        return Err(BadInput::at(key, format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
-            .allowed(format!("{dimension} numbers or formulas, as region.size")));
+        let problem = format!("{key} = [{}] has {} components", texts.join(", "), vector.len());
+        return Err(BadInput::at(key, problem).allowed(format!("{dimension} numbers or formulas, as region.size")));
     }
-    Ok(())
+    let component = |(d, formula): (usize, &Formula)| read(formula, &format!("{key}[{d}]"), dimension);
+    vector.iter().enumerate().map(component).collect()
 }
 
 impl Fields {
@@ -275,14 +276,29 @@ impl Fields {
     /// # Errors
     /// Formulas that can not be read, and another number of components than of dimensions.
     pub fn of_time(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
-        if !self.velocity.is_empty() {
-            check_components("exact.velocity", &self.velocity, dimension)?;
-        }
-        let component =
-            |(d, formula): (usize, &Formula)| formula.function_of_time(&format!("exact.velocity[{d}]"), dimension);
-        let velocity = self.velocity.iter().enumerate().map(component).collect::<Result<_, _>>()?;
+        self.read("exact", dimension, Formula::function_of_time)
+    }
+
+    /// Reads the formulas of the fields at the start.
+    ///
+    /// # Errors
+    /// As for [`Self::of_time`].
+    pub fn at_start(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
+        self.read("initial", dimension, Formula::function)
+    }
+
+    fn read(
+        &self,
+        section: &str,
+        dimension: usize,
+        read: fn(&Formula, &str, usize) -> Result<Function, BadInput>,
+    ) -> Result<(Vec<Function>, Option<Function>), BadInput> {
+        let velocity = match &self.velocity[..] {
+            [] => vec![],
+            velocity => functions(&format!("{section}.velocity"), velocity, dimension, read)?,
+        };
         let temperature = self.temperature.as_ref();
-        let temperature = temperature.map(|formula| formula.function_of_time("exact.temperature", dimension));
+        let temperature = temperature.map(|formula| read(formula, &format!("{section}.temperature"), dimension));
         Ok((velocity, temperature.transpose()?))
     }
 }

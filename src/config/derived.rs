@@ -88,12 +88,8 @@ impl Config {
 
     pub fn dimension(&self) -> usize {
         match self.scene {
-            Family::HeatedChannel3d
-            | Family::TaylorGreen3d
-            | Family::ReversePoiseuille3d
-            | Family::LidDrivenCavity3d
-            | Family::DamBreak3d => 3,
             Family::Custom => self.region.size.len(),
+            scene if scene.name().ends_with("-3d") => 3,
             _ => 2,
         }
     }

@@ -28,7 +28,7 @@ pub struct Function {
 }
 
 impl Formula {
-    /// Parses the formula; `key` is its key in messages, such as `shapes[2].temperature`.
+    /// Parses a formula of the place; `key` is its key in messages, such as `shapes[2].temperature`.
     ///
     /// # Errors
     /// An invalid expression, or one with other variables than x, y, z (z only in three dimensions).

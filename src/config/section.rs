@@ -12,7 +12,8 @@ pub fn number(key: &'static str, value: &impl Serialize, range: Range) -> Option
 }
 
 /// Defines the struct of a section from the prefix of its keys, such as `"time."`, and lines `key: type = default;` or
-/// `key: type = default, range;`.
+/// `key: type = default, range;`. What a key means, and its unit, is the comment above it in `data/scenes`, `data/methods`,
+/// `data/run.toml` or `data/training.toml`.
 macro_rules! section {
     ($(#[$meta:meta])* $prefix:literal: $name:ident {
         $($(#[$of_key:meta])* $key:ident: $type:ty = $default:expr $(, $range:expr)?;)*

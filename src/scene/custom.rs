@@ -5,7 +5,7 @@
 //! contains it. Moving walls stay in place ([`crate::sph::flow::Flow::walls_slide`]).
 
 use super::assembly::{Assembled, Parts};
-use super::custom_shape::{functions, Shape};
+use super::custom_shape::Shape;
 use super::distance::{images, Foot, Walls};
 use super::exact::Stated;
 use super::heated_channel;
@@ -191,9 +191,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
     let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
-    let initial = functions("initial.velocity", &config.initial.velocity, d)?;
-    let warmth = config.initial.temperature.as_ref();
-    let warmth = warmth.map(|formula| formula.function("initial.temperature", d)).transpose()?;
+    let (initial, warmth) = config.initial.at_start(d)?;
     let reference = fluid.inlet_temperature;
     let consistent = match config.method {
         Method::Consistent(own) => Some(own),

@@ -112,12 +112,6 @@ impl Config {
         Ok(finish(merged, source)?)
     }
 
-    /// Checks every number, their consistency and the wall's shape; the first problem is the error.
-    pub fn validate(&self) -> Result<(), Error> {
-        self.check()?;
-        Ok(check_shape(self)?)
-    }
-
     /// The settings that make this configuration from its built-in scene, except for the keys and sections in `free`.
     pub fn over_its_scene(&self, label: &str, free: &[&str]) -> Vec<Setting> {
         let usual = self.scene.defaults_with(self.method.name());

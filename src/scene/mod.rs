@@ -57,24 +57,20 @@ pub struct Scene<R> {
 
 impl<R: Sweeps> Scene<R> {
     pub fn from_config(config: &Config) -> Result<Self, Error> {
-        let scene = Self::built(config)?;
+        let scene = match config.scene {
+            Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
+            Family::Custom => custom::build(config)?,
+            scene if scene.has_surface() => tank::build(config),
+            _ => flows::build(config),
+        };
         log::info!(
             "built {}: {} particles, {} steps of {:.4e}",
-            config.scene.name(),
+            scene.name,
             scene.model.particles(),
             scene.steps,
             scene.model.dt
         );
         Ok(scene)
-    }
-
-    fn built(config: &Config) -> Result<Self, Error> {
-        Ok(match config.scene {
-            Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
-            Family::Custom => custom::build(config)?,
-            scene if scene.has_surface() => tank::build(config),
-            _ => flows::build(config),
-        })
     }
 
     /// The design problem of a checked configuration; none without a design.

@@ -73,37 +73,30 @@ impl Surface {
     pub(super) fn of_lattice(lattice: &Lattice, lid: f64, heat: Option<[WallHeat; 2]>) -> Self {
         let (dimension, dx) = (lattice.dimension, lattice.spacing);
         let walled = |d: usize| lattice.wall_rows[d] > 0;
-        let coordinate = |d: usize, row: f64| (row - lattice.before[d]) * dx + lattice.corner[d];
         let inner = |d: usize| lattice.wall_rows[d]..lattice.cells[d] - lattice.wall_rows[d];
         let plane = |d: usize, upper: bool| {
             let row = if upper { inner(d).end } else { inner(d).start };
-            coordinate(d, row as f64)
+            (row as f64 - lattice.before[d]) * dx + lattice.corner[d]
         };
         let mut surface = Self::default();
         let mut numbers = BTreeMap::new();
         for d in (0..dimension).filter(|&d| walled(d)) {
-            for i in 0..lattice.particles() {
+            // Points are in front of each fluid particle next to a wall.
+            for i in (0..lattice.particles()).filter(|&i| !lattice.is_wall(i)) {
                 let rows = lattice.rows(i);
-                // Points are in front of each fluid particle next to a wall.
-                if (0..dimension).any(|e| !inner(e).contains(&rows[e])) {
-                    continue;
-                }
                 for upper in [false, true] {
                     let beside = if upper { inner(d).end - 1 } else { inner(d).start };
                     if rows[d] != beside {
                         continue;
                     }
-                    let place = |e: usize| if e == d { plane(d, upper) } else { coordinate(e, rows[e] as f64 + 0.5) };
+                    let mut position = lattice.place(i);
+                    position[d] = plane(d, upper);
                     let moves = d == 1 && upper;
                     let mut normal = [0.0; 3];
                     normal[d] = if upper { -1.0 } else { 1.0 };
                     numbers.insert((d, upper, i), surface.points.len());
-                    let point = Point {
-                        position: std::array::from_fn(|e| if e < dimension { place(e) } else { 0.0 }),
-                        normal,
-                        knows: Knows::Velocity([if moves { lid } else { 0.0 }, 0.0, 0.0]),
-                    };
-                    let mut point = point;
+                    let knows = Knows::Velocity([if moves { lid } else { 0.0 }, 0.0, 0.0]);
+                    let mut point = Point { position, normal, knows };
                     let moved = |rows: usize, to: f64| if rows == 0 { to - 0.5 } else { 0.0 };
                     if lid != 0.0 && moves {
                         for e in (0..dimension).filter(|&e| e != 1 && walled(e)) {
@@ -134,14 +127,8 @@ impl Surface {
             });
             let cells = lattice.cells;
             let fluid = nearest[0] + cells[0] * (nearest[1] + cells[1] * nearest[2]);
-            let mirror = std::array::from_fn(|e| {
-                let x = if e < dimension { coordinate(e, rows[e] as f64 + 0.5) } else { 0.0 };
-                if outside.contains(&e) {
-                    2.0 * plane(e, is_above(e)) - x
-                } else {
-                    x
-                }
-            });
+            let mut mirror = lattice.place(i);
+            outside.iter().for_each(|&e| mirror[e] = 2.0 * plane(e, is_above(e)) - mirror[e]);
             surface.dummies.push(Dummy { particle: i, point: numbers[&(d, is_above(d), fluid)], mirror });
         }
         surface

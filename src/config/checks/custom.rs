@@ -1,6 +1,6 @@
 //! Checks of custom scenes and of their design variables.
 
-use crate::config::custom::{check_vector, Fill, ShapeNumber, VariableEntry};
+use crate::config::custom::{Fill, ShapeNumber, VariableEntry};
 use crate::config::range::{countable, is_whole};
 use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::BadInput;
@@ -29,12 +29,7 @@ impl Config {
         }
         self.check_cells()?;
         let has_heat = initial.temperature.is_some();
-        if !initial.velocity.is_empty() {
-            check_vector("initial.velocity", &initial.velocity, d)?;
-        }
-        if let Some(temperature) = &initial.temperature {
-            temperature.function("initial.temperature", d)?;
-        }
+        initial.at_start(d)?;
         let (_, exact_temperature) = self.exact.of_time(d)?;
         if exact_temperature.is_some() && !has_heat {
             let bad = BadInput::at("exact.temperature", "exact.temperature in a scene without heat");
