@@ -70,13 +70,6 @@ pub(super) struct Parts<R> {
     pub exact: Exact,
 }
 
-/// A scene in the standard method. Its initial state has positions and velocities in f64; the other rows are 0.
-pub(super) struct Assembled<R> {
-    pub model: Standard<R>,
-    /// Initial state, `[F, N]`, see [`Layout`].
-    pub base: Vec<f64>,
-}
-
 impl<R: Sweeps> Parts<R> {
     /// A scene in the units of its configuration, without a force, moving walls and heat.
     pub fn new(config: &Config, lattice: Lattice) -> Self {
@@ -99,12 +92,13 @@ impl<R: Sweeps> Parts<R> {
     /// The same scene in the consistent method, and its initial state, `[F, N]`.
     pub fn with_surface(
         &self,
-        assembled: Assembled<R>,
+        model: Standard<R>,
+        base: &[f64],
         surface: &Surface,
         own: scene::Consistent,
     ) -> (Consistent<R>, Vec<f64>) {
         let speeds = [self.velocity, self.config.fluid.sound_speed_factor * self.velocity];
-        surface.added(assembled.model, &assembled.base, self.lattice.spacing, speeds, own)
+        surface.added(model, base, self.lattice.spacing, speeds, own)
     }
 
     /// Adds heat of unit capacity, which is conducted where `ends[0]` < x < `ends[1]` (fluid before that has the
@@ -141,8 +135,9 @@ impl<R: Sweeps> Parts<R> {
         self
     }
 
-    /// The model and the initial state; `velocity` gives the fluid's velocity by position.
-    pub fn assemble(&mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> Assembled<R> {
+    /// The model in the standard method, and its initial state in f64, `[F, N]` (see [`Layout`]), with positions and
+    /// velocities; other rows are 0. `velocity` gives the fluid's velocity by position.
+    pub fn assemble(&mut self, velocity: impl Fn([f64; 3]) -> [f64; 3]) -> (Standard<R>, Vec<f64>) {
         let model = self.model();
         let (n, l) = (model.particles(), model.layout);
         let mut base = self.lattice.positions(&model.domain, self.config.time.jitter, self.config.run.seed);
@@ -160,7 +155,7 @@ impl<R: Sweeps> Parts<R> {
                 base[l.state_density() * n + i] = self.density;
             }
         }
-        Assembled { model, base }
+        (model, base)
     }
 
     fn model(&mut self) -> Standard<R> {
@@ -234,12 +229,12 @@ impl<R: Sweeps> Parts<R> {
 
     /// The scene, without a design. The standard method does not use the initial pressure.
     pub fn build(mut self, velocity: impl Fn([f64; 3]) -> [f64; 3], pressure: impl Fn([f64; 3]) -> f64) -> Scene<R> {
-        let assembled = self.assemble(velocity);
+        let (model, base) = self.assemble(velocity);
         let Method::Consistent(own) = self.config.method else {
-            return self.started(Model::new(assembled.model), &assembled.base);
+            return self.started(Model::new(model), &base);
         };
         let surface = Surface::of_lattice(&self.lattice, self.lid, self.heat_walls);
-        let (model, mut base) = self.with_surface(assembled, &surface, own);
+        let (model, mut base) = self.with_surface(model, &base, &surface, own);
         let (n, l) = (model.particles(), model.layout);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
             let place = std::array::from_fn(|d| if d < l.dimension { base[d * n + i] } else { 0.0 });

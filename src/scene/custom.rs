@@ -4,7 +4,7 @@
 //! the kernel reaches. Every particle is in the centre of a lattice cell, and is fluid or wall by the last shape that
 //! contains it. Moving walls stay in place ([`crate::sph::flow::Flow::walls_slide`]).
 
-use super::assembly::{Assembled, Parts};
+use super::assembly::Parts;
 use super::custom_shape::Shape;
 use super::distance::{images, Foot, Walls};
 use super::exact::Stated;
@@ -12,7 +12,7 @@ use super::heated_channel;
 use super::lattice::Lattice;
 use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Fill, Kind, VariableEntry};
+use crate::config::custom::{Fill, VariableEntry};
 use crate::config::formula::Function;
 use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
@@ -55,13 +55,13 @@ impl Geometry {
     pub fn of(config: &Config) -> Result<Self, BadInput> {
         let shapes = shapes(config)?;
         let lattice = lattice(config);
-        let holder = Holder::new(config, &shapes);
+        let surroundings = surroundings(config, &shapes);
         let n = lattice.particles();
         let mut shape = vec![None; n];
         let mut is_wall = vec![false; n];
         for i in 0..n {
             let p = lattice.place(i);
-            shape[i] = holder.of(p);
+            shape[i] = surroundings.shape_at(p);
             is_wall[i] = match shape[i] {
                 Some(k) if !lattice.is_wall(i) => shapes[k].entry.fill == Fill::Wall,
                 _ => lattice.is_wall(i),
@@ -82,28 +82,6 @@ impl Geometry {
     }
 }
 
-/// Finds the shape to which a position belongs.
-struct Holder<'a> {
-    shapes: &'a [Shape<'a>],
-    dimension: usize,
-    images: Vec<[f64; 3]>,
-}
-
-impl<'a> Holder<'a> {
-    fn new(config: &Config, shapes: &'a [Shape<'a>]) -> Self {
-        Self { shapes, dimension: config.dimension(), images: images(&box_of(config)) }
-    }
-
-    /// The last shape that contains a position.
-    fn of(&self, p: [f64; 3]) -> Option<usize> {
-        self.shapes.iter().rposition(|shape| {
-            let has_images = shape.entry.kind != Kind::Where;
-            let images = if has_images { &self.images[..] } else { &[[0.0; 3]] };
-            images.iter().any(|image| shape.contains(std::array::from_fn(|e| p[e] + image[e]), self.dimension))
-        })
-    }
-}
-
 fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
     let d = config.dimension();
     config.shapes.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, d)).collect()
@@ -113,13 +91,9 @@ fn lattice(config: &Config) -> Lattice {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
     let rows = config.wall_rows();
     let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
-    let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize + 2 * walls[e] } else { 1 };
-    Lattice {
-        wall_rows: walls,
-        periodic: std::array::from_fn(|e| e < d && region.periodic[e]),
-        corner: walls.map(|rows| 0.0 - rows as f64 * dx),
-        ..Lattice::new(d, dx, std::array::from_fn(count))
-    }
+    let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize } else { 1 };
+    let periodic = std::array::from_fn(|e| e < d && region.periodic[e]);
+    Lattice::between(walls, d, dx, std::array::from_fn(count), periodic)
 }
 
 /// The scene of a checked configuration.
@@ -240,7 +214,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
         exact: stated(config)?,
         ..Parts::new(config, lattice)
     };
-    let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);
+    let (mut model, mut base) = parts.assemble(|_| [0.0; 3]);
     (model.flow.tags, model.flow.walls_slide) = (tags, true);
     let l = model.layout;
     for i in 0..n {
@@ -267,24 +241,23 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     }
     let (mut points, mut dummies) = (vec![], vec![]);
     if let Some(own) = consistent {
-        let holder = Holder::new(config, &shapes);
         let (surface, feet) = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
-            knows_at(config, &shapes, &holder, foot, warmth.is_some())
+            knows_at(config, &surroundings, foot, warmth.is_some())
         })?;
-        let old = base.clone();
-        let (fitted, mut base) = parts.with_surface(Assembled { model, base }, &surface, own);
+        let old = base;
+        let (fitted, mut base) = parts.with_surface(model, &old, &surface, own);
         if warmth.is_some() {
             let more = fitted.particles();
             let fluid = (0..n).filter(|&i| !is_wall[i]);
             fluid.for_each(|i| base[fitted.layout.temperature() * more + i] = old[l.temperature() * n + i]);
         }
         // A scene without variables does not need the feet.
-        let feet = if config.variables.is_empty() { Feet::default() } else { feet };
-        for (k, (point, foot)) in surface.points.iter().zip(&feet.points).enumerate() {
+        let [of_points, of_dummies] = if config.variables.is_empty() { [vec![], vec![]] } else { feet };
+        for (k, (point, foot)) in surface.points.iter().zip(&of_points).enumerate() {
             let (leans, leads) = (point.knows == Knows::NoHeatFlux, matches!(point.knows, Knows::Velocity(_)));
             points.push(shapes::Point { particle: n + k, on: surroundings.on(foot), leans, leads });
         }
-        for (dummy, foot) in surface.dummies.iter().zip(&feet.dummies) {
+        for (dummy, foot) in surface.dummies.iter().zip(&of_dummies) {
             let on = surroundings.on(foot);
             let depth = -surroundings.distance(parts.lattice.place(dummy.particle));
             dummies.extend(on.map(|foot| shapes::Dummy { particle: dummy.particle, foot, depth }));
@@ -304,33 +277,23 @@ fn stated(config: &Config) -> Result<Exact, BadInput> {
     Ok(Exact::Stated(Arc::new(Stated { velocity, temperature, reference_velocity: config.fluid.reference_velocity })))
 }
 
-/// The walls as surfaces.
+/// The walls as surfaces, in the box without the rows that close it.
 fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
-    let domain = box_of(config);
-    Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
-}
-
-/// The box without the walls that close it.
-fn box_of(config: &Config) -> Domain {
     let (dimension, region) = (config.dimension(), &config.region);
-    Domain {
+    let domain = Domain {
         dimension,
         size: std::array::from_fn(|d| if d < dimension { region.size[d] } else { 1.0 }),
         periodic: std::array::from_fn(|d| d < dimension && region.periodic[d]),
-    }
+    };
+    Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
 }
 
 /// The conditions at a surface point by the wall behind it.
-fn knows_at(
-    config: &Config,
-    shapes: &[Shape],
-    holder: &Holder,
-    foot: &Foot,
-    has_heat: bool,
-) -> Result<Vec<Knows>, BadInput> {
+fn knows_at(config: &Config, walls: &Walls, foot: &Foot, has_heat: bool) -> Result<Vec<Knows>, BadInput> {
     // A position a quarter of a spacing inside the wall.
     let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
-    let wall = holder.of(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
+    let shapes = walls.shapes;
+    let wall = walls.shape_at(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
     let mut moves = [0.0; 3];
     let mut temperature = None;
     if let Some(k) = wall {
@@ -345,26 +308,26 @@ fn knows_at(
     Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
 }
 
-/// Points on the walls' surface, and the dummy particles behind it.
+/// Points on the walls' surface and the dummy particles behind it, and the feet of both.
 fn surface_of(
     walls: &Walls,
     lattice: &Lattice,
     is_wall: &[bool],
     knows: impl Fn(&Foot) -> Result<Vec<Knows>, BadInput>,
-) -> Result<(Surface, Feet), BadInput> {
+) -> Result<(Surface, [Vec<Foot>; 2]), BadInput> {
     let dx = walls.spacing;
     let near = |i: usize| walls.distance(lattice.place(i)).abs() <= dx;
     let all = 0..lattice.particles();
     // Points of fluid particles come first; along a plane wall they leave no room for points of wall particles.
     let beside = all.clone().filter(|&i| !is_wall[i] && near(i)).chain(all.clone().filter(|&i| is_wall[i] && near(i)));
     let feet = walls.points(beside.map(|i| lattice.place(i)));
-    let (mut surface, mut found) = (Surface::default(), Feet::default());
+    let (mut surface, mut of_points, mut of_dummies) = (Surface::default(), vec![], vec![]);
     let mut first = Vec::with_capacity(feet.len());
     for foot in &feet {
         first.push(surface.points.len());
         for knows in knows(foot)? {
             surface.points.push(Point { position: foot.place, normal: foot.normal, knows });
-            found.points.push(*foot);
+            of_points.push(*foot);
         }
     }
     let nearest = walls.finder(&feet);
@@ -374,14 +337,7 @@ fn surface_of(
         let Some(point) = nearest(foot.place) else { continue };
         let mirror = std::array::from_fn(|e| 2.0 * foot.place[e] - p[e]);
         surface.dummies.push(Dummy { particle: i, point: first[point], mirror });
-        found.dummies.push(foot);
+        of_dummies.push(foot);
     }
-    Ok((surface, found))
-}
-
-/// Feet of the surface points and of the dummy particles.
-#[derive(Default)]
-struct Feet {
-    points: Vec<Foot>,
-    dummies: Vec<Foot>,
+    Ok((surface, [of_points, of_dummies]))
 }

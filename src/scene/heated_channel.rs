@@ -4,7 +4,7 @@
 //! of dummy particles below and above; in three dimensions z across the flow, with periodicity. Particles are on a
 //! lattice in rows from the bottom, x fastest, and in layers along z.
 
-use super::assembly::{Assembled, Parts};
+use super::assembly::Parts;
 use super::lattice::Lattice;
 use super::surface::{self, Dummy, Knows, Point, Rows};
 use super::Scene;
@@ -45,7 +45,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         heat: Some(heat(config, &hot)),
         ..Parts::new(config, lattice)
     };
-    let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
+    let (mut model, mut base) = parts.assemble(|place| start_velocity(config, place));
     if config.objective.kind == ObjectiveKind::WallHeat {
         model.flow.wall_heat_until = Some(config.objective.target_x);
     }
@@ -67,7 +67,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
             (Model::new(model), deformation)
         }
         Method::Consistent(own) => {
-            let (model, deformation) = consistent(config, &parts, Assembled { model, base }, own);
+            let (model, deformation) = consistent(config, &parts, model, base, own);
             (Model::new(model), deformation)
         }
     };
@@ -203,7 +203,8 @@ fn deformation<R: Sweeps>(config: &Config, lattice: &Lattice, model: &Standard<R
 fn consistent<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
-    mut assembled: Assembled<R>,
+    mut model: Standard<R>,
+    mut base: Vec<f64>,
     own: scene::Consistent,
 ) -> (Consistent<R>, Deformation) {
     let (channel, lattice, dimension) = (&config.channel, &parts.lattice, config.dimension());
@@ -211,7 +212,7 @@ fn consistent<R: Sweeps>(
     let section = HotSection::of(config);
     let vertices = section.vertices();
     let (hot, cold) = section.heat_points();
-    let n = assembled.model.particles();
+    let n = model.particles();
     let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
     let still = Knows::Velocity([0.0; 3]);
     // A flat top wall needs a point for each column; a shaped one has the points of the bottom wall.
@@ -239,32 +240,32 @@ fn consistent<R: Sweeps>(
     let (mut dummies, mut below, mut behind_top) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..n {
         let [column, _, layer] = lattice.rows(i);
-        let (y, z) = (assembled.base[n + i], if dimension == 3 { assembled.base[2 * n + i] } else { 0.0 });
+        let (y, z) = (base[n + i], if dimension == 3 { base[2 * n + i] } else { 0.0 });
         if lattice.is_below(i, 1) {
             // Dummy particles are behind every second vertex, not in the columns of fluid.
             let (x, point) = (vertices[2 * column], layer * vertices.len() + 2 * column);
-            assembled.base[i] = x;
+            base[i] = x;
             dummies.push(Dummy { particle: i, point, mirror: [x, -y, z] });
             below.push((i, point));
             let is_hot = x > channel.hot_from && x < channel.hot_to;
-            assembled.model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
+            model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
         } else if lattice.is_above(i, 1) {
             let point = layer * above.len() + stride * column;
             if shaped {
-                assembled.base[i] = above[stride * column];
+                base[i] = above[stride * column];
                 behind_top.push((i, point));
             }
-            let mirror = [assembled.base[i], 2.0 * height - y, z];
+            let mirror = [base[i], 2.0 * height - y, z];
             dummies.push(Dummy { particle: i, point: on_upper.start + point, mirror });
         }
     }
-    let fluid: Vec<usize> = (0..n).filter(|&i| assembled.model.is_fluid(i)).collect();
+    let fluid: Vec<usize> = (0..n).filter(|&i| model.is_fluid(i)).collect();
     let rows = (dimension == 2).then(|| Rows {
         lower: on_lower.clone().collect(),
         upper: on_upper.clone().collect(),
         fluid: fluid.chunks(columns).map(|row| row.iter().map(|&i| i as u32).collect()).collect(),
     });
-    let (model, base) = parts.with_surface(assembled, &surface::Surface { points, dummies, rows }, own);
+    let (model, base) = parts.with_surface(model, &base, &surface::Surface { points, dummies, rows }, own);
     let (particles, vector) = (model.particles(), model.rows.velocity());
     if dimension == 3 {
         let mut relief = Relief::new(0.5 * dx, vector);

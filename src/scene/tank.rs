@@ -28,13 +28,8 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
     let inside = [tank.length, tank.height, tank.depth].map(|extent| count(config, extent));
     let first = [count(config, from[0]), count(config, from[1]), 0];
     let behind = [count(config, to[0]), count(config, to[1]), inside[2]];
-    let offset = -(walls as f64) * spacing;
-    let lattice = Lattice {
-        wall_rows: [walls, walls, 0],
-        periodic: [false, false, dimension == 3],
-        corner: [offset, offset, 0.0],
-        ..Lattice::new(dimension, spacing, [inside[0] + 2 * walls, inside[1] + 2 * walls, inside[2]])
-    };
+    let periodic = [false, false, dimension == 3];
+    let lattice = Lattice::between([walls, walls, 0], dimension, spacing, inside, periodic);
     let parts = Parts::new(config, lattice.with_block(first, behind));
     let mut scene =
         Parts { body_force: BodyForce::Gravity(config.fluid.gravity), ..parts }.build(|_| velocity, |_| 0.0);
