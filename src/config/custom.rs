@@ -252,9 +252,6 @@ impl ShapeEntry {
 }
 
 /// Reads the components of a vector with `read`, as many as there are dimensions.
-///
-/// # Errors
-/// Another number of components, and the first formula that can not be read.
 pub fn functions(
     key: &str,
     vector: &[Formula],
@@ -272,17 +269,11 @@ pub fn functions(
 
 impl Fields {
     /// Reads the formulas of an exact solution: of the velocity's components, and of the temperature.
-    ///
-    /// # Errors
-    /// Formulas that can not be read, and another number of components than of dimensions.
     pub fn of_time(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
         self.read("exact", dimension, Formula::function_of_time)
     }
 
     /// Reads the formulas of the fields at the start.
-    ///
-    /// # Errors
-    /// As for [`Self::of_time`].
     pub fn at_start(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
         self.read("initial", dimension, Formula::function)
     }

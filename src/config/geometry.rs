@@ -1,4 +1,4 @@
-//! The sections `[channel]`, `[tank]` and `[water]`: the geometry of the built-in scenes.
+//! The sections `[channel]`, `[tank]`, `[water]` and `[wall]`: the geometry of the built-in scenes, and their walls.
 
 use crate::config::range::Range::{Finite, NotNegative, Positive, Within};
 use crate::config::section::section;
@@ -35,4 +35,38 @@ section! {
         y: f64 = 0.0, NotNegative;
         speed: f64 = 0.0, Finite;
     }
+}
+
+section! {
+    "wall.": Wall {
+        hot_temperature: f64 = 1.23, Finite;
+        hot_isotherm: HotIsotherm = HotIsotherm::Surface;
+        mass: MassConvention = MassConvention::ColumnArea;
+        slip: Slip = Slip::None;
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HotIsotherm {
+    Surface,
+    Dummy,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MassConvention {
+    ColumnArea,
+    Constant,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub enum Slip {
+    /// The fluid at a wall has the wall's velocity.
+    #[default]
+    #[serde(rename = "no-slip")]
+    None,
+    /// The wall exerts no shear stress.
+    #[serde(rename = "free-slip")]
+    Free,
 }

@@ -129,9 +129,6 @@ impl Layer {
     }
 
     /// Reads one assignment.
-    ///
-    /// # Errors
-    /// As for [`Layer::from_text`], with the setting's label.
     pub fn from_setting<S: Schema>(setting: &Setting) -> Result<Self, BadInput> {
         let bad = |problem: String| BadInput::new(problem).place(&setting.label);
         let Some((path, text)) = setting.assignment.split_once('=') else {
@@ -352,9 +349,6 @@ impl Merged {
 
     /// The merged configuration after checks of every number and their consistency, and then by `more`, which may use
     /// code that this module does not depend on.
-    ///
-    /// # Errors
-    /// The first problem, with the place where its key was set.
     pub fn checked<S: Schema>(&self, more: impl Fn(&S) -> Result<(), BadInput>) -> Result<S, BadInput> {
         let config: S = self.read();
         let origin = config.origin();

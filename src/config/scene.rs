@@ -7,19 +7,17 @@
 pub use crate::config::custom::{Fields, Region, ShapeEntry, VariableEntry};
 pub use crate::config::design::{Design, DesignWalls, ParametrisationName, ShapeName};
 pub use crate::config::device::Kernels;
+pub use crate::config::discretisation::{KernelName, Resolution, Start, Time};
 pub use crate::config::fluid::{BodyForceRegion, DriveName, Flow, Fluid, Heat, UpperWall};
-pub use crate::config::geometry::{Channel, Tank, Water};
+pub use crate::config::geometry::{Channel, HotIsotherm, MassConvention, Slip, Tank, Wall, Water};
 pub use crate::config::method::consistent::{Consistent, IntegratorName, ShiftName};
 pub use crate::config::method::fixed::Fixed;
-pub use crate::config::method::standard::{DensityEquation, DensityGradientName, FluxName, Standard, ViscousPairs};
+pub use crate::config::method::standard::{DensityEquation, DensityGradient, FluxName, Standard, ViscousPairs};
 pub use crate::config::method::Method;
-pub use crate::config::objective::{Interpolation, Objective, ObjectiveForm, ObjectiveKind};
-pub use crate::config::optimise::{DynamicsName, GradientMode, Optimise, OptimiserName, Search};
-pub use crate::config::resolution::{KernelName, Resolution};
+pub use crate::config::optimise::{DynamicsName, GradientMode, Interpolation, Objective, ObjectiveForm, ObjectiveKind};
+pub use crate::config::optimise::{Optimise, OptimiserName, Search};
 pub use crate::config::run::{Output, Precision, Run};
 pub use crate::config::surrogate::{FirstFrames, Surrogate, Trust};
-pub use crate::config::time::{Start, Time};
-pub use crate::config::wall::{HotIsotherm, MassConvention, SlipName, Wall};
 use serde::{Deserialize, Serialize};
 
 /// A complete, resolved configuration.

@@ -3,9 +3,7 @@
 use super::lattice::{Lattice, WallHeat};
 use super::surface::Surface;
 use super::{Exact, Scene};
-use crate::config::scene::{
-    self, Config, DensityEquation, DensityGradientName, FluxName, Method, SlipName, ViscousPairs,
-};
+use crate::config::scene::{self, Config, DensityEquation, FluxName, Method, ViscousPairs};
 use crate::particles::tag;
 use crate::sph::consistent::Consistent;
 use crate::sph::division::Division;
@@ -14,9 +12,7 @@ use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::laws::{
-    ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
-};
+use crate::sph::laws::{ArtificialViscosity, DensityDiffusion, Flux, Riemann, VelocityDiffusion};
 use crate::sph::solver::Snapshot;
 use crate::sph::standard::{Laws, Layout, Standard};
 use crate::sph::{Model, Sweeps};
@@ -33,10 +29,7 @@ fn standard(config: &Config) -> scene::Standard {
 }
 
 fn flux(own: &scene::Standard, sound_speed: f64, smoothing_length: f64, reference_density: f64) -> Flux {
-    let gradient = match own.density_gradient {
-        DensityGradientName::Renormalised => DensityGradient::Renormalised,
-        DensityGradientName::JaxSph => DensityGradient::JaxSph,
-    };
+    let gradient = own.density_gradient;
     match own.flux {
         FluxName::Pair => Flux::Pair,
         FluxName::Delta => Flux::Delta(
@@ -187,10 +180,7 @@ impl<R: Sweeps> Parts<R> {
             smoothing_length,
             every_pair: own.artificial_viscosity_pairs == ViscousPairs::All,
         };
-        let slip = match config.wall.slip {
-            SlipName::NoSlip => Slip::None,
-            SlipName::FreeSlip => Slip::Free,
-        };
+        let slip = config.wall.slip;
         let flux = flux(&own, sound_speed, smoothing_length, density);
         let normals =
             Laws::<R>::asks_for_normals(&flux, slip).then(|| lattice.normals(lid).into_iter().map(R::of).collect());

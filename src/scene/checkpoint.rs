@@ -83,9 +83,6 @@ pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<S
 }
 
 /// Opens a checkpoint of a kind whose configuration equals this one except for the keys and sections in `free`.
-///
-/// # Errors
-/// A missing file, one of another kind, and one of another scene.
 pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<TensorFile, BadInput> {
     let file = TensorFile::read(path).map_err(|e| BadInput::new(e.to_string()))?;
     let found = file.metadata.get("kind").map_or("nothing of ours", String::as_str);

@@ -142,9 +142,6 @@ impl Loaded {
 
     /// The same configuration with further settings, such as those of each start of `--start all`. Defaults are derived
     /// anew. If the settings choose another method, keys that it lacks are dropped.
-    ///
-    /// # Errors
-    /// A setting that cannot be read, and inconsistent values.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = self.given.clone();
         for setting in settings {
@@ -209,9 +206,6 @@ impl Loaded {
     }
 
     /// The design problem that `optimise.search` chooses, with the schedule of its gradient.
-    ///
-    /// # Errors
-    /// A scene without a design, and values that are not allowed.
     pub fn scheduled<R: Sweeps>(&self) -> Result<Scheduled<R>, Error> {
         let located = |error| self.located_error(error);
         let (problem, _) = build_design::<R>(&self.for_search()?.config).map_err(located)?;
@@ -359,9 +353,6 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
 }
 
 /// Checks the wall's shape, and the values of shapes and formulas at every particle. `Config` cannot check these.
-///
-/// # Errors
-/// A wall or shapes that cannot be built.
 pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     match config.scene {
         Family::HeatedChannel => Shape::from_config(config).map(|_| ()),

@@ -40,7 +40,7 @@ section! {
         density_renormalisation: bool = false;
         flux: FluxName = FluxName::Pair;
         density_diffusion: f64 = 0.1, Within(0.0, 1.0);
-        density_gradient: DensityGradientName = DensityGradientName::Renormalised;
+        density_gradient: DensityGradient = DensityGradient::Renormalised;
         velocity_diffusion: f64 = 0.01, Within(0.0, 10.0);
         riemann_limiter: f64 = 3.0, Within(0.0, 1000.0);
         equation_of_state_exponent: f64 = 1.0, Within(1.0, 20.0);
@@ -78,11 +78,13 @@ pub enum FluxName {
     Riemann,
 }
 
-/// The gradients in the diffusion of the density, see [`crate::sph::laws::density_diffusion`].
+/// The gradients g_i and g_j in the diffusion of the density, see [`crate::sph::laws::density_diffusion`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum DensityGradientName {
+pub enum DensityGradient {
     Renormalised,
+    /// As in JAX-SPH, for comparison: g_j is replaced by -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the
+    /// neighbours' matrices and the opposite sign, and no determinant is too small.
     JaxSph,
 }
 
