@@ -118,6 +118,11 @@ impl BadInput {
         Self { place: None, key: None, problem: problem.into(), allowed: None, advice: None }
     }
 
+    /// A problem with the value of a configuration key, from which the loader finds the place.
+    pub fn at(key: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::new(problem).key(key)
+    }
+
     /// File and line, or the command-line text.
     pub fn place(mut self, place: impl Into<String>) -> Self {
         self.place = Some(place.into());

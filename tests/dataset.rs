@@ -3,11 +3,13 @@
 use crate::support::program::{printed, refused};
 use assert_cmd::Command;
 use hydrograd::config::scene::Config;
+use hydrograd::config::schema::Schema;
 use hydrograd::dataset::store::{read_provenance, Store};
 use hydrograd::dataset::walls::{wall, Section, Walls};
 use hydrograd::dataset::{kind, read_split, Metadata, Split, Trajectory};
 use hydrograd::design::shape::{default_nodes, Shape};
 use hydrograd::numerics::random::numbered;
+use hydrograd::scene::load::check_shape;
 use std::path::Path;
 
 /// Small: 200 particles, 3 frames of 4 coarse steps.
@@ -113,7 +115,8 @@ fn layout_statistics_and_provenance() {
             assert_eq!(own.design.offsets.as_ref().unwrap(), &trajectory.wall_offset);
             let shape = Shape::new(trajectory.wall_x.clone(), trajectory.wall_offset.clone(), 0.25, 0.75).unwrap();
             shape.check_bound(config.design.bound).unwrap();
-            own.validate().unwrap();
+            own.check().unwrap();
+            check_shape(&own).unwrap();
             // 30 reference steps at CFL 0.25 are 4 at CFL 1.875.
             let frame = 4.0 * own.time_step();
             assert!((frame - 30.0 * metadata.dt).abs() < 1e-12, "{frame}");

@@ -4,7 +4,6 @@ use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::design::{Optimisation, Search};
 use hydrograd::io::tensor_file::TensorFile;
-use hydrograd::scene::search::solver;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::TempDir;
@@ -63,7 +62,7 @@ fn the_search_of_the_library_is_the_command_s() {
 
         let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
         let loaded = Config::load(Some(scene), None, &sets).unwrap();
-        let solver = solver::<f64>(&loaded).unwrap();
+        let solver = loaded.scheduled::<f64>().unwrap();
         let search = Search { config: &loaded.config, solver: &solver, surrogate: None };
         let mut found = Optimisation::new(search.optimiser(&solver.problem.first));
         search.run(&mut found, 3, &mut |_: &Optimisation| Ok(())).unwrap();

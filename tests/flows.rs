@@ -1,13 +1,10 @@
 //! Verification flows against their exact solutions.
 
-use hydrograd::config::scene::{Config, UpperWall};
+use hydrograd::config::scene::{Config, Family, UpperWall};
 use hydrograd::scene::composite_slab::Series;
 use hydrograd::scene::developed::{parabola, Developed};
 use hydrograd::scene::figures::FlowFigures;
-use hydrograd::scene::lid_driven_cavity::LidDrivenCavity;
-use hydrograd::scene::poiseuille::Poiseuille;
-use hydrograd::scene::reverse_poiseuille::ReversePoiseuille;
-use hydrograd::scene::taylor_green::TaylorGreen;
+use hydrograd::scene::flows::start_velocity;
 use hydrograd::scene::Scene;
 use hydrograd::sph::rows::Quantity;
 use hydrograd::sph::solver::Solver;
@@ -33,6 +30,11 @@ fn scene<R: Sweeps>(name: &str, sets: &[&str]) -> Scene<R> {
     Scene::from_config(&Config::load(Some(name), None, &sets).unwrap().config).unwrap()
 }
 
+/// A built-in scene in the standard formulation with steps of the largest size.
+fn standard<R: Sweeps>(name: &str, sets: &[&str]) -> Scene<R> {
+    scene(name, &[&[STANDARD, "time.steps=1"], sets].concat())
+}
+
 /// Figures of a built-in scene at its end.
 fn end(name: &str, sets: &[&str]) -> FlowFigures {
     let flow = scene::<f64>(name, sets);
@@ -50,7 +52,7 @@ fn exact_solutions_solve_the_equations() {
     // Residuals by central differences of the fields themselves, pressure eliminated: the vortices' vorticity omega obeys
     // d omega/dt + u.grad omega = nu laplace omega, the channel du/dt = F + nu d2u/dy2.
     let (nu, h) = (0.01, 1e-3);
-    let vortices = TaylorGreen::default().build::<f64>().exact;
+    let vortices = scene::<f64>("taylor-green", &[]).exact;
     let u = |x: f64, y: f64, t: f64| vortices.velocity([x, y, 0.0], t).unwrap();
     let omega = |x: f64, y: f64, t: f64| {
         (u(x + h, y, t)[1] - u(x - h, y, t)[1] - u(x, y + h, t)[0] + u(x, y - h, t)[0]) / (2.0 * h)
@@ -78,7 +80,7 @@ fn exact_solutions_solve_the_equations() {
         assert!(u(y, 1e-3).abs() < 1e-9 && u(0.0, t).abs() < 1e-12 && (u(1.0, t) - 1.0).abs() < 1e-12);
         assert!((u(y, 20.0) - y).abs() < 1e-12);
     }
-    let channel = Poiseuille { reynolds: 2.0, ..Default::default() }.build::<f64>().exact;
+    let channel = scene::<f64>("poiseuille", &["flow.reynolds=2"]).exact;
     let u = |y: f64, t: f64| channel.velocity([0.0, y, 0.0], t).unwrap()[0];
     let nu = 0.5;
     for [y, t] in [[0.1, 0.05], [0.5, 0.1], [0.8, 1.0]] {
@@ -93,10 +95,7 @@ fn exact_solutions_solve_the_equations() {
 
 #[test]
 fn taylor_green_decays_as_it_should() {
-    let mut scene = TaylorGreen::default();
-    scene.numerics.cfl = 1.0;
-    let flow = scene.build::<f64>();
-    let all = run(&flow, 0.9);
+    let all = run(&standard::<f64>("taylor-green", &[]), 0.9);
     let (rate, exact) = (decay_rate(&all), 8.0 * std::f64::consts::PI.powi(2) * 0.01);
     let last = all.last().unwrap();
     let error = last.velocity_error.unwrap();
@@ -109,13 +108,12 @@ fn taylor_green_decays_as_it_should() {
 
 #[test]
 fn taylor_green_converges() {
-    let error = |per_side| {
-        let mut scene = TaylorGreen { per_side, ..Default::default() };
-        scene.numerics.cfl = 1.0;
-        let flow = scene.build::<f64>();
+    let error = |dx: &str| {
+        let flow = standard::<f64>("taylor-green", &[dx]);
         run(&flow, 0.9).last().unwrap().velocity_error.unwrap()
     };
-    let (coarse, middle, fine) = (error(20), error(32), error(50));
+    let (coarse, middle, fine) =
+        (error("resolution.dx=0.05"), error("resolution.dx=0.03125"), error("resolution.dx=0.02"));
     let order = (coarse / fine).ln() / 2.5_f64.ln();
     println!("20, 32, 50 a side: {coarse:.4} {middle:.4} {fine:.4}, order {order:.2}");
     assert!(coarse > middle && middle > fine);
@@ -126,9 +124,7 @@ fn taylor_green_converges() {
 #[test]
 fn taylor_green_in_three_dimensions_begins_to_decay_as_it_should() {
     // Without disorder, whose pressure waves would dissipate energy of their own; with it the lattice holds for a while.
-    let mut flow = TaylorGreen { dimension: 3, per_side: 20, reynolds: 50.0, ..Default::default() };
-    flow.numerics.jitter = 0.0;
-    let all = run(&flow.build::<f64>(), 0.6);
+    let all = run(&standard::<f64>("taylor-green-3d", &["time.jitter=0", "time.cfl=0.25"]), 0.6);
     let (rate, exact) = (decay_rate(&all), 3.0 / 50.0);
     println!("3D: rate {rate:.5} of {exact:.5}");
     // Measured: 3.5 % too slow, of which a third is the first step, which has no acceleration yet.
@@ -142,12 +138,11 @@ fn taylor_green_in_three_dimensions_begins_to_decay_as_it_should() {
 #[test]
 fn poiseuille_converges_with_second_order() {
     // A fifth of the viscous time height^2/nu: the centre line has 86 % of its final velocity.
-    let figures = |rows| {
-        let flow = Poiseuille { rows, reynolds: 1.0, ..Default::default() };
-        let all = run(&flow.build::<f64>(), 0.2);
+    let figures = |dx: &str| {
+        let all = run(&standard::<f64>("poiseuille", &[dx, "flow.reynolds=1", "time.cfl=0.25"]), 0.2);
         (all[all.len() / 2].velocity_error.unwrap(), all[all.len() - 1].velocity_error.unwrap())
     };
-    let found = [figures(10), figures(20), figures(30)];
+    let found = ["resolution.dx=0.1", "resolution.dx=0.05", THIRTY].map(figures);
     println!("10, 20, 30 rows, error at t = 0.1 and 0.2: {found:?}");
     for (rows, (half, full)) in [10.0, 20.0, 30.0_f64].into_iter().zip(found) {
         // Measured 0.0103 (10/rows)^1.84 at the end, less half way.
@@ -158,8 +153,9 @@ fn poiseuille_converges_with_second_order() {
 #[test]
 fn single_precision_agrees() {
     let end = 0.05;
-    let scene = TaylorGreen { per_side: 32, ..Default::default() };
-    let (double, single) = (run(&scene.build::<f64>(), end), run(&scene.build::<f32>(), end));
+    let sets = ["resolution.dx=0.03125", "time.cfl=0.25"];
+    let double = run(&standard::<f64>("taylor-green", &sets), end);
+    let single = run(&standard::<f32>("taylor-green", &sets), end);
     let (a, b) = (double.last().unwrap(), single.last().unwrap());
     println!("{a:?}\n{b:?}");
     assert!((a.kinetic_energy / b.kinetic_energy - 1.0).abs() < 1e-5);
@@ -194,11 +190,11 @@ fn starts_as_jax_sph_does() {
     for (name, dimension) in [("tgv2d_tvf1", 2), ("tgv3d_tvf1", 3)] {
         let rows = |field: &str| file.dataset(&format!("{name}/0/{field}")).unwrap().read_raw::<f64>().unwrap();
         let (position, velocity) = (rows("r"), rows("u"));
-        let scene = TaylorGreen { dimension, ..Default::default() };
+        let config = if dimension == 2 { Family::TaylorGreen } else { Family::TaylorGreen3d }.defaults();
         for (r, u) in position.chunks(dimension).zip(velocity.chunks(dimension)) {
             let mut place = [0.0; 3];
             place[..dimension].copy_from_slice(r);
-            let ours = scene.start(place);
+            let ours = start_velocity(&config, place);
             for d in 0..dimension {
                 assert!((ours[d] - u[d]).abs() < 1e-14, "{name} at {r:?}: {ours:?}, {u:?}");
             }
@@ -208,14 +204,13 @@ fn starts_as_jax_sph_does() {
 
 #[test]
 fn opposite_streams_follow_the_exact_solution() {
-    let mut scene = ReversePoiseuille { per_height: 20, ..Default::default() };
-    scene.numerics.cfl = 1.0;
-    let all = run(&scene.build::<f64>(), 1.0);
+    let flow = standard::<f64>("reverse-poiseuille", &["resolution.dx=0.05"]);
+    let all = run(&flow, 1.0);
     let last = all[all.len() - 1];
     // Measured: 0.5 % of the steady centre line, which is 1.25.
     assert!(last.velocity_error.unwrap() < 0.01, "{last:?}");
     assert!((last.kinetic_energy / last.exact_kinetic_energy.unwrap() - 1.0).abs() < 0.01, "{last:?}");
-    let exact = scene.build::<f64>().exact;
+    let exact = flow.exact;
     for y in [0.2, 0.5, 0.9] {
         let [below, above] = [y, y + 1.0].map(|y| exact.velocity([0.0, y, 0.0], 50.0).unwrap()[0]);
         assert!((below - 4.0 * 1.25 * y * (1.0 - y)).abs() < 1e-9 && (below + above).abs() < 1e-9);
@@ -225,9 +220,7 @@ fn opposite_streams_follow_the_exact_solution() {
 #[test]
 fn the_cavity_is_that_of_ghia() {
     // Ghia, Ghia and Shin (1982), Re = 100: u at x = 1/2, y = 0.4531; v at y = 1/2, x = 0.2344 and 0.8047.
-    let mut scene = LidDrivenCavity { per_side: 25, ..Default::default() };
-    scene.numerics.cfl = 1.0;
-    let flow = scene.build::<f64>();
+    let flow = standard::<f64>("lid-driven-cavity", &["resolution.dx=0.04"]);
     let (n, l) = (flow.model.particles(), flow.model.rows);
     assert_eq!(n, 31 * 31);
     let mut solver = Solver::new(flow.model.clone(), flow.start.state.clone()).unwrap();

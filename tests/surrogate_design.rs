@@ -8,7 +8,6 @@ use hydrograd::config::scene::{Config, Kernels};
 use hydrograd::design::optimise::Epoch;
 use hydrograd::design::{Judge, Optimisation, Search};
 use hydrograd::scene::load::Loaded;
-use hydrograd::scene::search::solver;
 use hydrograd::surrogate::design::SurrogateProblem;
 use hydrograd::surrogate::load_learned;
 use std::path::{Path, PathBuf};
@@ -153,7 +152,7 @@ fn the_search_of_the_library_is_the_command_s() {
         let text = std::fs::read_to_string(folder().join(&out).join("summary.json")).unwrap();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
 
-        let solver = solver::<f64>(&loaded).unwrap();
+        let solver = loaded.scheduled::<f64>().unwrap();
         let surrogate = SurrogateProblem::<f64>::of_config(&loaded).unwrap().unwrap();
         let search = Search { config: &loaded.config, solver: &solver, surrogate: Some(&surrogate) };
         let mut found = Optimisation::new(search.optimiser(&solver.problem.first));

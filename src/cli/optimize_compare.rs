@@ -20,7 +20,6 @@ use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
-use crate::scene::search::solver;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
 use serde_json::json;
@@ -162,7 +161,7 @@ fn designs(outcome: &Outcome) -> Vec<(usize, Vec<f64>)> {
 
 /// CMA-ES on the control points of a B-spline, evaluated by the solver.
 fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
-    let solver = solver::<R>(loaded)?;
+    let solver = loaded.scheduled::<R>()?;
     reset_peak_memory();
     let evaluations = EVALUATIONS * loaded.config.optimise.epochs;
     let (clock, bar) = (Instant::now(), Progress::new(evaluations as u64, "optimize cma-es"));
@@ -193,7 +192,7 @@ fn without_gradient<R: Sweeps>(loaded: &Loaded) -> anyhow::Result<Way> {
 /// The cosine between the surrogate's and the solver's gradient of the objective, by epoch.
 fn cosines<R: Sweeps>(loaded: &Loaded, path: &[(usize, Vec<f64>)]) -> anyhow::Result<Vec<(usize, f64)>> {
     let Some(surrogate) = SurrogateProblem::<R>::of_config(loaded)? else { return Ok(Vec::new()) };
-    let solver = solver::<R>(loaded)?;
+    let solver = loaded.scheduled::<R>()?;
     // A wall that only the surrogate has evaluated may fail in the solver.
     let cosine = |variables: &[f64]| {
         let by_solver = solver.differentiate(variables, &mut |_| ()).ok()?.by_variables;

@@ -14,7 +14,6 @@ use crate::io::csv::write_rows;
 use crate::report::progress::{Progress, Tasks};
 use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
-use crate::scene::search::solver;
 use crate::sph::Sweeps;
 use crate::surrogate::design::{model_of, SurrogateProblem};
 use crate::surrogate::models::load::identity;
@@ -58,7 +57,7 @@ pub fn one(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcom
 
 fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
     let (config, folder) = (&loaded.config, how.folder);
-    let solver = solver::<R>(loaded)?;
+    let solver = loaded.scheduled::<R>()?;
     // The scene for plots and reports, if it differs from that of the search.
     let differs = loaded.for_search()?.config != *config;
     let scene = differs.then(|| build::<R>(config)).transpose()?.map(|(scene, _)| scene);

@@ -58,7 +58,7 @@ pub fn had_no_effect(key: &str, value: &str) -> bool {
 /// An unknown choice, and fixed particles of the standard method, which do not exist.
 pub fn chosen(key: &str, value: &str, now: &str) -> Result<String, BadInput> {
     let allowed = CHOICES.iter().find(|(choice, _)| *choice == key).map_or(["", ""], |(_, values)| *values);
-    let bad = |problem: String| Err(BadInput::new(problem).key("method.name").allowed(Method::names().join(", ")));
+    let bad = |problem: String| Err(BadInput::at("method.name", problem).allowed(Method::names().join(", ")));
     let fixed = [value, now].contains(&"fixed");
     match value {
         _ if !allowed.contains(&value) => bad(format!("{key} = {value}, which was {}", allowed.join(" or "))),

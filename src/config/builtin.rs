@@ -15,7 +15,6 @@ use toml_edit::{DocumentMut, Item, Table};
 #[derive(Debug, PartialEq, Eq)]
 pub struct BuiltIn {
     pub name: &'static str,
-    /// A description on one line for `hydrograd scenes`.
     pub description: &'static str,
     /// The text in `data/scenes`. That of a scene has a section `[methods.NAME]` for each method that can solve it.
     written: &'static str,
@@ -104,7 +103,6 @@ impl BuiltIn {
         Merged::with_methods(complete.document.clone(), complete.methods.clone())
     }
 
-    /// The scene's family.
     pub fn family(&self) -> Family {
         toml::from_str::<Config>(self.text()).expect("a built-in scene is a configuration").scene
     }
@@ -171,7 +169,7 @@ macro_rules! built_in {
 /// The section `[run]`, which is the same in every scene.
 const RUN: &str = include_str!("../../data/run.toml");
 
-/// Complete scenes, one per family, with every key of the family (unset keys are commented out). The first is the
+/// Complete scenes, one per [`Family`] in its order, with every key of the family (unset keys are commented out). The first is the
 /// default.
 pub const SCENES: &[BuiltIn] = &[
     built_in!(
@@ -212,15 +210,17 @@ pub const PRESETS: &[BuiltIn] = &[
     built_in!("report-jax-sph", "the same with the report's own equations, JAX-SPH's (950 particles)", "presets/"),
 ];
 
-/// The built-in scene with a name.
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     SCENES.iter().find(|scene| scene.name == name)
 }
 
 impl Family {
-    /// The built-in scene of this family.
     pub fn built_in(self) -> &'static BuiltIn {
-        scene(self.name()).expect("every family has a built-in scene of its name")
+        &SCENES[self as usize]
+    }
+
+    pub fn name(self) -> &'static str {
+        self.built_in().name
     }
 
     /// The configuration of the built-in scene.

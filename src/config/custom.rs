@@ -7,18 +7,12 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The box.
     "region.": Region {
-        /// Lengths along x, y (and z), one for each dimension. The corner is at 0.
         size: Vec<f64> = vec![1.0, 0.4];
-        /// Whether each direction is periodic; otherwise its sides are walls.
         periodic: Vec<bool> = vec![true, false];
-        /// Body force per mass.
         acceleration: Vec<f64> = vec![0.0, 0.0];
-        /// Fluid at x below this is reset to `fluid.inlet_temperature`.
         #[serde(skip_serializing_if = "Option::is_none")]
         inlet_until: Option<f64> = None, NotNegative;
-        /// Fluid at x above this does not conduct.
         #[serde(skip_serializing_if = "Option::is_none")]
         outlet_from: Option<f64> = None, NotNegative;
     }
@@ -104,7 +98,6 @@ impl ShapeNumber {
         parts.chain(entry.thickness.map(|_| Part::Thickness)).map(|part| Self { shape, part }).collect()
     }
 
-    /// The number itself, if it exists.
     pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
         let entry = shapes.get_mut(self.shape)?;
         match self.part {
@@ -132,7 +125,6 @@ impl std::fmt::Display for ShapeNumber {
     }
 }
 
-/// Kinds of shapes, with their keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -171,78 +163,38 @@ pub enum Axis {
 impl Axis {
     /// Index of the direction: 0, 1, 2 for x, y, z.
     pub fn direction(self) -> usize {
-        match self {
-            Self::X => 0,
-            Self::Y => 1,
-            Self::Z => 2,
-        }
+        self as usize
     }
 }
 
 impl Kind {
-    fn name(self) -> &'static str {
+    /// The name in a configuration, and the keys that a shape of this kind must have.
+    fn facts(self) -> (&'static str, &'static [&'static str]) {
         match self {
-            Self::Box => "box",
-            Self::Disc => "disc",
-            Self::Cylinder => "cylinder",
-            Self::Polyline => "polyline",
-            Self::Polygon => "polygon",
-            Self::Where => "where",
-        }
-    }
-
-    /// The keys that a shape of this kind must have.
-    fn keys(self) -> &'static [&'static str] {
-        match self {
-            Self::Box => &["lower", "upper"],
-            Self::Disc => &["centre", "radius"],
-            Self::Cylinder => &["centre", "radius", "axis"],
-            Self::Polyline => &["points", "thickness"],
-            Self::Polygon => &["points"],
-            Self::Where => &["positive"],
+            Self::Box => ("box", &["lower", "upper"]),
+            Self::Disc => ("disc", &["centre", "radius"]),
+            Self::Cylinder => ("cylinder", &["centre", "radius", "axis"]),
+            Self::Polyline => ("polyline", &["points", "thickness"]),
+            Self::Polygon => ("polygon", &["points"]),
+            Self::Where => ("where", &["positive"]),
         }
     }
 }
 
 impl ShapeEntry {
-    /// A shape with every key, for the list of keys.
-    pub fn complete() -> Self {
-        Self {
-            lower: Some(vec![]),
-            upper: Some(vec![]),
-            centre: Some(vec![]),
-            radius: Some(1.0),
-            axis: Some(Axis::Z),
-            points: Some(vec![]),
-            thickness: Some(1.0),
-            positive: Some(1.0.into()),
-            velocity: Some(vec![]),
-            temperature: Some(1.0.into()),
-            ..Self::default()
-        }
-    }
-
     /// Checks shape number `place`; returns the first error.
     pub fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
-        let bad = |name: &str, problem: String| BadInput::new(format!("{}: {problem}", key(name))).key(key(name));
+        let bad = |name: &str, problem: String| BadInput::at(key(name), format!("{}: {problem}", key(name)));
         let kind = self.kind;
-        let given = [
-            ("lower", self.lower.is_some()),
-            ("upper", self.upper.is_some()),
-            ("centre", self.centre.is_some()),
-            ("radius", self.radius.is_some()),
-            ("axis", self.axis.is_some()),
-            ("points", self.points.is_some()),
-            ("thickness", self.thickness.is_some()),
-            ("positive", self.positive.is_some()),
-        ];
-        let allowed = format!("a {} has {}", kind.name(), kind.keys().join(", "));
-        for (name, is_given) in given {
-            let wanted = kind.keys().contains(&name);
-            if wanted != is_given {
+        let (shown, keys) = kind.facts();
+        let given = toml::Table::try_from(self).unwrap_or_default();
+        for name in ["lower", "upper", "centre", "radius", "axis", "points", "thickness", "positive"] {
+            let wanted = keys.contains(&name);
+            if wanted != given.contains_key(name) {
                 let problem = if wanted { "is missing" } else { "has no meaning here" };
-                return Err(bad(name, format!("{problem} (kind = {})", kind.name())).allowed(allowed));
+                return Err(bad(name, format!("{problem} (kind = {shown})"))
+                    .allowed(format!("a {shown} has {}", keys.join(", "))));
             }
         }
         if kind == Kind::Cylinder && dimension == 2 {
@@ -282,7 +234,7 @@ impl ShapeEntry {
             if !is_wall {
                 return Err(bad("velocity", "of fluid".into()).allowed("initial.velocity for the fluid's"));
             }
-            check_vector(&key("velocity"), velocity, dimension)?;
+            functions(&key("velocity"), velocity, dimension, Formula::function)?;
         }
         if let Some(temperature) = &self.temperature {
             if !is_wall {
@@ -299,39 +251,45 @@ impl ShapeEntry {
     }
 }
 
-pub fn check_vector(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
-    check_components(key, vector, dimension)?;
-    for (d, formula) in vector.iter().enumerate() {
-        formula.function(&format!("{key}[{d}]"), dimension)?;
-    }
-    Ok(())
-}
-
-/// As many formulas as there are dimensions.
-fn check_components(key: &str, vector: &[Formula], dimension: usize) -> Result<(), BadInput> {
+/// Reads the components of a vector with `read`, as many as there are dimensions.
+pub fn functions(
+    key: &str,
+    vector: &[Formula],
+    dimension: usize,
+    read: fn(&Formula, &str, usize) -> Result<Function, BadInput>,
+) -> Result<Vec<Function>, BadInput> {
     if vector.len() != dimension {
         let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();
-        return Err(BadInput::new(format!("{key} = [{}] has {} components", texts.join(", "), vector.len()))
-            .key(key)
-            .allowed(format!("{dimension} numbers or formulas, as region.size")));
+        let problem = format!("{key} = [{}] has {} components", texts.join(", "), vector.len());
+        return Err(BadInput::at(key, problem).allowed(format!("{dimension} numbers or formulas, as region.size")));
     }
-    Ok(())
+    let component = |(d, formula): (usize, &Formula)| read(formula, &format!("{key}[{d}]"), dimension);
+    vector.iter().enumerate().map(component).collect()
 }
 
 impl Fields {
     /// Reads the formulas of an exact solution: of the velocity's components, and of the temperature.
-    ///
-    /// # Errors
-    /// Formulas that can not be read, and another number of components than of dimensions.
     pub fn of_time(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
-        if !self.velocity.is_empty() {
-            check_components("exact.velocity", &self.velocity, dimension)?;
-        }
-        let component =
-            |(d, formula): (usize, &Formula)| formula.function_of_time(&format!("exact.velocity[{d}]"), dimension);
-        let velocity = self.velocity.iter().enumerate().map(component).collect::<Result<_, _>>()?;
+        self.read("exact", dimension, Formula::function_of_time)
+    }
+
+    /// Reads the formulas of the fields at the start.
+    pub fn at_start(&self, dimension: usize) -> Result<(Vec<Function>, Option<Function>), BadInput> {
+        self.read("initial", dimension, Formula::function)
+    }
+
+    fn read(
+        &self,
+        section: &str,
+        dimension: usize,
+        read: fn(&Formula, &str, usize) -> Result<Function, BadInput>,
+    ) -> Result<(Vec<Function>, Option<Function>), BadInput> {
+        let velocity = match &self.velocity[..] {
+            [] => vec![],
+            velocity => functions(&format!("{section}.velocity"), velocity, dimension, read)?,
+        };
         let temperature = self.temperature.as_ref();
-        let temperature = temperature.map(|formula| formula.function_of_time("exact.temperature", dimension));
+        let temperature = temperature.map(|formula| read(formula, &format!("{section}.temperature"), dimension));
         Ok((velocity, temperature.transpose()?))
     }
 }

@@ -1,8 +1,9 @@
 //! Device of the operators: the CPU, or a GPU by candle's CUDA backend.
 
+use crate::config::notation::{self, Written};
 use crate::error::BadInput;
 use candle_core::Device;
-use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +18,6 @@ pub enum Kernels {
     Composed,
 }
 
-/// A device by its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeviceName {
     #[default]
@@ -63,17 +63,10 @@ impl Serialize for DeviceName {
 
 impl<'de> Deserialize<'de> for DeviceName {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
-            type Value = DeviceName;
-            fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
-                out.write_str(FORM)
-            }
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<DeviceName, E> {
-                text.parse().map_err(E::custom)
-            }
-        }
-        deserializer.deserialize_any(Visitor)
+        notation::read(deserializer, FORM, |written| match written {
+            Written::Text(text) => Some(text.parse()),
+            _ => None,
+        })
     }
 }
 
@@ -87,7 +80,7 @@ impl DeviceName {
     /// [`BadInput`] (its key is `run.device`): a build without CUDA, a machine without such a GPU.
     pub fn open(self) -> Result<Device, BadInput> {
         let Self::Cuda(number) = self else { return Ok(Device::Cpu) };
-        let bad = |why: &str| BadInput::new(format!("there is no device {self}: {why}")).key("run.device");
+        let bad = |why: &str| BadInput::at("run.device", format!("there is no device {self}: {why}"));
         if !cfg!(feature = "cuda") {
             return Err(bad("this hydrograd was built without CUDA")
                 .allowed("cpu; GPUs in a program that was built with the feature `cuda`")

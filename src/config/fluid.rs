@@ -5,48 +5,36 @@ use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[fluid]`.
     "fluid.": Fluid {
         density: f64 = 1.0, Positive;
-        /// Dynamic viscosity.
         viscosity: f64 = 0.01, Positive;
-        /// Acceleration along x; for reverse Poiseuille flow its magnitude.
         body_force: f64 = 2.3, NotNegative;
-        /// Acceleration of water in a tank, x, y, z.
         gravity: [f64; 3] = [0.0, -1.0, 0.0];
-        /// Where the body force acts: everywhere in the fluid, or only above the undeformed wall (as in JAX-SPH).
         body_force_region: BodyForceRegion = BodyForceRegion::Fluid;
-        /// The quantity that is the same for every wall: the body force, the flow rate, or the driving power.
         drive: DriveName = DriveName::BodyForce;
-        /// The flow rate that is held; default: that of the plane channel under the body force.
         #[serde(skip_serializing_if = "Option::is_none")]
         flow_rate: Option<f64> = None, Positive;
-        /// The power that is held; default: that of the plane channel under the body force.
         #[serde(skip_serializing_if = "Option::is_none")]
         pumping_power: Option<f64> = None, Positive;
         conductivity: f64 = 7.313, Positive;
         heat_capacity: f64 = 305.27, Positive;
         inlet_temperature: f64 = 1.0, Finite;
-        /// Sound speed = sound_speed_factor * reference_velocity.
         reference_velocity: f64 = 1.0, Positive;
         sound_speed_factor: f64 = 10.0, Within(1.0, 1000.0);
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BodyForceRegion {
-    #[default]
     Fluid,
     OriginalChannel,
 }
 
 /// The quantity that is held, see [`crate::sph::laws::drive`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DriveName {
-    /// A given acceleration.
-    #[default]
     BodyForce,
     /// The acceleration that maintains a given flow rate.
     FlowRate,
@@ -57,7 +45,6 @@ pub enum DriveName {
 section! {
     /// The verification flows: reference velocity, density and length are 1.
     "flow.": Flow {
-        /// Reference velocity * length / kinematic viscosity.
         reynolds: f64 = 100.0, Positive;
     }
 }
@@ -65,22 +52,17 @@ section! {
 section! {
     /// Heat of the verification flows.
     "heat.": Heat {
-        /// Slab: ratios of conductivity and heat capacity of the upper half to those of the lower half.
         conductivity_ratio: f64 = 1.0, Within(1e-6, 1e6);
         capacity_ratio: f64 = 1.0, Within(1e-6, 1e6);
-        /// Isothermal channel: kinematic viscosity over thermal diffusivity.
         prandtl: f64 = 1.0, Within(1e-3, 1e3);
-        /// Isothermal channel: the thermal condition of the upper wall.
         upper_wall: UpperWall = UpperWall::Isothermal;
     }
 }
 
 /// The upper wall of the isothermal channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum UpperWall {
-    /// As warm as the lower wall.
-    #[default]
     Isothermal,
     Adiabatic,
 }

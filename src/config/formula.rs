@@ -1,10 +1,9 @@
 //! Numbers that depend on the position: expressions of x, y and z in a configuration, parsed by the crate exmex.
 
+use crate::config::notation::{self, Written};
 use crate::error::BadInput;
 use exmex::{literal_matcher_from_pattern, Express, FlatEx, FloatOpsFactory, MatchLiteral};
-use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use std::fmt;
 
 /// The elements of formulas, for messages.
 pub const ALLOWED: &str =
@@ -21,7 +20,6 @@ literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0
 
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
-/// A parsed formula.
 #[derive(Debug, Clone)]
 pub struct Function {
     expression: Expression,
@@ -30,7 +28,7 @@ pub struct Function {
 }
 
 impl Formula {
-    /// Parses the formula; `key` is its key in messages, such as `shapes[2].temperature`.
+    /// Parses a formula of the place; `key` is its key in messages, such as `shapes[2].temperature`.
     ///
     /// # Errors
     /// An invalid expression, or one with other variables than x, y, z (z only in three dimensions).
@@ -40,17 +38,13 @@ impl Formula {
     }
 
     /// Reads an expression of the place and of the time t.
-    ///
-    /// # Errors
-    /// As for [`Self::function`].
     pub fn function_of_time(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
         let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
         self.read(key, place.chain([(3, "t")]).collect(), &format!("a place in {dimension} dimensions and a time"))
     }
 
     fn read(&self, key: &str, names: Vec<(usize, &str)>, what: &str) -> Result<Function, BadInput> {
-        let bad =
-            |problem: String| BadInput::new(format!("{key} = \"{}\": {problem}", self.0)).key(key).allowed(ALLOWED);
+        let bad = |problem: String| BadInput::at(key, format!("{key} = \"{}\": {problem}", self.0)).allowed(ALLOWED);
         let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
         let number = |name: &String| names.iter().find(|(_, known)| known == name).map(|(k, _)| *k).ok_or(name.clone());
         let variables = expression.var_names().iter().map(number).collect::<Result<Vec<_>, _>>();
@@ -92,25 +86,12 @@ impl Serialize for Formula {
 
 impl<'de> Deserialize<'de> for Formula {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Reads;
-        impl Visitor<'_> for Reads {
-            type Value = Formula;
-            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                out.write_str("a number or a formula in quotes")
-            }
-            fn visit_f64<E: Error>(self, value: f64) -> Result<Formula, E> {
-                Ok(value.into())
-            }
-            fn visit_i64<E: Error>(self, value: i64) -> Result<Formula, E> {
-                Ok((value as f64).into())
-            }
-            fn visit_u64<E: Error>(self, value: u64) -> Result<Formula, E> {
-                Ok((value as f64).into())
-            }
-            fn visit_str<E: Error>(self, value: &str) -> Result<Formula, E> {
-                Ok(Formula(value.to_string()))
-            }
-        }
-        from.deserialize_any(Reads)
+        notation::read(from, "a number or a formula in quotes", |written| {
+            Some(Ok(match written {
+                Written::Text(text) => Self(text.to_string()),
+                Written::Whole(number) => (number as f64).into(),
+                Written::Number(number) => number.into(),
+            }))
+        })
     }
 }

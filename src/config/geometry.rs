@@ -1,26 +1,18 @@
-//! The sections `[channel]`, `[tank]` and `[water]`: the geometry of the built-in scenes.
+//! The sections `[channel]`, `[tank]`, `[water]` and `[wall]`: the geometry of the built-in scenes, and their walls.
 
 use crate::config::range::Range::{Finite, NotNegative, Positive, Within};
 use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[channel]`.
     "channel.": Channel {
-        /// Length of the periodic direction x.
         length: f64 = 1.0, Positive;
-        /// Height of the fluid between the undeformed walls.
         height: f64 = 0.2, Positive;
-        /// In three dimensions: width along z, across the flow, which is periodic.
         span: f64 = 0.2, Positive;
-        /// Rows of dummy particles per wall: at least the kernel's support.
         wall_rows: usize = 2, Within(0.0, 100.0);
-        /// The hot section of the bottom wall: hot_from < x < hot_to.
         hot_from: f64 = 0.25, NotNegative;
         hot_to: f64 = 0.75, NotNegative;
-        /// Fluid at x < inlet_length is reset to the inlet temperature.
         inlet_length: f64 = 0.06, NotNegative;
-        /// Fluid at x > length - outlet_length does not conduct.
         outlet_length: f64 = 0.06, NotNegative;
     }
 }
@@ -28,11 +20,8 @@ section! {
 section! {
     /// A tank with walls on all sides.
     "tank.": Tank {
-        /// Inner length along x.
         length: f64 = 5.36, Positive;
-        /// Inner height along y.
         height: f64 = 2.0, Positive;
-        /// Depth along z, which is periodic.
         depth: f64 = 0.4, Positive;
     }
 }
@@ -42,10 +31,42 @@ section! {
     "water.": Water {
         length: f64 = 2.0, Positive;
         height: f64 = 1.0, Positive;
-        /// Position of its lower corner relative to that of the tank.
         x: f64 = 0.0, NotNegative;
         y: f64 = 0.0, NotNegative;
-        /// Downward speed.
         speed: f64 = 0.0, Finite;
     }
+}
+
+section! {
+    "wall.": Wall {
+        hot_temperature: f64 = 1.23, Finite;
+        hot_isotherm: HotIsotherm = HotIsotherm::Surface;
+        mass: MassConvention = MassConvention::ColumnArea;
+        slip: Slip = Slip::None;
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HotIsotherm {
+    Surface,
+    Dummy,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MassConvention {
+    ColumnArea,
+    Constant,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub enum Slip {
+    /// The fluid at a wall has the wall's velocity.
+    #[default]
+    #[serde(rename = "no-slip")]
+    None,
+    /// The wall exerts no shear stress.
+    #[serde(rename = "free-slip")]
+    Free,
 }

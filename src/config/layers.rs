@@ -85,22 +85,17 @@ impl Layer {
     pub fn from_text<S: Schema>(name: &str, text: &str) -> Result<Self, BadInput> {
         let spanned = Document::parse(text)
             .map_err(|error| BadInput::new(cut(&error.to_string())).place(name).advice(S::HELP))?;
-        let found = flatten(spanned.as_table());
-        let places: Vec<String> = found
-            .iter()
-            .map(|(_, item)| {
-                let start = item.span().map_or(0, |span| span.start);
-                format!("{name}, line {}", text[..start].matches('\n').count() + 1)
-            })
-            .collect();
-        let spans: Vec<Option<Range<usize>>> = found.iter().map(|(_, item)| item.span()).collect();
+        let spans: Vec<Option<Range<usize>>> =
+            flatten(spanned.as_table()).iter().map(|(_, item)| item.span()).collect();
         // Values cloned from a spanned document would refer to its text; the mutable form owns them.
         let owned = spanned.into_mut();
         let found = flatten(owned.as_table());
-        let written = found.iter().zip(&places);
-        let written: Vec<Entry> = written
-            .filter_map(|((path, item), place)| Some(Entry::new(path.clone(), value_of(item)?, place.clone())))
-            .collect();
+        let entry = |((path, item), span): (&(String, &Item), &Option<Range<usize>>)| {
+            let start = span.as_ref().map_or(0, |span| span.start);
+            let place = format!("{name}, line {}", text[..start].matches('\n').count() + 1);
+            Some(Entry::new(path.clone(), value_of(item)?, place))
+        };
+        let written: Vec<Entry> = found.iter().zip(&spans).filter_map(entry).collect();
         if let Err(error) = toml::from_str::<S>(text) {
             if !written.iter().any(Entry::is_of_method) {
                 let at = error.span().unwrap_or_default();
@@ -115,22 +110,25 @@ impl Layer {
                     .map_err(|error| explain::<S>(&error, error.message(), Some(&entry.path)).place(&entry.place))?;
             }
         }
-        let known = known_keys::<S>();
-        let mut entries = found
-            .iter()
-            .zip(&places)
-            .map(|((path, item), place)| entry(&known, path.clone(), item, place.clone()))
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut layer = Self::of_keys::<S>(written)?;
         if before::is_complete(&found.iter().map(|(path, _)| path.as_str()).collect::<Vec<_>>()) {
-            entries.iter_mut().for_each(|entry| entry.lenient |= entry.before.is_some());
+            layer.entries.iter_mut().for_each(|entry| entry.lenient |= entry.before.is_some());
         }
-        Ok(Self { entries })
+        Ok(layer)
+    }
+
+    /// Checks that each entry is a key, not a section. (Serde would also read a section from an array by position.)
+    fn of_keys<S: Schema>(entries: Vec<Entry>) -> Result<Self, BadInput> {
+        let known = known_keys::<S>();
+        let Some(wrong) = entries.iter().find(|entry| !known.contains(&entry.path)) else {
+            return Ok(Self { entries });
+        };
+        let path = wrong.before.as_ref().unwrap_or(&wrong.path);
+        let bad = BadInput::new(format!("`{path}` is a section, not a value")).place(&wrong.place);
+        Err(bad.allowed(format!("[{path}] with one line per key")))
     }
 
     /// Reads one assignment.
-    ///
-    /// # Errors
-    /// As for [`Layer::from_text`], with the setting's label.
     pub fn from_setting<S: Schema>(setting: &Setting) -> Result<Self, BadInput> {
         let bad = |problem: String| BadInput::new(problem).place(&setting.label);
         let Some((path, text)) = setting.assignment.split_once('=') else {
@@ -146,16 +144,11 @@ impl Layer {
         entry
             .read_alone::<S>()
             .map_err(|error| explain::<S>(&error, error.message(), Some(&entry.path)).place(&setting.label))?;
-        if known_keys::<S>().contains(&entry.path) {
-            return Ok(Self { entries: vec![entry] });
-        }
         // A setting may be a section's table.
-        let known = known_keys::<S>();
-        let entries = flatten(document(&keys, entry.value).as_table())
-            .into_iter()
-            .map(|(path, item)| self::entry(&known, path, item, setting.label.clone()))
-            .collect::<Result<_, _>>()?;
-        Ok(Self { entries })
+        let document = document(&keys, entry.value);
+        let found = flatten(document.as_table()).into_iter();
+        let entry = |(path, item)| Some(Entry::new(path, value_of(item)?, setting.label.clone()));
+        Self::of_keys::<S>(found.filter_map(entry).collect())
     }
 
     /// The values of a configuration that differ from the defaults, with `place` as their origin.
@@ -356,9 +349,6 @@ impl Merged {
 
     /// The merged configuration after checks of every number and their consistency, and then by `more`, which may use
     /// code that this module does not depend on.
-    ///
-    /// # Errors
-    /// The first problem, with the place where its key was set.
     pub fn checked<S: Schema>(&self, more: impl Fn(&S) -> Result<(), BadInput>) -> Result<S, BadInput> {
         let config: S = self.read();
         let origin = config.origin();
@@ -399,17 +389,6 @@ fn document(keys: &[&str], value: Value) -> DocumentMut {
     }
     *item = Item::Value(value);
     document
-}
-
-/// The entry of a value at the path of a key. (Serde would also read a section from an array by position.)
-fn entry(known: &[String], path: String, item: &Item, place: String) -> Result<Entry, BadInput> {
-    let today = before::today(&path).unwrap_or_else(|| path.clone());
-    match value_of(item) {
-        Some(value) if known.contains(&today) => Ok(Entry::new(path, value, place)),
-        _ => Err(BadInput::new(format!("`{path}` is a section, not a value"))
-            .place(place)
-            .allowed(format!("[{path}] with one line per key"))),
-    }
 }
 
 /// Parses a TOML value, a number such as `.5`, or a word without quotes.

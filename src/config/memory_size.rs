@@ -3,14 +3,13 @@
 //! The crate `bytesize` (2.7) is not used, because it accepts a number without a unit and 0, rejects `1e3B`, and writes
 //! 300 MB as 286.1 MiB, which does not read back.
 
-use serde::{de, Deserialize, Deserializer, Serialize, Serializer};
+use crate::config::notation::{self, Written};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// An amount of memory in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MemorySize(pub u64);
 
-/// Units and their numbers of bytes.
 const UNITS: [(&str, u64); 7] = [
     ("B", 1),
     ("KB", 1_000),
@@ -25,7 +24,6 @@ const UNITS: [(&str, u64); 7] = [
 pub const FORM: &str = "a number above 0 with its unit, B, KB, MB, GB, KiB, MiB or GiB, such as \"200MB\"";
 
 impl MemorySize {
-    /// The number of bytes as `usize`.
     pub fn bytes(self) -> usize {
         usize::try_from(self.0).unwrap_or(usize::MAX)
     }
@@ -73,22 +71,10 @@ impl Serialize for MemorySize {
 
 impl<'de> Deserialize<'de> for MemorySize {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl de::Visitor<'_> for Visitor {
-            type Value = MemorySize;
-            fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
-                out.write_str(FORM)
-            }
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<MemorySize, E> {
-                text.parse().map_err(E::custom)
-            }
-            fn visit_i64<E: de::Error>(self, number: i64) -> Result<MemorySize, E> {
-                number.to_string().parse().map_err(E::custom)
-            }
-            fn visit_f64<E: de::Error>(self, number: f64) -> Result<MemorySize, E> {
-                number.to_string().parse().map_err(E::custom)
-            }
-        }
-        deserializer.deserialize_any(Visitor)
+        notation::read(deserializer, FORM, |written| match written {
+            Written::Text(text) => Some(text.parse()),
+            Written::Whole(number) => Some(number.to_string().parse()),
+            Written::Number(number) => Some(number.to_string().parse()),
+        })
     }
 }

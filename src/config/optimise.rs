@@ -1,4 +1,4 @@
-//! The section `[optimise]`: the search for a design.
+//! The sections `[objective]` and `[optimise]`: how a design is evaluated, and the search for one.
 
 use crate::config::memory_size::MemorySize;
 use crate::config::range::{
@@ -11,61 +11,87 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[optimise]`.
+    "objective.": Objective {
+        kind: ObjectiveKind = ObjectiveKind::HeatOutflow;
+        target_x: f64 = 0.9, NotNegative;
+        window: f64 = 0.5, NotNegative;
+        samples: usize = 40, Within(1.0, MAX_STEPS);
+        /// Which fields are interpolated, and from which particles, see [`crate::sph::interpolation`].
+        interpolation: Interpolation = Interpolation::Flux;
+        form: ObjectiveForm = ObjectiveForm::Flux;
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectiveKind {
+    /// The heat that the fluid carries through the target column.
+    HeatOutflow,
+    /// The mixed temperature of the fluid at the targets: its flux of u T over its flux of u.
+    OutletTemperature,
+    /// The heat that the walls give to the fluid upstream of the targets.
+    WallHeat,
+    FlowRate,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectiveForm {
+    Flux,
+    Sum,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Interpolation {
+    Fluid,
+    FluidAndWalls,
+    Flux,
+}
+
+section! {
     "optimise.": Optimise {
         method: OptimiserName = OptimiserName::LBfgsB;
-        /// The method that is used during the search.
         search: Search = Search::Fixed;
         epochs: usize = 25, Within(1.0, 1e6);
-        /// Adam's step, or the first step of L-BFGS-B, in offset units: 2e-2 is one spacing at dx = 0.02.
         learning_rate: f64 = 3e-3, Positive;
-        /// Weight w of w * sum (offset_{i+1} - offset_i)^2.
         smoothing: f64 = 0.05, NotNegative;
         gradient: GradientMode = GradientMode::Segments;
         /// Memory budget of the gradient, from which its schedule follows (see [`crate::adjoint::schedule`]).
         memory: MemorySize = MemorySize(300_000_000);
-        /// Precision of kept states; single precision is only for schedules that keep every state.
         store: Precision = Precision::F64;
-        /// Steps per segment; 0 chooses a schedule by memory.
         segment: usize = 0, Within(0.0, MAX_STEPS);
-        /// Number of steps of a `truncated` gradient.
         horizon: usize = 200, Within(1.0, MAX_STEPS);
         /// Limit of the derivative by the state relative to the objective's own terms, see
         /// [`crate::adjoint::schedule::Schedule::clip`]; 0: no limit.
         clip: f64 = 0.0, NotNegative;
-        /// Step of `differences` to both sides, as a fraction of the distance between a number's limits.
         difference: f64 = 0.05, Within(1e-6, 0.5);
-        /// The model that evaluates walls during the search.
         dynamics: DynamicsName = DynamicsName::Solver;
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OptimiserName {
     /// Kingma and Ba (2015).
-    #[default]
     Adam,
     /// Limited-memory quasi-Newton steps within the bounds (Byrd, Lu, Nocedal and Zhu 1995).
     LBfgsB,
 }
 
 /// The method that evaluates designs during the search. The result is shown with the scene's own method.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Search {
     /// The method with the same equations on fixed particles, with the gradient of the steady state; the scene's own
     /// method if it has no such counterpart.
-    #[default]
     Fixed,
-    /// The scene's own method.
     Scene,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum GradientMode {
-    #[default]
     Segments,
     Taped,
     Truncated,
@@ -76,10 +102,9 @@ pub enum GradientMode {
 }
 
 /// What judges walls while the optimiser searches. What it finds is judged by the solver in any case.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum DynamicsName {
-    #[default]
     Solver,
     /// A learned model, from frames that the solver makes.
     Surrogate,
@@ -90,25 +115,24 @@ pub enum DynamicsName {
 impl Optimise {
     /// Checks that the gradient is limited only if it goes back through a run, and that states are rounded only if the
     /// schedule keeps every state of a run in double precision.
-    ///
-    /// # Errors
-    /// The first key that violates this.
     pub fn check(&self, precision: Precision) -> Result<(), BadInput> {
         let has_none = matches!(self.gradient, GradientMode::Steady | GradientMode::Differences);
         if has_none && self.clip > 0.0 {
-            return Err(BadInput::new("optimise.clip with a gradient that does not go back through a run")
-                .key("optimise.clip")
-                .allowed("0 with optimise.gradient = steady or differences")
-                .advice("optimise.gradient=segments"));
+            return Err(BadInput::at(
+                "optimise.clip",
+                "optimise.clip with a gradient that does not go back through a run",
+            )
+            .allowed("0 with optimise.gradient = steady or differences")
+            .advice("optimise.gradient=segments"));
         }
         let every_state = self.gradient != GradientMode::Taped && self.segment <= 1;
         if self.store == Precision::F32 && precision == Precision::F64 && !every_state {
-            return Err(BadInput::new("optimise.store = f32 with states that steps are run again from")
-                .key("optimise.store")
-                .allowed("f32 only where every state is kept: a run from a rounded state is another run")
-                .advice(
-                    "optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64",
-                ));
+            return Err(BadInput::at(
+                "optimise.store",
+                "optimise.store = f32 with states that steps are run again from",
+            )
+            .allowed("f32 only where every state is kept: a run from a rounded state is another run")
+            .advice("optimise.segment=0 (chosen by memory) and a gradient that is not taped, or optimise.store=f64"));
         }
         Ok(())
     }

@@ -5,17 +5,11 @@ use crate::config::scene::Config;
 
 impl Config {
     /// The configuration as TOML with every key, which reads back to it.
-    ///
-    /// # Errors
-    /// None in practice, because a configuration can be represented in TOML.
     pub fn recorded(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self as &dyn erased_serde::Serialize)
     }
 
     /// A recorded configuration, possibly by an earlier version.
-    ///
-    /// # Errors
-    /// Text that is not a configuration.
     pub fn from_record(text: &str) -> Result<Self, toml::de::Error> {
         let mut table: toml::Table = text.parse()?;
         before::translate(&mut table);

@@ -58,14 +58,10 @@ impl Range {
 }
 
 /// Returns an error if a spacing makes too many particles.
-///
-/// # Errors
-/// Too many particles.
 pub fn countable(dx: f64, particles: f64) -> Result<(), BadInput> {
     match particles > MAX_PARTICLES {
         false => Ok(()),
-        true => Err(BadInput::new(format!("resolution.dx = {dx} makes {particles:.1e} particles"))
-            .key("resolution.dx")
+        true => Err(BadInput::at("resolution.dx", format!("resolution.dx = {dx} makes {particles:.1e} particles"))
             .allowed(format!("at most {MAX_PARTICLES:.0e} particles"))),
     }
 }

@@ -7,19 +7,17 @@
 pub use crate::config::custom::{Fields, Region, ShapeEntry, VariableEntry};
 pub use crate::config::design::{Design, DesignWalls, ParametrisationName, ShapeName};
 pub use crate::config::device::Kernels;
+pub use crate::config::discretisation::{KernelName, Resolution, Start, Time};
 pub use crate::config::fluid::{BodyForceRegion, DriveName, Flow, Fluid, Heat, UpperWall};
-pub use crate::config::geometry::{Channel, Tank, Water};
+pub use crate::config::geometry::{Channel, HotIsotherm, MassConvention, Slip, Tank, Wall, Water};
 pub use crate::config::method::consistent::{Consistent, IntegratorName, ShiftName};
 pub use crate::config::method::fixed::Fixed;
-pub use crate::config::method::standard::{DensityEquation, DensityGradientName, FluxName, Standard, ViscousPairs};
+pub use crate::config::method::standard::{DensityEquation, DensityGradient, FluxName, Standard, ViscousPairs};
 pub use crate::config::method::Method;
-pub use crate::config::objective::{Interpolation, Objective, ObjectiveForm, ObjectiveKind};
-pub use crate::config::optimise::{DynamicsName, GradientMode, Optimise, OptimiserName, Search};
-pub use crate::config::resolution::{KernelName, Resolution};
+pub use crate::config::optimise::{DynamicsName, GradientMode, Interpolation, Objective, ObjectiveForm, ObjectiveKind};
+pub use crate::config::optimise::{Optimise, OptimiserName, Search};
 pub use crate::config::run::{Output, Precision, Run};
 pub use crate::config::surrogate::{FirstFrames, Surrogate, Trust};
-pub use crate::config::time::{Start, Time};
-pub use crate::config::wall::{HotIsotherm, MassConvention, SlipName, Wall};
 use serde::{Deserialize, Serialize};
 
 /// A complete, resolved configuration.
@@ -56,7 +54,7 @@ pub struct Config {
     pub output: Output,
 }
 
-/// The scene family; one file per family in `src/scene/`.
+/// The scene family, in the order of [`SCENES`](crate::config::builtin::SCENES).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
@@ -87,35 +85,11 @@ pub enum Family {
 }
 
 impl Family {
-    /// The name in a configuration.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::HeatedChannel => "heated-channel",
-            Self::HeatedChannel3d => "heated-channel-3d",
-            Self::TaylorGreen => "taylor-green",
-            Self::TaylorGreen3d => "taylor-green-3d",
-            Self::Poiseuille => "poiseuille",
-            Self::Couette => "couette",
-            Self::ReversePoiseuille => "reverse-poiseuille",
-            Self::ReversePoiseuille3d => "reverse-poiseuille-3d",
-            Self::LidDrivenCavity => "lid-driven-cavity",
-            Self::LidDrivenCavity3d => "lid-driven-cavity-3d",
-            Self::Slab => "slab",
-            Self::IsothermalChannel => "isothermal-channel",
-            Self::DamBreak => "dam-break",
-            Self::DamBreak3d => "dam-break-3d",
-            Self::FallingBlock => "falling-block",
-            Self::HydrostaticTank => "hydrostatic-tank",
-            Self::Custom => "custom",
-        }
-    }
-
     /// Whether the scene is water in a tank with a free surface.
     pub fn has_surface(self) -> bool {
         matches!(self, Self::DamBreak | Self::DamBreak3d | Self::FallingBlock | Self::HydrostaticTank)
     }
 
-    /// Whether the scene has something to optimise.
     pub fn has_design(self) -> bool {
         matches!(self, Self::HeatedChannel | Self::HeatedChannel3d)
     }

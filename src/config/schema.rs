@@ -41,9 +41,6 @@ pub trait Schema: Default + Serialize + DeserializeOwned {
     fn check_together(&self) -> Result<(), BadInput>;
 
     /// Checks the range of every number, and that the values are consistent.
-    ///
-    /// # Errors
-    /// The first error.
     fn check(&self) -> Result<(), BadInput> {
         let (usual, whose) = self.usual();
         for (key, value, range) in self.numbers() {

@@ -1,42 +1,19 @@
 //! The macro for a section of a configuration: each key with its default and, for numbers, its range.
 
 use crate::config::range::{Number, Range};
+use serde::Serialize;
+use toml::Value;
 
-pub trait MayBeNumber {
-    fn number(&self) -> Option<f64>;
-}
-
-impl MayBeNumber for f64 {
-    fn number(&self) -> Option<f64> {
-        Some(*self)
-    }
-}
-
-impl MayBeNumber for usize {
-    fn number(&self) -> Option<f64> {
-        Some(*self as f64)
-    }
-}
-
-impl MayBeNumber for u64 {
-    fn number(&self) -> Option<f64> {
-        Some(*self as f64)
-    }
-}
-
-impl<T: MayBeNumber> MayBeNumber for Option<T> {
-    fn number(&self) -> Option<f64> {
-        self.as_ref().and_then(T::number)
-    }
-}
-
-/// The number of a key with its range; none if it is absent.
-pub fn number(key: &'static str, value: &impl MayBeNumber, range: Range) -> Option<Number> {
-    value.number().map(|value| (key, value, range))
+/// The value of a key with its range; none if the key is absent.
+pub fn number(key: &'static str, value: &impl Serialize, range: Range) -> Option<Number> {
+    let value = Value::try_from(value).ok()?;
+    let number = value.as_float().or_else(|| value.as_integer().map(|number| number as f64))?;
+    Some((key, number, range))
 }
 
 /// Defines the struct of a section from the prefix of its keys, such as `"time."`, and lines `key: type = default;` or
-/// `key: type = default, range;`.
+/// `key: type = default, range;`. What a key means, and its unit, is the comment above it in `data/scenes`, `data/methods`,
+/// `data/run.toml` or `data/training.toml`.
 macro_rules! section {
     ($(#[$meta:meta])* $prefix:literal: $name:ident {
         $($(#[$of_key:meta])* $key:ident: $type:ty = $default:expr $(, $range:expr)?;)*

@@ -13,8 +13,8 @@
 //!
 //! Fixed particles were not mapped: 0.9 is three quarters of the 1.2 that was found to hold over gentle walls.
 
-use serde::de::{self, Deserializer};
-use std::fmt;
+use crate::config::notation::{self, Written};
+use serde::Deserializer;
 
 /// Limits of the CFL number for a kind of step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,25 +39,10 @@ pub const AUTO: &str = "auto";
 
 /// Reads a CFL number. [`AUTO`] gives NaN, which the loader replaces.
 pub fn cfl<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    struct Visitor;
-    impl de::Visitor<'_> for Visitor {
-        type Value = f64;
-
-        fn expecting(&self, out: &mut fmt::Formatter) -> fmt::Result {
-            write!(out, "a number or \"{AUTO}\"")
-        }
-        fn visit_f64<E: de::Error>(self, number: f64) -> Result<f64, E> {
-            Ok(number)
-        }
-        fn visit_i64<E: de::Error>(self, number: i64) -> Result<f64, E> {
-            Ok(number as f64)
-        }
-        fn visit_str<E: de::Error>(self, text: &str) -> Result<f64, E> {
-            match text {
-                AUTO => Ok(f64::NAN),
-                _ => Err(E::invalid_value(de::Unexpected::Str(text), &self)),
-            }
-        }
-    }
-    deserializer.deserialize_any(Visitor)
+    notation::read(deserializer, "a number or \"auto\"", |written| match written {
+        Written::Text(AUTO) => Some(Ok(f64::NAN)),
+        Written::Text(_) => None,
+        Written::Whole(number) => Some(Ok(number as f64)),
+        Written::Number(number) => Some(Ok(number)),
+    })
 }

@@ -11,49 +11,37 @@ use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[surrogate]`.
     "surrogate.": Surrogate {
-        /// A model by `hydrograd train`; default: the built-in one.
         #[serde(skip_serializing_if = "Option::is_none")]
         model: Option<String> = None;
-        /// Number of reference steps that the solver makes before the first frame.
         settle: usize = 2500, Within(1.0, MAX_STEPS);
-        /// Number of frames that the model predicts after those of the solver.
         steps: usize = 20, Within(1.0, 10_000.0);
-        /// Length of the window at the end of the predicted time over which the objective is averaged, in time units.
         window: f64 = 0.9, NotNegative;
         first_frames: FirstFrames = FirstFrames::Differentiable;
-        /// Precision of the network; it was trained in single precision.
         precision: Precision = Precision::F32;
         trust: Trust = Trust::None;
-        /// With `trust = check`: number of epochs between two evaluations by the solver.
         check_every: usize = 5, Within(1.0, 1e6);
-        /// With `trust = region`: largest change of a node in the first epoch.
         radius: f64 = 5e-3, Positive;
-        /// With `trust = region`: number of optimiser steps within the region per epoch.
         inner_epochs: usize = 10, Within(1.0, 1e6);
-        /// With `dynamics = both`: number of epochs with the surrogate.
         epochs: usize = 10, Within(1.0, 1e6);
     }
 }
 
 /// How the gradient treats the first frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstFrames {
     /// They depend on the wall over which the solver made them.
-    #[default]
     Differentiable,
     /// They are constant.
     Detached,
 }
 
 /// How a surrogate is kept honest.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trust {
     /// It is believed; only the first and the best wall are run in the solver, at the end.
-    #[default]
     None,
     /// The solver evaluates every `check_every`th wall, and the best of those wins.
     Check,
@@ -64,11 +52,8 @@ pub enum Trust {
 
 impl Surrogate {
     /// Checks that the settings of a surrogate are given only if a search uses one.
-    ///
-    /// # Errors
-    /// `trust` without a surrogate.
     pub fn check(&self, dynamics: DynamicsName) -> Result<(), BadInput> {
-        let bad = |problem: &str| BadInput::new(problem).key("surrogate.trust");
+        let bad = |problem: &str| BadInput::at("surrogate.trust", problem);
         match (dynamics, self.trust) {
             (DynamicsName::Solver, Trust::Check | Trust::Region) => Err(bad("surrogate.trust without a surrogate")
                 .allowed("none where the solver judges every wall")

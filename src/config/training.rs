@@ -30,31 +30,22 @@ pub const FREE: [&str; 6] =
 section! {
     /// The settings of a training. Defaults follow LagrangeBench where it has them.
     "": Settings {
-        /// Number of parameter updates.
         steps: u64 = 20_000, AtLeast(1.0);
-        /// Number of windows per update, whose gradients are averaged.
         batch_size: usize = 1, Within(1.0, 4096.0);
-        /// Standard deviation of the position noise at the last input frame, in units of length.
         noise: f64 = 3e-4, NotNegative;
-        /// Standard deviation of the temperature noise, in standard deviations of the temperature's change per frame.
         temperature_noise: f64 = 0.1, NotNegative;
-        /// max(learning_rate * learning_rate_factor^(step/learning_rate_steps), learning_rate_least).
         learning_rate: f64 = 5e-4, Positive;
         learning_rate_factor: f64 = 0.1, Within(0.0, 1.0);
         learning_rate_steps: u64 = 100_000, AtLeast(1.0);
         learning_rate_least: f64 = 1e-6, NotNegative;
         weight_decay: f64 = 1e-8, NotNegative;
-        /// Largest norm of the gradient of all parameters; 0 does not clip.
         clip: f64 = 0.0, NotNegative;
-        /// Decay of a moving average of the parameters, which is validated and stored as well; 0 keeps none.
         ema: f64 = 0.0, Below(0.0, 1.0);
         temperature_weight: f64 = 1.0, NotNegative;
         seed: u64 = 0;
-        /// Steps between rows of history.csv, between validations, and between checkpoints.
         log_every: u64 = 50, AtLeast(1.0);
         validate_every: u64 = 1000, AtLeast(1.0);
         store_every: u64 = 1000, AtLeast(1.0);
-        /// Number of windows of the validation split that are rolled out, and of frames in each.
         validation_windows: usize = 8, AtLeast(1.0);
         validation_steps: usize = 20, AtLeast(1.0);
         model: ModelSettings = ModelSettings::default();
@@ -64,19 +55,13 @@ section! {
 }
 
 section! {
-    /// The model.
     "model.": ModelSettings {
         kind: Kind = Kind::Gns;
-        /// Width of the latent vectors and of the hidden layers.
         latent: usize = 64, Within(1.0, 4096.0);
-        /// Number of rounds of message passing.
         rounds: usize = 5, Within(1.0, 100.0);
-        /// Number of linear layers of each perceptron.
         linears: usize = 2, Within(2.0, 8.0);
-        /// Connectivity radius in spacings; default: that of the data set.
         #[serde(skip_serializing_if = "Option::is_none")]
         radius: Option<f64> = None, Above(1.0, 10.0);
-        /// Size of the embedding of the particle type.
         embedding: usize = 16, AtLeast(1.0);
         heat: HeatModel = HeatModel::Learned;
     }
@@ -85,7 +70,6 @@ section! {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Graph network simulator.
     Gns,
     /// E(n)-equivariant graph network.
     Egnn,
@@ -104,16 +88,11 @@ pub enum HeatModel {
 }
 
 section! {
-    /// The input features of a model.
     #[derive(Copy, Eq)]
     "features.": Features {
-        /// Number of frames of a window.
         frames: usize = MOST_FRAMES, Within(2.0, MOST_FRAMES as f64);
-        /// Whether norms of the velocities are features.
         speed: bool = false;
-        /// Whether distances to the ends of the box are features, in directions that are not periodic.
         boundary: bool = true;
-        /// Whether temperatures of adiabatic walls are features, which the data have but a rollout does not.
         unset_walls: bool = false;
     }
 }
@@ -143,7 +122,6 @@ impl Pushforward {
         self.unrolls.first().copied().unwrap_or(0)
     }
 
-    /// The largest number of unrolled steps.
     pub fn most(&self) -> usize {
         self.unrolls.iter().copied().max().unwrap_or(0)
     }
@@ -178,26 +156,29 @@ impl Schema for Settings {
 
     fn check_together(&self) -> Result<(), BadInput> {
         if self.learning_rate_least > self.learning_rate {
-            return Err(BadInput::new(format!("learning_rate_least = {} is out of range", self.learning_rate_least))
-                .key("learning_rate_least")
-                .allowed(format!("learning_rate_least <= learning_rate, {}", self.learning_rate)));
+            return Err(BadInput::at(
+                "learning_rate_least",
+                format!("learning_rate_least = {} is out of range", self.learning_rate_least),
+            )
+            .allowed(format!("learning_rate_least <= learning_rate, {}", self.learning_rate)));
         }
         self.pushforward.check()
     }
 }
 
 impl Pushforward {
-    /// Checks that the three lists are consistent.
     fn check(&self) -> Result<(), BadInput> {
         let Self { after, unrolls, odds } = self;
         if after.len() != unrolls.len() || after.len() != odds.len() || after.first() != Some(&-1) {
-            return Err(BadInput::new("pushforward's after, unrolls and odds do not belong together")
-                .key("pushforward.after")
-                .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
-                .advice("pushforward.after=[-1] pushforward.unrolls=[0] pushforward.odds=[1]"));
+            return Err(BadInput::at(
+                "pushforward.after",
+                "pushforward's after, unrolls and odds do not belong together",
+            )
+            .allowed("three lists of one length, after beginning with -1 and growing, odds > 0")
+            .advice("pushforward.after=[-1] pushforward.unrolls=[0] pushforward.odds=[1]"));
         }
         let wrong = |key: &str, value: String, allowed: String| {
-            let bad = BadInput::new(format!("{key} = {value} is out of range")).key(key);
+            let bad = BadInput::at(key, format!("{key} = {value} is out of range"));
             Err(bad.allowed(format!("{key} {allowed}")))
         };
         if after.windows(2).any(|pair| pair[1] <= pair[0]) {
@@ -241,7 +222,6 @@ impl Settings {
         merged.checked(|_| Ok(()))
     }
 
-    /// The settings as TOML.
     pub fn text(&self) -> String {
         toml::to_string(self as &dyn erased_serde::Serialize).unwrap_or_default()
     }
@@ -254,7 +234,6 @@ impl Settings {
     }
 }
 
-/// Reads a file with settings.
 fn read(path: &Path) -> Result<Layer, BadInput> {
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|error| {

@@ -10,8 +10,7 @@ use crate::adjoint::{Dynamics, RunError};
 use crate::config::scene::{Config, Family};
 use crate::error::Error;
 use crate::particles::tag;
-use crate::scene::assembly::Numerics;
-use crate::scene::taylor_green::TaylorGreen;
+use crate::scene::flows;
 use crate::scene::Scene;
 use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
@@ -74,7 +73,7 @@ fn is_inner<R: Sweeps>(config: &Config, scene: &Scene<R>, i: usize) -> bool {
     let (model, state, dx) = (&scene.model, &scene.start.state, scene.spacing);
     let n = model.particles();
     // Distance outside of the fluid's square, which the walls surround.
-    let walls = Numerics::from_config(config).wall_rows as f64 * dx;
+    let walls = config.wall_rows() as f64 * dx;
     let outside = |d: usize| {
         let x = state[d * n + i].f64();
         (walls - x).max(x - (model.domain.size[d] - walls))
@@ -230,14 +229,13 @@ fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
 /// The initial state with the fluid at other positions, with the initial velocities there.
 fn restart<R: Sweeps>(config: &Config, model: &Model<R>, start: &mut Snapshot<R>, position: &[R]) {
     let (n, l) = (model.particles(), model.rows);
-    let vortices = TaylorGreen { dimension: l.dimension, ..Default::default() };
     for i in (0..n).filter(|&i| model.is_fluid(i)) {
         for d in 0..l.dimension {
             start.state[d * n + i] = position[d * n + i];
         }
         if matches!(config.scene, Family::TaylorGreen | Family::TaylorGreen3d) {
             let place = std::array::from_fn(|d| if d < l.dimension { position[d * n + i].f64() } else { 0.0 });
-            let velocity = vortices.start(place);
+            let velocity = flows::start_velocity(config, place);
             for d in 0..l.dimension {
                 start.state[(l.velocity() + d) * n + i] = R::of(velocity[d]);
             }

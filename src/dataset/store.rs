@@ -5,7 +5,7 @@ use super::recipe::{Job, Recipe};
 use super::record::Enclosure;
 use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
-use crate::config::scene::{Config, DensityEquation, Family, FluxName, Method, SlipName, Standard};
+use crate::config::scene::{Config, DensityEquation, Family, FluxName, Method, Slip, Standard};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::{is_temporary, write_bytes_atomically};
 use crate::io::hdf5_file::{
@@ -228,7 +228,7 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
         },
         "density_evolution": own.density_equation == DensityEquation::Evolution,
         "is_bc_trick": true,
-        "free_slip": config.wall.slip == SlipName::FreeSlip,
+        "free_slip": config.wall.slip == Slip::Free,
         "artificial_alpha": own.artificial_viscosity,
         "viscosity": if heated || config.scene == Family::Custom || config.scene.has_surface() { fluid.viscosity } else { 1.0 / config.flow.reynolds },
         "p_bg_factor": own.background_pressure_factor,

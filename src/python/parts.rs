@@ -8,7 +8,6 @@ use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::scene::build_design;
 use crate::scene::load::Loaded;
-use crate::scene::search::solver;
 use crate::scene::verification::Verification;
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
@@ -79,7 +78,7 @@ impl<R: Sweeps> Parts<R> {
 
     /// Who judges designs in `hydrograd optimize`.
     fn solver(&self) -> Result<Arc<Scheduled<R>>, Error> {
-        once(&self.solver, || solver(&self.loaded))
+        once(&self.solver, || self.loaded.scheduled())
     }
 
     /// The figure of a design.

@@ -24,7 +24,7 @@ pub struct Simulated {
     end: ParticleFields,
     /// As JSON.
     figures: String,
-    columns: &'static [&'static str],
+    columns: Vec<&'static str>,
     history: Vec<Vec<f64>>,
     times: Vec<f64>,
     /// `[T, D, N]`, `[T, D, N]` and `[T, N]`.

@@ -24,7 +24,6 @@ pub struct AccuracyPoint {
     /// Name of the program and the method.
     pub code: String,
     pub scene: &'static str,
-    /// Particle spacing.
     pub dx: f64,
     /// The time step as an acoustic number, dt (c + U)/dx. It is far below 1 where diffusion limits it (Poiseuille).
     pub cfl: f64,
@@ -72,59 +71,34 @@ pub fn points(quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Vec<
 }
 
 fn runs(quick: bool) -> anyhow::Result<Vec<Run>> {
+    let one_over = |counts: &[f64]| counts.iter().map(|count| 1.0 / count).collect::<Vec<f64>>();
+    let vortices = one_over(if quick { &[20.0, 32.0, 50.0] } else { &[20.0, 32.0, 50.0, 64.0, 100.0] });
+    let poiseuille = one_over(if quick { &[10.0, 20.0] } else { &[10.0, 20.0, 30.0, 40.0, 60.0] });
+    let channel = if quick { vec![0.02] } else { vec![0.02, 0.01] };
+    let vortices_end = half_life(Family::TaylorGreen.defaults().flow.reynolds);
+    let poiseuille_end = POISEUILLE_END * Family::Poiseuille.defaults().flow.reynolds;
+    // Scene, method, spacings, the key of the time step, its value in a quick measurement and all values, and the end.
+    let cases: [(_, _, _, _, f64, &[f64], _); 7] = [
+        ("taylor-green", "consistent", &vortices, "cfl", 1.0, &[0.25, 1.0], vortices_end),
+        ("taylor-green", "standard", &vortices, "cfl", 1.0, &[0.25, 1.0, 2.0], vortices_end),
+        ("poiseuille", "consistent", &poiseuille, "diffusion_number", 0.25, &[0.0625, 0.25], poiseuille_end),
+        ("poiseuille", "standard", &poiseuille, "diffusion_number", 0.25, &[0.0625, 0.25], poiseuille_end),
+        ("heated-channel", "consistent", &channel, "cfl", 1.5, &[0.25, 1.0, 1.5], HEATED_CHANNEL_END),
+        ("heated-channel", "fixed", &channel, "cfl", 1.2, &[0.6, 1.2], HEATED_CHANNEL_END),
+        ("heated-channel", "standard", &channel, "cfl", 2.0, &[0.5, 1.0, 2.0], HEATED_CHANNEL_END),
+    ];
     let mut runs = Vec::new();
-    let mut add = |scene: &str, how: &str, sets: &[String]| -> anyhow::Result<()> {
-        // The method, and its settings.
-        let own: &[&str] = match how {
-            "fixed" => &["method.name=fixed"],
-            "standard" => &["method.name=standard"],
-            _ => &["method.name=consistent"],
-        };
-        let sets: Vec<String> = own.iter().map(|set| set.to_string()).chain(sets.iter().cloned()).collect();
-        let config = Config::load(Some(scene), None, &sets)?.config;
-        runs.push(Run { code: format!("hydrograd, {how}"), config });
-        Ok(())
-    };
-    let sides: &[usize] = if quick { &[20, 32, 50] } else { &[20, 32, 50, 64, 100] };
-    for (how, courant) in [("consistent", &[0.25, 1.0][..]), ("standard", &[0.25, 1.0, 2.0])] {
-        for per_side in sides {
-            for cfl in if quick { &[1.0] } else { courant } {
-                let end = half_life(Family::TaylorGreen.defaults().flow.reynolds);
-                let dx = 1.0 / *per_side as f64;
-                let sets = [format!("resolution.dx={dx}"), format!("time.cfl={cfl}"), format!("time.end={end}")];
-                add("taylor-green", how, &sets)?;
-            }
-        }
-    }
-    let rows: &[usize] = if quick { &[10, 20] } else { &[10, 20, 30, 40, 60] };
-    let diffusion: &[f64] = if quick { &[0.25] } else { &[0.0625, 0.25] };
-    for how in ["consistent", "standard"] {
-        for rows in rows {
-            for number in diffusion {
-                let end = POISEUILLE_END * Family::Poiseuille.defaults().flow.reynolds;
-                let dx = 1.0 / *rows as f64;
-                let sets = [
-                    format!("resolution.dx={dx}"),
-                    format!("time.diffusion_number={number}"),
-                    format!("time.end={end}"),
-                ];
-                add("poiseuille", how, &sets)?;
-            }
-        }
-    }
-    let spacings: &[f64] = if quick { &[0.02] } else { &[0.02, 0.01] };
-    for (how, courant) in
-        [("consistent", &[0.25, 1.0, 1.5][..]), ("fixed", &[0.6, 1.2]), ("standard", &[0.5, 1.0, 2.0])]
-    {
-        for dx in spacings {
-            for cfl in if quick { &courant[courant.len() - 1..] } else { courant } {
-                let sets = [
-                    format!("resolution.dx={dx}"),
-                    format!("time.cfl={cfl}"),
-                    format!("time.end={HEATED_CHANNEL_END}"),
-                ];
-                add("heated-channel", how, &sets)?;
-            }
+    for (scene, method, spacings, key, usual, all, end) in cases {
+        let values = if quick { &[usual] } else { all };
+        for (dx, value) in spacings.iter().flat_map(|dx| values.iter().map(move |value| (dx, value))) {
+            let sets = [
+                format!("method.name={method}"),
+                format!("resolution.dx={dx}"),
+                format!("time.{key}={value}"),
+                format!("time.end={end}"),
+            ];
+            let config = Config::load(Some(scene), None, &sets)?.config;
+            runs.push(Run { code: format!("hydrograd, {method}"), config });
         }
     }
     Ok(runs)

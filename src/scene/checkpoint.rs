@@ -27,9 +27,6 @@ pub const KIND: &str = "hydrograd simulation";
 const FREE: [&str; 6] = ["output", "run.threads", "optimise", "time.end", "time.steps", "time.step"];
 
 /// Writes a state of a run with the text of its configuration.
-///
-/// # Errors
-/// System errors.
 pub fn write<R: Real>(
     path: &Path,
     model: &Model<R>,
@@ -86,9 +83,6 @@ pub fn read<R: Real>(path: &Path, config: &Config, model: &Model<R>) -> Result<S
 }
 
 /// Opens a checkpoint of a kind whose configuration equals this one except for the keys and sections in `free`.
-///
-/// # Errors
-/// A missing file, one of another kind, and one of another scene.
 pub fn open(path: &Path, kind: &str, config: &Config, free: &[&str]) -> Result<TensorFile, BadInput> {
     let file = TensorFile::read(path).map_err(|e| BadInput::new(e.to_string()))?;
     let found = file.metadata.get("kind").map_or("nothing of ours", String::as_str);

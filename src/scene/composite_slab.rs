@@ -1,5 +1,6 @@
 //! The exact solution of heat conduction in a slab of two layers in contact.
 
+use super::developed::bisected;
 use std::f64::consts::PI;
 
 /// Number of modes in the series; further modes have decayed at a time of 1e-4 / diffusivity.
@@ -48,17 +49,7 @@ impl Series {
         // adjacent points at which the first sine is 1 or -1.
         let between = |n: usize| {
             let at = |n: usize| (n as f64 + 0.5) * PI / (s[0] + s[1]);
-            let (mut low, mut high) = (at(n), at(n + 1));
-            let below = condition(low) > 0.0;
-            for _ in 0..80 {
-                let half = 0.5 * (low + high);
-                if (condition(half) > 0.0) == below {
-                    low = half;
-                } else {
-                    high = half;
-                }
-            }
-            0.5 * (low + high)
+            bisected([at(n), at(n + 1)], 80, condition)
         };
         let mode = |n: usize| {
             let m = between(n);
@@ -89,7 +80,6 @@ impl Series {
         self.modes.iter().map(move |mode| (mode, (-mode.m * mode.m * time).exp())).take_while(|(_, left)| *left > 1e-17)
     }
 
-    /// The temperature at height y.
     pub fn temperature(&self, y: f64, time: f64) -> f64 {
         let (layer, x) = if y < 0.5 { (0, y) } else { (1, 1.0 - y) };
         let end = if layer == 0 { 1.0 - 2.0 * (1.0 - self.middle) * y } else { 2.0 * self.middle * x };
@@ -109,7 +99,6 @@ impl Series {
         flux
     }
 
-    /// The conductivities of both layers.
     pub fn conductivity(&self) -> [f64; 2] {
         self.conductivity
     }

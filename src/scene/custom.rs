@@ -4,18 +4,19 @@
 //! the kernel reaches. Every particle is in the centre of a lattice cell, and is fluid or wall by the last shape that
 //! contains it. Moving walls stay in place ([`crate::sph::flow::Flow::walls_slide`]).
 
-use super::assembly::{Assembled, Numerics, Parts};
-use super::custom_shape::{functions, Shape};
+use super::assembly::Parts;
+use super::custom_shape::Shape;
 use super::distance::{images, Foot, Walls};
 use super::exact::Stated;
+use super::heated_channel;
 use super::lattice::Lattice;
-use super::surface::{Dummy, Knows, Point, Settings, Surface};
+use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Fill, Kind, VariableEntry};
+use crate::config::custom::{Fill, VariableEntry};
 use crate::config::formula::Function;
-use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, ObjectiveKind};
+use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
-use crate::design::objectives::{self, Figure, Outlet, Samples};
+use crate::design::objectives::Outlet;
 use crate::design::parametrisations::Numbers;
 use crate::design::shapes::{self, Shapes};
 use crate::design::{Deformation, Problem};
@@ -24,7 +25,6 @@ use crate::particles::{tag, Domain};
 use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::solver::Snapshot;
 use crate::sph::{Model, Sweeps};
 use std::sync::Arc;
 
@@ -35,8 +35,7 @@ fn value(function: &Function, key: impl Fn() -> String, p: [f64; 3]) -> Result<f
         return Ok(value);
     }
     let key = key();
-    Err(BadInput::new(format!("{key} is {value} at x = {}, y = {}, z = {}", p[0], p[1], p[2]))
-        .key(key)
+    Err(BadInput::at(&key, format!("{key} is {value} at x = {}, y = {}, z = {}", p[0], p[1], p[2]))
         .allowed("a formula that is a finite number at every particle that it is for"))
 }
 
@@ -56,13 +55,13 @@ impl Geometry {
     pub fn of(config: &Config) -> Result<Self, BadInput> {
         let shapes = shapes(config)?;
         let lattice = lattice(config);
-        let holder = Holder::new(config, &shapes);
+        let surroundings = surroundings(config, &shapes);
         let n = lattice.particles();
         let mut shape = vec![None; n];
         let mut is_wall = vec![false; n];
         for i in 0..n {
             let p = lattice.place(i);
-            shape[i] = holder.of(p);
+            shape[i] = surroundings.shape_at(p);
             is_wall[i] = match shape[i] {
                 Some(k) if !lattice.is_wall(i) => shapes[k].entry.fill == Fill::Wall,
                 _ => lattice.is_wall(i),
@@ -71,38 +70,15 @@ impl Geometry {
         for k in 0..shapes.len() {
             if !shape.contains(&Some(k)) {
                 let key = format!("shapes[{k}]");
-                return Err(BadInput::new(format!("{key} holds no particle"))
-                    .key(key)
+                return Err(BadInput::at(&key, format!("{key} holds no particle"))
                     .allowed("shapes that hold the middle of at least one cell that no later shape has")
                     .advice("a smaller resolution.dx, or another place"));
             }
         }
         if !is_wall.contains(&false) {
-            return Err(BadInput::new("the shapes leave no fluid").key("shapes").allowed("some fluid in the box"));
+            return Err(BadInput::at("shapes", "the shapes leave no fluid").allowed("some fluid in the box"));
         }
         Ok(Self { lattice, shape, is_wall })
-    }
-}
-
-/// Finds the shape to which a position belongs.
-struct Holder<'a> {
-    shapes: &'a [Shape<'a>],
-    dimension: usize,
-    images: Vec<[f64; 3]>,
-}
-
-impl<'a> Holder<'a> {
-    fn new(config: &Config, shapes: &'a [Shape<'a>]) -> Self {
-        Self { shapes, dimension: config.dimension(), images: images(&box_of(config)) }
-    }
-
-    /// The last shape that contains a position.
-    fn of(&self, p: [f64; 3]) -> Option<usize> {
-        self.shapes.iter().rposition(|shape| {
-            let has_images = shape.entry.kind != Kind::Where;
-            let images = if has_images { &self.images[..] } else { &[[0.0; 3]] };
-            images.iter().any(|image| shape.contains(std::array::from_fn(|e| p[e] + image[e]), self.dimension))
-        })
     }
 }
 
@@ -113,15 +89,11 @@ fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
 
 fn lattice(config: &Config) -> Lattice {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
-    let rows = Numerics::from_config(config).wall_rows;
+    let rows = config.wall_rows();
     let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
-    let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize + 2 * walls[e] } else { 1 };
-    Lattice {
-        wall_rows: walls,
-        periodic: std::array::from_fn(|e| e < d && region.periodic[e]),
-        corner: walls.map(|rows| 0.0 - rows as f64 * dx),
-        ..Lattice::new(d, dx, std::array::from_fn(count))
-    }
+    let count = |e: usize| if e < d { (region.size[e] / dx).round() as usize } else { 1 };
+    let periodic = std::array::from_fn(|e| e < d && region.periodic[e]);
+    Lattice::between(walls, d, dx, std::array::from_fn(count), periodic)
 }
 
 /// The scene of a checked configuration.
@@ -130,18 +102,14 @@ fn lattice(config: &Config) -> Lattice {
 /// Formulas that are not finite somewhere, and shapes that contain nothing.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
     let Built { parts, model, base, .. } = assemble(config)?;
-    let start = Snapshot::first(&model, super::assembly::rounded(&model, &base));
-    Ok(parts.scene(model, start))
+    Ok(parts.started(model, &base))
 }
 
 /// The design problem of a checked configuration with `variables`.
-///
-/// # Errors
-/// As for [`build`].
 pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput> {
     // Only optimised runs use the window, so others may be shorter.
     config.check_window()?;
-    let Built { parts, mut model, base, points, dummies } = assemble::<R>(config)?;
+    let Built { mut model, base, points, dummies, .. } = assemble::<R>(config)?;
     if config.objective.kind == ObjectiveKind::WallHeat {
         model = model.with(|flow| flow.wall_heat_until = Some(config.objective.target_x));
     }
@@ -160,24 +128,10 @@ pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput
     };
     let (columns, particles) = (shapes.numbers.len(), model.particles());
     let base = super::assembly::rounded(&model, &base).into_iter().map(R::f64).collect();
-    let (outlet, window, steps) = (outlet(config, &model), super::heated_channel::window(config), parts.numerics.steps);
-    let samples = Samples::window(steps, window, config.objective.samples);
-    Ok(Problem {
-        model,
-        compute: config.run.compute()?,
-        deformation: Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) }),
-        first: parametrisation.start(),
-        parametrisation: Arc::new(parametrisation),
-        objective: objectives::of_config(config, outlet.clone(), samples),
-        figure: Figure::of_config(config),
-        smoothing: 0.0,
-        steps,
-        outlet,
-        depth: config.depth(),
-        window,
-        is_steady: false,
-        differences: (config.optimise.gradient == GradientMode::Differences).then_some(config.optimise.difference),
-    })
+    let deformation = Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) });
+    let (outlet, first) = (outlet(config, &model), parametrisation.start());
+    let problem = heated_channel::problem(config, model, deformation, Arc::new(parametrisation), first, outlet)?;
+    Ok(Problem { smoothing: 0.0, ..problem })
 }
 
 /// Targets across the box and three spacings beyond its walls, so that each particle counts with its whole kernel.
@@ -202,7 +156,6 @@ fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
 struct Built<R> {
     parts: Parts<R>,
     model: Model<R>,
-    /// The initial state.
     base: Vec<f64>,
     points: Vec<shapes::Point>,
     dummies: Vec<shapes::Dummy>,
@@ -212,11 +165,12 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
     let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
-    let initial = functions("initial.velocity", &config.initial.velocity, d)?;
-    let warmth = config.initial.temperature.as_ref();
-    let warmth = warmth.map(|formula| formula.function("initial.temperature", d)).transpose()?;
+    let (initial, warmth) = config.initial.at_start(d)?;
     let reference = fluid.inlet_temperature;
-    let settings = Settings::from_config(config);
+    let consistent = match config.method {
+        Method::Consistent(own) => Some(own),
+        _ => None,
+    };
     let surroundings = surroundings(config, &shapes);
     // Walls have a velocity, and T_wall = constant + factor <T>.
     let mut of_wall = vec![[0.0; 3]; n];
@@ -255,21 +209,12 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let mut acceleration = [0.0; 3];
     acceleration[..d].copy_from_slice(&region.acceleration);
     let mut parts = Parts {
-        name: config.scene.name(),
-        lattice,
-        numerics: Numerics::from_config(config),
-        density: fluid.density,
-        velocity: fluid.reference_velocity,
-        viscosity: fluid.viscosity,
         body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Gravity(acceleration) },
-        drive: None,
-        lid: 0.0,
-        own_mass: false,
         heat,
-        heat_walls: None,
         exact: stated(config)?,
+        ..Parts::new(config, lattice)
     };
-    let Assembled { mut model, mut base } = parts.assemble(|_| [0.0; 3]);
+    let (mut model, mut base) = parts.assemble(|_| [0.0; 3]);
     (model.flow.tags, model.flow.walls_slide) = (tags, true);
     let l = model.layout;
     for i in 0..n {
@@ -283,7 +228,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
             continue;
         }
         let mut p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
-        if settings.is_some() {
+        if consistent.is_some() {
             p = surroundings.away_from_walls(p);
             (0..d).for_each(|e| base[e * n + i] = p[e]);
         }
@@ -295,26 +240,24 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
         }
     }
     let (mut points, mut dummies) = (vec![], vec![]);
-    if let Some(settings) = settings {
-        let (dx, holder) = (config.resolution.dx, Holder::new(config, &shapes));
+    if let Some(own) = consistent {
         let (surface, feet) = surface_of(&surroundings, &parts.lattice, &is_wall, |foot| {
-            knows_at(config, &shapes, &holder, foot, warmth.is_some())
+            knows_at(config, &surroundings, foot, warmth.is_some())
         })?;
-        let old = base.clone();
-        let assembled = Assembled { model, base };
-        let (fitted, mut base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
+        let old = base;
+        let (fitted, mut base) = parts.with_surface(model, &old, &surface, own);
         if warmth.is_some() {
             let more = fitted.particles();
             let fluid = (0..n).filter(|&i| !is_wall[i]);
             fluid.for_each(|i| base[fitted.layout.temperature() * more + i] = old[l.temperature() * n + i]);
         }
         // A scene without variables does not need the feet.
-        let feet = if config.variables.is_empty() { Feet::default() } else { feet };
-        for (k, (point, foot)) in surface.points.iter().zip(&feet.points).enumerate() {
+        let [of_points, of_dummies] = if config.variables.is_empty() { [vec![], vec![]] } else { feet };
+        for (k, (point, foot)) in surface.points.iter().zip(&of_points).enumerate() {
             let (leans, leads) = (point.knows == Knows::NoHeatFlux, matches!(point.knows, Knows::Velocity(_)));
             points.push(shapes::Point { particle: n + k, on: surroundings.on(foot), leans, leads });
         }
-        for (dummy, foot) in surface.dummies.iter().zip(&feet.dummies) {
+        for (dummy, foot) in surface.dummies.iter().zip(&of_dummies) {
             let on = surroundings.on(foot);
             let depth = -surroundings.distance(parts.lattice.place(dummy.particle));
             dummies.extend(on.map(|foot| shapes::Dummy { particle: dummy.particle, foot, depth }));
@@ -334,33 +277,23 @@ fn stated(config: &Config) -> Result<Exact, BadInput> {
     Ok(Exact::Stated(Arc::new(Stated { velocity, temperature, reference_velocity: config.fluid.reference_velocity })))
 }
 
-/// The walls as surfaces.
+/// The walls as surfaces, in the box without the rows that close it.
 fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
-    let domain = box_of(config);
-    Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
-}
-
-/// The box without the walls that close it.
-fn box_of(config: &Config) -> Domain {
     let (dimension, region) = (config.dimension(), &config.region);
-    Domain {
+    let domain = Domain {
         dimension,
         size: std::array::from_fn(|d| if d < dimension { region.size[d] } else { 1.0 }),
         periodic: std::array::from_fn(|d| d < dimension && region.periodic[d]),
-    }
+    };
+    Walls { shapes, images: images(&domain), domain, spacing: config.resolution.dx }
 }
 
 /// The conditions at a surface point by the wall behind it.
-fn knows_at(
-    config: &Config,
-    shapes: &[Shape],
-    holder: &Holder,
-    foot: &Foot,
-    has_heat: bool,
-) -> Result<Vec<Knows>, BadInput> {
+fn knows_at(config: &Config, walls: &Walls, foot: &Foot, has_heat: bool) -> Result<Vec<Knows>, BadInput> {
     // A position a quarter of a spacing inside the wall.
     let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
-    let wall = holder.of(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
+    let shapes = walls.shapes;
+    let wall = walls.shape_at(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
     let mut moves = [0.0; 3];
     let mut temperature = None;
     if let Some(k) = wall {
@@ -375,26 +308,26 @@ fn knows_at(
     Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
 }
 
-/// Points on the walls' surface, and the dummy particles behind it.
+/// Points on the walls' surface and the dummy particles behind it, and the feet of both.
 fn surface_of(
     walls: &Walls,
     lattice: &Lattice,
     is_wall: &[bool],
     knows: impl Fn(&Foot) -> Result<Vec<Knows>, BadInput>,
-) -> Result<(Surface, Feet), BadInput> {
+) -> Result<(Surface, [Vec<Foot>; 2]), BadInput> {
     let dx = walls.spacing;
     let near = |i: usize| walls.distance(lattice.place(i)).abs() <= dx;
     let all = 0..lattice.particles();
     // Points of fluid particles come first; along a plane wall they leave no room for points of wall particles.
     let beside = all.clone().filter(|&i| !is_wall[i] && near(i)).chain(all.clone().filter(|&i| is_wall[i] && near(i)));
     let feet = walls.points(beside.map(|i| lattice.place(i)));
-    let (mut surface, mut found) = (Surface::default(), Feet::default());
+    let (mut surface, mut of_points, mut of_dummies) = (Surface::default(), vec![], vec![]);
     let mut first = Vec::with_capacity(feet.len());
     for foot in &feet {
         first.push(surface.points.len());
         for knows in knows(foot)? {
             surface.points.push(Point { position: foot.place, normal: foot.normal, knows });
-            found.points.push(*foot);
+            of_points.push(*foot);
         }
     }
     let nearest = walls.finder(&feet);
@@ -404,14 +337,7 @@ fn surface_of(
         let Some(point) = nearest(foot.place) else { continue };
         let mirror = std::array::from_fn(|e| 2.0 * foot.place[e] - p[e]);
         surface.dummies.push(Dummy { particle: i, point: first[point], mirror });
-        found.dummies.push(foot);
+        of_dummies.push(foot);
     }
-    Ok((surface, found))
-}
-
-/// Feet of the surface points and of the dummy particles.
-#[derive(Default)]
-struct Feet {
-    points: Vec<Foot>,
-    dummies: Vec<Foot>,
+    Ok((surface, [of_points, of_dummies]))
 }

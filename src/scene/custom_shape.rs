@@ -1,6 +1,6 @@
 //! The shapes of custom scenes, and which positions they contain.
 
-use crate::config::custom::{Kind, ShapeEntry};
+use crate::config::custom::{functions, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function};
 use crate::error::BadInput;
 
@@ -21,7 +21,10 @@ impl<'a> Shape<'a> {
         Ok(Self {
             entry,
             positive: one("positive", &entry.positive)?,
-            velocity: functions(&key("velocity"), entry.velocity.as_deref().unwrap_or_default(), dimension)?,
+            velocity: match &entry.velocity {
+                Some(velocity) => functions(&key("velocity"), velocity, dimension, Formula::function)?,
+                None => vec![],
+            },
             temperature: one("temperature", &entry.temperature)?,
         })
     }
@@ -70,8 +73,4 @@ pub(super) fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
         from = to;
     }
     inside
-}
-
-pub(super) fn functions(key: &str, formulas: &[Formula], dimension: usize) -> Result<Vec<Function>, BadInput> {
-    formulas.iter().enumerate().map(|(d, formula)| formula.function(&format!("{key}[{d}]"), dimension)).collect()
 }

@@ -27,6 +27,20 @@ pub struct Developed {
     pub section: Option<[f64; 2]>,
 }
 
+/// The zero of a function between two places where its signs differ, after a number of bisections.
+pub(super) fn bisected([mut low, mut high]: [f64; 2], times: usize, f: impl Fn(f64) -> f64) -> f64 {
+    let below = f(low) > 0.0;
+    for _ in 0..times {
+        let half = 0.5 * (low + high);
+        if (f(half) > 0.0) == below {
+            low = half;
+        } else {
+            high = half;
+        }
+    }
+    0.5 * (low + high)
+}
+
 /// Number of points across the channel in a solution.
 const POINTS: usize = 1000;
 
@@ -80,16 +94,7 @@ impl Developed {
             }
             low = high;
         }
-        let (below, mut high) = (end(low) > 0.0, low + step);
-        for _ in 0..60 {
-            let half = 0.5 * (low + high);
-            if (end(half) > 0.0) == below {
-                low = half;
-            } else {
-                high = half;
-            }
-        }
-        0.5 * (low + high)
+        bisected([low, low + step], 60, end)
     }
 
     /// The Nusselt number of particles with (x, V u, V, T_wall - T) by the heat balance of a part of the channel:

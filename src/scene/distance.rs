@@ -14,7 +14,6 @@ use std::collections::HashMap;
 pub struct Walls<'a> {
     pub shapes: &'a [Shape<'a>],
     pub domain: Domain,
-    /// See [`images`].
     pub images: Vec<[f64; 3]>,
     pub spacing: f64,
 }
@@ -49,6 +48,15 @@ pub struct Foot {
 }
 
 impl Walls<'_> {
+    /// The last shape that contains a position.
+    pub fn shape_at(&self, p: [f64; 3]) -> Option<usize> {
+        self.shapes.iter().rposition(|shape| {
+            let images = if shape.entry.kind == Kind::Where { &[[0.0; 3]] } else { &self.images[..] };
+            let shifted = |image: &[f64; 3]| std::array::from_fn(|e| p[e] + image[e]);
+            images.iter().any(|image| shape.contains(shifted(image), self.domain.dimension))
+        })
+    }
+
     /// The distance s from the nearest wall.
     pub fn distance(&self, p: [f64; 3]) -> f64 {
         let mut walls = f64::INFINITY;

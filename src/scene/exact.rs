@@ -7,25 +7,36 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 /// The exact solution of the incompressible Navier-Stokes equations, and of the heat equation.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub enum Exact {
     /// The plane vortices of Taylor and Green (1937) in the unit box:
     /// u = -U exp(-8 pi^2 nu t) cos(2 pi x) sin(2 pi y), v = U exp(-8 pi^2 nu t) sin(2 pi x) cos(2 pi y).
-    TaylorGreen { velocity: f64, kinematic_viscosity: f64 },
-    /// Flow between plane walls at y = 0 and y = height, started from rest by a constant force (Morris, Fox and Zhu
-    /// 1997, eq. 19). `velocity` is that of the steady centre line, F height^2/(8 nu).
-    Poiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
-    /// Two Poiseuille flows, at 0 < y < height and with the opposite sign at height < y < 2 height.
-    ReversePoiseuille { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    TaylorGreen {
+        velocity: f64,
+        kinematic_viscosity: f64,
+    },
+    /// Flow between plane walls at y = 0 and 1, started from rest by a constant force (Morris, Fox and Zhu 1997, eq. 19).
+    /// `velocity` is that of the steady centre line, F/(8 nu).
+    Poiseuille {
+        velocity: f64,
+        kinematic_viscosity: f64,
+    },
+    /// Two Poiseuille flows, at 0 < y < 1 and with the opposite sign at 1 < y < 2.
+    ReversePoiseuille {
+        velocity: f64,
+        kinematic_viscosity: f64,
+    },
     /// Flow between plane walls, started from rest by the upper one, which moves with `velocity` (their eq. 22).
-    Couette { velocity: f64, kinematic_viscosity: f64, height: f64 },
+    Couette {
+        velocity: f64,
+        kinematic_viscosity: f64,
+    },
     /// A slab at rest that is heated.
     Slab(Arc<Series>),
     /// Developed flow between warm plane walls: its velocity and its rate of heat transfer.
     IsothermalChannel(Developed),
     /// The formulas that the configuration of a custom scene states.
     Stated(Arc<Stated>),
-    /// No exact solution.
     Unknown,
 }
 
@@ -40,13 +51,6 @@ pub struct Stated {
     pub reference_velocity: f64,
 }
 
-impl PartialEq for Stated {
-    /// Whether both are one and the same: formulas that were read can not be compared.
-    fn eq(&self, other: &Self) -> bool {
-        std::ptr::eq(self, other)
-    }
-}
-
 impl Exact {
     /// The velocity at a point, if it is known.
     pub fn velocity(&self, position: [f64; 3], time: f64) -> Option<[f64; 3]> {
@@ -57,32 +61,30 @@ impl Exact {
                 let ((sin_x, cos_x), (sin_y, cos_y)) = ((2.0 * PI * x).sin_cos(), (2.0 * PI * y).sin_cos());
                 Some([-amplitude * cos_x * sin_y, amplitude * sin_x * cos_y, 0.0])
             }
-            Self::Poiseuille { velocity, kinematic_viscosity, height } => {
-                // In terms of the steady centre line U, u = 4 U y (H - y)/H^2 - sum over odd k of 32 U/(pi k)^3 ...
-                let s = y / height;
-                let mut u = 4.0 * velocity * s * (1.0 - s);
+            Self::Poiseuille { velocity, kinematic_viscosity } => {
+                // In terms of the steady centre line U, u = 4 U y (1 - y) - sum over odd k of 32 U/(pi k)^3 ...
+                let mut u = 4.0 * velocity * y * (1.0 - y);
                 for k in (1..200).step_by(2).map(|k| PI * k as f64) {
-                    let decay = (-k * k * kinematic_viscosity * time / (height * height)).exp();
-                    u -= 32.0 * velocity / (k * k * k) * (k * s).sin() * decay;
+                    let decay = (-k * k * kinematic_viscosity * time).exp();
+                    u -= 32.0 * velocity / (k * k * k) * (k * y).sin() * decay;
                 }
                 Some([u, 0.0, 0.0])
             }
-            Self::ReversePoiseuille { velocity, kinematic_viscosity, height } => {
-                let half = Self::Poiseuille { velocity, kinematic_viscosity, height };
-                if y < height {
+            Self::ReversePoiseuille { velocity, kinematic_viscosity } => {
+                let half = Self::Poiseuille { velocity, kinematic_viscosity };
+                if y < 1.0 {
                     half.velocity(position, time)
                 } else {
-                    half.velocity([x, y - height, position[2]], time).map(|u| u.map(|u| -u))
+                    half.velocity([x, y - 1.0, position[2]], time).map(|u| u.map(|u| -u))
                 }
             }
-            Self::Couette { velocity, kinematic_viscosity, height } if time > 0.0 => {
-                let s = y / height;
-                let mut u = velocity * s;
+            Self::Couette { velocity, kinematic_viscosity } if time > 0.0 => {
+                let mut u = velocity * y;
                 for n in 1..200 {
                     let k = PI * n as f64;
-                    let decay = (-k * k * kinematic_viscosity * time / (height * height)).exp();
+                    let decay = (-k * k * kinematic_viscosity * time).exp();
                     let sign = if n % 2 == 0 { 1.0 } else { -1.0 };
-                    u += sign * 2.0 * velocity / k * (k * s).sin() * decay;
+                    u += sign * 2.0 * velocity / k * (k * y).sin() * decay;
                 }
                 Some([u, 0.0, 0.0])
             }
@@ -111,9 +113,8 @@ impl Exact {
     /// The height of the profile, if the solution depends only on y.
     pub fn profile_height(&self) -> Option<f64> {
         match *self {
-            Self::Poiseuille { height, .. } | Self::Couette { height, .. } => Some(height),
-            Self::ReversePoiseuille { height, .. } => Some(2.0 * height),
-            Self::Slab(_) | Self::IsothermalChannel(_) => Some(1.0),
+            Self::Poiseuille { .. } | Self::Couette { .. } | Self::Slab(_) | Self::IsothermalChannel(_) => Some(1.0),
+            Self::ReversePoiseuille { .. } => Some(2.0),
             Self::TaylorGreen { .. } | Self::Stated(_) | Self::Unknown => None,
         }
     }

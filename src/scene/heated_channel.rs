@@ -4,21 +4,21 @@
 //! of dummy particles below and above; in three dimensions z across the flow, with periodicity. Particles are on a
 //! lattice in rows from the bottom, x fastest, and in layers along z.
 
-use super::assembly::{Assembled, Numerics, Parts};
-use super::heated_channel_3d;
+use super::assembly::Parts;
 use super::lattice::Lattice;
-use super::surface::{self, Dummy, Knows, Point, Rows, Settings};
-use super::{Exact, Scene};
+use super::surface::{self, Dummy, Knows, Point, Rows};
+use super::Scene;
 use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, GradientMode, HotIsotherm, Interpolation as Mode, KernelName,
-    MassConvention, Method, ObjectiveKind, Start,
+    self, BodyForceRegion, Config, DesignWalls, DriveName, GradientMode, HotIsotherm, Interpolation as Mode,
+    KernelName, MassConvention, Method, ObjectiveKind, Start,
 };
 use crate::design::deformation::{self, Columns, Map};
 use crate::design::objectives::{self, Figure, Outlet, Samples};
 use crate::design::parametrisations::{first_column, SplineSurface};
+use crate::design::relief::Relief;
 use crate::design::shape::{HotSection, Shape};
 use crate::design::{parametrisations, start_shape, Deformation, Parametrisation, Problem};
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::particles::tag;
 use crate::sph::consistent::Consistent;
 use crate::sph::fixed::{Channel, Fixed, FixedParticles};
@@ -29,33 +29,23 @@ use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
 use crate::sph::standard::Standard;
 use crate::sph::{Model, Sweeps};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// The channel of a checked configuration, with its initial shape.
-///
-/// # Errors
-/// A wall shape that is not allowed.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let lattice = lattice(config);
     let share = HotSection::of(config).share();
     let hot = |i: usize| if lattice.is_below(i, 1) { share[lattice.rows(i)[0]] } else { 0.0 };
     let hot: Vec<f64> = (0..lattice.particles()).map(hot).collect();
     let mut parts = Parts {
-        name: config.scene.name(),
-        lattice,
-        numerics: Numerics { wall_rows: config.channel.wall_rows, ..Numerics::from_config(config) },
-        density: config.fluid.density,
-        velocity: config.fluid.reference_velocity,
-        viscosity: config.fluid.viscosity,
         body_force: body_force(config),
         drive: drive(config),
-        lid: 0.0,
         own_mass: config.wall.mass == MassConvention::ColumnArea && config.method.facts().wall_cells,
         heat: Some(heat(config, &hot)),
-        heat_walls: None,
-        exact: Exact::Unknown,
+        ..Parts::new(config, lattice)
     };
-    let Assembled { mut model, mut base } = parts.assemble(|place| start_velocity(config, place));
+    let (mut model, mut base) = parts.assemble(|place| start_velocity(config, place));
     if config.objective.kind == ObjectiveKind::WallHeat {
         model.flow.wall_heat_until = Some(config.objective.target_x);
     }
@@ -68,10 +58,6 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         base[l.state_mass() * n..][..n].fill(model.mass);
     }
     let (model, deformation) = match config.method {
-        _ if model.dimension() == 3 => {
-            let (model, deformation) = heated_channel_3d::consistent(config, &parts, Assembled { model, base });
-            (Model::new(model), deformation)
-        }
         Method::Standard(_) => {
             let deformation = deformation(config, &parts.lattice, &model, base);
             (Model::new(model), deformation)
@@ -80,8 +66,8 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
             let (model, deformation) = fixed(config, &parts, model, own.pressure_diffusion)?;
             (Model::new(model), deformation)
         }
-        Method::Consistent(_) => {
-            let (model, deformation) = consistent(config, &parts, Assembled { model, base });
+        Method::Consistent(own) => {
+            let (model, deformation) = consistent(config, &parts, model, base, own);
             (Model::new(model), deformation)
         }
     };
@@ -94,9 +80,25 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         }
         _ => parametrisations::of_config(config, &Shape::from_config(config)?)?,
     };
-    let (outlet, window, steps) = (outlet(config, &model), window(config), parts.numerics.steps);
+    let outlet = outlet(config, &model);
+    let design = problem(config, model, deformation, parametrisation, first, outlet)?;
+    let (model, start) = (design.model.clone(), design.start(&design.first));
+    Ok(Scene { design: Some(design), ..parts.scene(model, start) })
+}
+
+/// The design problem of a model and its deformation.
+pub(super) fn problem<R: Sweeps>(
+    config: &Config,
+    model: Model<R>,
+    deformation: Arc<Deformation>,
+    parametrisation: Arc<dyn Parametrisation>,
+    first: Vec<f64>,
+    outlet: Outlet,
+) -> Result<Problem<R>, BadInput> {
+    let (steps, gradient) = (config.steps(), config.optimise.gradient);
+    let window = ((config.objective.window / config.time_step()).round() as usize).clamp(1, steps);
     let samples = Samples::window(steps, window, config.objective.samples);
-    let design = Problem {
+    Ok(Problem {
         model,
         compute: config.run.compute()?,
         deformation,
@@ -109,11 +111,9 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         outlet,
         depth: config.depth(),
         window,
-        is_steady: config.optimise.gradient == GradientMode::Steady,
-        differences: None,
-    };
-    let (model, start) = (design.model.clone(), design.start(&design.first));
-    Ok(Scene { design: Some(design), ..parts.scene(model, start) })
+        is_steady: gradient == GradientMode::Steady,
+        differences: (gradient == GradientMode::Differences).then_some(config.optimise.difference),
+    })
 }
 
 fn lattice(config: &Config) -> Lattice {
@@ -197,67 +197,100 @@ fn deformation<R: Sweeps>(config: &Config, lattice: &Lattice, model: &Standard<R
     Deformation { columns: config.columns(), particles: n, map, base }
 }
 
-/// The channel in the consistent method, and its deformation by the heights of the lower surface's points.
+/// The channel in the consistent method, and its deformation by the heights of its shaped walls. Each layer of particles
+/// along z has two points per spacing on the lower wall and one or two on the upper one with the wall's velocity, and
+/// those with thermal conditions.
 fn consistent<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
-    mut assembled: Assembled<R>,
+    mut model: Standard<R>,
+    mut base: Vec<f64>,
+    own: scene::Consistent,
 ) -> (Consistent<R>, Deformation) {
-    let (channel, lattice) = (&config.channel, &parts.lattice);
+    let (channel, lattice, dimension) = (&config.channel, &parts.lattice, config.dimension());
     let (dx, length, height, columns) = (config.resolution.dx, channel.length, channel.height, config.columns());
     let section = HotSection::of(config);
     let vertices = section.vertices();
     let (hot, cold) = section.heat_points();
-    let n = assembled.model.particles();
+    let n = model.particles();
     let excess = config.wall.hot_temperature - config.fluid.inlet_temperature;
-    let at = |x: f64, y: f64, up: f64, knows: Knows| Point { position: [x, y, 0.0], normal: [0.0, up, 0.0], knows };
     let still = Knows::Velocity([0.0; 3]);
-    let mut points: Vec<Point> = vertices.iter().map(|&x| at(x, 0.0, 1.0, still)).collect();
-    points.extend(hot.iter().map(|&x| at(x, 0.0, 1.0, Knows::Temperature(excess))));
-    points.extend(cold.iter().map(|&x| at(x, 0.0, 1.0, Knows::NoHeatFlux)));
-    let lower = points.len();
     // A flat top wall needs a point for each column; a shaped one has the points of the bottom wall.
     let shaped = config.design.walls == DesignWalls::Both;
     let centres: Vec<f64> = (0..columns).map(|c| (c as f64 + 0.5) * dx).collect();
     let above = if shaped { vertices.clone() } else { centres.clone() };
-    let upper = lower + above.len();
     let stride = above.len() / columns;
-    points.extend(above.iter().map(|&x| at(x, height, -1.0, still)));
-    points.extend(centres.iter().map(|&x| at(x, height, -1.0, Knows::NoHeatFlux)));
+    // Points along x at one height, which are repeated in each layer.
+    let lines = [
+        (&vertices, 0.0, still),
+        (&hot, 0.0, Knows::Temperature(excess)),
+        (&cold, 0.0, Knows::NoHeatFlux),
+        (&above, height, still),
+        (&centres, height, Knows::NoHeatFlux),
+    ];
+    let mut points = Vec::new();
+    let [on_lower, on_hot, on_cold, on_upper, on_upper_cold] = lines.map(|(x, y, knows)| {
+        let (first, up) = (points.len(), if y > 0.0 { -1.0 } else { 1.0 });
+        for layer in 0..config.layers() {
+            let z = if dimension == 3 { (layer as f64 + 0.5) * dx } else { 0.0 };
+            points.extend(x.iter().map(|&x| Point { position: [x, y, z], normal: [0.0, up, 0.0], knows }));
+        }
+        first..points.len()
+    });
     let (mut dummies, mut below, mut behind_top) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..n {
-        let column = lattice.rows(i)[0];
+        let [column, _, layer] = lattice.rows(i);
+        let (y, z) = (base[n + i], if dimension == 3 { base[2 * n + i] } else { 0.0 });
         if lattice.is_below(i, 1) {
             // Dummy particles are behind every second vertex, not in the columns of fluid.
-            let x = vertices[2 * column];
-            assembled.base[i] = x;
-            dummies.push(Dummy { particle: i, point: 2 * column, mirror: [x, -assembled.base[n + i], 0.0] });
-            below.push((i, 2 * column));
+            let (x, point) = (vertices[2 * column], layer * vertices.len() + 2 * column);
+            base[i] = x;
+            dummies.push(Dummy { particle: i, point, mirror: [x, -y, z] });
+            below.push((i, point));
             let is_hot = x > channel.hot_from && x < channel.hot_to;
-            assembled.model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
+            model.flow.tags[i] = if is_hot { tag::HOT_WALL } else { tag::WALL };
         } else if lattice.is_above(i, 1) {
+            let point = layer * above.len() + stride * column;
             if shaped {
-                assembled.base[i] = above[stride * column];
-                behind_top.push((i, stride * column));
+                base[i] = above[stride * column];
+                behind_top.push((i, point));
             }
-            let mirror = [assembled.base[i], 2.0 * height - assembled.base[n + i], 0.0];
-            dummies.push(Dummy { particle: i, point: lower + stride * column, mirror });
+            let mirror = [base[i], 2.0 * height - y, z];
+            dummies.push(Dummy { particle: i, point: on_upper.start + point, mirror });
         }
     }
-    let fluid: Vec<usize> = (0..n).filter(|&i| assembled.model.is_fluid(i)).collect();
-    let rows = Rows {
-        lower: (0..vertices.len()).collect(),
-        upper: (lower..upper).collect(),
+    let fluid: Vec<usize> = (0..n).filter(|&i| model.is_fluid(i)).collect();
+    let rows = (dimension == 2).then(|| Rows {
+        lower: on_lower.clone().collect(),
+        upper: on_upper.clone().collect(),
         fluid: fluid.chunks(columns).map(|row| row.iter().map(|&i| i as u32).collect()).collect(),
-    };
-    let surface = surface::Surface { points, dummies, rows: Some(rows) };
-    let settings = Settings::from_config(config).unwrap_or_default();
-    let (model, base) = assembled.with_surface(&surface, &parts.numerics, dx, parts.velocity, settings);
-    let first = n + vertices.len();
+    });
+    let (model, base) = parts.with_surface(model, &base, &surface::Surface { points, dummies, rows }, own);
+    let (particles, vector) = (model.particles(), model.rows.velocity());
+    if dimension == 3 {
+        let mut relief = Relief::new(0.5 * dx, vector);
+        let place = |i: usize| [base[i], base[2 * particles + i]];
+        for i in n..n + on_upper.start {
+            relief.moves(i, place(i), 1.0);
+        }
+        for i in n + on_cold.start..n + on_cold.end {
+            relief.leans(i, place(i));
+        }
+        for i in fluid {
+            relief.moves(i, place(i), 1.0 - base[particles + i] / height);
+        }
+        for (i, _) in below {
+            relief.moves(i, place(i), 1.0);
+            relief.mirrors(i, place(i), -base[particles + i]);
+        }
+        let columns = relief.places.len();
+        return (model, Deformation { columns, particles, map: Map::Relief(relief), base });
+    }
+    let particles_of = |points: Range<usize>| points.map(|point| n + point).collect::<Vec<usize>>();
     let bottom = deformation::Surface {
-        points: (n..first).collect(),
-        hot: (first..first + hot.len()).collect(),
-        cold: (first + hot.len()..first + hot.len() + cold.len()).collect(),
+        points: particles_of(on_lower),
+        hot: particles_of(on_hot),
+        cold: particles_of(on_cold),
         x: vertices,
         length,
         height,
@@ -265,14 +298,14 @@ fn consistent<R: Sweeps>(
         slope_over: 0.5 * dx,
         fluid,
         dummies: below,
-        vector: model.rows.velocity(),
+        vector,
     };
     let mut walls = vec![bottom];
     if shaped {
         walls.push(deformation::Surface {
-            points: (n + lower..n + upper).collect(),
+            points: particles_of(on_upper),
             hot: vec![],
-            cold: (n + upper..n + upper + centres.len()).collect(),
+            cold: particles_of(on_upper_cold),
             x: above,
             is_top: true,
             dummies: behind_top,
@@ -280,8 +313,7 @@ fn consistent<R: Sweeps>(
         });
     }
     let columns = walls.iter().map(|wall| wall.x.len()).sum();
-    let deformation = Deformation { columns, particles: model.particles(), map: Map::Surfaces(walls), base };
-    (model, deformation)
+    (model, Deformation { columns, particles, map: Map::Surfaces(walls), base })
 }
 
 /// Above this spacing, in channel heights, the flux along an adiabatic wall is left out; it smears the hot edge.
@@ -345,11 +377,6 @@ fn fixed<R: Sweeps>(
     let columns = walls.len() * columns;
     let deformation = Deformation { columns, particles: n, map: Map::Surfaces(walls), base };
     Ok((FixedParticles::new(model.flow, fixed), deformation))
-}
-
-/// Number of steps in the objective's window.
-pub(super) fn window(config: &Config) -> usize {
-    ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
 }
 
 /// A column of targets across the flow; in three dimensions one in each layer.

@@ -29,6 +29,19 @@ impl Lattice {
         Self { dimension, spacing, cells, wall_rows, periodic, size: None, occupied: None, before, corner }
     }
 
+    /// A lattice with cells `inside` between walls of some rows, with the inside's corner at 0.
+    pub fn between(
+        wall_rows: [usize; 3],
+        dimension: usize,
+        spacing: f64,
+        inside: [usize; 3],
+        periodic: [bool; 3],
+    ) -> Self {
+        let cells = std::array::from_fn(|d| inside[d] + 2 * wall_rows[d]);
+        let corner = wall_rows.map(|rows| 0.0 - rows as f64 * spacing);
+        Self { wall_rows, periodic, corner, ..Self::new(dimension, spacing, cells) }
+    }
+
     /// A plane channel of height 1, periodic in x, with the surface of the lower wall at y = 0.
     pub fn channel(columns: usize, rows: usize, walls: usize) -> Self {
         Self {

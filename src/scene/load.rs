@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use toml_edit::{Array, Value};
 
+use super::build_design;
 use crate::config::before;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
@@ -17,8 +18,9 @@ use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
-use crate::design::start_shape;
+use crate::design::{start_shape, Scheduled};
 use crate::error::{BadInput, Error};
+use crate::sph::Sweeps;
 
 /// The origin of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -72,7 +74,7 @@ impl Config {
     /// Errors: anything a user can get wrong, as [`Error::Input`].
     pub fn load(scene_or_file: Option<&str>, preset: Option<&str>, sets: &[String]) -> Result<Loaded, Error> {
         let settings: Vec<Setting> = sets.iter().map(|text| Setting::set(text)).collect();
-        Ok(load(scene_or_file, preset, &settings)?)
+        Self::load_settings(scene_or_file, preset, &settings)
     }
 
     /// [`Config::load`] for settings that carry the names of command-line options for error messages.
@@ -81,13 +83,33 @@ impl Config {
         preset: Option<&str>,
         settings: &[Setting],
     ) -> Result<Loaded, Error> {
-        Ok(load(scene_or_file, preset, settings)?)
-    }
-
-    /// Checks every number, their consistency and the wall's shape; the first problem is the error.
-    pub fn validate(&self) -> Result<(), Error> {
-        self.check()?;
-        Ok(check_shape(self)?)
+        let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
+        let mut merged = base.merged();
+        if let Some(name) = preset {
+            let preset = builtin::preset(name)?;
+            let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text())?;
+            base.accepts(&layer)?;
+            merged.apply::<Config>(&layer);
+        }
+        if let Some(layer) = file {
+            base.accepts(&layer)?;
+            if base.name == SCENES[0].name && is_from_before(&layer) {
+                for (key, value) in before::FIRST {
+                    merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::option(
+                        "a file of before,",
+                        key,
+                        value,
+                    ))?);
+                }
+            }
+            merged.apply::<Config>(&layer);
+        }
+        for setting in settings {
+            let layer = Layer::from_setting::<Config>(setting)?;
+            base.accepts(&layer)?;
+            merged.apply::<Config>(&layer);
+        }
+        Ok(finish(merged, source)?)
     }
 
     /// The settings that make this configuration from its built-in scene, except for the keys and sections in `free`.
@@ -120,9 +142,6 @@ impl Loaded {
 
     /// The same configuration with further settings, such as those of each start of `--start all`. Defaults are derived
     /// anew. If the settings choose another method, keys that it lacks are dropped.
-    ///
-    /// # Errors
-    /// A setting that cannot be read, and inconsistent values.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = self.given.clone();
         for setting in settings {
@@ -156,9 +175,6 @@ impl Loaded {
     }
 
     /// The configuration with which an optimiser searches, see [`Search`].
-    ///
-    /// # Errors
-    /// As for [`Self::with`].
     pub fn for_search(&self) -> Result<Self, Error> {
         let (facts, methods) = (self.config.method.facts(), self.config.scene.built_in().methods());
         let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
@@ -188,36 +204,14 @@ impl Loaded {
             _ => Ok(self.clone()),
         }
     }
-}
 
-fn load(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting]) -> Result<Loaded, BadInput> {
-    let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
-    let mut merged = base.merged();
-    if let Some(name) = preset {
-        let preset = builtin::preset(name)?;
-        let layer = Layer::from_text::<Config>(&format!("preset {name}"), preset.text())?;
-        base.accepts(&layer)?;
-        merged.apply::<Config>(&layer);
+    /// The design problem that `optimise.search` chooses, with the schedule of its gradient.
+    pub fn scheduled<R: Sweeps>(&self) -> Result<Scheduled<R>, Error> {
+        let located = |error| self.located_error(error);
+        let (problem, _) = build_design::<R>(&self.for_search()?.config).map_err(located)?;
+        let schedule = problem.schedule(&self.config.optimise, self.config.run.precision).map_err(located)?;
+        Ok(Scheduled { problem, schedule })
     }
-    if let Some(layer) = file {
-        base.accepts(&layer)?;
-        if base.name == SCENES[0].name && is_from_before(&layer) {
-            for (key, value) in before::FIRST {
-                merged.apply::<Config>(&Layer::from_setting::<Config>(&Setting::option(
-                    "a file of before,",
-                    key,
-                    value,
-                ))?);
-            }
-        }
-        merged.apply::<Config>(&layer);
-    }
-    for setting in settings {
-        let layer = Layer::from_setting::<Config>(setting)?;
-        base.accepts(&layer)?;
-        merged.apply::<Config>(&layer);
-    }
-    finish(merged, source)
 }
 
 /// Number of keys of the shortest complete configuration of the heated channel.
@@ -359,9 +353,6 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
 }
 
 /// Checks the wall's shape, and the values of shapes and formulas at every particle. `Config` cannot check these.
-///
-/// # Errors
-/// A wall or shapes that cannot be built.
 pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     match config.scene {
         Family::HeatedChannel => Shape::from_config(config).map(|_| ()),

@@ -1,38 +1,28 @@
 //! Scenes: geometries, initial states and wall shapes.
 //!
-//! A scene family is a file here with what distinguishes it (lattice, walls, forces, start, exact solution), from which
-//! [`assembly`] makes a [`Scene`]. A new one needs such a file and an arm in [`Scene::from_config`].
+//! `data/scenes` has the values of a scene family. The code here says what distinguishes it (lattice, walls, forces, start,
+//! exact solution), from which [`assembly`] makes a [`Scene`]. A new verification flow needs its TOML and an arm in
+//! [`flows`].
 pub mod accuracy;
 pub mod assembly;
 pub mod checkpoint;
 pub mod composite_slab;
-pub mod couette;
 pub mod custom;
 pub mod custom_shape;
-pub mod dam_break;
 pub mod developed;
 pub mod distance;
 pub mod exact;
-pub mod falling_block;
 pub mod figures;
+pub mod flows;
 pub mod heated_channel;
-mod heated_channel_3d;
-pub mod hydrostatic_tank;
-pub mod isothermal_channel;
 mod lattice;
-pub mod lid_driven_cavity;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
 pub mod plausible;
-pub mod poiseuille;
 pub mod record;
-pub mod reverse_poiseuille;
-pub mod search;
-pub mod slab;
 mod surface;
 mod tank;
-pub mod taylor_green;
 pub mod verification;
 pub mod warnings;
 
@@ -52,9 +42,7 @@ use crate::sph::{Model, Sweeps};
 pub struct Scene<R> {
     pub name: &'static str,
     pub model: Model<R>,
-    /// The initial state.
     pub start: Snapshot<R>,
-    /// Number of steps of the run.
     pub steps: usize,
     pub spacing: f64,
     /// The lower corner of the box that includes the walls.
@@ -68,15 +56,16 @@ pub struct Scene<R> {
 }
 
 impl<R: Sweeps> Scene<R> {
-    /// The scene of a checked configuration.
-    ///
-    /// # Errors
-    /// A wall shape that is not allowed.
     pub fn from_config(config: &Config) -> Result<Self, Error> {
-        let scene = Self::built(config)?;
+        let scene = match config.scene {
+            Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
+            Family::Custom => custom::build(config)?,
+            scene if scene.has_surface() => tank::build(config),
+            _ => flows::build(config),
+        };
         log::info!(
             "built {}: {} particles, {} steps of {:.4e}",
-            config.scene.name(),
+            scene.name,
             scene.model.particles(),
             scene.steps,
             scene.model.dt
@@ -84,31 +73,7 @@ impl<R: Sweeps> Scene<R> {
         Ok(scene)
     }
 
-    fn built(config: &Config) -> Result<Self, Error> {
-        Ok(match config.scene {
-            Family::HeatedChannel | Family::HeatedChannel3d => heated_channel::build(config)?,
-            Family::TaylorGreen | Family::TaylorGreen3d => taylor_green::TaylorGreen::from_config(config).build(),
-            Family::Poiseuille => poiseuille::Poiseuille::from_config(config).build(),
-            Family::Couette => couette::Couette::from_config(config).build(),
-            Family::ReversePoiseuille | Family::ReversePoiseuille3d => {
-                reverse_poiseuille::ReversePoiseuille::from_config(config).build()
-            }
-            Family::LidDrivenCavity | Family::LidDrivenCavity3d => {
-                lid_driven_cavity::LidDrivenCavity::from_config(config).build()
-            }
-            Family::Slab => slab::Slab::from_config(config).build(),
-            Family::IsothermalChannel => isothermal_channel::IsothermalChannel::from_config(config).build(),
-            Family::Custom => custom::build(config)?,
-            Family::DamBreak | Family::DamBreak3d => dam_break::build(config),
-            Family::FallingBlock => falling_block::build(config),
-            Family::HydrostaticTank => hydrostatic_tank::build(config),
-        })
-    }
-
     /// The design problem of a checked configuration; none without a design.
-    ///
-    /// # Errors
-    /// As for [`Self::from_config`].
     pub fn problem(config: &Config) -> Result<Option<Problem<R>>, Error> {
         Ok(match config.scene {
             Family::Custom if config.variables.is_empty() => None,
@@ -118,9 +83,6 @@ impl<R: Sweeps> Scene<R> {
     }
 
     /// The same particles with their initial disorder, without velocity and driving forces.
-    ///
-    /// # Errors
-    /// As for [`Self::from_config`].
     pub fn at_rest(config: &Config) -> Result<Self, Error> {
         let mut scene = Self::from_config(config)?;
         // Its design holds a model with the driving forces.
@@ -144,8 +106,7 @@ pub fn require_design(config: &Config) -> Result<(), BadInput> {
         return Ok(());
     }
     if config.scene == Family::Custom {
-        return Err(BadInput::new("the scene names no number of a shape that may change")
-            .key("variables")
+        return Err(BadInput::at("variables", "the scene names no number of a shape that may change")
             .allowed("variables = [{ number = \"shapes[0].radius\", lower = 0.05, upper = 0.1 }] or the like, with objective.kind")
             .advice("data/scenes/examples/cylinder.toml, which has some"));
     }

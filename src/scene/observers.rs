@@ -25,13 +25,11 @@ impl EvenSteps {
         Self { every: if count == 0 { 0 } else { steps.div_ceil(count) }, last: steps }
     }
 
-    /// Whether a step is selected.
     pub fn contains(&self, step: usize) -> bool {
         self.every > 0 && (step.is_multiple_of(self.every) || step == self.last)
     }
 }
 
-/// Writes ParaView frames.
 pub struct Frames {
     series: VtkSeries,
     steps: EvenSteps,
@@ -39,9 +37,6 @@ pub struct Frames {
 
 impl Frames {
     /// Frames in a folder; none if `count` is 0.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn new(folder: &Path, steps: usize, count: usize) -> Result<Option<Self>, FileError> {
         let new = || Ok(Self { series: VtkSeries::new(folder, "particles")?, steps: EvenSteps::new(steps, count) });
         (count > 0).then(new).transpose()
@@ -80,7 +75,7 @@ impl<'a, R: Sweeps> History<'a, R> {
 
     /// Starts with the rows of an interrupted run in its folder up to `step`, if they are readable.
     pub fn continued(mut self, from: &Path, step: usize) -> Self {
-        let columns = read_columns(&from.join("history.csv"), self.scene.history_columns()).unwrap_or_default();
+        let columns = read_columns(&from.join("history.csv"), &self.scene.history_columns()).unwrap_or_default();
         let count = columns.first().map_or(0, Vec::len);
         self.rows = (0..count).map(|k| columns.iter().map(|column| column[k]).collect()).collect();
         self.go_back(step);
@@ -100,7 +95,7 @@ impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
             let row = self.scene.history_row(dynamics, solver)?;
             (self.tell)(solver.step, &row);
             self.rows.push(row);
-            write_rows(&self.path, self.scene.history_columns(), &self.rows)?;
+            write_rows(&self.path, &self.scene.history_columns(), &self.rows)?;
         }
         Ok(())
     }
@@ -136,7 +131,6 @@ impl<R: Sweeps> Observer<Sph<R>> for LastGood<R> {
 /// Writes [`checkpoint`]s, except at the end, and one when a stop is requested.
 pub struct Checkpoints<'a> {
     pub path: PathBuf,
-    /// The text of the configuration.
     pub configuration: &'a str,
     pub steps: EvenSteps,
     /// The step at which the run began, which needs no checkpoint.

@@ -26,10 +26,6 @@ pub struct ParticleFields {
 }
 
 impl ParticleFields {
-    /// The fields of a run's present state.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of<R: Sweeps>(solver: &mut Solver<R>) -> Result<Self, RunError> {
         solver.look()?;
         let model = solver.model.clone();
@@ -73,10 +69,6 @@ impl ParticleFields {
         })
     }
 
-    /// Writes `state.h5`.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, folder: &Path, loaded: &Loaded) -> Result<(), FileError> {
         let config = &loaded.config;
         let state = State {

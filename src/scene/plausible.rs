@@ -8,7 +8,6 @@ use crate::error::BadInput;
 use crate::particles::tag;
 use crate::sph::Sweeps;
 
-/// A limit of the time step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Criterion {
     pub name: &'static str,
@@ -17,7 +16,6 @@ pub struct Criterion {
     pub dt: f64,
 }
 
-/// The estimates for a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Findings {
     /// Kinds of particles, and their numbers.
@@ -42,9 +40,6 @@ const TOO_CAREFUL: f64 = 10.0;
 
 impl Findings {
     /// The estimates for a scene and the configuration that it was built from.
-    ///
-    /// # Errors
-    /// As for [`Scene::from_config`].
     pub fn of<R: Sweeps>(config: &Config, scene: &Scene<R>) -> Result<Self, BadInput> {
         let grid = match config.scene {
             Family::Custom => Some(Grid::of(config)?),
@@ -53,13 +48,13 @@ impl Findings {
         let speed = speed(config, scene, grid.as_ref());
         let mut findings = Self {
             particles: particles(&scene.model.tags),
-            criteria: criteria(config, scene.model.heat.is_some()),
+            criteria: criteria(config),
             speed,
             narrowest: grid.as_ref().and_then(|grid| grid.narrowest(false)),
             thinnest: grid.as_ref().and_then(|grid| grid.narrowest(true)),
             warnings: vec![],
         };
-        findings.warnings = findings.implausible(config, scene.model.heat.is_some());
+        findings.warnings = findings.implausible(config);
         Ok(findings)
     }
 
@@ -69,7 +64,7 @@ impl Findings {
         smallest.map_or("none", |criterion| criterion.name)
     }
 
-    fn implausible(&self, config: &Config, has_heat: bool) -> Vec<String> {
+    fn implausible(&self, config: &Config) -> Vec<String> {
         let mut all = Vec::new();
         let (fluid, dx, u, c) = (&config.fluid, config.resolution.dx, self.speed, config.sound_speed());
         let reference = fluid.reference_velocity;
@@ -91,8 +86,12 @@ impl Findings {
             ));
         }
         let diffusivities = [
-            ("Reynolds", kinematic(config) + config.artificial_kinematic_viscosity(), "fluid.viscosity"),
-            ("Peclet", if has_heat { config.thermal_diffusivity() } else { f64::INFINITY }, "fluid.conductivity"),
+            ("Reynolds", config.model_viscosity() + config.artificial_kinematic_viscosity(), "fluid.viscosity"),
+            (
+                "Peclet",
+                if config.has_heat() { config.thermal_diffusivity() } else { f64::INFINITY },
+                "fluid.conductivity",
+            ),
         ];
         for (name, diffusivity, key) in diffusivities {
             let cell = u * dx / diffusivity;
@@ -158,17 +157,6 @@ impl Findings {
     }
 }
 
-/// The kinematic viscosity nu of a scene.
-fn kinematic(config: &Config) -> f64 {
-    match config.scene {
-        Family::HeatedChannel | Family::HeatedChannel3d | Family::Custom => config.kinematic_viscosity(),
-        _ if config.scene.has_surface() => config.kinematic_viscosity(),
-        // The slab is at rest; its model has this value.
-        Family::Slab => 1.0,
-        _ => 1.0 / config.flow.reynolds,
-    }
-}
-
 fn particles(tags: &[u8]) -> Vec<(&'static str, usize)> {
     let kinds = [
         (tag::FLUID, "fluid"),
@@ -182,14 +170,15 @@ fn particles(tags: &[u8]) -> Vec<(&'static str, usize)> {
     kinds.into_iter().map(|(kind, name)| (name, count(kind))).filter(|(_, count)| *count > 0).collect()
 }
 
-fn criteria(config: &Config, has_heat: bool) -> Vec<Criterion> {
+fn criteria(config: &Config) -> Vec<Criterion> {
     let (limits, square) = (config.time_step_limits(), config.resolution.dx.powi(2));
-    let viscous = config.time.diffusion_number * square / (kinematic(config) + config.artificial_kinematic_viscosity());
+    let viscous =
+        config.time.diffusion_number * square / (config.model_viscosity() + config.artificial_kinematic_viscosity());
     let mut all = vec![
         Criterion { name: "sound", formula: "cfl dx / (c + u_ref)", dt: limits.acoustic },
         Criterion { name: "viscosity", formula: "diffusion_number dx^2 / nu", dt: viscous },
     ];
-    if has_heat {
+    if config.has_heat() {
         let thermal = config.time.diffusion_number * square / config.thermal_diffusivity();
         all.push(Criterion { name: "heat", formula: "diffusion_number dx^2 / alpha", dt: thermal });
     }
@@ -283,7 +272,7 @@ impl Grid {
     /// Estimate of the speed that the body force causes: by plane channels as wide as the passages, in series
     /// (lubrication), and at most that of freely accelerated fluid. A closed side stops the flow.
     fn driven(&self, config: &Config) -> f64 {
-        let (nu, dx, time) = (kinematic(config), config.resolution.dx, config.duration());
+        let (nu, dx, time) = (config.model_viscosity(), config.resolution.dx, config.duration());
         let mut fastest: f64 = 0.0;
         for (d, g) in config.region.acceleration.iter().enumerate().filter(|(d, g)| **g != 0.0 && self.periodic[*d]) {
             let free = g.abs() * time;

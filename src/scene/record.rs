@@ -48,7 +48,6 @@ impl Record {
         }
     }
 
-    /// The record of a run of a scene with a design.
     pub fn of_design(loaded: &Loaded, found: &Diagnostics, steps: usize, seconds: f64) -> Self {
         let mut record = Self::of(found);
         record.put_run(loaded, steps, seconds);
@@ -140,13 +139,11 @@ impl Record {
         self.put("offsets_last", history.last().map(|epoch| &epoch.variables));
     }
 
-    /// Removes the figures of heat.
     pub fn without_heat(mut self) -> Self {
         HEAT.iter().for_each(|key| drop(self.0.shift_remove(*key)));
         self
     }
 
-    /// Adds or replaces a figure.
     pub fn put(&mut self, key: &str, value: impl Serialize) {
         self.0.insert(key.into(), json!(value));
     }

@@ -2,11 +2,10 @@
 //! dummy particles, and a pressure to the state.
 
 use super::lattice::{Lattice, WallHeat};
-use crate::config::scene::{Config, IntegratorName, Method, ShiftName};
+use crate::config::scene::{self, IntegratorName, ShiftName};
 use crate::numerics::lanes::Real;
 use crate::particles::tag;
-use crate::sph::consistent::arrangement::Shift;
-use crate::sph::consistent::arrangement::{Chain, Isotropic};
+use crate::sph::consistent::arrangement::{Chain, Isotropic, Shift};
 use crate::sph::consistent::kinds::{NO_FLUX, PRESSURE, TEMPERATURE, VELOCITY};
 use crate::sph::consistent::layout::Layout;
 use crate::sph::consistent::{Consistent, Fits};
@@ -69,68 +68,35 @@ pub(super) struct Rows {
     pub fluid: Vec<Vec<u32>>,
 }
 
-/// Settings of the consistent method beyond those of the standard one.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Settings {
-    pub shift: ShiftName,
-    pub strength: f64,
-    pub delta: f64,
-    pub integrator: IntegratorName,
-}
-
-impl Settings {
-    /// The settings of a configuration; none for the standard method.
-    pub(super) fn from_config(config: &Config) -> Option<Self> {
-        let own = match config.method {
-            Method::Standard(_) => return None,
-            Method::Consistent(own) => own,
-            Method::Fixed(own) => return Some(Self { delta: own.pressure_diffusion, ..Self::default() }),
-        };
-        Some(Self {
-            shift: own.shift,
-            strength: own.shift_strength,
-            delta: own.pressure_diffusion,
-            integrator: own.integrator,
-        })
-    }
-}
-
 impl Surface {
     /// The plane walls of a lattice. The upper one moves along x with velocity `lid`; `heat` is for those across y.
     pub(super) fn of_lattice(lattice: &Lattice, lid: f64, heat: Option<[WallHeat; 2]>) -> Self {
         let (dimension, dx) = (lattice.dimension, lattice.spacing);
         let walled = |d: usize| lattice.wall_rows[d] > 0;
-        let coordinate = |d: usize, row: f64| (row - lattice.before[d]) * dx + lattice.corner[d];
         let inner = |d: usize| lattice.wall_rows[d]..lattice.cells[d] - lattice.wall_rows[d];
         let plane = |d: usize, upper: bool| {
             let row = if upper { inner(d).end } else { inner(d).start };
-            coordinate(d, row as f64)
+            (row as f64 - lattice.before[d]) * dx + lattice.corner[d]
         };
         let mut surface = Self::default();
         let mut numbers = BTreeMap::new();
         for d in (0..dimension).filter(|&d| walled(d)) {
-            for i in 0..lattice.particles() {
+            // Points are in front of each fluid particle next to a wall.
+            for i in (0..lattice.particles()).filter(|&i| !lattice.is_wall(i)) {
                 let rows = lattice.rows(i);
-                // Points are in front of each fluid particle next to a wall.
-                if (0..dimension).any(|e| !inner(e).contains(&rows[e])) {
-                    continue;
-                }
                 for upper in [false, true] {
                     let beside = if upper { inner(d).end - 1 } else { inner(d).start };
                     if rows[d] != beside {
                         continue;
                     }
-                    let place = |e: usize| if e == d { plane(d, upper) } else { coordinate(e, rows[e] as f64 + 0.5) };
+                    let mut position = lattice.place(i);
+                    position[d] = plane(d, upper);
                     let moves = d == 1 && upper;
                     let mut normal = [0.0; 3];
                     normal[d] = if upper { -1.0 } else { 1.0 };
                     numbers.insert((d, upper, i), surface.points.len());
-                    let point = Point {
-                        position: std::array::from_fn(|e| if e < dimension { place(e) } else { 0.0 }),
-                        normal,
-                        knows: Knows::Velocity([if moves { lid } else { 0.0 }, 0.0, 0.0]),
-                    };
-                    let mut point = point;
+                    let knows = Knows::Velocity([if moves { lid } else { 0.0 }, 0.0, 0.0]);
+                    let mut point = Point { position, normal, knows };
                     let moved = |rows: usize, to: f64| if rows == 0 { to - 0.5 } else { 0.0 };
                     if lid != 0.0 && moves {
                         for e in (0..dimension).filter(|&e| e != 1 && walled(e)) {
@@ -161,14 +127,8 @@ impl Surface {
             });
             let cells = lattice.cells;
             let fluid = nearest[0] + cells[0] * (nearest[1] + cells[1] * nearest[2]);
-            let mirror = std::array::from_fn(|e| {
-                let x = if e < dimension { coordinate(e, rows[e] as f64 + 0.5) } else { 0.0 };
-                if outside.contains(&e) {
-                    2.0 * plane(e, is_above(e)) - x
-                } else {
-                    x
-                }
-            });
+            let mut mirror = lattice.place(i);
+            outside.iter().for_each(|&e| mirror[e] = 2.0 * plane(e, is_above(e)) - mirror[e]);
             surface.dummies.push(Dummy { particle: i, point: numbers[&(d, is_above(d), fluid)], mirror });
         }
         surface
@@ -186,11 +146,11 @@ impl Surface {
         base: &[f64],
         spacing: f64,
         [velocity, sound_speed]: [f64; 2],
-        settings: Settings,
+        own: scene::Consistent,
     ) -> (Consistent<R>, Vec<f64>) {
         let (old, l) = (model.particles(), model.layout);
         let d = l.dimension;
-        let rates = settings.integrator == IntegratorName::Verlet;
+        let rates = own.integrator == IntegratorName::Verlet;
         let layout = Layout { dimension: d, heat: l.heat, rates };
         let n = old + self.points.len();
         let mut state = vec![0.0; layout.state_rows() * n];
@@ -241,16 +201,16 @@ impl Surface {
         fitted.dedup();
         let place = |point: usize| fitted.partition_point(|&k| k < point) as u32;
         let mut quadrature = vec![one; n];
-        let shift = match (settings.shift, &self.rows) {
+        let shift = match (own.shift, &self.rows) {
             (ShiftName::None, _) => Shift::None,
             (ShiftName::Chain | ShiftName::Rows, Some(rows)) => {
                 let points = |points: &[usize]| points.iter().map(|&k| numbers[k]).collect::<Vec<u32>>();
                 let all = [vec![points(&rows.lower)], rows.fluid.clone(), vec![points(&rows.upper)]].concat();
-                let is_still = settings.shift == ShiftName::Rows;
-                Shift::Chain(Chain::new(settings.strength, is_still, all, n))
+                let is_still = own.shift == ShiftName::Rows;
+                Shift::Chain(Chain::new(own.shift_strength, is_still, all, n))
             }
             _ => Shift::Isotropic(Isotropic {
-                strength: settings.strength,
+                strength: own.shift_strength,
                 limit: LIMIT,
                 normals: fitted.iter().map(|&k| (numbers[k], self.points[k].normal)).collect(),
             }),
@@ -267,7 +227,7 @@ impl Surface {
             velocity,
             viscosity: model.viscosity / density,
             diffusivity,
-            delta: settings.delta,
+            delta: own.pressure_diffusion,
             shift,
             weights,
             surface: fitted.iter().map(|&k| numbers[k]).collect(),

@@ -23,7 +23,6 @@ use std::time::Instant;
 /// The condition that a check changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Check {
-    /// Nothing changes.
     AsOptimised,
     /// Half of `resolution.dx`; in three dimensions, where that is 16 times the work, the largest fit up to 4/5 of it.
     FinerSpacing,
@@ -61,20 +60,16 @@ pub struct Verification {
     pub reference_name: &'static str,
 }
 
-/// The results of all checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verified {
-    /// How the objective is reported.
     pub figure: Figure,
     pub reference_name: &'static str,
     pub checks: Vec<Finding>,
     pub seconds: f64,
 }
 
-/// The result of a check.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// What was changed, in words.
     pub check: String,
     /// The figures of the reference and of the best wall, or the error.
     pub figures: Result<(f64, f64), String>,
@@ -125,9 +120,6 @@ pub type Pair = [Loaded; 2];
 impl Verification {
     /// The checks of a best wall against the first one of its search, or else against the flat wall, with the particles
     /// of the configuration's search.
-    ///
-    /// # Errors
-    /// As for [`Loaded::for_search`].
     pub fn of_search(loaded: &Loaded, first: Option<Shape>, best: Shape) -> Result<Self, Error> {
         let (reference, reference_name) = match first {
             Some(first) => (first, "the first design"),
@@ -138,9 +130,6 @@ impl Verification {
 
     /// Runs both walls under every check. `progress` is called with the completed fraction of the work. A check that
     /// cannot run is a result too.
-    ///
-    /// # Errors
-    /// Walls that are not allowed.
     pub fn run(&self, progress: &mut dyn FnMut(f64)) -> Result<Verified, Error> {
         let clock = Instant::now();
         // A wall that is not allowed fails here and is not a result.
@@ -175,10 +164,6 @@ impl Verification {
         Ok(Verified { figure, reference_name: self.reference_name, checks, seconds: clock.elapsed().as_secs_f64() })
     }
 
-    /// The configurations of a check.
-    ///
-    /// # Errors
-    /// Values that are not allowed.
     pub fn pair(&self, check: Check) -> Result<Pair, Error> {
         let settings = self.settings(check)?;
         let with = |wall: &Shape| self.loaded.with(&[&settings[..], &self.wall(wall)].concat());
@@ -250,7 +235,6 @@ impl Verification {
         Ok(settings)
     }
 
-    /// What a check changes, in words.
     pub fn describe(&self, check: Check) -> String {
         let config = &self.loaded.config;
         match check {
@@ -325,7 +309,6 @@ fn work(loaded: &Loaded) -> f64 {
     (config.columns() * (config.rows() + 2 * config.channel.wall_rows) * config.layers() * config.steps()) as f64
 }
 
-/// The same runs with half the time step.
 fn slower(pair: &Pair) -> Result<Pair, Error> {
     let half = |loaded: &Loaded| {
         let time = &loaded.config.time;
@@ -336,7 +319,6 @@ fn slower(pair: &Pair) -> Result<Pair, Error> {
     Ok([half(&pair[0])?, half(&pair[1])?])
 }
 
-/// The figures of both walls of a check.
 fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f64)> {
     let mut half = |loaded: &Loaded, first: f64| {
         let progress: &mut dyn FnMut(f64) = &mut |part| progress(first + 0.5 * part);
@@ -352,7 +334,6 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
     Ok((reference, best))
 }
 
-/// The figure of the wall of a configuration.
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
     let problem = problem::<R>(loaded)?;
     Ok(problem.evaluate_watched(&problem.first, progress)? * problem.figure.factor)

@@ -11,7 +11,6 @@ use crate::particles::tag;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// A problem, and what to try.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Warning {

@@ -1,12 +1,13 @@
 //! Measures a case in its own process, with a fixed number of threads and its own peak memory.
 
+use std::f64::consts::TAU;
 use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
 use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
 use crate::adjoint::schedule::{Costs, Schedule, TooSmall};
 use crate::adjoint::{Dynamics, Fields, Objective, RunError};
 use crate::cli::prepare::{build, compute};
-use crate::config::scene::Precision;
+use crate::config::scene::{Family, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
 use crate::numerics::lanes::InstructionSet;
@@ -17,7 +18,7 @@ use crate::particles::tag;
 use crate::report::memory::{peak_memory_bytes, reset_peak_memory};
 use crate::report::text::bytes;
 use crate::scene::accuracy::points;
-use crate::scene::taylor_green::TaylorGreen;
+use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
 use crate::sph::standard::Standard;
@@ -186,9 +187,13 @@ impl<R: Sweeps> Ready<R> {
 pub fn taylor_green<R: Sweeps>(size: Size) -> (Standard<R>, Vec<R>) {
     let Size { dimension, per_side } = size;
     // A disorder of a tenth of a spacing, because an exact lattice would persist for a while.
-    let mut scene = TaylorGreen { dimension, per_side, ..TaylorGreen::default() };
-    scene.numerics.jitter = 0.1;
-    let flow = scene.build::<R>();
+    let (family, size) = if dimension == 2 { (Family::TaylorGreen, 1.0) } else { (Family::TaylorGreen3d, TAU) };
+    let mut config = family.defaults_with("standard");
+    (config.resolution.dx, config.resolution.smoothing_length) = (size / per_side as f64, 1.0);
+    (config.flow.reynolds, config.time.cfl, config.time.jitter) = (100.0, 0.25, 0.1);
+    // Steps of the largest size.
+    config.time.steps = Some(1);
+    let flow = Scene::<R>::from_config(&config).expect("vortices have no shape to be wrong");
     (needs::standard(&flow.model).clone(), flow.start.state)
 }
 

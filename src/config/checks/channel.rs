@@ -20,7 +20,7 @@ impl Config {
         for &(key, extent) in [("channel.length", channel.length)].iter().chain(&across) {
             if !is_whole(extent / dx) {
                 let problem = format!("resolution.dx = {dx} does not divide {key} = {extent}");
-                let bad = BadInput::new(problem).key("resolution.dx").allowed(match span {
+                let bad = BadInput::at("resolution.dx", problem).allowed(match span {
                     None => "whole numbers of spacings in channel.length and channel.height",
                     Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
                 });
@@ -37,8 +37,7 @@ impl Config {
         let shortest = 2.0 * (support + self.time.skin) * dx;
         for (key, extent) in [("channel.length", channel.length)].into_iter().chain(span) {
             if extent < shortest {
-                return Err(BadInput::new(format!("{key} = {extent} is too short"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("{key} = {extent} is too short"))
                     .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
                     .advice("a smaller resolution.dx"));
             }
@@ -99,8 +98,7 @@ impl Config {
         ];
         for (key, value, low, high, rule) in order {
             if value < low - slack || value > high + slack {
-                return Err(BadInput::new(format!("{key} = {value} is out of place"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("{key} = {value} is out of place"))
                     .allowed(format!("{rule}, here {low} ... {high}")));
             }
         }
@@ -113,10 +111,10 @@ impl Config {
         if fastest <= FASTEST * sound {
             return Ok(());
         }
-        Err(BadInput::new(format!(
-            "the plane channel's flow would be as fast as {fastest:.3}, with a sound speed of {sound:.3}"
-        ))
-        .key("fluid.reference_velocity")
+        Err(BadInput::at(
+            "fluid.reference_velocity",
+            format!("the plane channel's flow would be as fast as {fastest:.3}, with a sound speed of {sound:.3}"),
+        )
         .allowed(format!("flows up to {FASTEST} of the sound speed, reference_velocity * sound_speed_factor"))
         .advice(format!("fluid.reference_velocity={:.2} (smaller steps), or a smaller fluid.body_force", fastest)))
     }
@@ -130,8 +128,7 @@ impl Config {
         ];
         for (key, value, drive, name) in given {
             if value.is_some() && fluid.drive != drive {
-                return Err(BadInput::new(format!("{key} without what holds it"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("{key} without what holds it"))
                     .allowed(format!("fluid.drive = {name} with it"))
                     .advice(format!("fluid.drive={name}")));
             }
@@ -140,13 +137,14 @@ impl Config {
             return Ok(());
         }
         if fluid.body_force_region != BodyForceRegion::Fluid {
-            return Err(BadInput::new("fluid.body_force_region = original-channel with a force that is found")
-                .key("fluid.body_force_region")
-                .allowed("fluid, or fluid.drive = body-force"));
+            return Err(BadInput::at(
+                "fluid.body_force_region",
+                "fluid.body_force_region = original-channel with a force that is found",
+            )
+            .allowed("fluid, or fluid.drive = body-force"));
         }
         if self.plane_force() == 0.0 {
-            return Err(BadInput::new("fluid.drive without a flow rate or a power to hold")
-                .key("fluid.drive")
+            return Err(BadInput::at("fluid.drive", "fluid.drive without a flow rate or a power to hold")
                 .allowed("a body force above 0, or fluid.flow_rate or fluid.pumping_power"));
         }
         Ok(())
@@ -156,8 +154,7 @@ impl Config {
     pub(super) fn check_walls(&self) -> Result<(), BadInput> {
         match self.design.walls == DesignWalls::Bottom && self.design.top_offsets.is_some() {
             false => Ok(()),
-            true => Err(BadInput::new("design.top_offsets with a top wall that is not shaped")
-                .key("design.top_offsets")
+            true => Err(BadInput::at("design.top_offsets", "design.top_offsets with a top wall that is not shaped")
                 .allowed("design.walls = both with them")
                 .advice("design.walls=both")),
         }
@@ -167,8 +164,7 @@ impl Config {
     pub(super) fn check_bound(&self) -> Result<(), BadInput> {
         let (bound, dx, channel) = (self.design.bound, self.resolution.dx, &self.channel);
         let fail = |limit: f64, why: &str, advice: String| {
-            Err(BadInput::new(format!("design.bound = {bound} is too large: {why}"))
-                .key("design.bound")
+            Err(BadInput::at("design.bound", format!("design.bound = {bound} is too large: {why}"))
                 .allowed(format!("0 ... {limit:.6}"))
                 .advice(advice))
         };
@@ -180,8 +176,7 @@ impl Config {
         let limit = (channel.height - fewest * dx) / walls;
         if limit < -1e-9 * dx {
             let lowest = fewest * dx;
-            return Err(BadInput::new(format!("channel.height = {} is too low", channel.height))
-                .key("channel.height")
+            return Err(BadInput::at("channel.height", format!("channel.height = {} is too low", channel.height))
                 .allowed(format!("at least {}, {lowest:.6}", spacings(fewest)))
                 .advice("a smaller resolution.dx"));
         }

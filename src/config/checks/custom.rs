@@ -1,12 +1,11 @@
 //! Checks of custom scenes and of their design variables.
 
-use crate::config::custom::{check_vector, Fill, ShapeNumber, VariableEntry};
+use crate::config::custom::{Fill, ShapeNumber, VariableEntry};
 use crate::config::range::{countable, is_whole};
 use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::BadInput;
 
 impl Config {
-    /// Whether a custom scene has walls.
     pub fn has_walls(&self) -> bool {
         self.region.periodic.contains(&false) || self.shapes.iter().any(|shape| shape.fill == Fill::Wall)
     }
@@ -14,7 +13,7 @@ impl Config {
     /// Checks a custom scene: lengths of vectors, whole numbers of spacings, shapes and formulas.
     pub(super) fn check_custom(&self) -> Result<(), BadInput> {
         let (region, initial) = (&self.region, &self.initial);
-        let bad = |key: &str, problem: String| BadInput::new(format!("{key} = {problem}")).key(key);
+        let bad = |key: &str, problem: String| BadInput::at(key, format!("{key} = {problem}"));
         if !(2..=3).contains(&region.size.len()) || region.size.iter().any(|x| !(*x > 0.0 && x.is_finite())) {
             return Err(bad("region.size", format!("{:?}", region.size)).allowed("two or three lengths above 0"));
         }
@@ -30,15 +29,10 @@ impl Config {
         }
         self.check_cells()?;
         let has_heat = initial.temperature.is_some();
-        if !initial.velocity.is_empty() {
-            check_vector("initial.velocity", &initial.velocity, d)?;
-        }
-        if let Some(temperature) = &initial.temperature {
-            temperature.function("initial.temperature", d)?;
-        }
+        initial.at_start(d)?;
         let (_, exact_temperature) = self.exact.of_time(d)?;
         if exact_temperature.is_some() && !has_heat {
-            let bad = BadInput::new("exact.temperature in a scene without heat").key("exact.temperature");
+            let bad = BadInput::at("exact.temperature", "exact.temperature in a scene without heat");
             return Err(bad.allowed("with initial.temperature, which gives the scene its heat"));
         }
         for (key, x) in [("region.inlet_until", region.inlet_until), ("region.outlet_from", region.outlet_from)] {
@@ -81,7 +75,7 @@ impl Config {
             let VariableEntry { number, lower, upper } = variable;
             let bad = |name: &str, problem: String| {
                 let key = format!("variables[{k}].{name}");
-                BadInput::new(format!("{key} = {problem}")).key(key)
+                BadInput::at(&key, format!("{key} = {problem}"))
             };
             let Some(found) = numbers.iter().find(|one| one.to_string() == *number) else {
                 let names: Vec<String> = numbers.iter().map(ShapeNumber::to_string).collect();
@@ -129,25 +123,25 @@ impl Config {
         }
         let facts = self.method.facts();
         if facts.wall_cells {
-            return Err(BadInput::new(format!(
-                "variables in the {} method, whose walls are cells of the lattice",
-                facts.name
-            ))
-            .key("method.name")
+            return Err(BadInput::at(
+                "method.name",
+                format!("variables in the {} method, whose walls are cells of the lattice", facts.name),
+            )
             .allowed("consistent with them")
             .advice("method.name=consistent"));
         }
         let (objective, along) = (&self.objective, self.region.size[0]);
         if !has_heat && objective.kind != ObjectiveKind::FlowRate {
-            return Err(BadInput::new("objective.kind is about heat, and the scene has none")
-                .key("objective.kind")
+            return Err(BadInput::at("objective.kind", "objective.kind is about heat, and the scene has none")
                 .allowed("flow-rate; the others with initial.temperature")
                 .advice("objective.kind=flow-rate, or initial.temperature=1.0"));
         }
         if objective.target_x > along {
-            return Err(BadInput::new(format!("objective.target_x = {} is outside the box", objective.target_x))
-                .key("objective.target_x")
-                .allowed(format!("0 ... {along}, region.size[0]")));
+            return Err(BadInput::at(
+                "objective.target_x",
+                format!("objective.target_x = {} is outside the box", objective.target_x),
+            )
+            .allowed(format!("0 ... {along}, region.size[0]")));
         }
         self.optimise.check(self.run.precision)
     }
@@ -155,7 +149,7 @@ impl Config {
     /// Checks that dx divides the box, and that the box is neither too small nor too large.
     pub(super) fn check_cells(&self) -> Result<(), BadInput> {
         let (region, dx) = (&self.region, self.resolution.dx);
-        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
+        let bad = |problem: String| BadInput::at("resolution.dx", problem);
         let particles: f64 = region.size.iter().map(|x| x / dx).product();
         countable(dx, particles)?;
         let support = self.support();

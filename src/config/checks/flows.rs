@@ -9,8 +9,7 @@ impl Config {
     pub(super) fn check_flow(&self) -> Result<(), BadInput> {
         match self.fluid.drive == DriveName::BodyForce {
             true => Ok(()),
-            false => Err(BadInput::new("fluid.drive without a heated channel")
-                .key("fluid.drive")
+            false => Err(BadInput::at("fluid.drive", "fluid.drive without a heated channel")
                 .allowed("body-force, or scene heated-channel")),
         }
     }
@@ -23,15 +22,16 @@ impl Config {
         let (channel, dx) = (&self.channel, self.resolution.dx);
         let shortest = 2.0 * (self.support() + self.time.skin) * dx;
         if channel.length < shortest || !is_whole(channel.length / dx) {
-            return Err(BadInput::new(format!("channel.length = {} does not hold whole spacings", channel.length))
-                .key("channel.length")
-                .allowed(format!("multiples of resolution.dx = {dx}, at least {shortest}"))
-                .advice(format!("channel.length={}", (channel.length / dx).round().max((shortest / dx).ceil()) * dx)));
+            return Err(BadInput::at(
+                "channel.length",
+                format!("channel.length = {} does not hold whole spacings", channel.length),
+            )
+            .allowed(format!("multiples of resolution.dx = {dx}, at least {shortest}"))
+            .advice(format!("channel.length={}", (channel.length / dx).round().max((shortest / dx).ceil()) * dx)));
         }
         let (low, high) = (channel.inlet_length, channel.length - channel.outlet_length - dx);
         if channel.hot_from < low || channel.hot_from > high {
-            return Err(BadInput::new(format!("channel.hot_from = {} is out of place", channel.hot_from))
-                .key("channel.hot_from")
+            return Err(BadInput::at("channel.hot_from", format!("channel.hot_from = {} is out of place", channel.hot_from))
                 .allowed(format!(
                     "channel.inlet_length <= channel.hot_from <= channel.length - channel.outlet_length - dx, here {low} ... \
                      {high}"
@@ -56,7 +56,7 @@ impl Config {
             Family::Slab => (0.5, "0.5, half of the slab", 1, true, 2.0),
             _ => (1.0, "1, the side of the box", 2, false, 1.0),
         };
-        let bad = |problem: String| BadInput::new(problem).key("resolution.dx");
+        let bad = |problem: String| BadInput::at("resolution.dx", problem);
         let particles = parts * (size / dx).powi(dimension);
         countable(dx, particles)?;
         // With periodic images, a particle must see each neighbour only once. It must not reach two walls.

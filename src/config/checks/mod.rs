@@ -12,12 +12,11 @@ use crate::config::formula::Formula;
 use crate::config::method::kind::Facts;
 use crate::config::method::Method;
 use crate::config::range::{Number, Range};
-use crate::config::scene::{
-    BodyForceRegion, Config, DesignWalls, DriveName, Family, GradientMode, HotIsotherm, KernelName, MassConvention,
-    ObjectiveKind, SlipName,
-};
-use crate::config::schema::{Alternative, Schema};
+use crate::config::scene::{Config, Family, GradientMode, KernelName};
+use crate::config::schema::{values, Alternative, Schema};
 use crate::error::BadInput;
+use std::collections::BTreeMap;
+use toml_edit::Value;
 
 impl Schema for Config {
     const ALTERNATIVES: &'static [Alternative] = &[
@@ -37,7 +36,7 @@ impl Schema for Config {
         let mut config = Self::default();
         config.time.steps = Some(1);
         config.time.step = Some(1.0);
-        config.shapes = vec![ShapeEntry::complete()];
+        config.shapes = vec![ShapeEntry::default()];
         config.variables = vec![VariableEntry::default()];
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
@@ -123,8 +122,30 @@ impl Schema for Config {
     }
 }
 
-/// A key, whether it needs a capability, its value, the values that need none, and the capability.
-type Demand = (&'static str, bool, String, &'static str, fn(&Facts) -> bool);
+/// A key, a value that needs a capability of the method, the values that need none, and the capability.
+type Demand = (&'static str, &'static str, &'static str, fn(&Facts) -> bool);
+
+/// Any number but the one that needs no capability.
+const ANOTHER: &str = "another";
+
+const DEMANDS: [Demand; 13] = [
+    ("resolution.kernel", "super-gaussian", "gaussian, any other with positive weights", |can| can.negative_kernel),
+    ("heat.conductivity_ratio", ANOTHER, "1", |can| can.two_materials),
+    ("heat.capacity_ratio", ANOTHER, "1", |can| can.two_materials),
+    ("fluid.drive", "flow-rate", "body-force", |can| can.holds_drive),
+    ("fluid.drive", "pumping-power", "body-force", |can| can.holds_drive),
+    ("fluid.body_force_region", "original-channel", "fluid", |can| can.force_region),
+    ("wall.slip", "free-slip", "no-slip", |can| can.wall_keys),
+    ("wall.mass", "constant", "column-area", |can| can.wall_keys),
+    ("wall.hot_isotherm", "dummy", "surface", |can| can.wall_keys),
+    ("time.adaptive", "true", "false", |can| can.divides_steps),
+    ("objective.kind", "wall-heat", "heat-outflow, outlet-temperature, flow-rate", |can| can.wall_heat),
+    ("design.walls", "both", "bottom", |can| can.shapes_both_walls),
+    ("optimise.gradient", "steady", "segments, taped, truncated", |can| can.steady),
+];
+
+/// Demands that a custom scene does not make.
+const NOT_OF_CUSTOM: [&str; 2] = ["wall.hot_isotherm", "objective.kind"];
 
 impl Config {
     /// Number of fluid rows needed between the walls: one support radius from each, so that no particle reaches both.
@@ -132,7 +153,6 @@ impl Config {
         2.0 * self.support()
     }
 
-    /// Whether the scene has no walls.
     fn is_periodic(&self) -> bool {
         match self.scene {
             Family::Custom => !self.has_walls(),
@@ -143,103 +163,54 @@ impl Config {
         }
     }
 
-    /// Capabilities of the method that other sections need.
-    fn demands(&self) -> Vec<Demand> {
-        let (fluid, wall, heat, custom) = (&self.fluid, &self.wall, &self.heat, self.scene == Family::Custom);
-        let drive = if fluid.drive == DriveName::FlowRate { "flow-rate" } else { "pumping-power" };
-        let negative = self.resolution.kernel == KernelName::SuperGaussian;
-        vec![
-            (
-                "resolution.kernel",
-                negative,
-                "super-gaussian".into(),
-                "gaussian, any other with positive weights",
-                |can| can.negative_kernel,
-            ),
-            (
-                "heat.conductivity_ratio",
-                heat.conductivity_ratio != 1.0,
-                heat.conductivity_ratio.to_string(),
-                "1",
-                |can| can.two_materials,
-            ),
-            ("heat.capacity_ratio", heat.capacity_ratio != 1.0, heat.capacity_ratio.to_string(), "1", |can| {
-                can.two_materials
-            }),
-            ("fluid.drive", fluid.drive != DriveName::BodyForce, drive.into(), "body-force", |can| can.holds_drive),
-            (
-                "fluid.body_force_region",
-                fluid.body_force_region == BodyForceRegion::OriginalChannel,
-                "original-channel".into(),
-                "fluid",
-                |can| can.force_region,
-            ),
-            ("wall.slip", wall.slip == SlipName::FreeSlip, "free-slip".into(), "no-slip", |can| can.wall_keys),
-            ("wall.mass", wall.mass == MassConvention::Constant, "constant".into(), "column-area", |can| can.wall_keys),
-            (
-                "wall.hot_isotherm",
-                wall.hot_isotherm == HotIsotherm::Dummy && !custom,
-                "dummy".into(),
-                "surface",
-                |can| can.wall_keys,
-            ),
-            ("time.adaptive", self.time.adaptive, "true".into(), "false", |can| can.divides_steps),
-            (
-                "objective.kind",
-                self.objective.kind == ObjectiveKind::WallHeat && !custom,
-                "wall-heat".into(),
-                "heat-outflow, outlet-temperature, flow-rate",
-                |can| can.wall_heat,
-            ),
-            ("design.walls", self.design.walls == DesignWalls::Both, "both".into(), "bottom", |can| {
-                can.shapes_both_walls
-            }),
-            (
-                "optimise.gradient",
-                self.optimise.gradient == GradientMode::Steady,
-                "steady".into(),
-                if custom { "differences, segments, taped, truncated" } else { "segments, taped, truncated" },
-                |can| can.steady,
-            ),
-        ]
-    }
-
     /// Checks that the method can solve the scene, has consistent keys, and has the needed capabilities.
     fn check_method(&self) -> Result<(), BadInput> {
         let (name, methods) = (self.method.name(), self.scene.built_in().methods());
         if !methods.contains(&name) {
-            return Err(BadInput::new(format!("method.name = {name} can not solve scene {}", self.scene.name()))
-                .key("method.name")
-                .allowed(methods.join(", ")));
+            return Err(BadInput::at(
+                "method.name",
+                format!("method.name = {name} can not solve scene {}", self.scene.name()),
+            )
+            .allowed(methods.join(", ")));
         }
         self.method.check(matches!(self.scene, Family::HeatedChannel | Family::Slab))?;
         if self.resolution.kernel == KernelName::SuperGaussian && !self.is_periodic() {
             let problem =
                 "resolution.kernel = super-gaussian with walls: it is negative in its outer part, and averages beside \
                            walls need positive weights";
-            return Err(BadInput::new(problem)
-                .key("resolution.kernel")
+            return Err(BadInput::at("resolution.kernel", problem)
                 .allowed("another kernel; super-gaussian with method.name = standard in a scene without walls")
                 .advice("resolution.kernel=gaussian"));
         }
-        for (key, asked, what, instead, can) in self.demands() {
-            if !asked || can(self.method.facts()) {
+        let (now, custom) = (BTreeMap::from_iter(values(self)), self.scene == Family::Custom);
+        for (key, needing, instead, can) in DEMANDS {
+            let what = match &now[key] {
+                Value::String(text) => text.value().clone(),
+                Value::Float(number) => number.value().to_string(),
+                other => other.to_string().trim().to_string(),
+            };
+            let asks = if needing == ANOTHER { what != instead } else { what == needing };
+            if !asks || can(self.method.facts()) || (custom && NOT_OF_CUSTOM.contains(&key)) {
                 continue;
             }
+            let more = if custom && key == "optimise.gradient" { "differences, " } else { "" };
+            let instead = format!("{more}{instead}");
             let able: Vec<&str> = Method::that(can).into_iter().filter(|name| methods.contains(name)).collect();
             let first = instead.split(',').next().unwrap_or_default();
-            let bad = BadInput::new(format!("{key} = {what} with method.name = {name}")).key(key);
+            let bad = BadInput::at(key, format!("{key} = {what} with method.name = {name}"));
             return Err(match able.first() {
-                None => bad.allowed(instead).advice(format!("{key}={first}")),
+                None => bad.allowed(&instead).advice(format!("{key}={first}")),
                 Some(one) => bad
                     .allowed(format!("{instead}; {what} with method.name = {}", able.join(" or ")))
                     .advice(format!("method.name={one}, or {key}={first}")),
             });
         }
         if self.scene.has_design() && self.optimise.gradient == GradientMode::Differences {
-            return Err(BadInput::new("optimise.gradient = differences for a wall of many variables")
-                .key("optimise.gradient")
-                .allowed("segments, taped, truncated or steady; differences for `variables` of a scene of your own"));
+            return Err(BadInput::at(
+                "optimise.gradient",
+                "optimise.gradient = differences for a wall of many variables",
+            )
+            .allowed("segments, taped, truncated or steady; differences for `variables` of a scene of your own"));
         }
         Ok(())
     }

@@ -6,24 +6,25 @@ use crate::error::BadInput;
 
 impl Config {
     /// Checks that the objective's window is a part of the run with enough steps.
-    ///
-    /// # Errors
-    /// A window that is not.
     pub fn check_window(&self) -> Result<(), BadInput> {
         let (window, duration) = (self.objective.window, self.duration());
         if window > duration * (1.0 + 1e-9) {
-            return Err(BadInput::new(format!("objective.window = {window} is longer than the run"))
-                .key("objective.window")
-                .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
-                .advice("objective.window=0, or a larger time.end or time.steps"));
+            return Err(BadInput::at(
+                "objective.window",
+                format!("objective.window = {window} is longer than the run"),
+            )
+            .allowed(format!("0 (last step) ... {duration:.6}, the simulated time"))
+            .advice("objective.window=0, or a larger time.end or time.steps"));
         }
         let steps = (window / self.time_step() - 1e-9).ceil().max(0.0) as usize;
         if window > 0.0 && self.objective.samples > steps {
-            return Err(BadInput::new(format!(
-                "objective.samples = {} is more than the steps in objective.window = {window}",
-                self.objective.samples
-            ))
-            .key("objective.samples")
+            return Err(BadInput::at(
+                "objective.samples",
+                format!(
+                    "objective.samples = {} is more than the steps in objective.window = {window}",
+                    self.objective.samples
+                ),
+            )
             .allowed(format!("1 ... {steps}")));
         }
         Ok(())
@@ -38,8 +39,7 @@ impl Config {
                 .advice(format!("`hydrograd scenes {}` shows usual values", self.scene.name())));
         }
         if let Some(step) = self.time.step.filter(|&step| step > limit * (1.0 + WHOLE)) {
-            return Err(BadInput::new(format!("time.step = {step} is too large"))
-                .key("time.step")
+            return Err(BadInput::at("time.step", format!("time.step = {step} is too large"))
                 .allowed(format!("steps of at most {limit:.4e}, which time.cfl and time.diffusion_number allow"))
                 .advice("leave time.step out: the largest steps are taken then"));
         }
@@ -54,7 +54,7 @@ impl Config {
                 None => ("time.cfl", self.time.cfl),
             };
             let problem = format!("{key} = {value}: the run to t = {} needs {needed:.1e} steps", self.time.end);
-            return Err(BadInput::new(problem).key(key).allowed(format!("at most {MAX_STEPS:.0e} steps")));
+            return Err(BadInput::at(key, problem).allowed(format!("at most {MAX_STEPS:.0e} steps")));
         }
         Ok(())
     }

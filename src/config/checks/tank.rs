@@ -24,8 +24,7 @@ impl Config {
         for (key, extent, _) in extents.into_iter().filter(|(_, _, has)| *has) {
             let count = (extent / dx).round();
             if (extent / dx - count).abs() > WHOLE {
-                return Err(BadInput::new(format!("resolution.dx = {dx} does not divide {key} = {extent}"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("resolution.dx = {dx} does not divide {key} = {extent}"))
                     .allowed("whole numbers of spacings")
                     .advice(format!("{key}={}", (1e9 * count * dx).round() / 1e9)));
             }
@@ -33,16 +32,14 @@ impl Config {
         let (support, rows) = (self.support(), self.fluid_rows());
         for (key, extent) in [("tank.length", tank.length), ("tank.height", tank.height)] {
             if extent < rows * dx * (1.0 - WHOLE) {
-                return Err(BadInput::new(format!("{key} = {extent} is too small"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("{key} = {extent} is too small"))
                     .allowed(format!("at least {}: no particle sees two walls", spacings(rows)))
                     .advice("a smaller resolution.dx"));
             }
         }
         let shortest = 2.0 * (support + self.time.skin) * dx;
         if deep && tank.depth < shortest {
-            return Err(BadInput::new(format!("tank.depth = {} is too short", tank.depth))
-                .key("tank.depth")
+            return Err(BadInput::at("tank.depth", format!("tank.depth = {} is too short", tank.depth))
                 .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
                 .advice("a smaller resolution.dx"));
         }
@@ -57,8 +54,7 @@ impl Config {
             ("water.height", y, water.height, "tank.height", tank.height),
         ] {
             if from + extent > most + slack {
-                return Err(BadInput::new(format!("{key} = {extent} reaches out of the tank"))
-                    .key(key)
+                return Err(BadInput::at(key, format!("{key} = {extent} reaches out of the tank"))
                     .allowed(format!("up to {}, {key_of_tank} less where the water begins", most - from))
                     .advice(format!("a larger {key_of_tank}")));
             }
@@ -66,14 +62,16 @@ impl Config {
         let gravity = self.fluid.gravity;
         let flat = !deep && gravity[2] != 0.0;
         if flat || gravity.iter().any(|g| !g.is_finite()) || (still && (gravity[0] != 0.0 || gravity[1] >= 0.0)) {
-            return Err(BadInput::new(format!("fluid.gravity = {gravity:?} is no acceleration of this tank"))
-                .key("fluid.gravity")
-                .allowed(match still {
-                    true => "downwards: [0, less than 0, 0]",
-                    false if deep => "three finite numbers",
-                    false => "three finite numbers, the last one 0",
-                })
-                .advice("fluid.gravity=[0.0, -1.0, 0.0]"));
+            return Err(BadInput::at(
+                "fluid.gravity",
+                format!("fluid.gravity = {gravity:?} is no acceleration of this tank"),
+            )
+            .allowed(match still {
+                true => "downwards: [0, less than 0, 0]",
+                false if deep => "three finite numbers",
+                false => "three finite numbers, the last one 0",
+            })
+            .advice("fluid.gravity=[0.0, -1.0, 0.0]"));
         }
         Ok(())
     }

@@ -30,10 +30,8 @@ pub const FACTS: Facts = Facts {
 };
 
 section! {
-    /// The keys of the consistent method.
     #[derive(Copy)]
     "method.": Consistent {
-        /// How particles are kept evenly spread.
         shift: ShiftName = ShiftName::Chain;
         shift_strength: f64 = 2.0, Within(0.0, 10.0);
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
@@ -42,11 +40,10 @@ section! {
 }
 
 /// How particles are kept evenly spread: see [`crate::sph::consistent::shift`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShiftName {
     /// Along rows that stay in order, for channels.
-    #[default]
     Chain,
     /// Along rows that stay in place while the flow passes through them, for channels.
     Rows,
@@ -56,11 +53,10 @@ pub enum ShiftName {
 }
 
 /// The time integrator, see [`crate::sph::consistent::advance`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IntegratorName {
     /// Symplectic Euler: first order in time; velocity and pressure use each other's newest value.
-    #[default]
     SymplecticEuler,
     /// Velocity Verlet: second order, also with one evaluation per step.
     Verlet,
@@ -77,10 +73,12 @@ impl Kind for Consistent {
 
     fn check(&self, rows: bool) -> Result<(), BadInput> {
         if !rows && matches!(self.shift, ShiftName::Chain | ShiftName::Rows) {
-            return Err(BadInput::new("method.shift = chain or rows without rows of particles that stay rows")
-                .key("method.shift")
-                .allowed("isotropic or none, or scene heated-channel")
-                .advice("method.shift=isotropic"));
+            return Err(BadInput::at(
+                "method.shift",
+                "method.shift = chain or rows without rows of particles that stay rows",
+            )
+            .allowed("isotropic or none, or scene heated-channel")
+            .advice("method.shift=isotropic"));
         }
         Ok(())
     }

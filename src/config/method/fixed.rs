@@ -19,7 +19,6 @@ pub const FACTS: Facts = Facts {
 };
 
 section! {
-    /// The keys of the fixed method.
     #[derive(Copy)]
     "method.": Fixed {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);

@@ -7,7 +7,6 @@ use crate::error::BadInput;
 /// Properties and capabilities of a method, for any values of its keys.
 #[derive(Debug)]
 pub struct Facts {
-    /// The name in a configuration.
     pub name: &'static str,
     /// A description for the comment on `method.name`.
     pub about: &'static str,
@@ -76,13 +75,9 @@ pub enum Given {
 pub trait Kind {
     fn facts(&self) -> &'static Facts;
 
-    /// The numbers among its keys with their ranges.
     fn numbers(&self) -> Vec<Number>;
 
     /// Checks that its keys are consistent. `rows`: whether particles are in rows along a channel, or fixed.
-    ///
-    /// # Errors
-    /// The first key that is not.
     fn check(&self, _rows: bool) -> Result<(), BadInput> {
         Ok(())
     }

@@ -43,12 +43,10 @@ impl Default for Method {
 }
 
 impl Method {
-    /// The names of the methods in a configuration.
     pub fn names() -> Vec<&'static str> {
         METHODS.iter().map(|facts| facts.name).collect()
     }
 
-    /// The name of this method.
     pub fn name(&self) -> &'static str {
         self.facts().name
     }

@@ -30,64 +30,47 @@ pub const FACTS: Facts = Facts {
 };
 
 section! {
-    /// The keys of the standard method.
     #[derive(Copy)]
     "method.": Standard {
-        /// Background pressure = factor * density * sound speed^2.
         background_pressure_factor: f64 = 0.05, Within(0.0, 1.0);
-        /// Strength of the transport velocity: 0 switches it off, 1 is Adami, Hu and Adams (2013).
         transport_velocity: f64 = 0.0, Within(0.0, 1.0);
-        /// alpha of the artificial viscosity (Monaghan 1992, eq. 4.1 and 4.2, beta = 0); 0 switches it off.
         artificial_viscosity: f64 = 0.0, Within(0.0, 10.0);
-        /// The pairs on which the artificial viscosity acts.
         artificial_viscosity_pairs: ViscousPairs = ViscousPairs::Approaching;
-        /// How the density is computed.
         density_equation: DensityEquation = DensityEquation::Summation;
-        /// Whether an evolved density is renormalised in each step.
         density_renormalisation: bool = false;
-        /// The form of the flux between two particles.
         flux: FluxName = FluxName::Pair;
-        /// delta of delta-SPH.
         density_diffusion: f64 = 0.1, Within(0.0, 1.0);
-        /// The gradients in the diffusion of the density.
-        density_gradient: DensityGradientName = DensityGradientName::Renormalised;
-        /// alpha of delta-SPH.
+        density_gradient: DensityGradient = DensityGradient::Renormalised;
         velocity_diffusion: f64 = 0.01, Within(0.0, 10.0);
-        /// eta of the Riemann solver's dissipation limiter.
         riemann_limiter: f64 = 3.0, Within(0.0, 1000.0);
-        /// Tait's exponent: p = rho0 c^2/exponent ((rho/rho0)^exponent - 1).
         equation_of_state_exponent: f64 = 1.0, Within(1.0, 20.0);
     }
 }
 
 /// The pairs on which the artificial viscosity acts, see [`crate::sph::laws::artificial_viscosity`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViscousPairs {
     /// Pairs that approach each other (Monaghan 1992).
-    #[default]
     Approaching,
     /// All pairs of fluid particles, as in JAX-SPH.
     All,
 }
 
-/// How the density is computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityEquation {
     /// A sum over the neighbours.
-    #[default]
     Summation,
     /// Continuity, which needs no neighbours beyond a free surface, see [`crate::sph::standard::evolution`].
     Evolution,
 }
 
 /// The form of the flux between two particles, see [`crate::sph::laws::Flux`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FluxName {
     /// Mean pressure and shear stress.
-    #[default]
     Pair,
     /// Mean pressure and shear stress, with diffusion of density and velocity.
     Delta,
@@ -95,12 +78,13 @@ pub enum FluxName {
     Riemann,
 }
 
-/// The gradients in the diffusion of the density, see [`crate::sph::laws::density_diffusion`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+/// The gradients g_i and g_j in the diffusion of the density, see [`crate::sph::laws::density_diffusion`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum DensityGradientName {
-    #[default]
+pub enum DensityGradient {
     Renormalised,
+    /// As in JAX-SPH, for comparison: g_j is replaced by -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the
+    /// neighbours' matrices and the opposite sign, and no determinant is too small.
     JaxSph,
 }
 
@@ -113,14 +97,15 @@ impl Kind for Standard {
         Self::numbers(self)
     }
 
-    /// Checks that the keys are consistent.
     fn check(&self, _rows: bool) -> Result<(), BadInput> {
         let (exponent, usual) = (self.equation_of_state_exponent, Self::default());
         if exponent.fract() != 0.0 {
-            return Err(BadInput::new(format!("method.equation_of_state_exponent = {exponent} is no whole number"))
-                .key("method.equation_of_state_exponent")
-                .allowed("1 ... 20, whole numbers")
-                .advice("method.equation_of_state_exponent=7 for water"));
+            return Err(BadInput::at(
+                "method.equation_of_state_exponent",
+                format!("method.equation_of_state_exponent = {exponent} is no whole number"),
+            )
+            .allowed("1 ... 20, whole numbers")
+            .advice("method.equation_of_state_exponent=7 for water"));
         }
         let pairs = self.artificial_viscosity_pairs != usual.artificial_viscosity_pairs;
         let wrong = [
@@ -152,7 +137,7 @@ impl Kind for Standard {
         match wrong.into_iter().find(|(is_wrong, ..)| *is_wrong) {
             None => Ok(()),
             Some((_, key, problem, advice)) => {
-                Err(BadInput::new(format!("{key} {problem}")).key(key).allowed("its default there").advice(advice))
+                Err(BadInput::at(key, format!("{key} {problem}")).allowed("its default there").advice(advice))
             }
         }
     }

@@ -7,22 +7,13 @@
 //! so that a linear density is not diffused and still water stays at rest.
 
 use super::continuity::Flowing;
+use crate::config::scene::DensityGradient;
 use crate::sph::composed::Pairs;
 use crate::sph::masks::above;
 use candle_core::{Result, Tensor};
 
 /// Smallest determinant of A (1 in the interior, 1/2 at a flat surface). Below it the gradient is set to 0.
 const LEAST_DETERMINANT: f64 = 0.05;
-
-/// The gradients g_i and g_j in psi_ij.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum DensityGradient {
-    #[default]
-    Renormalised,
-    /// As in JAX-SPH, for comparison: g_j is replaced by -V_j sum_k (rho_k - rho_j) A_k^-1 grad_j W_jk, which has the
-    /// neighbours' matrices and the opposite sign, and no determinant is too small.
-    JaxSph,
-}
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityDiffusion {

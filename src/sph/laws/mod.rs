@@ -19,9 +19,10 @@ pub mod transport_velocity;
 pub mod velocity_diffusion;
 pub mod viscosity;
 
+pub use crate::config::scene::{DensityGradient, Slip};
 pub use artificial_viscosity::ArtificialViscosity;
 pub use conduction::Conduction;
-pub use density_diffusion::{DensityDiffusion, DensityGradient};
+pub use density_diffusion::DensityDiffusion;
 pub use pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
 pub use pressure::Pressure;
 pub use riemann::Riemann;
@@ -39,16 +40,6 @@ pub enum Flux {
     Delta(DensityDiffusion, VelocityDiffusion),
     /// By the state between the two particles in a Riemann problem (Zhang, Hu and Adams 2017).
     Riemann(Riemann),
-}
-
-/// The boundary condition for the velocity along walls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Slip {
-    /// No slip: the fluid at a wall has the wall's velocity.
-    #[default]
-    None,
-    /// Free slip: the wall exerts no shear stress.
-    Free,
 }
 
 /// Calls `$go` with the laws of a model and the constant of its dimension. The pair pass is compiled for the tuples

@@ -1,26 +1,25 @@
-//! The section `[resolution]`: particle spacing and smoothing kernel.
+//! The sections `[resolution]` and `[time]`: particle spacing, smoothing kernel and time step.
 
-use crate::config::range::Range::{Positive, Within};
+use crate::config::range::{
+    Range::{Above, Positive, Within},
+    MAX_STEPS,
+};
 use crate::config::section::section;
 use serde::{Deserialize, Serialize};
 
 section! {
-    /// The section `[resolution]`.
     "resolution.": Resolution {
-        /// Particle spacing.
         dx: f64 = 0.02, Positive;
         kernel: KernelName = KernelName::QuinticSpline;
-        /// Smoothing length h, in spacings.
         smoothing_length: f64 = 0.8, Within(0.5, 3.0);
     }
 }
 
 /// The smoothing kernel W(r, h).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KernelName {
     /// Quintic spline (Morris, Fox and Zhu 1997): reaches 3 h.
-    #[default]
     QuinticSpline,
     /// Cubic spline (Monaghan and Lattanzio 1985): reaches 2 h.
     CubicSpline,
@@ -44,4 +43,28 @@ impl KernelName {
             Self::CubicSpline | Self::WendlandC2 | Self::WendlandC4 | Self::WendlandC6 => 2.0,
         }
     }
+}
+
+section! {
+    "time.": Time {
+        end: f64 = 2.5, Positive;
+        #[serde(skip_serializing_if = "Option::is_none")]
+        steps: Option<usize> = None, Within(1.0, MAX_STEPS);
+        #[serde(skip_serializing_if = "Option::is_none")]
+        step: Option<f64> = None, Positive;
+        #[serde(deserialize_with = "crate::config::stability::cfl")]
+        cfl: f64 = 1.5, Above(0.0, 4.0);
+        diffusion_number: f64 = 0.25, Above(0.0, 1.0);
+        adaptive: bool = false;
+        start: Start = Start::Developed;
+        jitter: f64 = 0.05, Within(0.0, 0.3);
+        skin: f64 = 0.2, Above(0.0, 2.0);
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    Rest,
+    Developed,
 }
