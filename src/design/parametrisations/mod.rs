@@ -19,7 +19,7 @@ pub use b_spline::BSpline;
 pub use column_averages::ColumnAverages;
 pub use nodes::Nodes;
 pub use numbers::Numbers;
-pub use parametrisation::Parametrisation;
+pub use parametrisation::{Parametrisation, Variables};
 pub use spline_surface::SplineSurface;
 pub use two_walls::TwoWalls;
 
@@ -33,9 +33,8 @@ use std::sync::Arc;
 /// # Errors
 /// Too few control points.
 pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisation>, Vec<f64>), BadInput> {
-    let (channel, design) = (&config.channel, &config.design);
-    let (dx, length) = (config.resolution.dx, channel.length);
-    let section = HotSection { from: channel.hot_from, to: channel.hot_to, dx, length };
+    let (design, dx) = (&config.design, config.resolution.dx);
+    let section = HotSection::of(config);
     let facts = config.method.facts();
     let columns = || (0..config.columns()).map(|column| first_column(config) + column as f64 * dx).collect();
     let at_points = (!facts.wall_cells).then(|| if facts.moves { section.vertices() } else { columns() });
