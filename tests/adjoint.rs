@@ -8,7 +8,7 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Fields;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::design::objectives::{HeatOutflow, Samples};
+use hydrograd::design::objectives::{Mean, Quantity, Samples};
 use hydrograd::design::shape::Shape;
 use hydrograd::design::Problem;
 use hydrograd::scene::Scene;
@@ -58,7 +58,7 @@ fn channel<R: Sweeps>(formulation: &str, steps: usize, sets: &[&str]) -> (Proble
 }
 
 /// Q at several steps and the fluid's heat at the last.
-struct Both(HeatOutflow, FinalSum);
+struct Both(Mean, FinalSum);
 
 impl Objective for Both {
     fn name(&self) -> &str {
@@ -85,8 +85,8 @@ fn objective<R: Sweeps>(channel: &Problem<R>) -> Both {
     outlet.interpolation.targets = std::sync::Arc::new(targets);
     let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
     let samples = Samples(BTreeMap::from(samples));
-    let outflow = HeatOutflow { outlet, scale: channel.outlet.spacing, samples };
-    Both(outflow, FinalSum { steps, of: Summed::Heat })
+    let of = Quantity::HeatOutflow { outlet, scale: channel.outlet.spacing };
+    Both(Mean { of, samples }, FinalSum { steps, of: Summed::Heat })
 }
 
 fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {

@@ -45,6 +45,30 @@ fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
 /// Called after each segment (or each forward step) with the completed fraction of the work.
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
+/// Value of an objective over a run without a graph. `progress` is called with the completed fraction.
+///
+/// # Errors
+/// A [`RunError`] if the run can not go on.
+pub fn value_of_run<D: Dynamics, O: Objective + ?Sized>(
+    dynamics: &D,
+    start: &D::Start,
+    steps: usize,
+    objective: &O,
+    progress: Progress<'_>,
+) -> anyhow::Result<f64> {
+    let mut sum = 0.0;
+    let mut measure = |dynamics: &D, run: &mut D::Run| -> anyhow::Result<()> {
+        let step = dynamics.step(run);
+        if let Some(weight) = objective.weight(step) {
+            sum += weight * value(objective, &dynamics.look(run)?).map_err(RunError::tensor(step))?;
+        }
+        progress(step as f64 / steps as f64);
+        Ok(())
+    };
+    super::run::run(dynamics, start, steps, &mut [&mut measure])?;
+    Ok(sum)
+}
+
 /// Runs `schedule` from `start` and differentiates.
 ///
 /// Long segments recurse deeply in candle's `backward` and `Drop` (about 250 bytes of stack per chained operator);

@@ -4,9 +4,9 @@ use super::deformation::Deformation;
 use super::objectives::{Figure, Outlet};
 use super::parametrisations::Parametrisation;
 use super::shape::Shape;
-use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
+use crate::adjoint::gradient::{gradient, value, value_of_run, Gradient, Progress};
 use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
-use crate::adjoint::{run, Dynamics, Objective, RunError};
+use crate::adjoint::{Objective, RunError};
 use crate::config::device::Compute;
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
@@ -15,9 +15,8 @@ use crate::numerics::lanes::Real;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::method::Steady;
-use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Model;
-use crate::sph::Sweeps;
+use crate::sph::solver::Snapshot;
+use crate::sph::{Model, Sweeps};
 use candle_core::{DType, Device, Tensor, Var};
 use std::sync::Arc;
 
@@ -156,19 +155,9 @@ impl<R: Sweeps> Problem<R> {
     ///
     /// # Errors
     /// As for [`Self::evaluate`].
-    pub fn evaluate_watched(&self, variables: &[f64], progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
+    pub fn evaluate_watched(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
-        let mut sum = 0.0;
-        let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
-            if let Some(weight) = self.objective.weight(solver.step) {
-                let fields = dynamics.look(solver)?;
-                sum += weight * value(&*self.objective, &fields).map_err(RunError::tensor(solver.step))?;
-            }
-            progress(solver.step as f64 / self.steps as f64);
-            Ok(())
-        };
-        run(&dynamics, &self.start(variables), self.steps, &mut [&mut measure])?;
-        Ok(sum)
+        value_of_run(&dynamics, &self.start(variables), self.steps, &*self.objective, progress)
     }
 
     /// The objective of a design and its derivative by the variables.

@@ -1,21 +1,12 @@
 //! Objectives of designs, which are maximised. They use fields and do not depend on the solver.
 //!
-//! A new objective needs a file here that implements [`Objective`], and lines in [`of_config`] and
-//! [`Figure::of_config`].
+//! A new objective is a [`Quantity`], with a line in [`of_config`] and in [`Figure::of_config`].
 
-pub mod flow_rate;
-pub mod heat_outflow;
+pub mod mean;
 pub mod outlet;
-pub mod outlet_temperature;
-pub mod samples;
-pub mod wall_heat;
 
-pub use flow_rate::FlowRate;
-pub use heat_outflow::HeatOutflow;
+pub use mean::{Mean, Quantity, Samples};
 pub use outlet::Outlet;
-pub use outlet_temperature::OutletTemperature;
-pub use samples::Samples;
-pub use wall_heat::WallHeat;
 
 use crate::adjoint::Objective;
 use crate::config::scene::{Config, ObjectiveForm, ObjectiveKind};
@@ -23,18 +14,19 @@ use std::sync::Arc;
 
 /// The objective of a configuration.
 pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn Objective + Send> {
-    match config.objective.kind {
+    let of = match config.objective.kind {
         ObjectiveKind::HeatOutflow => {
             let scale = match config.objective.form {
                 ObjectiveForm::Flux => outlet.spacing,
                 ObjectiveForm::Sum => 1.0,
             };
-            Arc::new(HeatOutflow { outlet, scale, samples })
+            Quantity::HeatOutflow { outlet, scale }
         }
-        ObjectiveKind::OutletTemperature => Arc::new(OutletTemperature { outlet, samples }),
-        ObjectiveKind::WallHeat => Arc::new(WallHeat { samples, depth: config.depth() }),
-        ObjectiveKind::FlowRate => Arc::new(FlowRate { outlet, samples }),
-    }
+        ObjectiveKind::OutletTemperature => Quantity::OutletTemperature { outlet },
+        ObjectiveKind::WallHeat => Quantity::WallHeat { depth: config.depth() },
+        ObjectiveKind::FlowRate => Quantity::FlowRate { outlet },
+    };
+    Arc::new(Mean { of, samples })
 }
 
 /// How the values of an objective are reported.
@@ -50,27 +42,18 @@ pub struct Figure {
 impl Figure {
     /// The figure of a configuration's objective.
     pub fn of_config(config: &Config) -> Self {
-        match config.objective.kind {
-            ObjectiveKind::HeatOutflow => Self {
-                symbol: "Q",
-                quantity: "outflowing heat",
-                unit: "rho u T length",
-                // The figure is in flux form, whatever the loss uses.
-                factor: match config.objective.form {
-                    ObjectiveForm::Flux => 1.0,
-                    ObjectiveForm::Sum => config.resolution.dx,
-                },
-            },
-            ObjectiveKind::WallHeat => {
-                Self { symbol: "W", quantity: "heat from the walls", unit: "rho u T length", factor: 1.0 }
-            }
-            ObjectiveKind::FlowRate => Self { symbol: "V", quantity: "flow rate", unit: "u length", factor: 1.0 },
-            ObjectiveKind::OutletTemperature => Self {
-                symbol: "T",
-                quantity: "mixed outlet temperature above the inlet's",
-                unit: "scene units",
-                factor: 1.0,
-            },
-        }
+        let (symbol, quantity, unit) = match config.objective.kind {
+            ObjectiveKind::HeatOutflow => ("Q", "outflowing heat", "rho u T length"),
+            ObjectiveKind::WallHeat => ("W", "heat from the walls", "rho u T length"),
+            ObjectiveKind::FlowRate => ("V", "flow rate", "u length"),
+            ObjectiveKind::OutletTemperature => ("T", "mixed outlet temperature above the inlet's", "scene units"),
+        };
+        // The figure is in flux form, whatever the loss uses.
+        let is_sum = config.objective.form == ObjectiveForm::Sum;
+        let factor = match config.objective.kind == ObjectiveKind::HeatOutflow && is_sum {
+            true => config.resolution.dx,
+            false => 1.0,
+        };
+        Self { symbol, quantity, unit, factor }
     }
 }
