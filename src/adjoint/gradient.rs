@@ -46,9 +46,6 @@ fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
 /// Value of an objective over a run without a graph. `progress` is called with the completed fraction.
-///
-/// # Errors
-/// A [`RunError`] if the run can not go on.
 pub fn value_of_run<D: Dynamics, O: Objective + ?Sized>(
     dynamics: &D,
     start: &D::Start,

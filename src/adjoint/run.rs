@@ -9,9 +9,6 @@ pub const CHECK_EVERY: usize = 64;
 /// An observer of a run.
 pub trait Observer<D: Dynamics> {
     /// Sees the run at its start and after each step.
-    ///
-    /// # Errors
-    /// Any error, which ends the run.
     fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;
 }
 
@@ -38,9 +35,6 @@ pub fn run<D: Dynamics>(
 }
 
 /// [`run`] for a run that has already started.
-///
-/// # Errors
-/// As for [`run`].
 pub fn go_on<D: Dynamics>(
     dynamics: &D,
     run: &mut D::Run,

@@ -139,9 +139,6 @@ impl Metadata {
     }
 
     /// Writes `metadata.json` into a folder.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, folder: &Path) -> Result<(), FileError> {
         let path = folder.join("metadata.json");
         let mut text = serde_json::to_string_pretty(self)

@@ -24,9 +24,6 @@ pub struct Outline {
 
 impl Outline {
     /// The outlines of all trajectories of a split, sorted by name.
-    ///
-    /// # Errors
-    /// As for [`super::read_split`].
     pub fn of_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Vec<Self>, FileError> {
         let path = &split.path(folder);
         let file = open(path, "data set")?;

@@ -4,7 +4,6 @@
 //! heated channel, 0.22 for LagrangeBench's flows), dt_ref = C min(dx/(c + U), dx^2/max(nu, alpha)). The run uses the
 //! largest steps that `time.cfl` and `time.diffusion_number` allow and that divide the time between two frames, so this
 //! time does not depend on the time step.
-//! physical time apart whatever the time step.
 
 use super::trajectory::Split;
 use super::walls::{wall, Section, Walls};

@@ -91,15 +91,9 @@ impl Trajectory {
             false => (frame.saturating_sub(1), frame),
         };
         let (from, to) = (self.position_of(from), self.position_of(to));
-        let (size, periodic) = (metadata.size(), metadata.periodic());
-        let square = |i: usize, k: usize| {
-            let mut step = f64::from(to[i * d + k]) - f64::from(from[i * d + k]);
-            if periodic[k] {
-                step -= size[k] * (step / size[k]).round();
-            }
-            step * step
-        };
-        shown.iter().map(|&i| (0..d).map(|k| square(i, k)).sum::<f64>().sqrt() / metadata.dx).collect()
+        let domain = metadata.domain();
+        let step = |i: usize, k: usize| domain.nearest(k, f64::from(to[i * d + k]) - f64::from(from[i * d + k]));
+        shown.iter().map(|&i| (0..d).map(|k| step(i, k).powi(2)).sum::<f64>().sqrt() / metadata.dx).collect()
     }
 
     /// Tags: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as in hydrograd), 4 rigid body, 5 padding.
@@ -128,9 +122,6 @@ pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Ve
 }
 
 /// Reads one trajectory of a split by its number; none if there are fewer.
-///
-/// # Errors
-/// As for [`read_split`].
 pub fn read_one(
     folder: &Path,
     metadata: &Metadata,

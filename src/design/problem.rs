@@ -144,17 +144,11 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The objective of a design without a gradient, by fused steps, which equal composed ones to rounding.
-    ///
-    /// # Errors
-    /// A [`RunError`] if the run can not go on.
     pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
         self.evaluate_watched(variables, &mut |_| ())
     }
 
     /// [`Self::evaluate`]. `progress` is called with the completed fraction of the run.
-    ///
-    /// # Errors
-    /// As for [`Self::evaluate`].
     pub fn evaluate_watched(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
         value_of_run(&dynamics, &self.start(variables), self.steps, &*self.objective, progress)
@@ -226,9 +220,6 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The objective at the steady state of fixed particles, where no field changes by more than `tolerance` per time.
-    ///
-    /// # Errors
-    /// As for [`Self::differentiate`].
     pub fn evaluate_steady(&self, variables: &[f64], tolerance: f64) -> Result<f64, Error> {
         Ok(self.evaluate_settled(variables, tolerance)?.0)
     }
@@ -314,9 +305,6 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The loss of a design and its derivative.
-    ///
-    /// # Errors
-    /// As for [`Self::differentiate`].
     pub fn gradient(
         &self,
         variables: &[f64],
@@ -327,9 +315,6 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The loss of a design without its gradient.
-    ///
-    /// # Errors
-    /// [`Error::Diverged`] for a run that can not go on.
     pub fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
         let (value, solver_steps) = match self.is_steady {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,

@@ -160,18 +160,12 @@ impl<R: Sweeps> Calibration<R> {
     }
 
     /// The loss.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn value(&self, logarithms: &[f64]) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model(&self.values(logarithms))?, Kernels::Fused);
         value_of_run(&dynamics, &self.start, self.steps, &self.objective, &mut |_| ())
     }
 
     /// The loss and its derivative by the logarithms.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn evaluate(&self, logarithms: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let values = self.values(logarithms);
         let mut moved = Vec::new();

@@ -171,17 +171,11 @@ impl<R: Sweeps> InitialState<R> {
     }
 
     /// The end of the run for values of the unknowns.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn end(&self, x: &[f64]) -> anyhow::Result<Solver<R>> {
         self.end_of(&self.start(x))
     }
 
     /// The end of a run from a start.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn end_of(&self, start: &Snapshot<R>) -> anyhow::Result<Solver<R>> {
         run(&self.dynamics, start, self.scene.steps, &mut [])
     }
@@ -225,9 +219,6 @@ impl<R: Sweeps> InitialState<R> {
     /// The optimiser. For positions it is L-BFGS-B, whose first step is the mean distance from the target, which is
     /// exact for water in free fall. For velocities it is Barzilai and Borwein's method, which finds the same in as
     /// many epochs (20 x 20 particles, 40 steps: 0.00126 and 0.00127 away).
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn optimiser(&self) -> anyhow::Result<Box<dyn Optimiser>> {
         let first = self.first();
         if self.unknown == Unknown::Velocities {
@@ -254,9 +245,6 @@ impl<R: Sweeps> InitialState<R> {
     }
 
     /// The loss and its derivative by the unknowns.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn evaluate(&self, x: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let start = self.start(x);
         let found = gradient(&self.dynamics, &start, &self.schedule, &self.matching, progress);

@@ -83,14 +83,14 @@ pub(super) fn consistent<R: Sweeps>(
         relief.moves(i, place(i), 1.0);
     }
     for i in n + first[2]..n + first[3] {
-        relief.leans(i, place(i));
+        relief.leans(i, place(i), None);
     }
     for i in (0..n).filter(|&i| model.is_fluid(i)) {
         relief.moves(i, place(i), 1.0 - base[particles + i] / height);
     }
     for i in below {
         relief.moves(i, place(i), 1.0);
-        relief.mirrors(i, place(i), -base[particles + i]);
+        relief.leans(i, place(i), Some(-base[particles + i]));
     }
     let columns = relief.places.len();
     (model, Deformation { columns, particles, map: Map::Relief(relief), base })
