@@ -118,7 +118,6 @@ pub trait Dynamics: Sync {
     fn step(&self, run: &Self::Run) -> usize;
     /// Returns an error if a value of the state is not finite or impossibly large.
     fn check(&self, run: &Self::Run) -> Result<(), RunError>;
-    /// The fields of the present state.
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
 
     /// A mask that broadcasts to the state, 1 where the flow moves a value and 0 elsewhere; none means all.

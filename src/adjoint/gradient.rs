@@ -16,7 +16,6 @@ use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor};
 use std::collections::{BTreeMap, HashMap};
 
 pub struct Gradient {
-    /// Value of the objective.
     pub value: f64,
     /// Derivative of the objective by the state at the schedule's first step, `[F, N]`.
     pub state: Tensor,
@@ -81,28 +80,25 @@ where
     D: Dynamics,
     O: Objective + ?Sized,
 {
-    // The closure is only borrowed by one thread at a time.
-    let progress = std::sync::Mutex::new(SendPointer(progress));
     let stop = Stop::of_this_thread();
+    let (teller, shares) = std::sync::mpsc::channel();
     std::thread::scope(|scope| {
         let worker = std::thread::Builder::new()
             .name("gradient".into())
             .stack_size(1 << 30)
-            .spawn_scoped(scope, || {
-                let mut guard = progress.lock().unwrap_or_else(|e| e.into_inner());
-                Stop::ends(stop, || run(dynamics, start, schedule, objective, guard.0))
+            .spawn_scoped(scope, move || {
+                // Whoever listens does so until this thread ends.
+                let mut tell = |share| teller.send(share).unwrap_or_default();
+                Stop::ends(stop, || run(dynamics, start, schedule, objective, &mut tell))
             })
             .map_err(|source| RunError::Tensor { step: 0, source: candle_core::Error::Io(source) })?;
+        shares.iter().for_each(progress);
         match worker.join() {
             Ok(result) => result,
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })
 }
-
-struct SendPointer<'a>(Progress<'a>);
-// SAFETY: the calling thread waits in `scope` while the worker uses the closure, so only one thread ever does.
-unsafe impl Send for SendPointer<'_> {}
 
 /// Bytes held now, and the largest number so far. Shared parts count once.
 #[derive(Debug, Default)]

@@ -6,7 +6,6 @@ use crate::numerics::interrupt;
 /// Number of steps between two checks that all values are finite and possible.
 pub const CHECK_EVERY: usize = 64;
 
-/// An observer of a run.
 pub trait Observer<D: Dynamics> {
     /// Sees the run at its start and after each step.
     fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;

@@ -20,9 +20,7 @@ use std::collections::BTreeMap;
 /// Memory costs of a schedule, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Costs {
-    /// A kept state.
     pub state: usize,
-    /// A kept state rounded to single precision.
     pub rounded_state: usize,
     /// Data that kept states share for `shared_steps` steps: the positions from which their neighbour list is built.
     pub shared: usize,

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 const RELAXED_JITTER: f64 = 0.25;
 
 /// The settings of a data set besides the scene's configuration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
     /// Numbers of trajectories for training, validation and test.
     pub trajectories: [usize; 3],
@@ -104,16 +104,7 @@ impl Recipe {
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
             Family::DamBreak3d | Family::FallingBlock | Family::HydrostaticTank => ([4, 2, 2], 101, 0, 0),
         };
-        Self {
-            trajectories,
-            frames,
-            every: 100,
-            skip,
-            relax,
-            walls: Walls::default(),
-            starts: Starts::default(),
-            given: Vec::new(),
-        }
+        Self { trajectories, frames, every: 100, skip, relax, ..Self::default() }
     }
 
     /// Checks that the recipe is valid for the scene.

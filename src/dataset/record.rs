@@ -16,8 +16,7 @@ use crate::scene::Scene;
 use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Model;
-use crate::sph::Sweeps;
+use crate::sph::{Model, Sweeps};
 
 /// The box that contains every particle of a data set, including walls.
 #[derive(Debug, Clone, Copy, PartialEq)]

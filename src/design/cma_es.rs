@@ -14,7 +14,6 @@ use super::limits::Limits;
 use crate::error::Error;
 use crate::numerics::random::{stream, Normal};
 
-/// A design that was evaluated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluated {
     pub variables: Vec<f64>,

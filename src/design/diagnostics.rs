@@ -37,7 +37,6 @@ pub struct Diagnostics {
     pub pumping_power: f64,
 }
 
-/// The result of a run.
 pub struct Finished<R> {
     pub diagnostics: Diagnostics,
     pub solver: Solver<R>,

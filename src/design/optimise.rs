@@ -150,7 +150,6 @@ impl Optimisation {
         losses.min_by(|a, b| a.1.loss.total_cmp(&b.1.loss)).map_or(self.best, |(epoch, _)| epoch)
     }
 
-    /// Number of solver steps of all epochs.
     pub fn solver_steps(&self) -> usize {
         self.history.iter().map(|epoch| epoch.solver_steps).sum()
     }

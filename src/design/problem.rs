@@ -29,11 +29,9 @@ pub struct Problem<R> {
     pub deformation: Arc<Deformation>,
     pub parametrisation: Arc<dyn Parametrisation>,
     pub objective: Arc<dyn Objective + Send>,
-    /// How the objective is reported.
     pub figure: Figure,
     /// Weight of the roughness penalty.
     pub smoothing: f64,
-    /// Number of steps of a run.
     pub steps: usize,
     /// The initial variables.
     pub first: Vec<f64>,
@@ -56,11 +54,14 @@ const STEADY_SINGLE: f64 = 3e-4;
 
 /// The tolerance of a steady state in the precision R.
 fn steady_tolerance<R: Real>() -> f64 {
-    if R::DTYPE == DType::F32 {
-        STEADY_SINGLE
-    } else {
-        STEADY
+    match R::DTYPE {
+        DType::F32 => STEADY_SINGLE,
+        _ => STEADY,
     }
+}
+
+fn unexpected(error: impl std::fmt::Display) -> Error {
+    Error::run(error.to_string(), "report this")
 }
 
 const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
@@ -125,7 +126,6 @@ impl Evaluation {
 }
 
 impl<R: Real> Problem<R> {
-    /// The initial snapshot of a design's run.
     pub fn start(&self, variables: &[f64]) -> Snapshot<R> {
         let heights = self.parametrisation.column_heights(variables);
         Snapshot::first(&self.model, self.deformation.state::<R>(&heights))
@@ -138,7 +138,6 @@ impl<R: Real> Problem<R> {
 }
 
 impl<R: Sweeps> Problem<R> {
-    /// The dynamics that run a design.
     pub fn dynamics(&self) -> Sph<R> {
         Sph::new(self.model.clone(), self.compute.clone())
     }
@@ -212,10 +211,7 @@ impl<R: Sweeps> Problem<R> {
     fn told(&self, error: anyhow::Error, variables: &[f64]) -> Error {
         match error.downcast::<RunError>() {
             Ok(error) => told(&error, &self.model, &self.start(variables)),
-            Err(error) => match error.downcast::<Error>() {
-                Ok(error) => error,
-                Err(error) => Error::run(error.to_string(), "report this"),
-            },
+            Err(error) => error.downcast::<Error>().unwrap_or_else(unexpected),
         }
     }
 
@@ -227,13 +223,13 @@ impl<R: Sweeps> Problem<R> {
     /// As [`Self::evaluate_steady`], with the number of steps.
     fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
         let (steady, state, steps) = self.settled(variables, tolerance)?;
-        let value = || -> candle_core::Result<f64> {
-            let shape = (self.model.rows.count(), self.model.particles());
-            let state = Tensor::from_slice(&state, shape, &Device::Cpu)?;
-            value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?))
-        };
-        let value = value().map_err(|error| Error::run(error.to_string(), "report this"))?;
-        Ok((value, steps))
+        let objective =
+            |state: Tensor| value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?));
+        Ok((self.tensor(&state).and_then(objective).map_err(unexpected)?, steps))
+    }
+
+    fn tensor(&self, state: &[R]) -> candle_core::Result<Tensor> {
+        Tensor::from_slice(state, (self.model.rows.count(), self.model.particles()), &Device::Cpu)
     }
 
     /// The steady state of a design's run, and the number of steps to it.
@@ -256,10 +252,8 @@ impl<R: Sweeps> Problem<R> {
     fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         let (steady, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
         progress(0.5);
-        let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
-            let tensor = Tensor::from_slice(&state, (self.model.rows.count(), self.model.particles()), &Device::Cpu)?;
-            let variable = Var::from_tensor(&tensor)?;
+            let variable = Var::from_tensor(&self.tensor(&state)?)?;
             let dynamics = self.dynamics();
             let fields = dynamics.fields_of_steady(steady.shown(variable.as_tensor())?);
             let value = self.objective.value(&fields)?;
@@ -268,9 +262,9 @@ impl<R: Sweeps> Problem<R> {
                 Some(bar) => bar.flatten_all()?.to_vec1::<R>()?,
                 None => vec![R::default(); state.len()],
             };
-            Ok((value.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?, bar))
+            Ok((value.to_dtype(DType::F64)?.to_scalar::<f64>()?, bar))
         };
-        let (value, bar) = go().map_err(failed)?;
+        let (value, bar) = go().map_err(unexpected)?;
         let found = steady.gradient(&state, &bar);
         interrupt::check_own()?;
         if found.residual.is_nan() || found.residual > 1e-2 {
@@ -304,16 +298,6 @@ impl<R: Sweeps> Problem<R> {
         self.parametrisation.pull_back(&self.deformation.pull_back(&heights, state_bar))
     }
 
-    /// The loss of a design and its derivative.
-    pub fn gradient(
-        &self,
-        variables: &[f64],
-        schedule: &Schedule,
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, Error> {
-        Ok(self.confirmed(variables, &self.differentiate(variables, schedule, progress)?))
-    }
-
     /// The loss of a design without its gradient.
     pub fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
         let (value, solver_steps) = match self.is_steady {
@@ -327,7 +311,7 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The [`Self::evaluation`] of a result of the solver.
-    fn confirmed(&self, variables: &[f64], found: &Derivative) -> Evaluation {
+    pub(super) fn confirmed(&self, variables: &[f64], found: &Derivative) -> Evaluation {
         let found = self.evaluation(variables, found);
         Evaluation { truth: Some(Truth { figure: found.figure, loss: found.loss }), ..found }
     }

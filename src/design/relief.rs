@@ -16,7 +16,6 @@
 
 use crate::numerics::lanes::Real;
 
-/// The particles that move with a wall over x and z.
 #[derive(Debug, Clone)]
 pub struct Relief {
     /// Places (x, z) where heights are needed, `[C]`.

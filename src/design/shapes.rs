@@ -20,7 +20,6 @@ use crate::particles::Domain;
 /// A vector; in two dimensions the last component is 0.
 type Vector = [f64; 3];
 
-/// The particles that move with the shapes.
 #[derive(Debug, Clone)]
 pub struct Shapes {
     /// The shapes with their initial numbers.

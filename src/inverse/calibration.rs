@@ -39,7 +39,6 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    /// Key of the parameter.
     pub fn key(self) -> &'static str {
         match self {
             Self::Viscosity => "fluid.viscosity",
@@ -64,7 +63,6 @@ pub struct Calibration<R> {
     pub parameters: Vec<Parameter>,
     /// Initially assumed values.
     pub assumed: Vec<f64>,
-    /// Number of steps of the run.
     pub steps: usize,
     /// Time step of the trajectory, which does not depend on the parameters.
     time_step: f64,
@@ -159,7 +157,6 @@ impl<R: Sweeps> Calibration<R> {
         Ok(scene_with::<R>(&self.loaded, self.time_step, &settings)?.model)
     }
 
-    /// The loss.
     pub fn value(&self, logarithms: &[f64]) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model(&self.values(logarithms))?, Kernels::Fused);
         value_of_run(&dynamics, &self.start, self.steps, &self.objective, &mut |_| ())

@@ -68,7 +68,6 @@ pub struct InitialState<R> {
     pub scene: Scene<R>,
     pub unknown: Unknown,
     dynamics: Sph<R>,
-    /// Indices of fluid particles.
     fluid: Vec<usize>,
     /// The initial state with the assumed values, `[F, N]`.
     assumed: Vec<R>,
@@ -187,33 +186,23 @@ impl<R: Sweeps> InitialState<R> {
 
     /// Limits of the unknowns: the fluid must be between the walls.
     pub fn limits(&self) -> Limits {
-        let domain = &self.scene.model.domain;
-        let inside = |d: usize| match domain.periodic[d] {
-            true => [f64::NEG_INFINITY, f64::INFINITY],
-            false => self.scene.inside[d],
-        };
-        let count = self.fluid.len();
-        let (mut lower, mut upper) = (vec![], vec![]);
+        let (domain, count, places) = (&self.scene.model.domain, self.fluid.len(), self.of(&self.assumed));
+        let anywhere = [f64::NEG_INFINITY, f64::INFINITY];
+        let mut all = Vec::new();
         for d in 0..domain.dimension {
-            let [low, high] = inside(d);
+            let [low, high] = if domain.periodic[d] { anywhere } else { self.scene.inside[d] };
             match self.unknown {
-                Unknown::Velocities => {
-                    lower.resize(lower.len() + count, f64::NEG_INFINITY);
-                    upper.resize(upper.len() + count, f64::INFINITY);
-                }
-                Unknown::Places => {
-                    lower.resize(lower.len() + count, low);
-                    upper.resize(upper.len() + count, high);
-                }
+                Unknown::Velocities => all.extend(vec![anywhere; count]),
+                Unknown::Places => all.extend(vec![[low, high]; count]),
                 Unknown::Offset => {
-                    let places = self.of(&self.assumed);
-                    let places = &places[d * count..(d + 1) * count];
-                    lower.push(low - places.iter().copied().fold(f64::INFINITY, f64::min));
-                    upper.push(high - places.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+                    let places = places[d * count..(d + 1) * count].iter().copied();
+                    let (least, most) =
+                        (places.clone().fold(f64::INFINITY, f64::min), places.fold(f64::NEG_INFINITY, f64::max));
+                    all.push([low - least, high - most]);
                 }
             }
         }
-        Limits::within(lower, upper)
+        Limits::within(all.iter().map(|[low, _]| *low).collect(), all.iter().map(|[_, high]| *high).collect())
     }
 
     /// The optimiser. For positions it is L-BFGS-B, whose first step is the mean distance from the target, which is

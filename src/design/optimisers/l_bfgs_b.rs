@@ -50,7 +50,6 @@ const LONGEST: f64 = 1e10;
 /// Largest number of projected gradient steps within a set.
 const SET_STEPS: usize = 500;
 
-/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LBfgsB {
     /// Largest change of a variable in the first step.

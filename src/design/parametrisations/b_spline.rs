@@ -23,7 +23,6 @@ use crate::error::BadInput;
 /// Smallest number of control points, for one cubic.
 pub const FEWEST: usize = 4;
 
-/// A cubic B-spline curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSpline {
     section: HotSection,

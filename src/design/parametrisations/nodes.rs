@@ -8,7 +8,6 @@ use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
 
-/// A wall that is piecewise linear in x.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nodes {
     /// The shape with zero offsets.

@@ -7,7 +7,6 @@ use super::{ColumnAverages, Parametrisation, Variables};
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
 
-/// Numbers, each between limits of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
     first: Vec<f64>,
@@ -18,7 +17,6 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Numbers with initial values `first` between their limits.
     pub fn new(first: Vec<f64>, lower: Vec<f64>, upper: Vec<f64>) -> Self {
         let count = first.len();
         let width = |k: usize| vec![(k, upper[k] - lower[k])];

@@ -26,7 +26,6 @@ use crate::design::shape::Shape;
 /// Points per control point and direction of a [`Parametrisation::sampled`] wall.
 const SAMPLES: usize = 8;
 
-/// A tensor product of cubic splines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplineSurface {
     /// The hot section.
