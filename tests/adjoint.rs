@@ -61,9 +61,6 @@ fn channel<R: Sweeps>(formulation: &str, steps: usize, sets: &[&str]) -> (Proble
 struct Both(Mean, FinalSum);
 
 impl Objective for Both {
-    fn name(&self) -> &str {
-        "both"
-    }
     fn weight(&self, step: usize) -> Option<f64> {
         self.0.weight(step).or(self.1.weight(step))
     }
@@ -98,9 +95,6 @@ fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule)
 struct Root(usize);
 
 impl Objective for Root {
-    fn name(&self) -> &str {
-        "root"
-    }
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.0).then_some(1.0)
     }

@@ -171,8 +171,6 @@ pub struct Bytes {
 
 /// A scalar function of a run: a weighted sum over some of its states.
 pub trait Objective: Sync {
-    /// The name in tables.
-    fn name(&self) -> &str;
     /// The weight of the state after `step` steps; `None` if the objective does not use it.
     fn weight(&self, step: usize) -> Option<f64>;
     /// The value for a state: a scalar, on the graph if the fields are.

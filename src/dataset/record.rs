@@ -176,15 +176,9 @@ fn write_positions<R: Sweeps>(
         for d in 0..enclosure.dimension {
             let x = solver.state[d * n + i].f64() - enclosure.origin[d];
             if !(0.0..=enclosure.size[d]).contains(&x) {
-                return Err(Error::diverged(
-                    format!(
-                        "{}: particle {i} left the box in step {}: {:?} = {x}",
-                        ready.job,
-                        solver.step,
-                        ["x", "y", "z"][d]
-                    ),
-                    Cause::of(&stage.scene.model, &stage.scene.start).advice,
-                ));
+                let (job, step, axis) = (ready.job, solver.step, ["x", "y", "z"][d]);
+                let problem = format!("{job}: particle {i} left the box in step {step}: {axis:?} = {x}");
+                return Err(Error::diverged(problem, Cause::of(&stage.scene.model, &stage.scene.start).advice));
             }
             // A position just below the end of a period may be rounded to the end.
             let x = x as f32;

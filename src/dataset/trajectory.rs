@@ -155,26 +155,18 @@ fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<()
         (lower - size[k % d]..=upper + size[k % d]).contains(&f64::from(x))
     };
     let place = |k: usize| format!("frame {}, particle {}", k / d / trajectory.particles, k / d % trajectory.particles);
+    let bad = |what: &str, found: String, allowed: &str| mismatch(path, &format!("{name}/{what}"), found, allowed);
     if let Some((k, x)) = trajectory.position.iter().enumerate().find(|(k, x)| !is_near(*k, **x)) {
         let allowed = format!("within a box's length of the bounds {:?}", metadata.bounds[k % d]);
-        return Err(mismatch(path, &format!("{name}/position"), format!("{x} in {}", place(k)), &allowed));
+        return Err(bad("position", format!("{x} in {}", place(k)), &allowed));
     }
     let temperature = trajectory.temperature.as_deref();
     if let Some((k, t)) = temperature.into_iter().flatten().enumerate().find(|(_, t)| !t.is_finite()) {
-        return Err(mismatch(
-            path,
-            &format!("{name}/temperature"),
-            format!("{t} in {}", place(k * d)),
-            "finite numbers",
-        ));
+        return Err(bad("temperature", format!("{t} in {}", place(k * d)), "finite numbers"));
     }
     if metadata.heat.is_some() && temperature.is_none() {
-        return Err(missing(
-            path,
-            "dataset",
-            &format!("{name}/temperature"),
-            vec!["what metadata.json without heat has".into()],
-        ));
+        let present = vec!["what metadata.json without heat has".into()];
+        return Err(missing(path, "dataset", &format!("{name}/temperature"), present));
     }
     Ok(())
 }
@@ -218,12 +210,8 @@ pub(super) fn read_trajectory(
     let nodes = |name: &str| nodes(path, &group, &present, name);
     let kinds: Vec<i32> = read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default();
     if let Some(odd) = kinds.iter().find(|k| !(kind::PADDING..kind::COUNT).contains(*k)) {
-        return Err(mismatch(
-            path,
-            &format!("{name}/particle_type"),
-            format!("{odd} for a particle"),
-            &format!("from {} to {}", kind::PADDING, kind::COUNT - 1),
-        ));
+        let allowed = format!("from {} to {}", kind::PADDING, kind::COUNT - 1);
+        return Err(mismatch(path, &format!("{name}/particle_type"), format!("{odd} for a particle"), &allowed));
     }
     Ok(Trajectory {
         frames,

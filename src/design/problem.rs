@@ -70,7 +70,7 @@ impl<R> std::fmt::Debug for Problem<R> {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         out.debug_struct("Problem")
             .field("parametrisation", &self.parametrisation)
-            .field("objective", &self.objective.name())
+            .field("figure", &self.figure)
             .field("steps", &self.steps)
             .field("first", &self.first)
             .finish_non_exhaustive()

@@ -10,10 +10,6 @@ pub struct SquaredVelocity {
 }
 
 impl Objective for SquaredVelocity {
-    fn name(&self) -> &str {
-        "squared velocity"
-    }
-
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.steps).then_some(1.0)
     }

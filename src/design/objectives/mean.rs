@@ -58,15 +58,6 @@ pub struct Mean {
 }
 
 impl Objective for Mean {
-    fn name(&self) -> &str {
-        match self.of {
-            Quantity::HeatOutflow { .. } => "heat outflow",
-            Quantity::OutletTemperature { .. } => "outlet temperature",
-            Quantity::WallHeat { .. } => "wall heat",
-            Quantity::FlowRate { .. } => "flow rate",
-        }
-    }
-
     fn weight(&self, step: usize) -> Option<f64> {
         self.samples.0.get(&step).copied()
     }

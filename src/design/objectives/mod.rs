@@ -32,6 +32,8 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
 /// How the values of an objective are reported.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figure {
+    /// The name in tables.
+    pub name: &'static str,
     pub symbol: &'static str,
     pub quantity: &'static str,
     pub unit: &'static str,
@@ -42,11 +44,13 @@ pub struct Figure {
 impl Figure {
     /// The figure of a configuration's objective.
     pub fn of_config(config: &Config) -> Self {
-        let (symbol, quantity, unit) = match config.objective.kind {
-            ObjectiveKind::HeatOutflow => ("Q", "outflowing heat", "rho u T length"),
-            ObjectiveKind::WallHeat => ("W", "heat from the walls", "rho u T length"),
-            ObjectiveKind::FlowRate => ("V", "flow rate", "u length"),
-            ObjectiveKind::OutletTemperature => ("T", "mixed outlet temperature above the inlet's", "scene units"),
+        let (name, symbol, quantity, unit) = match config.objective.kind {
+            ObjectiveKind::HeatOutflow => ("heat outflow", "Q", "outflowing heat", "rho u T length"),
+            ObjectiveKind::WallHeat => ("wall heat", "W", "heat from the walls", "rho u T length"),
+            ObjectiveKind::FlowRate => ("flow rate", "V", "flow rate", "u length"),
+            ObjectiveKind::OutletTemperature => {
+                ("outlet temperature", "T", "mixed outlet temperature above the inlet's", "scene units")
+            }
         };
         // The figure is in flux form, whatever the loss uses.
         let is_sum = config.objective.form == ObjectiveForm::Sum;
@@ -54,6 +58,6 @@ impl Figure {
             true => config.resolution.dx,
             false => 1.0,
         };
-        Self { symbol, quantity, unit, factor }
+        Self { name, symbol, quantity, unit, factor }
     }
 }
