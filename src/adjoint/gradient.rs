@@ -69,17 +69,13 @@ pub fn value_of_run<D: Dynamics, O: Objective + ?Sized>(
 ///
 /// Long segments recurse deeply in candle's `backward` and `Drop` (about 250 bytes of stack per chained operator);
 /// this runs on a thread with a stack of 1 GiB of virtual memory, enough for a million operators.
-pub fn gradient<D, O>(
+pub fn gradient<D: Dynamics, O: Objective + ?Sized>(
     dynamics: &D,
     start: &D::Start,
     schedule: &Schedule,
     objective: &O,
     progress: Progress<'_>,
-) -> Result<Gradient, RunError>
-where
-    D: Dynamics,
-    O: Objective + ?Sized,
-{
+) -> Result<Gradient, RunError> {
     let stop = Stop::of_this_thread();
     let (teller, shares) = std::sync::mpsc::channel();
     std::thread::scope(|scope| {

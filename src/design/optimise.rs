@@ -93,15 +93,12 @@ impl Optimisation {
             }
             found => found?,
         };
-        let gradient_norm = match found.loss.is_finite() {
-            true => found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
-            false => f64::NAN,
-        };
+        let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         self.history.push(Epoch {
             variables,
             figure: found.figure,
             loss: found.loss,
-            gradient_norm,
+            gradient_norm: if found.loss.is_finite() { norm } else { f64::NAN },
             seconds: clock.elapsed().as_secs_f64(),
             truth: found.truth,
             predicted: found.predicted,

@@ -172,7 +172,15 @@ impl<R: Sweeps> Problem<R> {
         let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
             .map_err(|error| told(&error, &self.model, &start))?;
-        let by_variables = self.pull_back(variables, &found, schedule)?;
+        let mut state_bar: Vec<R> = found
+            .state
+            .flatten_all()
+            .and_then(|s| s.to_vec1::<R>())
+            .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
+        if schedule.first > 0 {
+            self.deformation.keep_static(&mut state_bar, |i| self.model.is_fluid(i));
+        }
+        let by_variables = self.by_variables(variables, &state_bar);
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
         let Gradient { value, growth, clipped, .. } = found;
@@ -276,20 +284,6 @@ impl<R: Sweeps> Problem<R> {
         progress(1.0);
         let solver_steps = steps + ADJOINT * found.steps;
         Ok(Derivative { value, by_variables, solver_steps, growth: vec![], clipped: 0 })
-    }
-
-    /// The derivative by the variables, given that by the state at the schedule's first step.
-    fn pull_back(&self, variables: &[f64], found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
-        let mut state_bar: Vec<R> = found
-            .state
-            .flatten_all()
-            .and_then(|s| s.to_vec1::<R>())
-            .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
-        if schedule.first > 0 {
-            let model = &self.model;
-            self.deformation.keep_static(&mut state_bar, |i| model.is_fluid(i));
-        }
-        Ok(self.by_variables(variables, &state_bar))
     }
 
     /// The derivative by the variables, `[K]`, given the cotangent of the initial state, `[F, N]`.

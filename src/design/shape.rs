@@ -287,14 +287,8 @@ impl HotSection {
     pub fn part(&self, column: usize) -> Option<(f64, f64)> {
         let dx = self.dx;
         let (left, right) = (column as f64 * dx, (column + 1) as f64 * dx);
-        let from = match self.from - left > EDGE * dx {
-            true => self.from,
-            false => left,
-        };
-        let to = match right - self.to > EDGE * dx {
-            true => self.to,
-            false => right,
-        };
+        let from = if self.from - left > EDGE * dx { self.from } else { left };
+        let to = if right - self.to > EDGE * dx { self.to } else { right };
         (to - from > EDGE * dx).then_some((from, to))
     }
 }
@@ -372,14 +366,12 @@ fn read(path: &Path, places: &[&str], name: &str) -> Result<Columns, BadInput> {
         Some((number, line)) => (number, cells(line)),
         None => return Err(bad(None, "the file is empty".into())),
     };
-    let column = |name: &str| {
-        header
-            .iter()
-            .position(|cell| cell == name)
-            .ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
-    };
     let names: Vec<&str> = places.iter().copied().chain([name]).collect();
-    let wanted = names.iter().map(|name| column(name)).collect::<Result<Vec<usize>, _>>()?;
+    let column = |name: &&str| {
+        let place = header.iter().position(|cell| cell == name);
+        place.ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
+    };
+    let wanted = names.iter().map(column).collect::<Result<Vec<usize>, _>>()?;
     let mut columns = vec![vec![]; names.len()];
     for (number, line) in lines {
         let row = cells(line);

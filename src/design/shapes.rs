@@ -155,11 +155,8 @@ impl On {
             }
             Kind::Box => {
                 let (lower, upper): (Vector, Vector) = (vector(&entry.lower), vector(&entry.upper));
-                let share = |d: usize| match upper[d] > lower[d] {
-                    true => (place[d] - lower[d]) / (upper[d] - lower[d]),
-                    false => 0.0,
-                };
-                At::Box(std::array::from_fn(share))
+                let share = |x: f64, low: f64, high: f64| if high > low { (x - low) / (high - low) } else { 0.0 };
+                At::Box(std::array::from_fn(|d| share(place[d], lower[d], upper[d])))
             }
             Kind::Polyline | Kind::Polygon => {
                 let count = entry.points.as_ref().map_or(0, Vec::len);
