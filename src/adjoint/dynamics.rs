@@ -6,6 +6,7 @@
 use crate::error::Error;
 use crate::particles::neighbour_list::NeighbourError;
 use candle_core::{Tensor, Var};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// The error of a run that cannot continue.
@@ -167,6 +168,34 @@ pub struct Bytes {
     pub shared: usize,
     /// Identifies the shared part by its address.
     pub identity: usize,
+}
+
+/// Bytes held now, and the largest number so far. Shared parts count once.
+#[derive(Debug, Default)]
+pub(super) struct Held {
+    pub now: usize,
+    pub peak: usize,
+    sharing: HashMap<usize, usize>,
+}
+
+impl Held {
+    pub fn add(&mut self, bytes: Bytes) {
+        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
+        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
+        *sharing += 1;
+        self.peak = self.peak.max(self.now);
+    }
+
+    pub fn remove(&mut self, bytes: Bytes) {
+        self.now -= bytes.own;
+        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
+            *sharing -= 1;
+            if *sharing == 0 {
+                self.sharing.remove(&bytes.identity);
+                self.now -= bytes.shared;
+            }
+        }
+    }
 }
 
 /// A scalar function of a run: a weighted sum over some of its states.

@@ -8,12 +8,12 @@
 //! part to their cotangent. So the sums are the same, in the same order, for every schedule: bit for bit equal to one
 //! tape.
 
-use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
+use super::dynamics::{Dynamics, Fields, Held, Objective, RunError};
 use super::run::CHECK_EVERY;
 use super::schedule::{Action, Schedule};
 use crate::numerics::interrupt::{is_asked_here, Stop};
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 pub struct Gradient {
     pub value: f64,
@@ -94,34 +94,6 @@ pub fn gradient<D: Dynamics, O: Objective + ?Sized>(
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })
-}
-
-/// Bytes held now, and the largest number so far. Shared parts count once.
-#[derive(Debug, Default)]
-struct Held {
-    now: usize,
-    peak: usize,
-    sharing: HashMap<usize, usize>,
-}
-
-impl Held {
-    fn add(&mut self, bytes: Bytes) {
-        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
-        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
-        *sharing += 1;
-        self.peak = self.peak.max(self.now);
-    }
-
-    fn remove(&mut self, bytes: Bytes) {
-        self.now -= bytes.own;
-        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
-            *sharing -= 1;
-            if *sharing == 0 {
-                self.sharing.remove(&bytes.identity);
-                self.now -= bytes.shared;
-            }
-        }
-    }
 }
 
 /// Limits the derivative by the state, which may grow without bound.

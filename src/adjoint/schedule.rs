@@ -13,9 +13,9 @@
 //! Binomial schedules: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c
 //! states and no step run more than r times, at most C(c + r, c) steps can be reversed.
 
+use super::dynamics::{Bytes, Held};
 use crate::config::memory_size::MemorySize;
 use crate::error::BadInput;
-use std::collections::BTreeMap;
 
 /// Memory costs of a schedule, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -239,12 +239,11 @@ impl Schedule {
 
     /// The counts, and the largest number of bytes kept and taped at the same time.
     fn play(&self, costs: Costs) -> (Counts, usize) {
-        let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
+        let own = if self.is_rounded() { costs.rounded_state } else { costs.state };
         let list_of = |step: usize| step / costs.shared_steps.max(1);
-        let mut counts = Counts::default();
-        let (mut seen, mut stored, mut bytes, mut peak) = (0, 0, 0, 0);
-        // Number of kept states for each list.
-        let mut lists: BTreeMap<usize, usize> = BTreeMap::new();
+        let kept = |step: usize| Bytes { own, shared: costs.shared, identity: list_of(step) };
+        let (mut counts, mut held) = (Counts::default(), Held::default());
+        let (mut seen, mut stored) = (0, 0);
         for action in self.actions() {
             match action {
                 Action::Advance { from, to } => {
@@ -254,22 +253,12 @@ impl Schedule {
                 }
                 Action::Store { step } => {
                     stored += 1;
-                    let sharing = lists.entry(list_of(step)).or_insert(0);
-                    bytes += state + if *sharing == 0 { costs.shared } else { 0 };
-                    *sharing += 1;
                     counts.stored_states = counts.stored_states.max(stored);
-                    peak = peak.max(bytes);
+                    held.add(kept(step));
                 }
                 Action::Discard { step } => {
                     stored -= 1;
-                    bytes -= state;
-                    if let Some(sharing) = lists.get_mut(&list_of(step)) {
-                        *sharing -= 1;
-                        if *sharing == 0 {
-                            lists.remove(&list_of(step));
-                            bytes -= costs.shared;
-                        }
-                    }
+                    held.remove(kept(step));
                 }
                 Action::Tape { from, to } => {
                     // Values of the objective come from a plain run, which is made for steps that were taped first.
@@ -279,12 +268,12 @@ impl Schedule {
                     counts.taped_steps = counts.taped_steps.max(to - from);
                     let taped_lists = list_of(to - 1) - list_of(from) + 1;
                     let tape = (to - from) * costs.tape_step + taped_lists * costs.tape_shared;
-                    peak = peak.max(bytes + tape);
+                    held.peak = held.peak.max(held.now + tape);
                 }
                 Action::Restore { .. } => {}
             }
         }
-        (counts, peak)
+        (counts, held.peak)
     }
 
     /// An upper bound of [`Self::memory`] in closed form, for comparing many schedules.

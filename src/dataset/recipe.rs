@@ -207,9 +207,7 @@ impl Recipe {
 
     /// The wall of a trajectory in the table, if there is one.
     fn given(&self, job: Job) -> Option<(String, Vec<f64>)> {
-        let before = Split::ALL.iter().zip(self.trajectories).take_while(|(split, _)| **split != job.split);
-        let number = before.map(|(_, count)| count).sum::<usize>() + job.index;
-        let line = number % self.given.len().max(1);
+        let line = self.jobs().iter().position(|other| *other == job)? % self.given.len().max(1);
         Some((format!("line {} of the table", line + 1), self.given.get(line)?.clone()))
     }
 

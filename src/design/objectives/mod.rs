@@ -1,4 +1,5 @@
-//! Objectives of designs, which are maximised: the mean of a quantity of the flow over some states of a run. They use fields and do not depend on the solver.
+//! Objectives of designs, which are maximised: the mean of a quantity of the flow over some states of a run. They use
+//! fields and do not depend on the solver.
 //!
 //! A new objective is a [`Quantity`], with a line in [`of_config`] and in [`Figure::of_config`].
 
