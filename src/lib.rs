@@ -127,9 +127,6 @@
 //! struct KineticEnergy(usize);
 //!
 //! impl Objective for KineticEnergy {
-//!     fn name(&self) -> &str {
-//!         "kinetic energy"
-//!     }
 //!     fn weight(&self, step: usize) -> Option<f64> {
 //!         (step == self.0).then_some(1.0)
 //!     }

@@ -8,7 +8,7 @@ use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Fields;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Config, Kernels};
-use hydrograd::design::objectives::{HeatOutflow, Samples};
+use hydrograd::design::objectives::{Mean, Quantity, Samples};
 use hydrograd::design::shape::Shape;
 use hydrograd::design::Problem;
 use hydrograd::scene::Scene;
@@ -58,12 +58,9 @@ fn channel<R: Sweeps>(formulation: &str, steps: usize, sets: &[&str]) -> (Proble
 }
 
 /// Q at several steps and the fluid's heat at the last.
-struct Both(HeatOutflow, FinalSum);
+struct Both(Mean, FinalSum);
 
 impl Objective for Both {
-    fn name(&self) -> &str {
-        "both"
-    }
     fn weight(&self, step: usize) -> Option<f64> {
         self.0.weight(step).or(self.1.weight(step))
     }
@@ -85,8 +82,8 @@ fn objective<R: Sweeps>(channel: &Problem<R>) -> Both {
     outlet.interpolation.targets = std::sync::Arc::new(targets);
     let samples = [1, 7, 8, 29, 30, 31, steps - 1, steps].map(|s| (s, 0.1 + s as f64 / 100.0));
     let samples = Samples(BTreeMap::from(samples));
-    let outflow = HeatOutflow { outlet, scale: channel.outlet.spacing, samples };
-    Both(outflow, FinalSum { steps, of: Summed::Heat })
+    let of = Quantity::HeatOutflow { outlet, scale: channel.outlet.spacing };
+    Both(Mean { of, samples }, FinalSum { steps, of: Summed::Heat })
 }
 
 fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule) -> Gradient {
@@ -98,9 +95,6 @@ fn run<R: Sweeps>(channel: &Problem<R>, start: &Snapshot<R>, schedule: Schedule)
 struct Root(usize);
 
 impl Objective for Root {
-    fn name(&self) -> &str {
-        "root"
-    }
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.0).then_some(1.0)
     }

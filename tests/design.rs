@@ -303,7 +303,7 @@ fn a_variable_without_influence_is_an_error() {
     let sets = [STANDARD, "time.steps=2", "objective.window=0", "channel.hot_to=0.88"];
     let channel = scene::<f64>(&sets).2;
     let evaluate =
-        |channel: &Problem<f64>| channel.gradient(&channel.first, &Schedule::taped(channel.steps), &mut |_| ());
+        |channel: &Problem<f64>| channel.differentiate(&channel.first, &Schedule::taped(channel.steps), &mut |_| ());
     let error = evaluate(&channel).unwrap_err().to_string();
     assert!(error.contains("design variable 0 received no gradient"), "{error}");
     // All of them are felt if they are near.
@@ -317,5 +317,5 @@ fn a_variable_without_influence_is_an_error() {
     ];
     let channel = scene::<f64>(&near).2;
     let found = evaluate(&channel).unwrap();
-    assert!(found.gradient.iter().all(|g| *g != 0.0 && g.is_finite()), "{:?}", found.gradient);
+    assert!(found.by_variables.iter().all(|g| *g != 0.0 && g.is_finite()), "{:?}", found.by_variables);
 }

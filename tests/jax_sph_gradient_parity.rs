@@ -6,7 +6,7 @@ use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
 use hydrograd::adjoint::Objective;
 use hydrograd::config::scene::{Interpolation as Mode, Kernels};
-use hydrograd::design::objectives::{HeatOutflow, Outlet, Samples};
+use hydrograd::design::objectives::{Mean, Outlet, Quantity, Samples};
 use hydrograd::particles::tag;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::interpolation::Interpolation;
@@ -85,7 +85,8 @@ fn heated_channel(group: &hdf5::Group, case: &Case) -> Result<String, String> {
         kernels: Kernels::Fused,
     };
     let samples = Samples(BTreeMap::from([(steps, 1.0)]));
-    let outflow = HeatOutflow { outlet: Outlet { interpolation, mode: Mode::Fluid, spacing: dx }, scale: 1.0, samples };
+    let outlet = Outlet { interpolation, mode: Mode::Fluid, spacing: dx };
+    let outflow = Mean { of: Quantity::HeatOutflow { outlet, scale: 1.0 }, samples };
     let warmth = FinalSum { steps, of: Summed::Heat };
     let designs = group.dataset("off").map_err(|e| e.to_string())?.size();
     let columns = (case.size[0] / dx).round() as usize;

@@ -8,7 +8,7 @@ use hydrograd::config::scene::{
     Standard, Start,
 };
 use hydrograd::config::schema::{described, description, known_keys};
-use hydrograd::design::shape::{default_nodes, Shape};
+use hydrograd::design::shape::{default_nodes, HotSection, Shape};
 use hydrograd::scene::load::Source;
 use hydrograd::scene::observers::EvenSteps;
 use hydrograd::scene::Scene;
@@ -250,6 +250,10 @@ fn random_shapes() -> Vec<Shape> {
     shapes
 }
 
+fn hot_share(shape: &Shape, dx: f64) -> Vec<f64> {
+    HotSection { from: shape.hot_from, to: shape.hot_to, dx, length: 1.0 }.share()
+}
+
 const SPACINGS: [f64; 5] = [0.02, 0.01, 0.005, 0.03333, 1.0 / 30.0];
 
 fn averages(shape: &Shape, dx: f64) -> Vec<f64> {
@@ -261,7 +265,7 @@ fn averages(shape: &Shape, dx: f64) -> Vec<f64> {
 fn weights_sum_to_the_hot_share() {
     for shape in random_shapes() {
         for dx in SPACINGS {
-            let (weights, share) = (shape.column_weights(dx, 1.0), shape.hot_share(dx, 1.0));
+            let (weights, share) = (shape.column_weights(dx, 1.0), hot_share(&shape, dx));
             assert_eq!(weights.len(), (1.0 / dx).round() as usize);
             assert_eq!(share.len(), weights.len());
             for (row, share) in weights.iter().zip(&share) {
@@ -280,18 +284,18 @@ fn weights_sum_to_the_hot_share() {
 fn hot_share_counts_cut_columns() {
     let shape = Shape::from_config(&Config::default()).unwrap();
     // The columns 0.24 ... 0.26 and 0.74 ... 0.76 are half hot.
-    let share = shape.hot_share(0.02, 1.0);
+    let share = hot_share(&shape, 0.02);
     assert!((share[12] - 0.5).abs() < 1e-12 && (share[37] - 0.5).abs() < 1e-12);
     assert_eq!((share[11], share[13], share[36], share[38]), (0.0, 1.0, 1.0, 0.0));
     // At 0.01 and 0.005 its ends are on column edges: no slivers.
     for dx in [0.01, 0.005] {
-        let share = shape.hot_share(dx, 1.0);
+        let share = hot_share(&shape, dx);
         assert!(share.iter().all(|share| *share == 0.0 || *share == 1.0));
         assert_eq!(share.iter().sum::<f64>() * dx, 0.5);
     }
     // 3 * 0.1 is a little more than 0.3.
     let shape = Shape::new(vec![0.5], vec![0.01], 0.3, 0.7).unwrap();
-    assert_eq!(shape.hot_share(0.1, 1.0), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+    assert_eq!(hot_share(&shape, 0.1), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
 }
 
 #[test]
@@ -299,7 +303,7 @@ fn uniform_shape_is_uniform() {
     let mut shape = Shape::from_config(&Config::default()).unwrap();
     shape.offsets.fill(0.013);
     for dx in SPACINGS {
-        for (average, share) in averages(&shape, dx).iter().zip(shape.hot_share(dx, 1.0)) {
+        for (average, share) in averages(&shape, dx).iter().zip(hot_share(&shape, dx)) {
             assert!((average - 0.013 * share).abs() < 1e-16);
         }
     }

@@ -6,6 +6,7 @@
 use crate::error::Error;
 use crate::particles::neighbour_list::NeighbourError;
 use candle_core::{Tensor, Var};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// The error of a run that cannot continue.
@@ -118,7 +119,6 @@ pub trait Dynamics: Sync {
     fn step(&self, run: &Self::Run) -> usize;
     /// Returns an error if a value of the state is not finite or impossibly large.
     fn check(&self, run: &Self::Run) -> Result<(), RunError>;
-    /// The fields of the present state.
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
 
     /// A mask that broadcasts to the state, 1 where the flow moves a value and 0 elsewhere; none means all.
@@ -170,10 +170,36 @@ pub struct Bytes {
     pub identity: usize,
 }
 
+/// Bytes held now, and the largest number so far. Shared parts count once.
+#[derive(Debug, Default)]
+pub(super) struct Held {
+    pub now: usize,
+    pub peak: usize,
+    sharing: HashMap<usize, usize>,
+}
+
+impl Held {
+    pub fn add(&mut self, bytes: Bytes) {
+        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
+        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
+        *sharing += 1;
+        self.peak = self.peak.max(self.now);
+    }
+
+    pub fn remove(&mut self, bytes: Bytes) {
+        self.now -= bytes.own;
+        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
+            *sharing -= 1;
+            if *sharing == 0 {
+                self.sharing.remove(&bytes.identity);
+                self.now -= bytes.shared;
+            }
+        }
+    }
+}
+
 /// A scalar function of a run: a weighted sum over some of its states.
 pub trait Objective: Sync {
-    /// The name in tables.
-    fn name(&self) -> &str;
     /// The weight of the state after `step` steps; `None` if the objective does not use it.
     fn weight(&self, step: usize) -> Option<f64>;
     /// The value for a state: a scalar, on the graph if the fields are.

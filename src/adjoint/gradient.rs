@@ -8,16 +8,14 @@
 //! part to their cotangent. So the sums are the same, in the same order, for every schedule: bit for bit equal to one
 //! tape.
 
-use super::dynamics::{Bytes, Dynamics, Fields, Objective, RunError};
+use super::dynamics::{Dynamics, Fields, Held, Objective, RunError};
 use super::run::CHECK_EVERY;
 use super::schedule::{Action, Schedule};
 use crate::numerics::interrupt::{is_asked_here, Stop};
 use candle_core::{CpuStorage, CustomOp1, DType, Layout, Shape, Tensor};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
-/// The result of a gradient run.
 pub struct Gradient {
-    /// Value of the objective.
     pub value: f64,
     /// Derivative of the objective by the state at the schedule's first step, `[F, N]`.
     pub state: Tensor,
@@ -25,9 +23,8 @@ pub struct Gradient {
     pub growth: Vec<(usize, f64)>,
     /// Number of these steps at which it was limited ([`Schedule::clip`]).
     pub clipped: usize,
-    /// Seconds of the first forward run without a graph, and of everything after it.
+    /// Seconds of the first forward run without a graph.
     pub forward_seconds: f64,
-    pub backward_seconds: f64,
     /// Largest number of bytes kept and taped at the same time, which [`Schedule::storage`] predicts.
     pub storage: usize,
     /// Number of steps that were run without and with a graph.
@@ -36,14 +33,10 @@ pub struct Gradient {
 }
 
 /// Value of an objective for a state, as a number.
-///
-/// # Errors
-/// Tensor errors.
 pub fn value<O: Objective + ?Sized>(objective: &O, fields: &Fields) -> candle_core::Result<f64> {
     objective.value(fields)?.to_dtype(DType::F64)?.to_scalar()
 }
 
-/// The Euclidean norm of a tensor as a vector.
 fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
     Ok(tensor.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?.sqrt())
 }
@@ -51,70 +44,56 @@ fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
 /// Called after each segment (or each forward step) with the completed fraction of the work.
 pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
+/// Value of an objective over a run without a graph. `progress` is called with the completed fraction.
+pub fn value_of_run<D: Dynamics, O: Objective + ?Sized>(
+    dynamics: &D,
+    start: &D::Start,
+    steps: usize,
+    objective: &O,
+    progress: Progress<'_>,
+) -> anyhow::Result<f64> {
+    let mut sum = 0.0;
+    let mut measure = |dynamics: &D, run: &mut D::Run| -> anyhow::Result<()> {
+        let step = dynamics.step(run);
+        if let Some(weight) = objective.weight(step) {
+            sum += weight * value(objective, &dynamics.look(run)?).map_err(RunError::tensor(step))?;
+        }
+        progress(step as f64 / steps as f64);
+        Ok(())
+    };
+    super::run::run(dynamics, start, steps, &mut [&mut measure])?;
+    Ok(sum)
+}
+
 /// Runs `schedule` from `start` and differentiates.
 ///
 /// Long segments recurse deeply in candle's `backward` and `Drop` (about 250 bytes of stack per chained operator);
 /// this runs on a thread with a stack of 1 GiB of virtual memory, enough for a million operators.
-pub fn gradient<D, O>(
+pub fn gradient<D: Dynamics, O: Objective + ?Sized>(
     dynamics: &D,
     start: &D::Start,
     schedule: &Schedule,
     objective: &O,
     progress: Progress<'_>,
-) -> Result<Gradient, RunError>
-where
-    D: Dynamics,
-    O: Objective + ?Sized,
-{
-    // The closure is only borrowed by one thread at a time.
-    let progress = std::sync::Mutex::new(SendPointer(progress));
+) -> Result<Gradient, RunError> {
     let stop = Stop::of_this_thread();
+    let (teller, shares) = std::sync::mpsc::channel();
     std::thread::scope(|scope| {
         let worker = std::thread::Builder::new()
             .name("gradient".into())
             .stack_size(1 << 30)
-            .spawn_scoped(scope, || {
-                let mut guard = progress.lock().unwrap_or_else(|e| e.into_inner());
-                Stop::ends(stop, || run(dynamics, start, schedule, objective, guard.0))
+            .spawn_scoped(scope, move || {
+                // Whoever listens does so until this thread ends.
+                let mut tell = |share| teller.send(share).unwrap_or_default();
+                Stop::ends(stop, || run(dynamics, start, schedule, objective, &mut tell))
             })
             .map_err(|source| RunError::Tensor { step: 0, source: candle_core::Error::Io(source) })?;
+        shares.iter().for_each(progress);
         match worker.join() {
             Ok(result) => result,
             Err(panic) => std::panic::resume_unwind(panic),
         }
     })
-}
-
-struct SendPointer<'a>(Progress<'a>);
-// SAFETY: the calling thread waits in `scope` while the worker uses the closure, so only one thread ever does.
-unsafe impl Send for SendPointer<'_> {}
-
-/// Bytes held now, and the largest number so far. Shared parts count once.
-#[derive(Debug, Default)]
-struct Held {
-    now: usize,
-    peak: usize,
-    sharing: HashMap<usize, usize>,
-}
-
-impl Held {
-    fn add(&mut self, bytes: Bytes) {
-        let sharing = self.sharing.entry(bytes.identity).or_insert(0);
-        self.now += bytes.own + if *sharing == 0 { bytes.shared } else { 0 };
-        *sharing += 1;
-        self.peak = self.peak.max(self.now);
-    }
-
-    fn remove(&mut self, bytes: Bytes) {
-        self.now -= bytes.own;
-        if let Some(sharing) = self.sharing.get_mut(&bytes.identity) {
-            *sharing -= 1;
-            if *sharing == 0 {
-                self.sharing.remove(&bytes.identity);
-                self.now -= bytes.shared;
-            }
-        }
-    }
 }
 
 /// Limits the derivative by the state, which may grow without bound.
@@ -262,17 +241,14 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
     }
     let state = match cotangent {
         Some(c) => c,
-        None => dynamics.tensor(start)?.zeros_like().map_err(|source| RunError::Tensor { step: 0, source })?,
+        None => dynamics.tensor(start)?.zeros_like().map_err(RunError::tensor(0))?,
     };
-    let seconds = clock.elapsed().as_secs_f64();
-    let forward_seconds = forward_seconds.unwrap_or(seconds);
     Ok(Gradient {
         value: executor.value,
         state,
         growth,
         clipped: clip.map_or(0, |clip| clip.count),
-        forward_seconds,
-        backward_seconds: seconds - forward_seconds,
+        forward_seconds: forward_seconds.unwrap_or_else(|| clock.elapsed().as_secs_f64()),
         storage: executor.held.peak,
         plain_steps: executor.plain_steps,
         differentiated_steps,
@@ -306,13 +282,6 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         Ok(())
     }
 
-    fn kept(&self, step: usize) -> Result<&D::Kept, RunError> {
-        self.kept.get(&step).ok_or_else(|| RunError::Tensor {
-            step,
-            source: candle_core::Error::Msg("the schedule goes back to a state that it has not kept".into()),
-        })
-    }
-
     fn store(&mut self, step: usize, rounded: bool) -> Result<(), RunError> {
         let kept = self.dynamics.keep(&self.plain, rounded)?;
         self.held.add(self.dynamics.kept_bytes(&kept));
@@ -329,11 +298,8 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
 
     /// Sets the plain run back to a kept state.
     fn resume(&mut self, step: usize) -> Result<(), RunError> {
-        let kept = self.kept.get(&step);
-        match kept {
-            Some(kept) => self.dynamics.resume(&mut self.plain, kept),
-            None => self.kept(step).map(|_| ()),
-        }
+        let kept = self.kept.get(&step).ok_or_else(|| not_kept(step))?;
+        self.dynamics.resume(&mut self.plain, kept)
     }
 
     /// Maps the cotangent of the state before step `to` to that of the state before step `from`. The segment begins at
@@ -345,7 +311,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         transient: Option<D::Kept>,
         cotangent: Option<Tensor>,
     ) -> Result<Tensor, RunError> {
-        let failed = |source| RunError::Tensor { step: from, source };
+        let failed = RunError::tensor(from);
         if is_asked_here() {
             return Err(RunError::Stopped);
         }
@@ -356,7 +322,7 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
         let last = self.tape.take();
         let begin = match &transient {
             Some(kept) => kept,
-            None => self.kept(from)?,
+            None => self.kept.get(&from).ok_or_else(|| not_kept(from))?,
         };
         let (mut tape, variable) = self.dynamics.tape(begin, last, &self.plain)?;
         drop(transient);
@@ -385,30 +351,33 @@ impl<D: Dynamics, O: Objective + ?Sized> Executor<'_, D, O> {
             if let Some(weight) = self.objective.weight(step + 1) {
                 let fields = self.dynamics.fields(&mut tape, &state)?;
                 let value = self.objective.value(&fields).and_then(|value| value.affine(weight, 0.0));
-                terms.push(value.map_err(failed)?);
+                terms.push(value.map_err(&failed)?);
             }
         }
         self.tape = Some(tape);
         if let Some(cotangent) = cotangent {
-            terms.push(state.apply_op1(Seed(cotangent)).map_err(failed)?);
+            terms.push(state.apply_op1(Seed(cotangent)).map_err(&failed)?);
         }
         let mut terms = terms.into_iter();
         let found = match terms.next() {
-            None => variable.zeros_like().map_err(failed)?,
+            None => variable.zeros_like().map_err(&failed)?,
             Some(mut loss) => {
                 for term in terms {
-                    loss = (loss + term).map_err(failed)?;
+                    loss = (loss + term).map_err(&failed)?;
                 }
-                let mut gradients = loss.backward().map_err(failed)?;
-                gradients.remove(variable.as_tensor()).ok_or_else(|| RunError::Tensor {
-                    step: from,
-                    source: candle_core::Error::Msg("no gradient reached the start of the segment".into()),
+                let mut gradients = loss.backward().map_err(&failed)?;
+                gradients.remove(variable.as_tensor()).ok_or_else(|| {
+                    failed(candle_core::Error::Msg("no gradient reached the start of the segment".into()))
                 })?
             }
         };
         taped.into_iter().for_each(|bytes| self.held.remove(bytes));
         Ok(found)
     }
+}
+
+fn not_kept(step: usize) -> RunError {
+    RunError::tensor(step)(candle_core::Error::Msg("the schedule goes back to a state that it has not kept".into()))
 }
 
 /// A scalar whose derivative by its argument is a given cotangent: the end of a segment, where candle's `backward`

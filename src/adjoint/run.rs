@@ -6,12 +6,8 @@ use crate::numerics::interrupt;
 /// Number of steps between two checks that all values are finite and possible.
 pub const CHECK_EVERY: usize = 64;
 
-/// An observer of a run.
 pub trait Observer<D: Dynamics> {
     /// Sees the run at its start and after each step.
-    ///
-    /// # Errors
-    /// Any error, which ends the run.
     fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;
 }
 
@@ -38,9 +34,6 @@ pub fn run<D: Dynamics>(
 }
 
 /// [`run`] for a run that has already started.
-///
-/// # Errors
-/// As for [`run`].
 pub fn go_on<D: Dynamics>(
     dynamics: &D,
     run: &mut D::Run,

@@ -13,16 +13,14 @@
 //! Binomial schedules: Griewank and Walther (2000), Algorithm 799: Revolve, ACM Trans. Math. Softw. 26(1). With c
 //! states and no step run more than r times, at most C(c + r, c) steps can be reversed.
 
+use super::dynamics::{Bytes, Held};
 use crate::config::memory_size::MemorySize;
 use crate::error::BadInput;
-use std::collections::BTreeMap;
 
 /// Memory costs of a schedule, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Costs {
-    /// A kept state.
     pub state: usize,
-    /// A kept state rounded to single precision.
     pub rounded_state: usize,
     /// Data that kept states share for `shared_steps` steps: the positions from which their neighbour list is built.
     pub shared: usize,
@@ -202,16 +200,6 @@ impl Schedule {
         (1..=steps).min_by_key(|&k| Self::segments(steps, k).bound(costs)).unwrap_or(1)
     }
 
-    /// Number of steps between the states that are kept during the first forward run.
-    fn interval(&self) -> usize {
-        match self.kind {
-            Kind::EveryState { .. } => 1,
-            Kind::Segments { length } => length,
-            Kind::TwoLevel { interval } => interval,
-            Kind::Binomial { .. } => self.differentiated().max(1),
-        }
-    }
-
     /// Number of steps that are differentiated.
     fn differentiated(&self) -> usize {
         self.steps - self.first
@@ -222,43 +210,21 @@ impl Schedule {
         self.kind == Kind::EveryState { rounded: true }
     }
 
-    /// The actions, in order. They are generated lazily, because the list may be longer than the states.
-    pub fn actions(&self) -> Actions {
-        let mut pending = vec![Task::Backward { before: self.steps }, Task::Forward { from: self.first }];
-        if let Kind::Binomial { states } = self.kind {
-            pending = match self.differentiated() {
-                0 => vec![],
-                _ => vec![
-                    Task::Do(Action::Discard { step: self.first }),
-                    Task::Reverse { from: self.first, to: self.steps, states },
-                    Task::Do(Action::Store { step: self.first }),
-                ],
-            };
+    /// The actions, in order. They are made one by one, because the list may be longer than the states.
+    pub fn actions(&self) -> Box<dyn Iterator<Item = Action>> {
+        let (first, end) = (self.first, self.steps);
+        let before = (first > 0).then_some(Action::Advance { from: 0, to: first }).into_iter();
+        match self.kind {
+            Kind::EveryState { .. } => Box::new(before.chain(segments(first, end, 1))),
+            Kind::Segments { length } => Box::new(before.chain(segments(first, end, length))),
+            Kind::TwoLevel { interval } => Box::new(before.chain(two_level(first, end, interval))),
+            Kind::Binomial { states } => Box::new(before.chain(revolve(first, end, states))),
         }
-        if self.first > 0 {
-            pending.push(Task::Do(Action::Advance { from: 0, to: self.first }));
-        }
-        Actions { schedule: *self, pending }
     }
 
     /// Plays the actions and counts.
     pub fn counts(&self) -> Counts {
         self.play(Costs::default()).0
-    }
-
-    /// Largest number of states kept at the same time.
-    pub fn stored_states(&self) -> usize {
-        self.counts().stored_states
-    }
-
-    /// Largest number of steps on the tape at the same time.
-    pub fn taped_steps(&self) -> usize {
-        self.counts().taped_steps
-    }
-
-    /// Number of steps recomputed without a graph.
-    pub fn recomputed_steps(&self) -> usize {
-        self.counts().recomputed_steps
     }
 
     /// Peak memory of kept states and tape, in bytes.
@@ -273,12 +239,11 @@ impl Schedule {
 
     /// The counts, and the largest number of bytes kept and taped at the same time.
     fn play(&self, costs: Costs) -> (Counts, usize) {
-        let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
+        let own = if self.is_rounded() { costs.rounded_state } else { costs.state };
         let list_of = |step: usize| step / costs.shared_steps.max(1);
-        let mut counts = Counts::default();
-        let (mut seen, mut stored, mut bytes, mut peak) = (0, 0, 0, 0);
-        // Number of kept states for each list.
-        let mut lists: BTreeMap<usize, usize> = BTreeMap::new();
+        let kept = |step: usize| Bytes { own, shared: costs.shared, identity: list_of(step) };
+        let (mut counts, mut held) = (Counts::default(), Held::default());
+        let (mut seen, mut stored) = (0, 0);
         for action in self.actions() {
             match action {
                 Action::Advance { from, to } => {
@@ -288,22 +253,12 @@ impl Schedule {
                 }
                 Action::Store { step } => {
                     stored += 1;
-                    let sharing = lists.entry(list_of(step)).or_insert(0);
-                    bytes += state + if *sharing == 0 { costs.shared } else { 0 };
-                    *sharing += 1;
                     counts.stored_states = counts.stored_states.max(stored);
-                    peak = peak.max(bytes);
+                    held.add(kept(step));
                 }
                 Action::Discard { step } => {
                     stored -= 1;
-                    bytes -= state;
-                    if let Some(sharing) = lists.get_mut(&list_of(step)) {
-                        *sharing -= 1;
-                        if *sharing == 0 {
-                            lists.remove(&list_of(step));
-                            bytes -= costs.shared;
-                        }
-                    }
+                    held.remove(kept(step));
                 }
                 Action::Tape { from, to } => {
                     // Values of the objective come from a plain run, which is made for steps that were taped first.
@@ -313,22 +268,21 @@ impl Schedule {
                     counts.taped_steps = counts.taped_steps.max(to - from);
                     let taped_lists = list_of(to - 1) - list_of(from) + 1;
                     let tape = (to - from) * costs.tape_step + taped_lists * costs.tape_shared;
-                    peak = peak.max(bytes + tape);
+                    held.peak = held.peak.max(held.now + tape);
                 }
                 Action::Restore { .. } => {}
             }
         }
-        (counts, peak)
+        (counts, held.peak)
     }
 
     /// An upper bound of [`Self::memory`] in closed form, for comparing many schedules.
     fn bound(&self, costs: Costs) -> usize {
         let n = self.differentiated();
-        let kept = n.div_ceil(self.interval().max(1));
         let (states, taped) = match self.kind {
             Kind::EveryState { .. } => (n, 1),
-            Kind::Segments { length } => (kept, length),
-            Kind::TwoLevel { interval } => (kept + interval - 1, 1),
+            Kind::Segments { length } => (n.div_ceil(length), length),
+            Kind::TwoLevel { interval } => (n.div_ceil(interval) + interval - 1, 1),
             Kind::Binomial { states } => (states, 1),
         };
         let state = if self.is_rounded() { costs.rounded_state } else { costs.state };
@@ -358,140 +312,78 @@ impl std::fmt::Display for Schedule {
     }
 }
 
-#[derive(Debug, Clone, Copy)]
-enum Task {
-    Do(Action),
-    /// The first forward run from here on.
-    Forward {
-        from: usize,
-    },
-    /// The segments that end at or before this step.
-    Backward {
-        before: usize,
-    },
-    /// Keeps the states `from` + 1 ... `to` - 1 while recomputing from the kept state `from`.
-    Refill {
-        from: usize,
-        to: usize,
-    },
-    /// Adjoints of the steps `from` ... `to` - 1, last to first, whose states are all kept.
-    Steps {
-        from: usize,
-        to: usize,
-    },
-    /// Revolve: adjoints of the steps `from` ... `to` - 1, starting from the present and kept state `from`, with room
-    /// for `states` states, including that of `from`.
-    Reverse {
-        from: usize,
-        to: usize,
-        states: usize,
-    },
+/// Goes back over the steps `from` ... `to` - 1, whose first state is kept and no longer needed then.
+fn back(from: usize, to: usize) -> [Action; 3] {
+    [Action::Restore { step: from }, Action::Tape { from, to }, Action::Discard { step: from }]
 }
 
-/// The actions of a schedule.
-#[derive(Debug, Clone)]
-pub struct Actions {
-    schedule: Schedule,
-    /// Remaining tasks, the last one first.
-    pending: Vec<Task>,
+/// Forward over the segments of the steps `first` ... `end` - 1, and back over them.
+fn segments(first: usize, end: usize, length: usize) -> impl Iterator<Item = Action> {
+    let starts = (first..end).step_by(length);
+    let until = move |from: usize| (from + length).min(end);
+    let forward = move |from| [Action::Store { step: from }, Action::Advance { from, to: until(from) }];
+    starts.clone().flat_map(forward).chain(starts.rev().flat_map(move |from| back(from, until(from))))
 }
 
-impl Actions {
-    /// First step of the segment that ends at `end`.
-    fn start_of(&self, end: usize) -> usize {
-        let first = self.schedule.first;
-        first + (end - first - 1) / self.schedule.interval() * self.schedule.interval()
-    }
+/// As [`segments`], but back over single steps, whose states are first kept in a run from the beginning of the segment.
+/// The last segment is differentiated first, so its states are kept at once.
+fn two_level(first: usize, end: usize, interval: usize) -> impl Iterator<Item = Action> {
+    let starts = (first..end).step_by(interval);
+    let last = starts.clone().next_back().unwrap_or(end);
+    let forward = move |from: usize| {
+        let to = if from < last { from + interval } else { from + 1 };
+        [Action::Store { step: from }, Action::Advance { from, to }]
+    };
+    let refill = |from: usize| [Action::Advance { from, to: from + 1 }, Action::Store { step: from + 1 }];
+    let backward = move |from: usize| {
+        let (to, left_out) = if from < last { (from + interval, from..from + interval - 1) } else { (end, end..end) };
+        let restore = (!left_out.is_empty()).then_some(Action::Restore { step: from });
+        let steps = (from..to).rev().flat_map(|step| back(step, step + 1));
+        restore.into_iter().chain(left_out.flat_map(refill)).chain(steps)
+    };
+    (first..last).step_by(interval).chain(last..end).flat_map(forward).chain(starts.rev().flat_map(backward))
+}
 
-    fn forward(&mut self, from: usize) {
-        let (end, interval) = (self.schedule.steps, self.schedule.interval());
-        if from >= end {
-            return;
-        }
-        // The last segment of a two-level schedule is differentiated first, so its states are kept at once.
-        let two_level = matches!(self.schedule.kind, Kind::TwoLevel { .. });
-        let last = self.start_of(end);
-        let to = if two_level && from >= last { from + 1 } else { (from + interval).min(end) };
-        self.pending.extend([
-            Task::Forward { from: to },
-            Task::Do(Action::Advance { from, to }),
-            Task::Do(Action::Store { step: from }),
-        ]);
+/// Revolve over the steps `first` ... `end` - 1 with room for `states` states.
+fn revolve(first: usize, end: usize, states: usize) -> impl Iterator<Item = Action> {
+    enum Task {
+        Do(Action),
+        /// Adjoints of the steps `from` ... `to` - 1, starting from the present and kept state `from`, with room for
+        /// `states` states, including that of `from`.
+        Reverse(usize, usize, usize),
     }
-
-    fn backward(&mut self, before: usize) {
-        if before <= self.schedule.first {
-            return;
-        }
-        let from = self.start_of(before);
-        self.pending.push(Task::Backward { before: from });
-        match self.schedule.kind {
-            Kind::TwoLevel { .. } => {
-                self.pending.push(Task::Steps { from, to: before });
-                if before < self.schedule.steps && before > from + 1 {
-                    self.pending.push(Task::Refill { from, to: before });
-                    self.pending.push(Task::Do(Action::Restore { step: from }));
-                }
-            }
-            _ => self.pending.extend([
-                Task::Do(Action::Discard { step: from }),
-                Task::Do(Action::Tape { from, to: before }),
-                Task::Do(Action::Restore { step: from }),
-            ]),
-        }
-    }
-
-    fn reverse(&mut self, from: usize, to: usize, states: usize) {
-        let length = to - from;
-        if length == 1 {
-            self.pending.push(Task::Do(Action::Tape { from, to }));
-        } else if states == 1 {
-            self.pending.extend([
-                Task::Reverse { from, to: to - 1, states },
+    // The last task is the next one.
+    let mut pending = match first < end {
+        true => vec![
+            Task::Do(Action::Discard { step: first }),
+            Task::Reverse(first, end, states),
+            Task::Do(Action::Store { step: first }),
+        ],
+        false => vec![],
+    };
+    std::iter::from_fn(move || loop {
+        match pending.pop()? {
+            Task::Do(action) => return Some(action),
+            Task::Reverse(from, to, _) if to - from == 1 => return Some(Action::Tape { from, to }),
+            Task::Reverse(from, to, 1) => pending.extend([
+                Task::Reverse(from, to - 1, 1),
                 Task::Do(Action::Restore { step: from }),
                 Task::Do(Action::Tape { from: to - 1, to }),
                 Task::Do(Action::Advance { from, to: to - 1 }),
-            ]);
-        } else {
-            let middle = from + split(length, states);
-            self.pending.extend([
-                Task::Reverse { from, to: middle, states },
-                Task::Do(Action::Restore { step: from }),
-                Task::Do(Action::Discard { step: middle }),
-                Task::Reverse { from: middle, to, states: states - 1 },
-                Task::Do(Action::Store { step: middle }),
-                Task::Do(Action::Advance { from, to: middle }),
-            ]);
-        }
-    }
-}
-
-impl Iterator for Actions {
-    type Item = Action;
-
-    fn next(&mut self) -> Option<Action> {
-        loop {
-            match self.pending.pop()? {
-                Task::Do(action) => return Some(action),
-                Task::Forward { from } => self.forward(from),
-                Task::Backward { before } => self.backward(before),
-                Task::Refill { from, to } if to - from > 1 => self.pending.extend([
-                    Task::Refill { from: from + 1, to },
-                    Task::Do(Action::Store { step: from + 1 }),
-                    Task::Do(Action::Advance { from, to: from + 1 }),
-                ]),
-                Task::Refill { .. } => {}
-                Task::Steps { from, to } if to > from => self.pending.extend([
-                    Task::Steps { from, to: to - 1 },
-                    Task::Do(Action::Discard { step: to - 1 }),
-                    Task::Do(Action::Tape { from: to - 1, to }),
-                    Task::Do(Action::Restore { step: to - 1 }),
-                ]),
-                Task::Steps { .. } => {}
-                Task::Reverse { from, to, states } => self.reverse(from, to, states),
+            ]),
+            Task::Reverse(from, to, states) => {
+                let middle = from + split(to - from, states);
+                pending.extend([
+                    Task::Reverse(from, middle, states),
+                    Task::Do(Action::Restore { step: from }),
+                    Task::Do(Action::Discard { step: middle }),
+                    Task::Reverse(middle, to, states - 1),
+                    Task::Do(Action::Store { step: middle }),
+                    Task::Do(Action::Advance { from, to: middle }),
+                ]);
             }
         }
-    }
+    })
 }
 
 /// Largest number of times that one of `length` steps is run forward with room for `states` states: the smallest r with
@@ -505,22 +397,9 @@ fn repetitions(length: usize, states: usize) -> usize {
     r
 }
 
-/// Smallest number of steps to run forward for the adjoints of `length` steps, last to first, with room for `states`
-/// states, including the first (without the taped run of each step): r l - C(states + r, r - 1), r = `repetitions`
-/// (Griewank and Walther 2000).
-pub fn least_steps(length: usize, states: usize) -> usize {
-    let r = repetitions(length, states);
-    // C(states + r, r - 1).
-    let mut binomial = 1u128;
-    for k in 1..r {
-        binomial = binomial * (states + 1 + k) as u128 / k as u128;
-    }
-    let binomial = if r == 0 { 0 } else { binomial };
-    r * length - binomial as usize
-}
-
-/// The next state to keep: the m that minimises m + t(l - m, s - 1) + t(m, s), t = [`least_steps`]. t is convex in the
-/// length with slope `repetitions`, so the slope of the sum changes its sign once.
+/// The next state to keep: the m that minimises m + t(l - m, s - 1) + t(m, s), where t(l, s) is the smallest number of
+/// steps to run forward for the adjoints of l steps with room for s states: r l - C(s + r, r - 1), r = `repetitions`
+/// (Griewank and Walther 2000). t is convex in the length with slope r, so the slope of the sum changes its sign once.
 fn split(length: usize, states: usize) -> usize {
     let (mut low, mut high) = (1, length - 1);
     while low < high {

@@ -221,7 +221,7 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
     let points: Vec<HistoryPoint> = optimisation.history.iter().enumerate().map(point).collect();
     let first = Some(("first design", optimisation.history[0].shown()));
     let symbol = problem.figure.symbol;
-    let label = format!("{} {symbol} (scene units)", problem.objective.name());
+    let label = format!("{} {symbol} (scene units)", problem.figure.name);
     history(&folder.join("history"), &points, (symbol, &label), first)?;
     Ok(())
 }

@@ -3,7 +3,6 @@
 use super::Metadata;
 use crate::particles::Domain;
 
-/// The box of a data set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extent {
     pub domain: Domain,
@@ -16,7 +15,6 @@ impl Extent {
         Self { domain: metadata.domain(), low }
     }
 
-    /// Number of dimensions, D.
     pub fn dimension(&self) -> usize {
         self.domain.dimension
     }

@@ -7,9 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The keys of LagrangeBench and ours. Unknown keys of other programs are kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Metadata {
-    /// Number of dimensions, D.
     pub dim: usize,
     /// Particle spacing.
     pub dx: f64,
@@ -34,7 +33,7 @@ pub struct Metadata {
 }
 
 /// Parameters and statistics of the temperature, in the units of the scene.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Heat {
     /// Mean and standard deviation of the fluid's temperature in the training split.
     pub temperature_mean: f64,
@@ -139,9 +138,6 @@ impl Metadata {
     }
 
     /// Writes `metadata.json` into a folder.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn write(&self, folder: &Path) -> Result<(), FileError> {
         let path = folder.join("metadata.json");
         let mut text = serde_json::to_string_pretty(self)

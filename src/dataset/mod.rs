@@ -6,7 +6,6 @@
 
 pub mod extent;
 pub mod metadata;
-pub mod outline;
 pub mod recipe;
 pub mod record;
 pub mod statistics;

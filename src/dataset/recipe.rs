@@ -4,7 +4,6 @@
 //! heated channel, 0.22 for LagrangeBench's flows), dt_ref = C min(dx/(c + U), dx^2/max(nu, alpha)). The run uses the
 //! largest steps that `time.cfl` and `time.diffusion_number` allow and that divide the time between two frames, so this
 //! time does not depend on the time step.
-//! physical time apart whatever the time step.
 
 use super::trajectory::Split;
 use super::walls::{wall, Section, Walls};
@@ -20,7 +19,7 @@ use serde::{Deserialize, Serialize};
 const RELAXED_JITTER: f64 = 0.25;
 
 /// The settings of a data set besides the scene's configuration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
     /// Numbers of trajectories for training, validation and test.
     pub trajectories: [usize; 3],
@@ -105,16 +104,7 @@ impl Recipe {
             Family::DamBreak => ([4, 2, 2], 401, 0, 0),
             Family::DamBreak3d | Family::FallingBlock | Family::HydrostaticTank => ([4, 2, 2], 101, 0, 0),
         };
-        Self {
-            trajectories,
-            frames,
-            every: 100,
-            skip,
-            relax,
-            walls: Walls::default(),
-            starts: Starts::default(),
-            given: Vec::new(),
-        }
+        Self { trajectories, frames, every: 100, skip, relax, ..Self::default() }
     }
 
     /// Checks that the recipe is valid for the scene.
@@ -127,44 +117,39 @@ impl Recipe {
                 .allowed("heated-channel, and flows without heat")
                 .advice("hydrograd generate heated-channel"));
         }
-        let bad = |key: &str, problem: String| BadInput::new(problem).key(key);
+        let bad = |key: &str, problem: String, allowed: &str| BadInput::new(problem).key(key).allowed(allowed);
         if self.trajectories[0] == 0 {
-            return Err(bad("trajectories", "there is no training trajectory".into())
-                .allowed("TRAIN/VALID/TEST, at least one for training")
-                .advice("trajectories=4/2/2"));
+            let allowed = "TRAIN/VALID/TEST, at least one for training";
+            let bad = bad("trajectories", "there is no training trajectory".into(), allowed);
+            return Err(bad.advice("trajectories=4/2/2"));
         }
         let most = 99_999;
         if let Some(many) = self.trajectories.iter().find(|count| **count > most) {
-            return Err(
-                bad("trajectories", format!("{many} trajectories")).allowed(format!("at most {most} per split"))
-            );
+            return Err(bad("trajectories", format!("{many} trajectories"), &format!("at most {most} per split")));
         }
         if self.frames < 3 {
-            return Err(bad("frames", format!("frames = {} is too few", self.frames))
-                .allowed("at least 3: an acceleration takes three frames"));
+            let allowed = "at least 3: an acceleration takes three frames";
+            return Err(bad("frames", format!("frames = {} is too few", self.frames), allowed));
         }
         if self.every == 0 {
-            return Err(bad("every", "every = 0: frames would not differ".into()).allowed("at least 1"));
+            return Err(bad("every", "every = 0: frames would not differ".into(), "at least 1"));
         }
         if config.scene.has_design() && self.relax > 0 {
-            return Err(bad("relax", format!("relax = {}: the heated channel has no relaxation", self.relax))
-                .allowed("0")
-                .advice(format!("skip={}", self.skip + self.relax)));
+            let problem = format!("relax = {}: the heated channel has no relaxation", self.relax);
+            return Err(bad("relax", problem, "0").advice(format!("skip={}", self.skip + self.relax)));
         }
         if config.scene.has_surface() && self.relax > 0 {
-            return Err(bad("relax", format!("relax = {}: water with a free surface does not relax", self.relax))
-                .allowed("0")
-                .advice("time.jitter=0.1"));
+            let problem = format!("relax = {}: water with a free surface does not relax", self.relax);
+            return Err(bad("relax", problem, "0").advice("time.jitter=0.1"));
         }
         if !config.scene.has_design() && self.walls != Walls::default() {
-            let scene = config.scene.name();
             let option = if self.walls == Walls::File { "walls-file" } else { "walls" };
-            return Err(bad(option, format!("scene {scene} has no walls to shape"))
-                .allowed("walls with scene heated-channel only"));
+            let problem = format!("scene {} has no walls to shape", config.scene.name());
+            return Err(bad(option, problem, "walls with scene heated-channel only"));
         }
         if self.starts == Starts::Mix && config.scene != Family::HeatedChannel {
-            return Err(bad("starts", format!("scene {} has one way to begin", config.scene.name()))
-                .allowed("starts = mix with scene heated-channel only"));
+            let problem = format!("scene {} has one way to begin", config.scene.name());
+            return Err(bad("starts", problem, "starts = mix with scene heated-channel only"));
         }
         let usual = config.scene.defaults().time;
         // The length in a preset is for its own runs.
@@ -179,7 +164,7 @@ impl Recipe {
         }
         let steps = self.pace(config).total as f64;
         if steps > 1e9 {
-            return Err(bad("frames", format!("a trajectory of {steps:.1e} steps")).allowed("at most 1e9 steps"));
+            return Err(bad("frames", format!("a trajectory of {steps:.1e} steps"), "at most 1e9 steps"));
         }
         Ok(())
     }
@@ -222,9 +207,7 @@ impl Recipe {
 
     /// The wall of a trajectory in the table, if there is one.
     fn given(&self, job: Job) -> Option<(String, Vec<f64>)> {
-        let before = Split::ALL.iter().zip(self.trajectories).take_while(|(split, _)| **split != job.split);
-        let number = before.map(|(_, count)| count).sum::<usize>() + job.index;
-        let line = number % self.given.len().max(1);
+        let line = self.jobs().iter().position(|other| *other == job)? % self.given.len().max(1);
         Some((format!("line {} of the table", line + 1), self.given.get(line)?.clone()))
     }
 

@@ -15,8 +15,7 @@ use crate::scene::Scene;
 use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Model;
-use crate::sph::Sweeps;
+use crate::sph::{Model, Sweeps};
 
 /// The box that contains every particle of a data set, including walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -176,15 +175,9 @@ fn write_positions<R: Sweeps>(
         for d in 0..enclosure.dimension {
             let x = solver.state[d * n + i].f64() - enclosure.origin[d];
             if !(0.0..=enclosure.size[d]).contains(&x) {
-                return Err(Error::diverged(
-                    format!(
-                        "{}: particle {i} left the box in step {}: {:?} = {x}",
-                        ready.job,
-                        solver.step,
-                        ["x", "y", "z"][d]
-                    ),
-                    Cause::of(&stage.scene.model, &stage.scene.start).advice,
-                ));
+                let (job, step, axis) = (ready.job, solver.step, ["x", "y", "z"][d]);
+                let problem = format!("{job}: particle {i} left the box in step {step}: {axis:?} = {x}");
+                return Err(Error::diverged(problem, Cause::of(&stage.scene.model, &stage.scene.start).advice));
             }
             // A position just below the end of a period may be rounded to the end.
             let x = x as f32;

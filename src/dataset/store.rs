@@ -263,15 +263,7 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
         periodic_boundary_conditions: frame.periodic[..d].to_vec(),
         bounds: (0..d).map(|k| [0.0, frame.size[k]]).collect(),
         default_connectivity_radius: 1.45 * dx,
-        vel_mean: vec![0.0; d],
-        vel_std: vec![1.0; d],
-        acc_mean: vec![0.0; d],
-        acc_std: vec![1.0; d],
         heat: heated.then(|| Heat {
-            temperature_mean: 0.0,
-            temperature_std: 1.0,
-            change_mean: 0.0,
-            change_std: 1.0,
             inlet_length: channel.inlet_length,
             inlet_temperature: fluid.inlet_temperature,
             target_x: config.objective.target_x,
@@ -279,7 +271,9 @@ fn metadata(config: &Config, recipe: &Recipe, frame: &Enclosure) -> Metadata {
             conductivity: fluid.conductivity,
             heat_capacity: fluid.heat_capacity,
             outlet_length: channel.outlet_length,
+            ..Heat::default()
         }),
         other,
+        ..Metadata::default()
     }
 }

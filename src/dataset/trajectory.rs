@@ -5,7 +5,7 @@
 //! f64 (the shape of the wall).
 
 use super::metadata::Metadata;
-use crate::io::hdf5_file::{failed, mismatch, missing, open, read_dataset};
+use crate::io::hdf5_file::{failed, mismatch, missing, open, read_dataset, read_text};
 use crate::io::FileError;
 use std::path::{Path, PathBuf};
 
@@ -86,20 +86,11 @@ impl Trajectory {
     /// Distances to the next frame (for the last one from the frame before), in spacings.
     pub fn speeds(&self, metadata: &Metadata, frame: usize, shown: &[usize]) -> Vec<f64> {
         let d = metadata.dim;
-        let (from, to) = match frame + 1 < self.frames {
-            true => (frame, frame + 1),
-            false => (frame.saturating_sub(1), frame),
-        };
-        let (from, to) = (self.position_of(from), self.position_of(to));
-        let (size, periodic) = (metadata.size(), metadata.periodic());
-        let square = |i: usize, k: usize| {
-            let mut step = f64::from(to[i * d + k]) - f64::from(from[i * d + k]);
-            if periodic[k] {
-                step -= size[k] * (step / size[k]).round();
-            }
-            step * step
-        };
-        shown.iter().map(|&i| (0..d).map(|k| square(i, k)).sum::<f64>().sqrt() / metadata.dx).collect()
+        let to = (frame + 1).min(self.frames - 1);
+        let (from, to) = (self.position_of(frame.min(to.saturating_sub(1))), self.position_of(to));
+        let domain = metadata.domain();
+        let step = |i: usize, k: usize| domain.nearest(k, f64::from(to[i * d + k]) - f64::from(from[i * d + k]));
+        shown.iter().map(|&i| (0..d).map(|k| step(i, k).powi(2)).sum::<f64>().sqrt() / metadata.dx).collect()
     }
 
     /// Tags: 0 fluid, 1 wall, 2 moving wall, 3 wall of set temperature (as in hydrograd), 4 rigid body, 5 padding.
@@ -128,9 +119,6 @@ pub fn read_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Ve
 }
 
 /// Reads one trajectory of a split by its number; none if there are fewer.
-///
-/// # Errors
-/// As for [`read_split`].
 pub fn read_one(
     folder: &Path,
     metadata: &Metadata,
@@ -143,8 +131,52 @@ pub fn read_one(
     name.map(|name| read_checked(path, &file, metadata, name)).transpose()
 }
 
+/// A trajectory without its frames.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Outline {
+    /// The group's name.
+    pub name: String,
+    /// Number of frames, T.
+    pub frames: usize,
+    /// Number of particles, N.
+    pub particles: usize,
+    /// Positions of the wall shape's nodes and its heights there, `[M]` each; empty if no wall is shaped.
+    pub wall_x: Vec<f64>,
+    pub wall_offset: Vec<f64>,
+    /// Name of the wall; empty if unknown.
+    pub wall: String,
+}
+
+impl Outline {
+    /// The outlines of all trajectories of a split, sorted by name.
+    pub fn of_split(folder: &Path, metadata: &Metadata, split: Split) -> Result<Vec<Self>, FileError> {
+        let path = &split.path(folder);
+        let file = open(path, "data set")?;
+        let of = |name: String| {
+            let group = file.group(&name).map_err(failed(path, "open")(&name))?;
+            let present = group.member_names().map_err(failed(path, "read")(&name))?;
+            let [frames, particles, _] = shape(path, &group, metadata.dim, &name)?;
+            Ok(Self {
+                frames,
+                particles,
+                wall_x: nodes(path, &group, &present, "wall_x")?,
+                wall_offset: nodes(path, &group, &present, "wall_offset")?,
+                // Only our data have it.
+                wall: read_text(path, &group, "wall").unwrap_or_default(),
+                name,
+            })
+        };
+        names(path, &file)?.into_iter().map(of).collect()
+    }
+
+    /// The kind of the wall, without its amplitude.
+    pub fn kind_of_wall(&self) -> &str {
+        self.wall.split(", amplitude").next().unwrap_or_default()
+    }
+}
+
 /// The sorted names of a file's trajectories.
-pub(super) fn names(path: &Path, file: &hdf5::File) -> Result<Vec<String>, FileError> {
+fn names(path: &Path, file: &hdf5::File) -> Result<Vec<String>, FileError> {
     let mut names = file.member_names().map_err(failed(path, "read")("the list of trajectories"))?;
     names.sort();
     Ok(names)
@@ -164,32 +196,24 @@ fn check(path: &Path, metadata: &Metadata, trajectory: &Trajectory) -> Result<()
         (lower - size[k % d]..=upper + size[k % d]).contains(&f64::from(x))
     };
     let place = |k: usize| format!("frame {}, particle {}", k / d / trajectory.particles, k / d % trajectory.particles);
+    let bad = |what: &str, found: String, allowed: &str| mismatch(path, &format!("{name}/{what}"), found, allowed);
     if let Some((k, x)) = trajectory.position.iter().enumerate().find(|(k, x)| !is_near(*k, **x)) {
         let allowed = format!("within a box's length of the bounds {:?}", metadata.bounds[k % d]);
-        return Err(mismatch(path, &format!("{name}/position"), format!("{x} in {}", place(k)), &allowed));
+        return Err(bad("position", format!("{x} in {}", place(k)), &allowed));
     }
     let temperature = trajectory.temperature.as_deref();
     if let Some((k, t)) = temperature.into_iter().flatten().enumerate().find(|(_, t)| !t.is_finite()) {
-        return Err(mismatch(
-            path,
-            &format!("{name}/temperature"),
-            format!("{t} in {}", place(k * d)),
-            "finite numbers",
-        ));
+        return Err(bad("temperature", format!("{t} in {}", place(k * d)), "finite numbers"));
     }
     if metadata.heat.is_some() && temperature.is_none() {
-        return Err(missing(
-            path,
-            "dataset",
-            &format!("{name}/temperature"),
-            vec!["what metadata.json without heat has".into()],
-        ));
+        let present = vec!["what metadata.json without heat has".into()];
+        return Err(missing(path, "dataset", &format!("{name}/temperature"), present));
     }
     Ok(())
 }
 
 /// T, N and D of a trajectory's group; `dim` is the expected D.
-pub(super) fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) -> Result<[usize; 3], FileError> {
+fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) -> Result<[usize; 3], FileError> {
     let shape = group.dataset("position").map_err(failed(path, "open")("position"))?.shape();
     let bad = |allowed: &str| mismatch(path, &format!("{name}/position"), format!("of shape {shape:?}"), allowed);
     match *shape.as_slice() {
@@ -200,7 +224,7 @@ pub(super) fn shape(path: &Path, group: &hdf5::Group, dim: usize, name: &str) ->
 }
 
 /// Values along a wall, `[M]`; empty if the group lacks them.
-pub(super) fn nodes(path: &Path, group: &hdf5::Group, present: &[String], name: &str) -> Result<Vec<f64>, FileError> {
+fn nodes(path: &Path, group: &hdf5::Group, present: &[String], name: &str) -> Result<Vec<f64>, FileError> {
     if !present.iter().any(|other| other == name) {
         return Ok(Vec::new());
     }
@@ -227,12 +251,8 @@ pub(super) fn read_trajectory(
     let nodes = |name: &str| nodes(path, &group, &present, name);
     let kinds: Vec<i32> = read_dataset(path, &group, &present, "particle_type", &[particles])?.unwrap_or_default();
     if let Some(odd) = kinds.iter().find(|k| !(kind::PADDING..kind::COUNT).contains(*k)) {
-        return Err(mismatch(
-            path,
-            &format!("{name}/particle_type"),
-            format!("{odd} for a particle"),
-            &format!("from {} to {}", kind::PADDING, kind::COUNT - 1),
-        ));
+        let allowed = format!("from {} to {}", kind::PADDING, kind::COUNT - 1);
+        return Err(mismatch(path, &format!("{name}/particle_type"), format!("{odd} for a particle"), &allowed));
     }
     Ok(Trajectory {
         frames,

@@ -4,11 +4,13 @@
 //! and a slope between nodes of at most 1 (steeper functions are scaled down).
 
 use super::trajectory::Split;
+use crate::config::scene::ShapeName;
+use crate::design::start_shape::height;
 use crate::error::BadInput;
 use crate::numerics::random::{uniform, Normal};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 use std::path::Path;
 
 /// Largest slope between two nodes, half of that of a design. Moving particles are stable over all of these functions
@@ -38,29 +40,18 @@ pub enum Walls {
     File,
 }
 
-/// A function of the report.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Function {
-    Flat,
-    Uniform,
-    /// A sin(2 pi k s), k periods.
-    Sine(f64),
-    Cosine(f64),
-    /// From -A to A.
-    Linear,
-}
-
-const REPORT: [Function; 10] = [
-    Function::Flat,
-    Function::Uniform,
-    Function::Sine(0.5),
-    Function::Sine(1.0),
-    Function::Sine(2.0),
-    Function::Sine(4.0),
-    Function::Cosine(1.0),
-    Function::Cosine(2.0),
-    Function::Cosine(3.0),
-    Function::Linear,
+/// The report's functions, with their numbers of periods.
+const REPORT: [(ShapeName, f64); 10] = [
+    (ShapeName::Flat, 0.0),
+    (ShapeName::Uniform, 0.0),
+    (ShapeName::Sine, 0.5),
+    (ShapeName::Sine, 1.0),
+    (ShapeName::Sine, 2.0),
+    (ShapeName::Sine, 4.0),
+    (ShapeName::Cosine, 1.0),
+    (ShapeName::Cosine, 2.0),
+    (ShapeName::Cosine, 3.0),
+    (ShapeName::Linear, 0.0),
 ];
 
 /// Number of waves in a smooth random wall. The k-th has k half periods and a standard deviation of 1/k.
@@ -154,17 +145,14 @@ impl Section<'_> {
         self.nodes.iter().map(|x| f((x - self.hot_from) / (self.hot_to - self.hot_from))).collect()
     }
 
-    fn function(&self, function: Function, amplitude: f64) -> (String, Vec<f64>) {
-        let (name, offsets) = match function {
-            Function::Flat => return ("flat".into(), self.sample(|_| 0.0)),
-            Function::Uniform => ("uniform".into(), self.sample(|_| amplitude)),
-            Function::Sine(periods) => {
-                (format!("sine ({periods} periods)"), self.sample(|s| amplitude * (TAU * periods * s).sin()))
-            }
-            Function::Cosine(periods) => {
-                (format!("cosine ({periods} periods)"), self.sample(|s| amplitude * (TAU * periods * s).cos()))
-            }
-            Function::Linear => ("linear".into(), self.sample(|s| amplitude * (2.0 * s - 1.0))),
+    fn function(&self, (shape, periods): (ShapeName, f64), amplitude: f64) -> (String, Vec<f64>) {
+        let offsets = self.sample(|s| height(shape, amplitude, periods, s));
+        let name = match shape {
+            ShapeName::Flat | ShapeName::Random => return ("flat".into(), offsets),
+            ShapeName::Uniform => "uniform".into(),
+            ShapeName::Sine => format!("sine ({periods} periods)"),
+            ShapeName::Cosine => format!("cosine ({periods} periods)"),
+            ShapeName::Linear => "linear".into(),
         };
         (format!("{name}, amplitude {amplitude:.4}"), self.gentle(offsets))
     }

@@ -24,9 +24,6 @@ use std::path::Path;
 pub const KIND: &str = "hydrograd optimisation";
 
 /// Writes a checkpoint after at least one epoch. `notes` (the configuration, the version, ...) go into its metadata.
-///
-/// # Errors
-/// System errors.
 pub fn write(path: &Path, optimisation: &Optimisation, notes: &[(&str, String)]) -> Result<(), FileError> {
     let (history, x) = (&optimisation.history, optimisation.optimiser.ask());
     let (k, epochs) = (x.len(), history.len());
@@ -103,9 +100,6 @@ pub fn restore(
     parametrisation.check(x).map_err(|bad| bad.place(file.path.display().to_string()))?;
     let mut optimiser = begin(x);
     optimiser.restore(file)?;
-    let solver_from = match file.metadata.contains_key("solver_from") {
-        true => Some(count(file, "solver_from")?),
-        false => None,
-    };
+    let solver_from = file.metadata.contains_key("solver_from").then(|| count(file, "solver_from")).transpose()?;
     Ok(Optimisation { optimiser, history, best, solver_from })
 }

@@ -14,7 +14,6 @@ use super::limits::Limits;
 use crate::error::Error;
 use crate::numerics::random::{stream, Normal};
 
-/// A design that was evaluated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluated {
     pub variables: Vec<f64>,
@@ -50,10 +49,8 @@ pub fn search(
             let distance: f64 = wanted.iter().zip(&nearest).map(|(x, near)| (x - near).powi(2)).sum();
             least = least.min(found);
             seen.push(Evaluated { variables: nearest, loss: found });
-            let price = match distance > 0.0 {
-                true => distance / (step * step) * (begin - least).max(1e-3 * begin.abs()),
-                false => 0.0,
-            };
+            let fall = (begin - least).max(1e-3 * begin.abs());
+            let price = if distance > 0.0 { distance / (step * step) * fall } else { 0.0 };
             ranked.push((found + price, drawn));
         }
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));

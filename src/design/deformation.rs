@@ -18,7 +18,6 @@ pub struct Deformation {
     pub columns: usize,
     /// State of the undeformed channel, `[F, N]`.
     pub base: Vec<f64>,
-    /// Number of particles, N.
     pub particles: usize,
     pub map: Map,
 }

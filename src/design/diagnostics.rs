@@ -37,7 +37,6 @@ pub struct Diagnostics {
     pub pumping_power: f64,
 }
 
-/// The result of a run.
 pub struct Finished<R> {
     pub diagnostics: Diagnostics,
     pub solver: Solver<R>,
@@ -45,9 +44,6 @@ pub struct Finished<R> {
 }
 
 /// Runs a design and measures it. The observers see each state after it was measured.
-///
-/// # Errors
-/// As for [`run`].
 pub fn simulate<R: Sweeps>(
     design: &Problem<R>,
     compute: impl Into<Compute>,
@@ -68,15 +64,12 @@ pub fn simulate<R: Sweeps>(
 /// An observer that measures a run in the window of the objective.
 pub struct Measurement<'a, R> {
     design: &'a Problem<R>,
-    sums: Sums,
-    /// The step of each sample, and the sums before it.
-    before: Vec<(usize, Sums)>,
+    samples: Vec<Sample>,
 }
 
-/// Sums over the window's samples.
-#[derive(Clone, Default)]
-struct Sums {
-    count: f64,
+/// What is measured after a step.
+struct Sample {
+    step: usize,
     q: f64,
     flow: f64,
     mass_flow: f64,
@@ -85,8 +78,8 @@ struct Sums {
     u_max: f64,
     force: f64,
     power: f64,
-    /// (time, heat upstream of the targets).
-    heat: Vec<(f64, f64)>,
+    /// Heat upstream of the targets.
+    heat: f64,
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
@@ -96,8 +89,7 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
         // The initial state is not sampled, because it is given.
         let is_inside = solver.step >= (steps - window).max(1);
         if is_inside && (steps - solver.step).is_multiple_of(stride) {
-            self.before.push((solver.step, self.sums.clone()));
-            self.sample(dynamics, solver)?;
+            self.samples.push(self.sample(dynamics, solver)?);
         }
         Ok(())
     }
@@ -105,29 +97,22 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
 
 impl<'a, R: Sweeps> Measurement<'a, R> {
     pub fn of(design: &'a Problem<R>) -> Self {
-        Self { design, sums: Sums::default(), before: Vec::new() }
+        Self { design, samples: Vec::new() }
     }
 
     /// Discards the samples from `step` on.
     pub fn go_back(&mut self, step: usize) {
-        if let Some(place) = self.before.iter().position(|(sampled, _)| *sampled >= step) {
-            self.sums = self.before.swap_remove(place).1;
-            self.before.truncate(place);
-        }
+        self.samples.retain(|sample| sample.step < step);
     }
 
-    fn sample(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
-        let (design, sums) = (self.design, &mut self.sums);
+    fn sample(&self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<Sample> {
+        let design = self.design;
         let (model, outlet, depth) = (&design.model, &design.outlet, design.depth);
         let (n, l) = (model.particles(), model.rows);
         let flows = outlet.numbers(&dynamics.look(solver)?)?;
         let scale = outlet.spacing;
-        sums.count += 1.0;
-        sums.q += scale * flows.heat;
-        sums.flow += scale * flows.volume;
-        sums.mass_flow += scale * flows.mass;
         let target_x = outlet.place();
-        sums.wall += solver.wall_heat_flux(target_x)? / depth;
+        let wall = solver.wall_heat_flux(target_x)? / depth;
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat, mut momentum) = (0.0, 0.0, f64::NEG_INFINITY, 0.0, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
@@ -141,33 +126,41 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
                 heat += solver.mass(i) * solver.state[row * n + i].f64();
             }
         }
-        sums.density += density / fluids;
-        sums.u_max += fastest;
         let force = solver.driving_force();
-        sums.force += force;
-        sums.power += force * momentum / depth;
-        sums.heat.push((solver.step as f64 * model.dt, heat / depth));
-        Ok(())
+        Ok(Sample {
+            step: solver.step,
+            q: scale * flows.heat,
+            flow: scale * flows.volume,
+            mass_flow: scale * flows.mass,
+            wall,
+            density: density / fluids,
+            u_max: fastest,
+            force,
+            power: force * momentum / depth,
+            heat: heat / depth,
+        })
     }
 
     /// The averages over the samples.
     pub fn diagnostics(&self) -> Diagnostics {
-        let sums = &self.sums;
-        let mean = |sum: f64| sum / sums.count.max(1.0);
-        let inlet = self.design.model.heat.as_ref().map_or(0.0, |h| h.reference);
-        let stored = slope(&sums.heat);
-        let (q, wall) = (mean(sums.q), mean(sums.wall));
+        let sum = |of: fn(&Sample) -> f64| self.samples.iter().map(of).fold(0.0, |sum, x| sum + x);
+        let mean = |of: fn(&Sample) -> f64| sum(of) / (self.samples.len() as f64).max(1.0);
+        let model = &self.design.model;
+        let inlet = model.heat.as_ref().map_or(0.0, |h| h.reference);
+        let heat: Vec<(f64, f64)> = self.samples.iter().map(|it| (it.step as f64 * model.dt, it.heat)).collect();
+        let stored = slope(&heat);
+        let (q, wall) = (mean(|it| it.q), mean(|it| it.wall));
         Diagnostics {
             q,
-            flow_rate: mean(sums.flow),
-            mean_outlet_temperature: inlet + sums.q / sums.mass_flow,
+            flow_rate: mean(|it| it.flow),
+            mean_outlet_temperature: inlet + sum(|it| it.q) / sum(|it| it.mass_flow),
             wall_heat_flux: wall,
             stored_heat_rate: stored,
             energy_imbalance: (wall - q - stored) / wall,
-            mean_density: mean(sums.density),
-            u_max: mean(sums.u_max),
-            body_force: mean(sums.force),
-            pumping_power: mean(sums.power),
+            mean_density: mean(|it| it.density),
+            u_max: mean(|it| it.u_max),
+            body_force: mean(|it| it.force),
+            pumping_power: mean(|it| it.power),
         }
     }
 }

@@ -16,9 +16,6 @@ pub trait Judge {
     fn gradient(&self, variables: &[f64], progress: Progress<'_>) -> Result<Evaluation, Error>;
 
     /// The loss of a design without its gradient.
-    ///
-    /// # Errors
-    /// As for [`Self::gradient`].
     fn value(&self, variables: &[f64]) -> Result<Evaluation, Error>;
 
     /// The reported objective of a design with this loss.
@@ -37,9 +34,6 @@ pub struct Scheduled<R> {
 
 impl<R: Sweeps> Scheduled<R> {
     /// The objective of a design and its derivative.
-    ///
-    /// # Errors
-    /// As for [`Judge::gradient`].
     pub fn differentiate(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         self.problem.differentiate(variables, &self.schedule, progress)
     }
@@ -47,7 +41,7 @@ impl<R: Sweeps> Scheduled<R> {
 
 impl<R: Sweeps> Judge for Scheduled<R> {
     fn gradient(&self, variables: &[f64], progress: Progress<'_>) -> Result<Evaluation, Error> {
-        self.problem.gradient(variables, &self.schedule, progress)
+        Ok(self.problem.confirmed(variables, &self.differentiate(variables, progress)?))
     }
 
     fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {

@@ -7,16 +7,9 @@ use crate::error::BadInput;
 pub struct Limits {
     pub lower: Vec<f64>,
     pub upper: Vec<f64>,
-    steepness: Option<Steepness>,
-}
-
-/// Largest slope between neighbours.
-#[derive(Debug, Clone, PartialEq)]
-struct Steepness {
-    positions: Vec<f64>,
-    slope: f64,
-    /// The last variable of the bottom wall, if the top wall follows, which is independent of it.
-    last_of_wall: Option<usize>,
+    /// Largest difference of the variables k and k + 1, where there is one; empty without a largest slope. It is slightly
+    /// reduced, so that a wall passes its own check after rounding.
+    steps: Vec<Option<f64>>,
 }
 
 /// Largest number of sweeps of Dykstra's algorithm. It converges linearly, usually within ten.
@@ -25,39 +18,33 @@ const SWEEPS: usize = 10_000;
 impl Limits {
     /// Bounds without a largest slope.
     pub fn within(lower: Vec<f64>, upper: Vec<f64>) -> Self {
-        Self { lower, upper, steepness: None }
+        Self { lower, upper, steps: vec![] }
     }
 
     /// `|x_k| <= bound`, and a largest `slope` between neighbours at increasing `positions`.
     pub fn symmetric(bound: f64, positions: &[f64], slope: f64) -> Self {
-        let steepness = Some(Steepness { positions: positions.to_vec(), slope, last_of_wall: None });
-        Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steepness }
+        let most = |pair: &[f64]| Some(slope * (pair[1] - pair[0]).abs() * (1.0 - 1e-12));
+        let steps = positions.windows(2).map(most).collect();
+        Self { lower: vec![-bound; positions.len()], upper: vec![bound; positions.len()], steps }
     }
 
     /// The part of the set within `radius` of `point` in each variable.
     pub fn near(&self, point: &[f64], radius: f64) -> Self {
         let lower = self.lower.iter().zip(point).map(|(lower, x)| lower.max(x - radius)).collect();
         let upper = self.upper.iter().zip(point).map(|(upper, x)| upper.min(x + radius)).collect();
-        Self { lower, upper, steepness: self.steepness.clone() }
+        Self { lower, upper, steps: self.steps.clone() }
     }
 
-    /// The limits of two walls, whose variables follow each other.
+    /// The limits of two independent walls, whose variables follow each other.
     pub fn twice(&self) -> Self {
         let twice = |numbers: &[f64]| [numbers, numbers].concat();
-        let steepness = self.steepness.as_ref().map(|one| Steepness {
-            positions: twice(&one.positions),
-            last_of_wall: Some(one.positions.len() - 1),
-            slope: one.slope,
-        });
-        Self { lower: twice(&self.lower), upper: twice(&self.upper), steepness }
+        let steps = [self.steps.as_slice(), &[None], &self.steps].concat();
+        Self { lower: twice(&self.lower), upper: twice(&self.upper), steps }
     }
 
-    /// Largest difference of the variables k and k + 1, if it is limited. It is slightly reduced, so that a wall passes
-    /// its own check after rounding.
+    /// Largest difference of the variables k and k + 1, if it is limited.
     fn most(&self, k: usize) -> Option<f64> {
-        let steepness = self.steepness.as_ref().filter(|steepness| steepness.last_of_wall != Some(k))?;
-        let (from, to) = (steepness.positions[k], steepness.positions[k + 1]);
-        Some(steepness.slope * (to - from).abs() * (1.0 - 1e-12))
+        self.steps.get(k).copied().flatten()
     }
 
     /// Clamps `x` to its bounds.
@@ -94,7 +81,7 @@ impl Limits {
     /// Moves `x` to the nearest point of the set (Euclidean norm), by Dykstra's algorithm over three simple sets: the
     /// bounds, the pairs (0, 1), (2, 3), ... and the pairs (1, 2), (3, 4), ... (Boyle and Dykstra 1986).
     pub fn nearest(&self, x: &mut [f64]) {
-        if self.steepness.is_none() {
+        if self.steps.is_empty() {
             return self.clamp(x);
         }
         if self.contains(x) {

@@ -93,15 +93,12 @@ impl Optimisation {
             }
             found => found?,
         };
-        let gradient_norm = match found.loss.is_finite() {
-            true => found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt(),
-            false => f64::NAN,
-        };
+        let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         self.history.push(Epoch {
             variables,
             figure: found.figure,
             loss: found.loss,
-            gradient_norm,
+            gradient_norm: if found.loss.is_finite() { norm } else { f64::NAN },
             seconds: clock.elapsed().as_secs_f64(),
             truth: found.truth,
             predicted: found.predicted,
@@ -150,7 +147,6 @@ impl Optimisation {
         losses.min_by(|a, b| a.1.loss.total_cmp(&b.1.loss)).map_or(self.best, |(epoch, _)| epoch)
     }
 
-    /// Number of solver steps of all epochs.
     pub fn solver_steps(&self) -> usize {
         self.history.iter().map(|epoch| epoch.solver_steps).sum()
     }

@@ -4,9 +4,9 @@ use super::deformation::Deformation;
 use super::objectives::{Figure, Outlet};
 use super::parametrisations::Parametrisation;
 use super::shape::Shape;
-use crate::adjoint::gradient::{gradient, value, Gradient, Progress};
+use crate::adjoint::gradient::{gradient, value, value_of_run, Gradient, Progress};
 use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
-use crate::adjoint::{run, Dynamics, Objective, RunError};
+use crate::adjoint::{Objective, RunError};
 use crate::config::device::Compute;
 use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
@@ -15,9 +15,8 @@ use crate::numerics::lanes::Real;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::method::Steady;
-use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Model;
-use crate::sph::Sweeps;
+use crate::sph::solver::Snapshot;
+use crate::sph::{Model, Sweeps};
 use candle_core::{DType, Device, Tensor, Var};
 use std::sync::Arc;
 
@@ -30,11 +29,9 @@ pub struct Problem<R> {
     pub deformation: Arc<Deformation>,
     pub parametrisation: Arc<dyn Parametrisation>,
     pub objective: Arc<dyn Objective + Send>,
-    /// How the objective is reported.
     pub figure: Figure,
     /// Weight of the roughness penalty.
     pub smoothing: f64,
-    /// Number of steps of a run.
     pub steps: usize,
     /// The initial variables.
     pub first: Vec<f64>,
@@ -57,11 +54,14 @@ const STEADY_SINGLE: f64 = 3e-4;
 
 /// The tolerance of a steady state in the precision R.
 fn steady_tolerance<R: Real>() -> f64 {
-    if R::DTYPE == DType::F32 {
-        STEADY_SINGLE
-    } else {
-        STEADY
+    match R::DTYPE {
+        DType::F32 => STEADY_SINGLE,
+        _ => STEADY,
     }
+}
+
+fn unexpected(error: impl std::fmt::Display) -> Error {
+    Error::run(error.to_string(), "report this")
 }
 
 const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
@@ -70,7 +70,7 @@ impl<R> std::fmt::Debug for Problem<R> {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         out.debug_struct("Problem")
             .field("parametrisation", &self.parametrisation)
-            .field("objective", &self.objective.name())
+            .field("figure", &self.figure)
             .field("steps", &self.steps)
             .field("first", &self.first)
             .finish_non_exhaustive()
@@ -126,7 +126,6 @@ impl Evaluation {
 }
 
 impl<R: Real> Problem<R> {
-    /// The initial snapshot of a design's run.
     pub fn start(&self, variables: &[f64]) -> Snapshot<R> {
         let heights = self.parametrisation.column_heights(variables);
         Snapshot::first(&self.model, self.deformation.state::<R>(&heights))
@@ -139,36 +138,19 @@ impl<R: Real> Problem<R> {
 }
 
 impl<R: Sweeps> Problem<R> {
-    /// The dynamics that run a design.
     pub fn dynamics(&self) -> Sph<R> {
         Sph::new(self.model.clone(), self.compute.clone())
     }
 
     /// The objective of a design without a gradient, by fused steps, which equal composed ones to rounding.
-    ///
-    /// # Errors
-    /// A [`RunError`] if the run can not go on.
     pub fn evaluate(&self, variables: &[f64]) -> anyhow::Result<f64> {
         self.evaluate_watched(variables, &mut |_| ())
     }
 
     /// [`Self::evaluate`]. `progress` is called with the completed fraction of the run.
-    ///
-    /// # Errors
-    /// As for [`Self::evaluate`].
-    pub fn evaluate_watched(&self, variables: &[f64], progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
+    pub fn evaluate_watched(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
-        let mut sum = 0.0;
-        let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
-            if let Some(weight) = self.objective.weight(solver.step) {
-                let fields = dynamics.look(solver)?;
-                sum += weight * value(&*self.objective, &fields).map_err(RunError::tensor(solver.step))?;
-            }
-            progress(solver.step as f64 / self.steps as f64);
-            Ok(())
-        };
-        run(&dynamics, &self.start(variables), self.steps, &mut [&mut measure])?;
-        Ok(sum)
+        value_of_run(&dynamics, &self.start(variables), self.steps, &*self.objective, progress)
     }
 
     /// The objective of a design and its derivative by the variables.
@@ -190,7 +172,15 @@ impl<R: Sweeps> Problem<R> {
         let start = self.start(variables);
         let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
             .map_err(|error| told(&error, &self.model, &start))?;
-        let by_variables = self.pull_back(variables, &found, schedule)?;
+        let mut state_bar: Vec<R> = found
+            .state
+            .flatten_all()
+            .and_then(|s| s.to_vec1::<R>())
+            .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
+        if schedule.first > 0 {
+            self.deformation.keep_static(&mut state_bar, |i| self.model.is_fluid(i));
+        }
+        let by_variables = self.by_variables(variables, &state_bar);
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
         let Gradient { value, growth, clipped, .. } = found;
@@ -229,17 +219,11 @@ impl<R: Sweeps> Problem<R> {
     fn told(&self, error: anyhow::Error, variables: &[f64]) -> Error {
         match error.downcast::<RunError>() {
             Ok(error) => told(&error, &self.model, &self.start(variables)),
-            Err(error) => match error.downcast::<Error>() {
-                Ok(error) => error,
-                Err(error) => Error::run(error.to_string(), "report this"),
-            },
+            Err(error) => error.downcast::<Error>().unwrap_or_else(unexpected),
         }
     }
 
     /// The objective at the steady state of fixed particles, where no field changes by more than `tolerance` per time.
-    ///
-    /// # Errors
-    /// As for [`Self::differentiate`].
     pub fn evaluate_steady(&self, variables: &[f64], tolerance: f64) -> Result<f64, Error> {
         Ok(self.evaluate_settled(variables, tolerance)?.0)
     }
@@ -247,13 +231,13 @@ impl<R: Sweeps> Problem<R> {
     /// As [`Self::evaluate_steady`], with the number of steps.
     fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
         let (steady, state, steps) = self.settled(variables, tolerance)?;
-        let value = || -> candle_core::Result<f64> {
-            let shape = (self.model.rows.count(), self.model.particles());
-            let state = Tensor::from_slice(&state, shape, &Device::Cpu)?;
-            value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?))
-        };
-        let value = value().map_err(|error| Error::run(error.to_string(), "report this"))?;
-        Ok((value, steps))
+        let objective =
+            |state: Tensor| value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?));
+        Ok((self.tensor(&state).and_then(objective).map_err(unexpected)?, steps))
+    }
+
+    fn tensor(&self, state: &[R]) -> candle_core::Result<Tensor> {
+        Tensor::from_slice(state, (self.model.rows.count(), self.model.particles()), &Device::Cpu)
     }
 
     /// The steady state of a design's run, and the number of steps to it.
@@ -276,10 +260,8 @@ impl<R: Sweeps> Problem<R> {
     fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         let (steady, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
         progress(0.5);
-        let failed = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
-            let tensor = Tensor::from_slice(&state, (self.model.rows.count(), self.model.particles()), &Device::Cpu)?;
-            let variable = Var::from_tensor(&tensor)?;
+            let variable = Var::from_tensor(&self.tensor(&state)?)?;
             let dynamics = self.dynamics();
             let fields = dynamics.fields_of_steady(steady.shown(variable.as_tensor())?);
             let value = self.objective.value(&fields)?;
@@ -288,9 +270,9 @@ impl<R: Sweeps> Problem<R> {
                 Some(bar) => bar.flatten_all()?.to_vec1::<R>()?,
                 None => vec![R::default(); state.len()],
             };
-            Ok((value.to_dtype(candle_core::DType::F64)?.to_scalar::<f64>()?, bar))
+            Ok((value.to_dtype(DType::F64)?.to_scalar::<f64>()?, bar))
         };
-        let (value, bar) = go().map_err(failed)?;
+        let (value, bar) = go().map_err(unexpected)?;
         let found = steady.gradient(&state, &bar);
         interrupt::check_own()?;
         if found.residual.is_nan() || found.residual > 1e-2 {
@@ -304,43 +286,13 @@ impl<R: Sweeps> Problem<R> {
         Ok(Derivative { value, by_variables, solver_steps, growth: vec![], clipped: 0 })
     }
 
-    /// The derivative by the variables, given that by the state at the schedule's first step.
-    fn pull_back(&self, variables: &[f64], found: &Gradient, schedule: &Schedule) -> Result<Vec<f64>, Error> {
-        let mut state_bar: Vec<R> = found
-            .state
-            .flatten_all()
-            .and_then(|s| s.to_vec1::<R>())
-            .map_err(|e| Error::run(e.to_string(), "report this: the gradient has the wrong type"))?;
-        if schedule.first > 0 {
-            let model = &self.model;
-            self.deformation.keep_static(&mut state_bar, |i| model.is_fluid(i));
-        }
-        Ok(self.by_variables(variables, &state_bar))
-    }
-
     /// The derivative by the variables, `[K]`, given the cotangent of the initial state, `[F, N]`.
     pub fn by_variables(&self, variables: &[f64], state_bar: &[R]) -> Vec<f64> {
         let heights = self.parametrisation.column_heights(variables);
         self.parametrisation.pull_back(&self.deformation.pull_back(&heights, state_bar))
     }
 
-    /// The loss of a design and its derivative.
-    ///
-    /// # Errors
-    /// As for [`Self::differentiate`].
-    pub fn gradient(
-        &self,
-        variables: &[f64],
-        schedule: &Schedule,
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, Error> {
-        Ok(self.confirmed(variables, &self.differentiate(variables, schedule, progress)?))
-    }
-
     /// The loss of a design without its gradient.
-    ///
-    /// # Errors
-    /// [`Error::Diverged`] for a run that can not go on.
     pub fn value(&self, variables: &[f64]) -> Result<Evaluation, Error> {
         let (value, solver_steps) = match self.is_steady {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
@@ -353,7 +305,7 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The [`Self::evaluation`] of a result of the solver.
-    fn confirmed(&self, variables: &[f64], found: &Derivative) -> Evaluation {
+    pub(super) fn confirmed(&self, variables: &[f64], found: &Derivative) -> Evaluation {
         let found = self.evaluation(variables, found);
         Evaluation { truth: Some(Truth { figure: found.figure, loss: found.loss }), ..found }
     }

@@ -16,7 +16,6 @@
 
 use crate::numerics::lanes::Real;
 
-/// The particles that move with a wall over x and z.
 #[derive(Debug, Clone)]
 pub struct Relief {
     /// Places (x, z) where heights are needed, `[C]`.
@@ -60,17 +59,8 @@ impl Relief {
         self.places.push(place);
     }
 
-    /// Adds a surface point at (x, z), which has the wall's normal.
-    pub fn leans(&mut self, particle: usize, place: [f64; 2]) {
-        self.lean(particle, place, None);
-    }
-
-    /// Adds a dummy particle at (x, z) and this depth, which has a mirror image.
-    pub fn mirrors(&mut self, particle: usize, place: [f64; 2], depth: f64) {
-        self.lean(particle, place, Some(depth));
-    }
-
-    fn lean(&mut self, particle: usize, [x, z]: [f64; 2], depth: Option<f64>) {
+    /// Adds a particle at (x, z) with a normal or a mirror image: a surface point, or a dummy particle at some depth.
+    pub fn leans(&mut self, particle: usize, [x, z]: [f64; 2], depth: Option<f64>) {
         self.leaning.push(Leaning { particle, around: self.places.len(), depth });
         let h = self.half;
         self.places.extend([[x - h, z], [x + h, z], [x, z - h], [x, z + h]]);

@@ -36,15 +36,9 @@ pub trait Watch {
     fn share(&mut self, _now: &Optimisation, _share: f64) {}
 
     /// Called at the end of each epoch, which the record includes.
-    ///
-    /// # Errors
-    /// Whatever ends the search.
     fn epoch(&mut self, now: &Optimisation) -> anyhow::Result<()>;
 
     /// Called after the last epoch, when the solver has re-evaluated the best designs of a surrogate.
-    ///
-    /// # Errors
-    /// Whatever ends the search.
     fn confirmed(&mut self, _now: &Optimisation) -> anyhow::Result<()> {
         Ok(())
     }

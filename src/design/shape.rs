@@ -89,9 +89,6 @@ impl Shape {
     }
 
     /// Adds a top wall, with the same checks.
-    ///
-    /// # Errors
-    /// As for [`Self::new`], of `design.top_offsets`.
     pub fn with_top(self, top: Option<Vec<f64>>) -> Result<Self, BadInput> {
         let Some(offsets) = top else { return Ok(self) };
         let top = Self::of("design.top_offsets", self.nodes.clone(), offsets, self.hot_from, self.hot_to)?;
@@ -134,6 +131,11 @@ impl Shape {
         if x <= self.hot_from || x >= self.hot_to {
             return 0.0;
         }
+        self.between_nodes(x)
+    }
+
+    /// The height at x by the nodes beside it, or by the one if x is before or behind all.
+    fn between_nodes(&self, x: f64) -> f64 {
         let last = self.nodes.len() - 1;
         match self.nodes.partition_point(|node| *node <= x) {
             0 => self.offsets[0],
@@ -165,29 +167,15 @@ impl Shape {
         } else if x > self.nodes[last] {
             self.offsets[last] * (to - x) / (to - self.nodes[last])
         } else {
-            let right = self.nodes.partition_point(|node| *node <= x).min(last);
-            let left = right.saturating_sub(1);
-            if left == right {
-                return self.offsets[left];
-            }
-            let share = (x - self.nodes[left]) / (self.nodes[right] - self.nodes[left]);
-            self.offsets[left] * (1.0 - share) + self.offsets[right] * share
+            self.between_nodes(x)
         }
     }
 
     /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the average
     /// of y(x) over the column as pairs (node, weight). It is exact, see [`HotSection::weights`].
     pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {
-        self.section(dx, length).weights(|from, to| self.integrals(from, to, dx))
-    }
-
-    /// The fraction (0 ... 1) of each column's width in the hot section.
-    pub fn hot_share(&self, dx: f64, length: f64) -> Vec<f64> {
-        self.section(dx, length).share()
-    }
-
-    fn section(&self, dx: f64, length: f64) -> HotSection {
-        HotSection { from: self.hot_from, to: self.hot_to, dx, length }
+        let section = HotSection { from: self.hot_from, to: self.hot_to, dx, length };
+        section.weights(|from, to| self.integrals(from, to, dx))
     }
 
     /// Integrals over `from ..= to` of the nodes' hat functions, divided by dx.
@@ -299,14 +287,8 @@ impl HotSection {
     pub fn part(&self, column: usize) -> Option<(f64, f64)> {
         let dx = self.dx;
         let (left, right) = (column as f64 * dx, (column + 1) as f64 * dx);
-        let from = match self.from - left > EDGE * dx {
-            true => self.from,
-            false => left,
-        };
-        let to = match right - self.to > EDGE * dx {
-            true => self.to,
-            false => right,
-        };
+        let from = if self.from - left > EDGE * dx { self.from } else { left };
+        let to = if right - self.to > EDGE * dx { self.to } else { right };
         (to - from > EDGE * dx).then_some((from, to))
     }
 }
@@ -356,9 +338,6 @@ pub fn read_surface(path: &Path) -> Result<Columns, BadInput> {
 
 /// As [`read_columns`] or [`read_surface`], with the column `name` in place of the heights, such as a run's `first`;
 /// none if the file lacks it.
-///
-/// # Errors
-/// As for [`read_columns`].
 pub fn read_column(path: &Path, name: &str, is_surface: bool) -> Result<Option<Columns>, BadInput> {
     let is_header = |line: &&str| !line.trim().is_empty() && !line.starts_with('#');
     let text = std::fs::read_to_string(path).unwrap_or_default();
@@ -387,14 +366,12 @@ fn read(path: &Path, places: &[&str], name: &str) -> Result<Columns, BadInput> {
         Some((number, line)) => (number, cells(line)),
         None => return Err(bad(None, "the file is empty".into())),
     };
-    let column = |name: &str| {
-        header
-            .iter()
-            .position(|cell| cell == name)
-            .ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
-    };
     let names: Vec<&str> = places.iter().copied().chain([name]).collect();
-    let wanted = names.iter().map(|name| column(name)).collect::<Result<Vec<usize>, _>>()?;
+    let column = |name: &&str| {
+        let place = header.iter().position(|cell| cell == name);
+        place.ok_or_else(|| bad(Some(header_line), format!("no column `{name}` in `{}`", header.join(","))))
+    };
+    let wanted = names.iter().map(column).collect::<Result<Vec<usize>, _>>()?;
     let mut columns = vec![vec![]; names.len()];
     for (number, line) in lines {
         let row = cells(line);

@@ -20,7 +20,6 @@ use crate::particles::Domain;
 /// A vector; in two dimensions the last component is 0.
 type Vector = [f64; 3];
 
-/// The particles that move with the shapes.
 #[derive(Debug, Clone)]
 pub struct Shapes {
     /// The shapes with their initial numbers.
@@ -156,11 +155,8 @@ impl On {
             }
             Kind::Box => {
                 let (lower, upper): (Vector, Vector) = (vector(&entry.lower), vector(&entry.upper));
-                let share = |d: usize| match upper[d] > lower[d] {
-                    true => (place[d] - lower[d]) / (upper[d] - lower[d]),
-                    false => 0.0,
-                };
-                At::Box(std::array::from_fn(share))
+                let share = |x: f64, low: f64, high: f64| if high > low { (x - low) / (high - low) } else { 0.0 };
+                At::Box(std::array::from_fn(|d| share(place[d], lower[d], upper[d])))
             }
             Kind::Polyline | Kind::Polygon => {
                 let count = entry.points.as_ref().map_or(0, Vec::len);

@@ -97,25 +97,29 @@ pub fn control_points(config: &Config, surface: &SplineSurface) -> Result<Vec<f6
     Ok(offsets)
 }
 
+/// The offset of a named shape at s, with a number of periods; 0 for the random one.
+pub fn height(shape: ShapeName, amplitude: f64, periods: f64, s: f64) -> f64 {
+    let phase = TAU * periods * s;
+    match shape {
+        ShapeName::Flat | ShapeName::Random => 0.0,
+        ShapeName::Uniform => amplitude,
+        ShapeName::Sine => amplitude * phase.sin(),
+        ShapeName::Cosine => amplitude * phase.cos(),
+        ShapeName::Linear => amplitude * (2.0 * s - 1.0),
+    }
+}
+
 /// The offsets of `design.shape` at the nodes.
 fn named(config: &Config, nodes: &[f64]) -> Vec<f64> {
     let (design, channel) = (&config.design, &config.channel);
-    let amplitude = design.amplitude;
     let mut random = ChaCha8Rng::seed_from_u64(config.run.seed);
     random.set_stream(RANDOM_SHAPE_STREAM);
-    nodes
-        .iter()
-        .map(|x| {
+    let at = |x: &f64| match design.shape {
+        ShapeName::Random => design.amplitude * (2.0 * uniform(&mut random) - 1.0),
+        shape => {
             let s = (x - channel.hot_from) / (channel.hot_to - channel.hot_from);
-            let phase = TAU * design.periods * s;
-            match design.shape {
-                ShapeName::Flat => 0.0,
-                ShapeName::Uniform => amplitude,
-                ShapeName::Sine => amplitude * phase.sin(),
-                ShapeName::Cosine => amplitude * phase.cos(),
-                ShapeName::Linear => amplitude * (2.0 * s - 1.0),
-                ShapeName::Random => amplitude * (2.0 * uniform(&mut random) - 1.0),
-            }
-        })
-        .collect()
+            height(shape, design.amplitude, design.periods, s)
+        }
+    };
+    nodes.iter().map(at).collect()
 }

@@ -11,10 +11,9 @@
 //! central difference of two steps with a slightly larger and smaller parameter is this derivative to rounding.
 
 use super::matching::{Matching, Seen};
-use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
-use crate::adjoint::gradient::{gradient, value, Progress};
-use crate::adjoint::run::run;
+use crate::adjoint::gradient::{gradient, value_of_run, Progress};
 use crate::adjoint::schedule::Schedule;
+use crate::adjoint::RunError;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Kernels, Start};
 use crate::dataset::extent::Extent;
@@ -25,11 +24,10 @@ use crate::particles::tag;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::divergence::told;
-use crate::sph::dynamics::{KeptState, Sph};
-use crate::sph::solver::{Snapshot, Solver, TensorSolver};
-use crate::sph::Model;
-use crate::sph::Sweeps;
-use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor, Var};
+use crate::sph::dynamics::{self, Sph};
+use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::{Model, Sweeps};
+use candle_core::{CpuStorage, CustomOp1, Layout, Shape, Tensor};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
@@ -41,7 +39,6 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    /// Key of the parameter.
     pub fn key(self) -> &'static str {
         match self {
             Self::Viscosity => "fluid.viscosity",
@@ -66,7 +63,6 @@ pub struct Calibration<R> {
     pub parameters: Vec<Parameter>,
     /// Initially assumed values.
     pub assumed: Vec<f64>,
-    /// Number of steps of the run.
     pub steps: usize,
     /// Time step of the trajectory, which does not depend on the parameters.
     time_step: f64,
@@ -161,27 +157,12 @@ impl<R: Sweeps> Calibration<R> {
         Ok(scene_with::<R>(&self.loaded, self.time_step, &settings)?.model)
     }
 
-    /// The loss.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn value(&self, logarithms: &[f64]) -> anyhow::Result<f64> {
         let dynamics = Sph::new(self.model(&self.values(logarithms))?, Kernels::Fused);
-        let mut sum = 0.0;
-        let mut measure = |dynamics: &Sph<R>, solver: &mut Solver<R>| -> anyhow::Result<()> {
-            if let Some(seen) = self.objective.seen.get(&solver.step) {
-                sum += seen.weight * value(&self.objective, &dynamics.look(solver)?)?;
-            }
-            Ok(())
-        };
-        run(&dynamics, &self.start, self.steps, &mut [&mut measure])?;
-        Ok(sum)
+        value_of_run(&dynamics, &self.start, self.steps, &self.objective, &mut |_| ())
     }
 
     /// The loss and its derivative by the logarithms.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn evaluate(&self, logarithms: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let values = self.values(logarithms);
         let mut moved = Vec::new();
@@ -194,11 +175,10 @@ impl<R: Sweeps> Calibration<R> {
             moved.push([with(1.0 + MOVE)?, with(1.0 - MOVE)?]);
         }
         let taps = Arc::new(Taps { moved, sums: Mutex::new(vec![0.0; values.len()]) });
-        let base = Sph::new(self.model(&values)?, Kernels::Fused);
-        let model = base.model.clone();
-        let dynamics = WithParameters { base, taps: taps.clone() };
+        let mut dynamics = Sph::new(self.model(&values)?, Kernels::Fused);
+        dynamics.tap = Some(tapped_by(taps.clone()));
         let found = gradient(&dynamics, &self.start, &self.schedule, &self.objective, progress);
-        let found = found.map_err(|error| told(&error, &model, &self.start))?;
+        let found = found.map_err(|error| told(&error, &dynamics.model, &self.start))?;
         let sums = taps.sums.lock().unwrap_or_else(|e| e.into_inner()).clone();
         Ok((found.value, sums))
     }
@@ -269,85 +249,17 @@ impl<R: Sweeps> CustomOp1 for Tap<R> {
     }
 }
 
-/// The solver with a tap at each step, which computes the derivatives by the parameters.
-struct WithParameters<R> {
-    base: Sph<R>,
-    taps: Arc<Taps<R>>,
-}
-
-impl<R: Sweeps> Dynamics for WithParameters<R> {
-    type Start = Snapshot<R>;
-    type Kept = KeptState<R>;
-    type Run = Solver<R>;
-    type Tape = TensorSolver<R>;
-
-    fn start(&self, from: &Snapshot<R>) -> Result<Solver<R>, RunError> {
-        self.base.start(from)
-    }
-    fn advance(&self, run: &mut Solver<R>) -> Result<(), RunError> {
-        self.base.advance(run)
-    }
-    fn step(&self, run: &Solver<R>) -> usize {
-        self.base.step(run)
-    }
-    fn check(&self, run: &Solver<R>) -> Result<(), RunError> {
-        self.base.check(run)
-    }
-    fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
-        self.base.look(run)
-    }
-    fn tensor(&self, from: &Snapshot<R>) -> Result<Tensor, RunError> {
-        self.base.tensor(from)
-    }
-    fn advance_taped(
-        &self,
-        tape: &mut TensorSolver<R>,
-        state: &Tensor,
-        after: Option<&Tensor>,
-    ) -> Result<Tensor, RunError> {
-        let step = tape.step;
-        let mut numbers = Vec::new();
-        let held = read(&state.detach(), |state: &[R]| {
-            numbers.extend_from_slice(state);
-            Ok(())
-        });
-        held.map_err(RunError::tensor(step))?;
-        let next = self.base.advance_taped(tape, state, after)?;
-        // The neighbour list of the step, which may be an older one.
+/// Puts a tap at the end of each step.
+fn tapped_by<R: Sweeps>(taps: Arc<Taps<R>>) -> Arc<dynamics::Tap<R>> {
+    Arc::new(move |tape, state, next| {
+        // The neighbour list of the step may be an older one.
         let before = Snapshot {
-            step,
+            step: tape.step - 1,
             parts: 1,
             least_parts: 1,
-            state: numbers,
+            state: state.detach().flatten_all()?.to_vec1()?,
             reference: tape.neighbourhood.reference.clone(),
         };
-        let next = next.contiguous().and_then(|next| next.apply_op1(Tap { taps: self.taps.clone(), before }));
-        next.map_err(RunError::tensor(step))
-    }
-    fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {
-        self.base.fields(tape, state)
-    }
-    fn keep(&self, run: &Solver<R>, rounded: bool) -> Result<KeptState<R>, RunError> {
-        self.base.keep(run, rounded)
-    }
-    fn settle(&self, kept: &mut KeptState<R>, run: &Solver<R>) {
-        self.base.settle(kept, run);
-    }
-    fn resume(&self, run: &mut Solver<R>, kept: &KeptState<R>) -> Result<(), RunError> {
-        self.base.resume(run, kept)
-    }
-    fn tape(
-        &self,
-        kept: &KeptState<R>,
-        last: Option<TensorSolver<R>>,
-        run: &Solver<R>,
-    ) -> Result<(TensorSolver<R>, Var), RunError> {
-        self.base.tape(kept, last, run)
-    }
-    fn kept_bytes(&self, kept: &KeptState<R>) -> Bytes {
-        self.base.kept_bytes(kept)
-    }
-    fn taped_bytes(&self, tape: &TensorSolver<R>) -> Bytes {
-        self.base.taped_bytes(tape)
-    }
+        next.contiguous()?.apply_op1(Tap { taps: taps.clone(), before })
+    })
 }

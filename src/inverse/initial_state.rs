@@ -68,7 +68,6 @@ pub struct InitialState<R> {
     pub scene: Scene<R>,
     pub unknown: Unknown,
     dynamics: Sph<R>,
-    /// Indices of fluid particles.
     fluid: Vec<usize>,
     /// The initial state with the assumed values, `[F, N]`.
     assumed: Vec<R>,
@@ -171,17 +170,11 @@ impl<R: Sweeps> InitialState<R> {
     }
 
     /// The end of the run for values of the unknowns.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn end(&self, x: &[f64]) -> anyhow::Result<Solver<R>> {
         self.end_of(&self.start(x))
     }
 
     /// The end of a run from a start.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn end_of(&self, start: &Snapshot<R>) -> anyhow::Result<Solver<R>> {
         run(&self.dynamics, start, self.scene.steps, &mut [])
     }
@@ -193,41 +186,28 @@ impl<R: Sweeps> InitialState<R> {
 
     /// Limits of the unknowns: the fluid must be between the walls.
     pub fn limits(&self) -> Limits {
-        let domain = &self.scene.model.domain;
-        let inside = |d: usize| match domain.periodic[d] {
-            true => [f64::NEG_INFINITY, f64::INFINITY],
-            false => self.scene.inside[d],
-        };
-        let count = self.fluid.len();
-        let (mut lower, mut upper) = (vec![], vec![]);
+        let (domain, count, places) = (&self.scene.model.domain, self.fluid.len(), self.of(&self.assumed));
+        let anywhere = [f64::NEG_INFINITY, f64::INFINITY];
+        let mut all = Vec::new();
         for d in 0..domain.dimension {
-            let [low, high] = inside(d);
+            let [low, high] = if domain.periodic[d] { anywhere } else { self.scene.inside[d] };
             match self.unknown {
-                Unknown::Velocities => {
-                    lower.resize(lower.len() + count, f64::NEG_INFINITY);
-                    upper.resize(upper.len() + count, f64::INFINITY);
-                }
-                Unknown::Places => {
-                    lower.resize(lower.len() + count, low);
-                    upper.resize(upper.len() + count, high);
-                }
+                Unknown::Velocities => all.extend(vec![anywhere; count]),
+                Unknown::Places => all.extend(vec![[low, high]; count]),
                 Unknown::Offset => {
-                    let places = self.of(&self.assumed);
-                    let places = &places[d * count..(d + 1) * count];
-                    lower.push(low - places.iter().copied().fold(f64::INFINITY, f64::min));
-                    upper.push(high - places.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+                    let places = places[d * count..(d + 1) * count].iter().copied();
+                    let (least, most) =
+                        (places.clone().fold(f64::INFINITY, f64::min), places.fold(f64::NEG_INFINITY, f64::max));
+                    all.push([low - least, high - most]);
                 }
             }
         }
-        Limits::within(lower, upper)
+        Limits::within(all.iter().map(|[low, _]| *low).collect(), all.iter().map(|[_, high]| *high).collect())
     }
 
     /// The optimiser. For positions it is L-BFGS-B, whose first step is the mean distance from the target, which is
     /// exact for water in free fall. For velocities it is Barzilai and Borwein's method, which finds the same in as
     /// many epochs (20 x 20 particles, 40 steps: 0.00126 and 0.00127 away).
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn optimiser(&self) -> anyhow::Result<Box<dyn Optimiser>> {
         let first = self.first();
         if self.unknown == Unknown::Velocities {
@@ -254,9 +234,6 @@ impl<R: Sweeps> InitialState<R> {
     }
 
     /// The loss and its derivative by the unknowns.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn evaluate(&self, x: &[f64], progress: Progress<'_>) -> Result<(f64, Vec<f64>), Error> {
         let start = self.start(x);
         let found = gradient(&self.dynamics, &start, &self.schedule, &self.matching, progress);

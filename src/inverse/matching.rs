@@ -32,10 +32,6 @@ pub struct Matching {
 }
 
 impl Objective for Matching {
-    fn name(&self) -> &str {
-        "distance from what was seen"
-    }
-
     fn weight(&self, step: usize) -> Option<f64> {
         self.seen.get(&step).map(|seen| seen.weight)
     }

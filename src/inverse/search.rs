@@ -16,7 +16,6 @@ pub struct Epoch<'a> {
 /// Computes loss and gradient for values of the unknowns in an epoch.
 pub type Evaluate<'a> = dyn FnMut(usize, &[f64]) -> Result<(f64, Vec<f64>), Error> + 'a;
 
-/// The best result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
     pub at: Vec<f64>,

@@ -274,14 +274,14 @@ fn consistent<R: Sweeps>(
             relief.moves(i, place(i), 1.0);
         }
         for i in n + on_cold.start..n + on_cold.end {
-            relief.leans(i, place(i));
+            relief.leans(i, place(i), None);
         }
         for i in fluid {
             relief.moves(i, place(i), 1.0 - base[particles + i] / height);
         }
         for (i, _) in below {
             relief.moves(i, place(i), 1.0);
-            relief.mirrors(i, place(i), -base[particles + i]);
+            relief.leans(i, place(i), Some(-base[particles + i]));
         }
         let columns = relief.places.len();
         return (model, Deformation { columns, particles, map: Map::Relief(relief), base });

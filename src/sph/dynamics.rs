@@ -22,14 +22,20 @@ pub struct Sph<R> {
     pub model: Model<R>,
     /// Kernels and device of the steps. States and everything derived from them stay on the CPU.
     pub compute: Compute,
+    /// Sees each step on the graph.
+    pub tap: Option<Arc<Tap<R>>>,
     tags: Arc<Vec<u8>>,
 }
+
+/// Maps the state after a step to the same state, through an operator of its own on the graph. It is given the tape
+/// after the step, and the state before it.
+pub type Tap<R> = dyn Fn(&TensorSolver<R>, &Tensor, Tensor) -> candle_core::Result<Tensor> + Send + Sync;
 
 impl<R: 'static> Sph<R> {
     pub fn new(model: impl Into<Model<R>>, compute: impl Into<Compute>) -> Self {
         let model = model.into();
         let tags = Arc::new(model.tags.clone());
-        Self { model, compute: compute.into(), tags }
+        Self { model, compute: compute.into(), tap: None, tags }
     }
 }
 
@@ -114,7 +120,11 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         state: &Tensor,
         after: Option<&Tensor>,
     ) -> Result<Tensor, RunError> {
-        tape.advance_to(state, after)
+        let next = tape.advance_to(state, after)?;
+        match &self.tap {
+            Some(tap) => tap(tape, state, next).map_err(RunError::tensor(tape.step)),
+            None => Ok(next),
+        }
     }
     fn pull_back(
         &self,
@@ -123,7 +133,10 @@ impl<R: Sweeps> Dynamics for Sph<R> {
         after: Option<&Tensor>,
         cotangent: &Tensor,
     ) -> Result<Option<Tensor>, RunError> {
-        tape.pull_back(state, after, cotangent)
+        match &self.tap {
+            Some(_) => Ok(None),
+            None => tape.pull_back(state, after, cotangent),
+        }
     }
 
     fn fields(&self, tape: &mut TensorSolver<R>, state: &Tensor) -> Result<Fields, RunError> {

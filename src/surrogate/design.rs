@@ -267,10 +267,6 @@ struct GivenCotangents {
 }
 
 impl Objective for GivenCotangents {
-    fn name(&self) -> &str {
-        "what the surrogate makes of its first frames"
-    }
-
     fn weight(&self, step: usize) -> Option<f64> {
         self.frames.get(&step).map(|_| 1.0)
     }

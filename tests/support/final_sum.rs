@@ -20,9 +20,6 @@ pub struct FinalSum {
 }
 
 impl Objective for FinalSum {
-    fn name(&self) -> &str {
-        "sum"
-    }
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.steps).then_some(1.0)
     }

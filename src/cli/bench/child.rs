@@ -203,10 +203,6 @@ struct SquaredVelocity {
 }
 
 impl Objective for SquaredVelocity {
-    fn name(&self) -> &str {
-        "squared velocity"
-    }
-
     fn weight(&self, step: usize) -> Option<f64> {
         (step == self.steps).then_some(1.0)
     }

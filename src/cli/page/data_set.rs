@@ -2,8 +2,7 @@
 
 use super::folder::Folder;
 use super::series;
-use crate::dataset::outline::Outline;
-use crate::dataset::trajectory::read_one;
+use crate::dataset::trajectory::{read_one, Outline};
 use crate::dataset::{Metadata, Split, Trajectory};
 use crate::io::vtk::ParticleFile;
 use crate::report::page::{short, Cell, Fact, Fields, Page, RawPanel, Side, Table, Text, Walls};

@@ -43,9 +43,6 @@ impl Outlet {
     }
 
     /// The flow through the targets, on the graph if the fields are. The heat is 0 without temperature.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn flows(&self, fields: &Fields) -> Result<Flows<Tensor>> {
         let taken = match self.mode {
             Mode::FluidAndWalls => fields.active.clone(),
@@ -70,9 +67,6 @@ impl Outlet {
     }
 
     /// [`Self::flows`] as numbers.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn numbers(&self, fields: &Fields) -> Result<Flows<f64>> {
         let flows = self.flows(fields)?;
         let number = |tensor: &Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();

@@ -16,7 +16,6 @@ const MEMORY: usize = 10;
 const SHORTER: f64 = 0.25;
 const LONGEST: f64 = 1e3;
 
-/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BarzilaiBorwein {
     pub first_step: f64,

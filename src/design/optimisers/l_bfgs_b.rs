@@ -50,7 +50,6 @@ const LONGEST: f64 = 1e10;
 /// Largest number of projected gradient steps within a set.
 const SET_STEPS: usize = 500;
 
-/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LBfgsB {
     /// Largest change of a variable in the first step.
@@ -91,15 +90,6 @@ struct Search {
 impl LBfgsB {
     /// Starts at `x`, which is within the limits.
     pub fn new(first_step: f64, x: &[f64]) -> Self {
-        let search = Search {
-            direction: vec![0.0; x.len()],
-            slope: 0.0,
-            step: 0.0,
-            low: 0.0,
-            high: f64::MAX,
-            longest: 0.0,
-            tries: 0,
-        };
         Self {
             first_step,
             worth: 0.0,
@@ -108,7 +98,7 @@ impl LBfgsB {
             value: 0.0,
             gradient: vec![0.0; x.len()],
             pairs: Vec::new(),
-            search,
+            search: Search { step: 0.0, ..Search::along(vec![0.0; x.len()], 0.0, 0.0) },
             trial: x.to_vec(),
             done: false,
         }
@@ -126,7 +116,7 @@ impl LBfgsB {
             let slope = dot(&self.gradient, &direction);
             if slope < -NO_FALL * self.value.abs() {
                 let longest = longest(&self.point, &direction, limits);
-                self.search = Search { direction, slope, step: 1.0, low: 0.0, high: f64::MAX, longest, tries: 0 };
+                self.search = Search::along(direction, slope, longest);
                 return self.propose(limits);
             }
             if self.pairs.is_empty() {
@@ -210,6 +200,10 @@ impl LBfgsB {
 }
 
 impl Search {
+    fn along(direction: Vec<f64>, slope: f64, longest: f64) -> Self {
+        Self { direction, slope, step: 1.0, low: 0.0, high: f64::MAX, longest, tries: 0 }
+    }
+
     /// Shortens a step whose value is too high or not finite.
     fn shorten(&mut self, rise: f64) {
         self.high = self.step;

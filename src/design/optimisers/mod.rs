@@ -94,12 +94,10 @@ pub struct Record {
 }
 
 impl Record {
-    /// Adds a tensor.
     pub fn put(&mut self, name: &str, shape: &[usize], values: Vec<f64>) {
         self.tensors.insert(name.into(), (shape.to_vec(), Data::F64(values)));
     }
 
-    /// Adds a text.
     pub fn note(&mut self, key: &str, text: impl std::fmt::Display) {
         self.metadata.insert(key.into(), text.to_string());
     }
@@ -132,7 +130,6 @@ pub fn count(file: &TensorFile, key: &str) -> Result<usize, BadInput> {
     })
 }
 
-/// Converts an error about a file into one about input.
 pub fn unreadable(error: FileError) -> BadInput {
     BadInput::new(error.to_string())
 }

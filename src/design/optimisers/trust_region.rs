@@ -34,7 +34,6 @@ const SMALLEST: f64 = 1e-3;
 /// The smallest predicted decrease relative to the value that is worth an evaluation.
 const WORTH: f64 = 1e-6;
 
-/// The optimiser of this module.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrustRegion {
     /// Largest change of a variable in the first step.

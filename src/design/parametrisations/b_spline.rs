@@ -15,7 +15,7 @@
 //! slope.
 
 use super::column_averages::fitted;
-use super::{ColumnAverages, Parametrisation};
+use super::{ColumnAverages, Parametrisation, Variables};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
@@ -23,15 +23,13 @@ use crate::error::BadInput;
 /// Smallest number of control points, for one cubic.
 pub const FEWEST: usize = 4;
 
-/// A cubic B-spline curve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BSpline {
     section: HotSection,
     /// Knots, `[n + 4]`.
     knots: Vec<f64>,
-    greville: Vec<f64>,
-    averages: ColumnAverages,
-    limits: Limits,
+    /// Its positions are the Greville abscissae.
+    facts: Variables,
 }
 
 impl BSpline {
@@ -52,26 +50,30 @@ impl BSpline {
         });
         let knots: Vec<f64> = [section.from; 3].into_iter().chain(inner).chain([section.to; 3]).collect();
         let greville: Vec<f64> = (0..control_points).map(|j| knots[j + 1..j + 4].iter().sum::<f64>() / 3.0).collect();
-        let limits = Limits::symmetric(bound, &greville, MAX_SLOPE);
-        let averages = ColumnAverages::new(control_points, vec![]);
-        let mut spline = Self { section, knots, greville, averages, limits };
+        let facts = Variables {
+            name: "control points",
+            limits: Limits::symmetric(bound, &greville, MAX_SLOPE),
+            positions: greville,
+            averages: ColumnAverages::new(control_points, vec![]),
+        };
+        let mut spline = Self { section, knots, facts };
         let weights = section.weights(|from, to| spline.integrals(from, to));
-        spline.averages = ColumnAverages::new(control_points, weights);
+        spline.facts.averages = ColumnAverages::new(control_points, weights);
         Ok(spline)
     }
 
     /// Uses the wall's heights at these points, if given, instead of averages over columns.
     pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
         if let Some(points) = points {
-            let count = self.greville.len();
-            self.averages = ColumnAverages::at_points(count, points, |variables, x| self.height(variables, x, 0.0));
+            let height = |variables: &[f64], x| self.height(variables, x, 0.0);
+            self.facts.averages = ColumnAverages::at_points(self.variables(), points, height);
         }
         self
     }
 
     /// The last non-empty span k with knots[k] <= x < knots[k + 1].
     fn span(&self, x: f64) -> usize {
-        let last = self.greville.len() - 1;
+        let last = self.variables() - 1;
         (self.knots.partition_point(|knot| *knot <= x).max(4) - 1).min(last)
     }
 
@@ -131,34 +133,21 @@ impl BSpline {
             let (first, values) = self.basis(x);
             values.into_iter().enumerate().map(|(k, value)| (first + k, value)).collect()
         });
-        let map = ColumnAverages::new(self.greville.len(), weights.collect());
+        let map = ColumnAverages::new(self.variables(), weights.collect());
         let inside = |x: f64| {
             let margin = 1e-9 * (self.section.to - self.section.from);
             x.clamp(self.section.from + margin, self.section.to - margin)
         };
-        let first = self.greville.iter().map(|&g| wall.height(inside(g))).collect();
+        let first = self.positions().iter().map(|&g| wall.height(inside(g))).collect();
         let mut points = fitted(&map, &wall.offsets, first);
-        self.limits.project(&mut points);
+        self.limits().project(&mut points);
         points
     }
 }
 
 impl Parametrisation for BSpline {
-    fn name(&self) -> &str {
-        "b-spline"
-    }
-
-    /// The Greville abscissae.
-    fn positions(&self) -> &[f64] {
-        &self.greville
-    }
-
-    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
-        self.averages.heights(variables)
-    }
-
-    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
-        self.averages.pull_back(heights_bar)
+    fn facts(&self) -> &Variables {
+        &self.facts
     }
 
     fn height(&self, variables: &[f64], x: f64, _: f64) -> f64 {
@@ -166,14 +155,6 @@ impl Parametrisation for BSpline {
             true => self.curve(variables, x),
             false => 0.0,
         }
-    }
-
-    fn limits(&self) -> &Limits {
-        &self.limits
-    }
-
-    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
-        self.limits.check("control points", variables)
     }
 
     /// The heights at as many evenly spaced points as there are columns, at least four per control point.

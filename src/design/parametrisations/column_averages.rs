@@ -29,6 +29,12 @@ impl ColumnAverages {
         Self { variables, weights }
     }
 
+    /// The same map for each of two walls, whose variables and columns follow each other.
+    pub fn twice(&self) -> Self {
+        let other = self.weights.iter().map(|pairs| pairs.iter().map(|(k, w)| (k + self.variables, *w)).collect());
+        Self { variables: 2 * self.variables, weights: self.weights.iter().cloned().chain(other).collect() }
+    }
+
     /// `[K]` -> `[C]`.
     pub fn heights(&self, variables: &[f64]) -> Vec<f64> {
         self.weights.iter().map(|w| w.iter().map(|(k, w)| w * variables[*k]).sum()).collect()

@@ -3,28 +3,30 @@
 //! A variable is the position of a number between its limits, 0 ... 1, so that all variables are of one scale. The
 //! "heights" of this parametrisation are the changes of the numbers from their initial values.
 
-use super::Parametrisation;
+use super::{ColumnAverages, Parametrisation, Variables};
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
-use crate::error::BadInput;
 
-/// Numbers, each between limits of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Numbers {
     first: Vec<f64>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    limits: Limits,
-    /// 0, 1, 2, ... in place of positions, which numbers do not have.
-    order: Vec<f64>,
+    /// Its positions are 0, 1, 2, ..., because numbers have none.
+    facts: Variables,
 }
 
 impl Numbers {
-    /// Numbers with initial values `first` between their limits.
     pub fn new(first: Vec<f64>, lower: Vec<f64>, upper: Vec<f64>) -> Self {
         let count = first.len();
-        let limits = Limits::within(vec![0.0; count], vec![1.0; count]);
-        Self { first, lower, upper, limits, order: (0..count).map(|k| k as f64).collect() }
+        let width = |k: usize| vec![(k, upper[k] - lower[k])];
+        let facts = Variables {
+            name: "variables",
+            positions: (0..count).map(|k| k as f64).collect(),
+            limits: Limits::within(vec![0.0; count], vec![1.0; count]),
+            averages: ColumnAverages::new(count, (0..count).map(width).collect()),
+        };
+        Self { first, lower, upper, facts }
     }
 
     /// The variables of the initial numbers.
@@ -41,12 +43,8 @@ impl Numbers {
 }
 
 impl Parametrisation for Numbers {
-    fn name(&self) -> &str {
-        "numbers"
-    }
-
-    fn positions(&self) -> &[f64] {
-        &self.order
+    fn facts(&self) -> &Variables {
+        &self.facts
     }
 
     fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
@@ -54,30 +52,18 @@ impl Parametrisation for Numbers {
         (0..start.len()).map(|k| (variables[k] - start[k]) * (self.upper[k] - self.lower[k])).collect()
     }
 
-    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
-        heights_bar.iter().enumerate().map(|(k, bar)| bar * (self.upper[k] - self.lower[k])).collect()
-    }
-
     fn height(&self, _: &[f64], _: f64, _: f64) -> f64 {
         0.0
     }
 
-    fn limits(&self) -> &Limits {
-        &self.limits
-    }
-
-    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
-        self.limits.check("variables", variables)
-    }
-
     /// The numbers take the place of offsets.
     fn sampled(&self, variables: &[f64]) -> Shape {
-        let (nodes, offsets) = (self.order.clone(), self.values(variables));
+        let (nodes, offsets) = (self.positions().to_vec(), self.values(variables));
         Shape { nodes, across: None, offsets, top: None, hot_from: 0.0, hot_to: 0.0 }
     }
 
-    /// There is no roughness penalty, because numbers have no neighbours.
-    fn penalty(&self, _: f64, variables: &[f64]) -> (f64, Vec<f64>) {
-        (0.0, vec![0.0; variables.len()])
+    /// Numbers have no neighbours, so there is no roughness penalty.
+    fn neighbours(&self) -> Vec<(usize, usize)> {
+        vec![]
     }
 }

@@ -18,16 +18,14 @@
 //! g.
 
 use super::column_averages::fitted;
-use super::{ColumnAverages, Parametrisation};
+use super::{ColumnAverages, Parametrisation, Variables};
 use crate::config::scene::Config;
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
-use crate::error::BadInput;
 
 /// Points per control point and direction of a [`Parametrisation::sampled`] wall.
 const SAMPLES: usize = 8;
 
-/// A tensor product of cubic splines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplineSurface {
     /// The hot section.
@@ -36,11 +34,9 @@ pub struct SplineSurface {
     span: f64,
     /// Numbers of control points, n along x and m along z.
     counts: [usize; 2],
-    /// x and z of each control point, `[n m]`.
-    positions: Vec<f64>,
+    /// z of each control point, `[n m]`.
     across: Vec<f64>,
-    heights: ColumnAverages,
-    limits: Limits,
+    facts: Variables,
 }
 
 impl SplineSurface {
@@ -57,12 +53,15 @@ impl SplineSurface {
             to: channel.hot_to,
             span: channel.span,
             counts,
-            positions: each(&|j, _| channel.hot_from + (j as f64 + 2.0) * h),
             across: each(&|_, k| (k as f64 + 0.5) * g),
-            heights: ColumnAverages::new(count, vec![]),
-            limits: Limits::within(vec![-design.bound; count], vec![design.bound; count]),
+            facts: Variables {
+                name: "design.offsets",
+                positions: each(&|j, _| channel.hot_from + (j as f64 + 2.0) * h),
+                limits: Limits::within(vec![-design.bound; count], vec![design.bound; count]),
+                averages: ColumnAverages::new(count, vec![]),
+            },
         };
-        surface.heights = surface.map(places.iter().copied());
+        surface.facts.averages = surface.map(places.iter().copied());
         surface
     }
 
@@ -97,7 +96,7 @@ impl SplineSurface {
     pub fn fitted(&self, x: &[f64], z: &[f64], heights: &[f64]) -> Vec<f64> {
         let map = self.map(x.iter().zip(z).map(|(&x, &z)| [x, z]));
         let mut points = fitted(&map, heights, vec![0.0; self.variables()]);
-        self.limits.clamp(&mut points);
+        self.limits().clamp(&mut points);
         points
     }
 }
@@ -112,36 +111,16 @@ fn cubic(t: f64) -> f64 {
 }
 
 impl Parametrisation for SplineSurface {
-    fn name(&self) -> &str {
-        "spline-surface"
-    }
-
-    fn positions(&self) -> &[f64] {
-        &self.positions
+    fn facts(&self) -> &Variables {
+        &self.facts
     }
 
     fn across(&self) -> Option<&[f64]> {
         Some(&self.across)
     }
 
-    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
-        self.heights.heights(variables)
-    }
-
-    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
-        self.heights.pull_back(heights_bar)
-    }
-
     fn height(&self, variables: &[f64], x: f64, z: f64) -> f64 {
         self.map([[x, z]].into_iter()).heights(variables)[0]
-    }
-
-    fn limits(&self) -> &Limits {
-        &self.limits
-    }
-
-    fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
-        self.limits.check("design.offsets", variables)
     }
 
     /// The heights on a grid over the hot section, x first.
@@ -163,19 +142,11 @@ impl Parametrisation for SplineSurface {
         }
     }
 
-    /// Neighbours are those along x, and those along z, which is periodic.
-    fn penalty(&self, weight: f64, variables: &[f64]) -> (f64, Vec<f64>) {
+    /// Neighbours along x, and those along z, which is periodic.
+    fn neighbours(&self) -> Vec<(usize, usize)> {
         let [n, m] = self.counts;
-        let mut gradient = vec![0.0; variables.len()];
-        let mut value = 0.0;
         let along = (0..m).flat_map(|k| (1..n).map(move |j| (k * n + j - 1, k * n + j)));
         let around = (0..m).flat_map(|k| (0..n).map(move |j| (k * n + j, (k + 1) % m * n + j)));
-        for (one, next) in along.chain(around) {
-            let difference = variables[next] - variables[one];
-            value += weight * difference * difference;
-            gradient[next] += 2.0 * weight * difference;
-            gradient[one] -= 2.0 * weight * difference;
-        }
-        (value, gradient)
+        along.chain(around).collect()
     }
 }

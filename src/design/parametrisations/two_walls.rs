@@ -1,23 +1,24 @@
 //! Both walls with the same parametrisation. The variables of the bottom wall come first, then those of the top wall.
 
-use super::Parametrisation;
-use crate::design::limits::Limits;
+use super::{Parametrisation, Variables};
 use crate::design::shape::Shape;
 use crate::error::BadInput;
 
 #[derive(Debug)]
 pub struct TwoWalls<P> {
     one: P,
-    /// The positions of one wall, twice.
-    positions: Vec<f64>,
-    limits: Limits,
+    facts: Variables,
 }
 
 impl<P: Parametrisation> TwoWalls<P> {
     pub fn new(one: P) -> Self {
-        let positions = [one.positions(), one.positions()].concat();
-        let limits = one.limits().twice();
-        Self { one, positions, limits }
+        let facts = Variables {
+            name: one.facts().name,
+            positions: [one.positions(), one.positions()].concat(),
+            limits: one.limits().twice(),
+            averages: one.facts().averages.twice(),
+        };
+        Self { one, facts }
     }
 
     fn each<'a>(&self, variables: &'a [f64]) -> (&'a [f64], &'a [f64]) {
@@ -26,31 +27,13 @@ impl<P: Parametrisation> TwoWalls<P> {
 }
 
 impl<P: Parametrisation> Parametrisation for TwoWalls<P> {
-    fn name(&self) -> &str {
-        self.one.name()
-    }
-
-    fn positions(&self) -> &[f64] {
-        &self.positions
-    }
-
-    fn column_heights(&self, variables: &[f64]) -> Vec<f64> {
-        let (bottom, top) = self.each(variables);
-        [self.one.column_heights(bottom), self.one.column_heights(top)].concat()
-    }
-
-    fn pull_back(&self, heights_bar: &[f64]) -> Vec<f64> {
-        let (bottom, top) = heights_bar.split_at(heights_bar.len() / 2);
-        [self.one.pull_back(bottom), self.one.pull_back(top)].concat()
+    fn facts(&self) -> &Variables {
+        &self.facts
     }
 
     /// Height of the bottom wall.
     fn height(&self, variables: &[f64], x: f64, z: f64) -> f64 {
         self.one.height(self.each(variables).0, x, z)
-    }
-
-    fn limits(&self) -> &Limits {
-        &self.limits
     }
 
     fn check(&self, variables: &[f64]) -> Result<(), BadInput> {
