@@ -5,6 +5,7 @@ use super::lanes::{InstructionSet, Lanes, Real};
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Runs a kernel over some rows on this thread alone, with the best instruction set: for sweeps so short that waking others
 /// costs more than they save.
@@ -116,6 +117,30 @@ pub fn copied<R: Real>(from: &[R]) -> Vec<R> {
 /// So many zeros, written on all threads.
 pub fn zeros<R: Real>(count: usize) -> Vec<R> {
     filled(None, count)
+}
+
+/// What each row of a sweep writes: whoever computes a row asks for that row's own.
+pub struct Parts<T>(Vec<Mutex<T>>);
+
+impl<T> FromIterator<T> for Parts<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(parts: I) -> Self {
+        Self(parts.into_iter().map(Mutex::new).collect())
+    }
+}
+
+impl<T> Parts<T> {
+    pub fn of(&self, row: usize) -> MutexGuard<'_, T> {
+        self.0[row].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The numbers of each of some parts of rows that follow each other, `width` to a row.
+///
+/// # Panics
+/// There are fewer numbers.
+pub fn cut<'a, T>(mut numbers: &'a mut [T], parts: &[Range<usize>], width: usize) -> Vec<&'a mut [T]> {
+    let part = |part: &Range<usize>| numbers.split_off_mut(..part.len() * width).expect("numbers of every row");
+    parts.iter().map(part).collect()
 }
 
 /// A slice that several threads write, each to places of its own.
