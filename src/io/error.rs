@@ -67,6 +67,22 @@ impl FileError {
     pub fn input(path: &Path, what: impl Into<String>, allowed: impl Into<String>) -> Self {
         Self::Input { path: path.to_owned(), what: what.into(), allowed: allowed.into() }
     }
+
+    /// Checks arrays of `count` particles for `path`: name of each, length that it must have, and that it has.
+    pub(super) fn check_lengths(
+        path: &Path,
+        dimension: usize,
+        count: usize,
+        arrays: &[(&str, usize, usize)],
+    ) -> Result<(), Self> {
+        if !(1..=3).contains(&dimension) {
+            return Err(Self::input(path, format!("dimension is {dimension}"), "1, 2 or 3"));
+        }
+        arrays.iter().find(|(_, wanted, found)| wanted != found).map_or(Ok(()), |(name, wanted, found)| {
+            let allowed = format!("{wanted} for {count} particles in {dimension} dimensions");
+            Err(Self::input(path, format!("{name} has {found} values"), allowed))
+        })
+    }
 }
 
 /// What to try after a system error.
@@ -88,11 +104,9 @@ const MOST_NAMES: usize = 20;
 
 /// Names in a row, or "nothing".
 fn list(names: &[String]) -> String {
-    if names.is_empty() {
-        "nothing".to_owned()
-    } else if names.len() > MOST_NAMES {
-        format!("{}, ... ({} in all)", names[..MOST_NAMES].join(", "), names.len())
-    } else {
-        names.join(", ")
+    match names.len() {
+        0 => "nothing".to_owned(),
+        ..=MOST_NAMES => names.join(", "),
+        count => format!("{}, ... ({count} in all)", names[..MOST_NAMES].join(", ")),
     }
 }

@@ -56,26 +56,13 @@ impl State {
     }
 
     fn check(&self, path: &Path) -> Result<(), FileError> {
-        if !(1..=3).contains(&self.dimension) {
-            return Err(FileError::input(path, format!("dimension is {}", self.dimension), "1, 2 or 3"));
-        }
-        let count = self.count();
-        let vector = self.dimension * count;
-        let wanted = |name: &str, found: Option<usize>, wanted: usize| match found {
-            Some(found) if found != wanted => Err(FileError::input(
-                path,
-                format!("{name} has {found} values"),
-                format!("{wanted} for {count} particles in {} dimensions", self.dimension),
-            )),
-            _ => Ok(()),
-        };
-        wanted("position", Some(self.position.len()), vector)?;
-        wanted("velocity", self.velocity.as_ref().map(Vec::len), vector)?;
-        for (name, values) in self.scalars() {
-            wanted(name, values.as_ref().map(Vec::len), count)?;
-        }
-        wanted("tag", self.tag.as_ref().map(Vec::len), count)?;
-        wanted("box_size", Some(self.box_size.len()), self.dimension)
+        let (count, vector) = (self.count(), self.dimension * self.count());
+        let mut arrays = vec![("position", vector, self.position.len())];
+        arrays.extend(self.velocity.as_ref().map(|values| ("velocity", vector, values.len())));
+        arrays.extend(self.scalars().into_iter().filter_map(|(name, values)| Some((name, count, values.as_ref()?.len()))));
+        arrays.extend(self.tag.as_ref().map(|values| ("tag", count, values.len())));
+        arrays.push(("box_size", self.dimension, self.box_size.len()));
+        FileError::check_lengths(path, self.dimension, count, &arrays)
     }
 }
 

@@ -162,9 +162,6 @@ impl<O: Operator<3>> CustomOp3 for Node<O> {
 
 /// A value on candle's graph, on any device, that was found from `x` in another way than its derivative is: `adjoint` takes
 /// the value's cotangent to that of `x`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn with_adjoint(
     x: &Tensor,
     value: Tensor,

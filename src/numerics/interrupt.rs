@@ -26,9 +26,6 @@ static ADVICE: OnceLock<String> = OnceLock::new();
 const TOGETHER: Duration = Duration::from_secs(1);
 
 /// Listens from now on; `advice` is how the work goes on later. A second signal ends the process at once.
-///
-/// # Errors
-/// System errors.
 pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
     if ADVICE.set(advice.into()).is_err() {
         return Ok(());
@@ -37,9 +34,6 @@ pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
 }
 
 /// The same for a process that another one speaks for.
-///
-/// # Errors
-/// System errors.
 pub fn listen_quietly() -> std::io::Result<()> {
     begin(false)
 }

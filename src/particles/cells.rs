@@ -136,16 +136,17 @@ impl Geometry {
 /// Some of the particles, sorted by cell and within a cell by number.
 #[derive(Debug, Clone, Default)]
 pub struct Cells<R> {
-    members: Vec<u32>,
+    /// Their numbers, in the order they were given.
+    pub members: Vec<u32>,
     /// Cell of each member.
     cell: Vec<u32>,
     /// First place of each cell, and the end of the last.
     start: Vec<u32>,
     next: Vec<u32>,
-    /// By place: cell, number, and positions `[D][places]`, padded by the widest lane count.
-    cell_of_place: Vec<u32>,
-    number: Vec<u32>,
-    position: [Vec<R>; 3],
+    /// By place: cell, number, and positions `[D][places]`. The last two are padded by the widest lane count.
+    pub cell_of_place: Vec<u32>,
+    pub number: Vec<u32>,
+    pub position: [Vec<R>; 3],
 }
 
 /// The cell of each member.
@@ -215,31 +216,9 @@ impl<R: Real> Cells<R> {
         }
     }
 
-    /// How many particles there are.
-    pub fn members(&self) -> usize {
-        self.members.len()
-    }
-    /// Their numbers, in the order they were given.
-    pub fn in_order(&self) -> &[u32] {
-        &self.members
-    }
     /// Places of the cells `first..=last` of a row of cells.
     #[inline(always)]
     pub fn places(&self, first: usize, last: usize) -> (usize, usize) {
         (self.start[first] as usize, self.start[last + 1] as usize)
-    }
-    #[inline(always)]
-    pub fn cell_of_place(&self, place: usize) -> usize {
-        self.cell_of_place[place] as usize
-    }
-    /// Numbers by place, padded.
-    #[inline(always)]
-    pub fn numbers(&self) -> &[u32] {
-        &self.number
-    }
-    /// A component of the positions by place, padded.
-    #[inline(always)]
-    pub fn position(&self, d: usize) -> &[R] {
-        &self.position[d]
     }
 }

@@ -218,18 +218,12 @@ fn length(x: &Tensor) -> Result<Tensor> {
 }
 
 /// a - b to the nearest image in periodic directions, `[N, D]`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tensor> {
     let domain = metadata.domain();
     by_direction(&(a - b)?, metadata, |d, difference| domain.nearest_of(d, difference))
 }
 
 /// Positions wrapped into the box in periodic directions, `[N, D]`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
     let domain = metadata.domain();
     by_direction(position, metadata, |d, coordinate| match (domain.periodic[d], metadata.bounds[d][0]) {

@@ -5,7 +5,8 @@
 use super::blocks::Blocks;
 use super::geometry::Geometry;
 use super::kept::Kept;
-use crate::particles::{NeighbourList, Search};
+use crate::numerics::lanes::Real;
+use crate::particles::NeighbourList;
 
 /// Calls a macro with the signature of every sweep and the function that implements it.
 macro_rules! sweeps {
@@ -94,7 +95,7 @@ macro_rules! declare {
     ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
         /// The sweeps of a precision: forward, and the adjoints with names that end in `_bar`.
         #[allow(clippy::too_many_arguments)]
-        pub trait Sweeps: Search {
+        pub trait Sweeps: Real {
             $(fn $name($($argument: $type),*) $(-> $output)?;)*
         }
     };

@@ -7,7 +7,7 @@
 use super::chain::Step;
 use super::model::Standard;
 use super::pair_cache::PairCache;
-use crate::particles::Search;
+use crate::numerics::lanes::Real;
 
 /// Calls a macro with the signature of every sweep and the function that implements it.
 macro_rules! sweeps {
@@ -80,7 +80,7 @@ macro_rules! declare {
     ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $sweep:path;)*) => {
         /// The sweeps of a precision: forward, and the adjoints with names that end in `_bar`.
         #[allow(clippy::too_many_arguments)]
-        pub trait Sweeps: Search {
+        pub trait Sweeps: Real {
             $(fn $name($($argument: $type),*) $(-> $output)?;)*
         }
     };

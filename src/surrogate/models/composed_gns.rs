@@ -38,9 +38,6 @@ impl ComposedGns {
     }
 
     /// As [`crate::surrogate::network::parameters::Network::apply`]: `[N, outputs]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn forward(&self, inputs: &Inputs) -> Result<Tensor> {
         let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
         let embedded = embedded(&self.embedding, &inputs.kinds)?;

@@ -29,9 +29,6 @@ pub struct Egnn {
 
 impl Egnn {
     /// A new network from a seed. Its parameters stay on the CPU.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(sizes: Sizes, frames: usize, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let network = Self { sizes, velocities: frames - 1, device: Device::Cpu, parameters: Vec::new() };

@@ -27,9 +27,6 @@ pub struct Gns {
 
 impl Gns {
     /// A new network from a seed. Its parameters do not depend on `compute` and stay on the CPU.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(sizes: Sizes, compute: impl Into<Compute>, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
@@ -65,9 +62,6 @@ impl Gns {
     }
 
     /// As [`Network::apply`] by the fused operators, with the states `[N + E, L]` after the encoder and each round.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn apply_traced(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<(Tensor, Vec<Tensor>)> {
         let trace = Trace::default();
         let out = self.apply_with(inputs, parameters, Some(trace.clone()))?;

@@ -75,9 +75,6 @@ impl Setup {
     }
 
     /// A network of these sizes. The equivariant one always consists of candle-nn's layers.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn network(
         &self,
         compute: impl Into<Compute>,

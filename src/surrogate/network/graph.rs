@@ -132,34 +132,22 @@ pub struct Ends {
 
 impl Ends {
     /// The ends on a device.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(graph: &Graph, device: &Device) -> candle_core::Result<Self> {
         let gather = |ends: &[u32]| Gather::new(ends, graph.nodes(), device);
         Ok(Self { senders: gather(&graph.senders)?, receivers: gather(&graph.receivers)? })
     }
 
     /// Rows of the senders: `[N, C]` -> `[E, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of_senders(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.senders.rows(x, 0)
     }
 
     /// Rows of the receivers: `[N, C]` -> `[E, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of_receivers(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.receivers.rows(x, 0)
     }
 
     /// Sums over the edges into each node: `[E, C]` -> `[N, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn sums(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.receivers.sums(x, 0)
     }

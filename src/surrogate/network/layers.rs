@@ -29,9 +29,6 @@ pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder
 
 /// Applies a network on a device and returns its output to the device of the inputs; gradients go the same way. The
 /// graph and the types of the particles are not moved.
-///
-/// # Errors
-/// Tensor errors.
 pub fn on_device(
     device: &Device,
     inputs: &Inputs,
@@ -54,9 +51,6 @@ pub fn on_device(
 }
 
 /// Rows of an embedding by the particles' types, `[N, columns]`. The embedding may be on another device.
-///
-/// # Errors
-/// Tensor errors.
 pub fn embedded(embedding: &Embedding, kinds: &Tensor) -> Result<Tensor> {
     let table = embedding.embeddings();
     match table.device().is_cpu() {
@@ -139,9 +133,6 @@ impl Round {
     }
 
     /// Nodes `[N, L]` and edges `[E, L]` -> nodes and edges after the round.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn forward(&self, ends: &Ends, nodes: &Tensor, edges: &Tensor) -> Result<(Tensor, Tensor)> {
         let inputs = Tensor::cat(&[&ends.of_senders(nodes)?, &ends.of_receivers(nodes)?, edges], 1)?;
         let messages = self.edges.forward(&inputs)?;

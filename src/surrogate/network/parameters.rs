@@ -120,9 +120,6 @@ pub trait Network: Send + Sync {
     /// The normalised acceleration `[N, D]`, with learned heat followed by a column of the temperature's change.
     ///
     /// `parameters` are those of [`Self::parameters`], tracked or not.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor>;
 }
 

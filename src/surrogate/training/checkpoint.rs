@@ -33,9 +33,6 @@ pub struct TrainingState {
 }
 
 /// The initial state of a training of a network.
-///
-/// # Errors
-/// Tensor errors.
 pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
     let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
     let mut optimiser = AdamW::new(&variables)?;
@@ -49,9 +46,6 @@ fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
 }
 
 /// Writes a checkpoint, atomically.
-///
-/// # Errors
-/// System errors.
 pub fn write(
     path: &Path,
     settings: &Settings,
