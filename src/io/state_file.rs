@@ -59,7 +59,9 @@ impl State {
         let (count, vector) = (self.count(), self.dimension * self.count());
         let mut arrays = vec![("position", vector, self.position.len())];
         arrays.extend(self.velocity.as_ref().map(|values| ("velocity", vector, values.len())));
-        arrays.extend(self.scalars().into_iter().filter_map(|(name, values)| Some((name, count, values.as_ref()?.len()))));
+        arrays.extend(
+            self.scalars().into_iter().filter_map(|(name, values)| Some((name, count, values.as_ref()?.len()))),
+        );
         arrays.extend(self.tag.as_ref().map(|values| ("tag", count, values.len())));
         arrays.push(("box_size", self.dimension, self.box_size.len()));
         FileError::check_lengths(path, self.dimension, count, &arrays)

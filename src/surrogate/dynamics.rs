@@ -13,10 +13,12 @@
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
 use crate::dataset::extent::Extent;
+use crate::dataset::record::kind_of;
 use crate::dataset::Metadata;
 use crate::numerics::candle::read;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
+use crate::particles::tag;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::TensorSolver;
 use crate::sph::Sweeps;
@@ -47,13 +49,6 @@ pub struct LearnedFlow<R> {
 /// A particle has left an open box if it is this many box lengths outside.
 const FAR: f64 = 0.5;
 
-/// The first frames of a model.
-#[derive(Debug, Clone)]
-pub struct Begin {
-    /// State, `[W (D + 1) + F, N]` or `[W D + F, N]`.
-    pub state: Tensor,
-}
-
 /// The state of a run without a graph, which is also the kept state of a schedule.
 #[derive(Debug, Clone)]
 pub struct At {
@@ -62,6 +57,16 @@ pub struct At {
 }
 
 impl<R: Sweeps> LearnedFlow<R> {
+    /// A model for the particles of a scene. `hot` is the temperature of its hot walls.
+    pub fn new(model: Learned, metadata: Metadata, sph: Sph<R>, origin: Vec<f64>, hot: f32, begin: f64) -> Self {
+        let tags = &sph.model.tags;
+        let kept = (0..tags.len() as u32).filter(|&i| !tag::is_on_surface(tags[i as usize]));
+        let (kept, tags): (Vec<u32>, Vec<u8>) = kept.map(|i| (i, tags[i as usize])).unzip();
+        let kind = tags.iter().map(|&tag| kind_of(tag)).collect();
+        let wall_temperature = tags.iter().map(|&tag| if tag == tag::HOT_WALL { hot } else { f32::NAN }).collect();
+        Self { model, metadata, sph, kept, kind, wall_temperature, origin, begin }
+    }
+
     fn frames(&self) -> usize {
         self.model.setup.features.frames
     }
@@ -168,25 +173,23 @@ impl<R: Sweeps> LearnedFlow<R> {
             displacement(&frame(last)?.t()?.contiguous()?, &frame(last - 1)?.t()?.contiguous()?, &self.metadata)?;
         let velocity = step.t()?.contiguous()?.affine(1.0 / self.frame_time(), 0.0)?;
         let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
-        let temperature = match self.is_warm() {
-            true => Some(state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?),
-            false => None,
-        };
+        let warmth = || state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference);
+        let temperature = self.is_warm().then(warmth).transpose()?;
         let mut rows = Vec::with_capacity(l.count());
         for row in 0..l.count() {
             let still = state.narrow(0, solver + row, 1)?;
             let moved = match (row, &temperature) {
-                (row, _) if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
+                (row, _) if row < d => Some(frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?),
                 (row, _) if (l.velocity()..l.velocity() + d).contains(&row) => {
-                    velocity.narrow(0, row - l.velocity(), 1)?
+                    Some(velocity.narrow(0, row - l.velocity(), 1)?)
                 }
-                (row, Some(temperature)) if Some(row) == l.temperature() => temperature.clone(),
-                _ => {
-                    rows.push(still);
-                    continue;
-                }
+                (row, Some(temperature)) if Some(row) == l.temperature() => Some(temperature.clone()),
+                _ => None,
             };
-            rows.push((moved.broadcast_mul(&moves)? + still.broadcast_mul(&stays)?)?);
+            rows.push(match moved {
+                Some(moved) => (moved.broadcast_mul(&moves)? + still.broadcast_mul(&stays)?)?,
+                None => still,
+            });
         }
         Tensor::cat(&rows, 0)?.to_dtype(R::DTYPE)
     }
@@ -241,20 +244,17 @@ impl<R: Sweeps> LearnedFlow<R> {
         let reach = self.model.setup.normalisation.radius / (1.45 * self.metadata.dx);
         (PAIRS * reach.max(1.0).powi(self.dimension() as i32) * self.kept.len() as f64) as usize
     }
-
-    fn particle_of(&self, place: usize) -> usize {
-        place % self.sph.model.particles()
-    }
 }
 
 impl<R: Sweeps> Dynamics for LearnedFlow<R> {
-    type Start = Begin;
+    /// The state of the first frames.
+    type Start = Tensor;
     type Kept = At;
     type Run = At;
     type Tape = usize;
 
-    fn start(&self, from: &Begin) -> std::result::Result<At, RunError> {
-        Ok(At { step: 0, state: from.state.clone() })
+    fn start(&self, from: &Tensor) -> std::result::Result<At, RunError> {
+        Ok(At { step: 0, state: from.clone() })
     }
     fn advance(&self, run: &mut At) -> std::result::Result<(), RunError> {
         run.state = self.next(run.step, &run.state)?.detach();
@@ -268,7 +268,7 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         let numbers =
             run.state.flatten_all().and_then(|state| state.to_vec1::<f64>()).map_err(RunError::tensor(run.step))?;
         if let Some(at) = numbers.iter().position(|x| !x.is_finite()) {
-            let (particle, value) = (self.particle_of(at), numbers[at]);
+            let (particle, value) = (at % self.sph.model.particles(), numbers[at]);
             return Err(RunError::NotFinite { step: run.step, field: "a predicted number", particle, value });
         }
         let (n, extent, last) =
@@ -290,8 +290,8 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         self.fields_at(run.step, &run.state)
     }
 
-    fn tensor(&self, from: &Begin) -> std::result::Result<Tensor, RunError> {
-        Ok(from.state.clone())
+    fn tensor(&self, from: &Tensor) -> std::result::Result<Tensor, RunError> {
+        Ok(from.clone())
     }
     fn advance_taped(
         &self,

@@ -53,9 +53,7 @@ impl Normalisation {
             change: heat.map(|h| [h.change_mean, h.change_std]),
         }
     }
-}
 
-impl Normalisation {
     /// Removes the means and uses one scale for all directions, so that rotated flows have rotated normalised values.
     pub fn make_isotropic(&mut self) {
         for (mean, scale) in [

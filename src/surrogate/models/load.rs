@@ -43,9 +43,7 @@ pub fn load_predictor(
     if file.metadata.contains_key("format") {
         let header = checkpoint::read(path)?;
         header.setup.fits(metadata).map_err(|bad| bad.place(path.display().to_string()))?;
-        let network = header.setup.network(compute, 0, DType::F32)?;
-        header.load_into(&*network, true)?;
-        return Ok(Box::new(Learned::new(name, header.setup, Arc::from(network))));
+        return Ok(Box::new(learned(header, name, compute, DType::F32)?));
     }
     let setup = foreign(&file, metadata)
         .map_err(|problem| bad(format!("not a model of hydrograd, nor LagrangeBench's weights: {problem}")))?;

@@ -77,24 +77,17 @@ impl Parameter {
         let mut values = vec![0.0; self.count()];
         for (name, at, shape) in &self.parts {
             let name = format!("{prefix}{name}");
-            let (found, numbers) = file.numbers(&name)?;
-            if found != shape {
-                return Err(FileError::Mismatch {
-                    path: file.path.clone(),
-                    name,
-                    found: format!("of shape {found:?}"),
-                    allowed: format!("of shape {shape:?}"),
-                    hint: "the file belongs to a model of other sizes",
-                });
+            let (of, numbers) = file.numbers(&name)?;
+            let mismatch = |found: String, allowed: String, hint| {
+                Err(FileError::Mismatch { path: file.path.clone(), name: name.clone(), found, allowed, hint })
+            };
+            if of != shape {
+                let (found, allowed) = (format!("of shape {of:?}"), format!("of shape {shape:?}"));
+                return mismatch(found, allowed, "the file belongs to a model of other sizes");
             }
             if let Some(k) = numbers.iter().position(|x| !x.is_finite()) {
-                return Err(FileError::Mismatch {
-                    path: file.path.clone(),
-                    name,
-                    found: format!("{} at place {k}", numbers[k]),
-                    allowed: "of finite numbers".to_owned(),
-                    hint: "its training failed: take an earlier checkpoint",
-                });
+                let (found, allowed) = (format!("{} at place {k}", numbers[k]), "of finite numbers".to_owned());
+                return mismatch(found, allowed, "its training failed: take an earlier checkpoint");
             }
             values[at.clone()].copy_from_slice(&numbers);
         }

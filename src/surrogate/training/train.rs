@@ -20,8 +20,7 @@ use crate::surrogate::network::adamw::learning_rate;
 use crate::surrogate::network::parameters::{Network, Parameter};
 use crate::surrogate::training::batch::{Found, Team};
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
-use crate::surrogate::training::checkpoint;
-use crate::surrogate::training::checkpoint::TrainingState;
+use crate::surrogate::training::checkpoint::{self, TrainingState};
 use crate::surrogate::training::samples::Samples;
 use candle_core::Var;
 use std::path::{Path, PathBuf};
@@ -72,8 +71,7 @@ impl<'a> Training<'a> {
         };
         let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
         let (train, valid) = (&data.train[..], &data.valid[..]);
-        let (metadata, folder) = (&data.metadata, folder.to_owned());
-        let is_to_stop = false;
+        let (metadata, folder, is_to_stop) = (&data.metadata, folder.to_owned(), false);
         Ok(Self {
             settings,
             setup,
@@ -145,8 +143,7 @@ impl Training<'_> {
                 write_rows(&self.folder.join("history.csv"), &HISTORY_COLUMNS, &self.history)?;
             }
             if self.state.step.is_multiple_of(settings.validate_every) || last {
-                let found = self.validate(&linear, &mut events, bar)?;
-                scores = Some(found);
+                scores = Some(self.validate(&linear, &mut events, bar)?);
             }
             if self.state.step.is_multiple_of(settings.store_every) || last || self.is_to_stop {
                 self.store(LAST)?;
@@ -155,7 +152,7 @@ impl Training<'_> {
         }
         let scores = match scores {
             Some(scores) => scores,
-            None => self.score(&self.predictor()?)?,
+            None => self.score(&self.predictor())?,
         };
         Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
     }
@@ -236,13 +233,13 @@ impl Training<'_> {
     }
 
     /// The trained model, with averaged parameters if there are any.
-    pub fn predictor(&self) -> anyhow::Result<Learned> {
+    pub fn predictor(&self) -> Learned {
         let mut learned =
             Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.network.clone());
         if let Some(average) = &self.state.average {
             learned.parameters = average.clone();
         }
-        Ok(learned)
+        learned
     }
 
     fn score(&self, predictor: &dyn crate::surrogate::predictor::Predictor) -> anyhow::Result<Scores> {
@@ -251,7 +248,7 @@ impl Training<'_> {
             windows: Some(self.settings.validation_windows),
             ..Options::default()
         };
-        evaluate_windows(predictor, self.metadata, self.valid, &options)
+        evaluate_windows(predictor, self.metadata, self.valid, &options, &mut || ())
     }
 
     /// The error of a model: position MSE, and with heat temperature MSE, over those of the linear baseline.
@@ -264,28 +261,17 @@ impl Training<'_> {
     }
 
     fn validate(&mut self, linear: &Scores, events: &mut EventFile, bar: &Progress) -> anyhow::Result<Scores> {
-        let scores = self.score(&self.predictor()?)?;
-        let none = f64::NAN;
-        let row = vec![
-            self.state.step as f64,
-            self.state.seconds,
-            scores.mse_1.unwrap_or(none),
-            scores.mse_5.unwrap_or(none),
-            scores.mse_10.unwrap_or(none),
-            scores.mse_20.unwrap_or(none),
-            scores.sinkhorn.unwrap_or(none),
-            scores.e_kin.unwrap_or(none),
-            scores.temperature_mse.unwrap_or(none),
-        ];
+        let scores = self.score(&self.predictor())?;
+        let Scores { mse_1, mse_5, mse_10, mse_20, sinkhorn, e_kin, temperature_mse, .. } = scores;
+        let metrics = [mse_1, mse_5, mse_10, mse_20, sinkhorn, e_kin, temperature_mse];
+        let times = [self.state.step as f64, self.state.seconds];
+        let row = [&times[..], &metrics.map(|metric| metric.unwrap_or(f64::NAN))].concat();
         let tags = METRICS.iter().zip(&row[2..]).filter(|(_, v)| v.is_finite());
         let tags: Vec<(String, f64)> = tags.map(|(name, &value)| (format!("validation/{name}"), value)).collect();
         events.scalars(self.state.step, &tags.iter().map(|(name, v)| (name.as_str(), *v)).collect::<Vec<_>>())?;
         self.validation.push(row);
-        write_rows(
-            &self.folder.join("validation.csv"),
-            &[&["step", "seconds"], &METRICS[..]].concat(),
-            &self.validation,
-        )?;
+        let header = [&["step", "seconds"], &METRICS[..]].concat();
+        write_rows(&self.folder.join("validation.csv"), &header, &self.validation)?;
         let merit = Self::merit(&scores, linear);
         if merit < self.state.best {
             self.state.best = merit;
@@ -339,21 +325,12 @@ impl Training<'_> {
 
 /// Writes rows of numbers as a table; the first number is an integer.
 fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result<()> {
-    let cells = |row: &Vec<f64>| {
-        row.iter()
-            .enumerate()
-            .map(|(k, &v)| {
-                if k == 0 {
-                    Cell::Integer(v as i64)
-                } else if v.is_nan() {
-                    Cell::Text(String::new())
-                } else {
-                    Cell::Number(v)
-                }
-            })
-            .collect()
+    let cell = |(k, &v): (usize, &f64)| match k {
+        0 => Cell::Integer(v as i64),
+        _ if v.is_nan() => Cell::Text(String::new()),
+        _ => Cell::Number(v),
     };
-    let rows: Vec<Vec<Cell>> = rows.iter().map(cells).collect();
+    let rows: Vec<Vec<Cell>> = rows.iter().map(|row| row.iter().enumerate().map(cell).collect()).collect();
     Ok(write_table(path, header, &rows)?)
 }
 
