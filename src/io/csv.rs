@@ -66,9 +66,6 @@ pub fn write_table(path: &Path, header: &[&str], rows: &[Vec<Cell>]) -> Result<(
 }
 
 /// Writes rows of numbers.
-///
-/// # Errors
-/// As for [`write_table`].
 pub fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> Result<(), FileError> {
     let rows: Vec<Vec<Cell>> = rows.iter().map(|row| row.iter().map(|&x| Cell::from(x)).collect()).collect();
     write_table(path, header, &rows)

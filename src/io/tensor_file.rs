@@ -125,9 +125,6 @@ impl TensorFile {
     }
 
     /// The contents of a file, which messages call `path`.
-    ///
-    /// # Errors
-    /// As for [`Self::read`].
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, FileError> {
         let damaged = |what: String| FileError::Damaged {
             path: path.to_owned(),
@@ -168,9 +165,6 @@ impl TensorFile {
     }
 
     /// Elements of the f64 tensor `name`, which must have the given shape.
-    ///
-    /// # Errors
-    /// Names what is there instead.
     pub fn f64(&self, name: &str, shape: &[usize]) -> Result<&[f64], FileError> {
         let mismatch = |found: String, allowed: String| FileError::Mismatch {
             path: self.path.clone(),
@@ -187,9 +181,6 @@ impl TensorFile {
     }
 
     /// Elements of a tensor of any type as f64, row-major, with its shape.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the names that are there.
     pub fn numbers(&self, name: &str) -> Result<(&[usize], Vec<f64>), FileError> {
         let shape = self.shape(name)?;
         let numbers = match &self.tensors[name].1 {
@@ -203,9 +194,6 @@ impl TensorFile {
     }
 
     /// The metadata text `key`.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the keys that are there.
     pub fn text(&self, key: &str) -> Result<&str, FileError> {
         self.metadata
             .get(key)
@@ -214,9 +202,6 @@ impl TensorFile {
     }
 
     /// Shape of the tensor `name`, for those whose size is not known beforehand.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the names that are there.
     pub fn shape(&self, name: &str) -> Result<&[usize], FileError> {
         self.tensors
             .get(name)

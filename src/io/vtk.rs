@@ -122,7 +122,7 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
     }
     let points = Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64);
     let vertices = [Block::integers("connectivity", 0..count), Block::integers("offsets", 1..count + 1)];
-    write_poly_data(path, Some(frame.time), point_data, points, Cells { name: "Verts", count, blocks: vertices })
+    write_poly_data(path, Some(frame.time), point_data, points, ("Verts", count, vertices))
 }
 
 /// Writes a surface of quadrilaterals as a `.vtp` file, atomically: `points` in scene length units, the numbers of each
@@ -150,26 +150,18 @@ pub fn write_surface(
         Block::integers("connectivity", corners.iter().flatten().copied()),
         Block::integers("offsets", (1..=corners.len()).map(|k| 4 * k)),
     ];
-    let cells = Cells { name: "Polys", count: corners.len(), blocks };
     let point_data = scalars.iter().map(scalar).collect();
-    write_poly_data(path, None, point_data, Block::reals("Points", 3, all, Precision::F64), cells)
+    let points = Block::reals("Points", 3, all, Precision::F64);
+    write_poly_data(path, None, point_data, points, ("Polys", corners.len(), blocks))
 }
 
-/// The cells of a file, all of one kind.
-struct Cells {
-    /// `Verts` or `Polys`.
-    name: &'static str,
-    count: usize,
-    /// Connectivity and offsets.
-    blocks: [Block; 2],
-}
-
+/// `cells`, all of one kind: `Verts` or `Polys`, how many, connectivity and offsets.
 fn write_poly_data(
     path: &Path,
     time: Option<f64>,
     point_data: Vec<Block>,
     points: Block,
-    cells: Cells,
+    (kind, cells, blocks): (&str, usize, [Block; 2]),
 ) -> Result<(), FileError> {
     let mut offset = 0;
     let mut header = String::from(
@@ -187,7 +179,7 @@ fn write_poly_data(
     }
     // Three numbers of eight bytes each.
     let count = points.bytes.len() / 24;
-    let cells_of = |name: &str| if name == cells.name { cells.count } else { 0 };
+    let cells_of = |name: &str| if name == kind { cells } else { 0 };
     let _ = writeln!(
         header,
         "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{}\" NumberOfLines=\"0\" \
@@ -195,23 +187,20 @@ fn write_poly_data(
         cells_of("Verts"),
         cells_of("Polys")
     );
-    let mut section = |name: &str, blocks: &[Block]| {
+    let sections = [("PointData", point_data), ("Points", vec![points]), (kind, blocks.into())];
+    for (name, blocks) in &sections {
         let _ = writeln!(header, "<{name}>");
         for block in blocks {
             let _ = writeln!(header, "<DataArray {} format=\"appended\" offset=\"{offset}\"/>", block.attributes);
             offset += size_of::<u64>() + block.bytes.len();
         }
         let _ = writeln!(header, "</{name}>");
-    };
-    let points = [points];
-    section("PointData", &point_data);
-    section("Points", &points);
-    section(cells.name, &cells.blocks);
+    }
     header.push_str("</Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_");
 
     write_atomically(path, |writer| {
         writer.write_all(header.as_bytes())?;
-        for block in point_data.iter().chain(&points).chain(&cells.blocks) {
+        for block in sections.iter().flat_map(|(_, blocks)| blocks) {
             writer.write_all(&(block.bytes.len() as u64).to_le_bytes())?;
             writer.write_all(&block.bytes)?;
         }
@@ -245,9 +234,6 @@ impl VtkSeries {
     }
 
     /// Writes the next frame and the list of frames so far; returns the path of the frame.
-    ///
-    /// # Errors
-    /// As [`write_vtp`].
     pub fn write(&mut self, frame: &ParticleFrame) -> Result<PathBuf, FileError> {
         let file_name = format!("{}_{:06}.vtp", self.name, self.frames.len());
         let path = self.folder.join(&file_name);

@@ -82,9 +82,6 @@ pub fn farewell(signal: i32) -> String {
 }
 
 /// An error if somebody asked to stop: the process, or the work of this thread.
-///
-/// # Errors
-/// [`Error::Stopped`].
 pub fn check() -> Result<(), Error> {
     match asked() {
         Some(_) => Err(Error::Stopped),
@@ -93,9 +90,6 @@ pub fn check() -> Result<(), Error> {
 }
 
 /// An error if the work of this thread shall stop, whatever the process shall do.
-///
-/// # Errors
-/// [`Error::Stopped`].
 pub fn check_own() -> Result<(), Error> {
     match is_asked_here() {
         true => Err(Error::Stopped),

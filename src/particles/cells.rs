@@ -89,43 +89,30 @@ impl Geometry {
     }
 
     /// The neighbouring cells of `at` in direction d: first, last, shift, without wrapping runs together.
-    fn around(&self, at: usize, d: usize) -> ([(usize, usize, f64); 3], usize) {
-        let cells = self.cells[d];
-        let (low, high) = (at.saturating_sub(1), (at + 1).min(cells - 1));
-        let mut parts = [(0, 0, 0.0); 3];
-        if self.narrow[d] {
-            parts[0] = (0, cells - 1, 0.0);
-            return (parts, 1);
-        }
-        parts[0] = (low, high, 0.0);
-        let mut count = 1;
-        if self.periodic[d] && at == 0 {
-            parts[count] = (cells - 1, cells - 1, self.size[d]);
-            count += 1;
-        }
-        if self.periodic[d] && at + 1 == cells {
-            parts[count] = (0, 0, -self.size[d]);
-            count += 1;
-        }
-        (parts, count)
+    fn around(&self, at: usize, d: usize) -> impl Iterator<Item = (usize, usize, f64)> {
+        let (cells, size) = (self.cells[d], self.size[d]);
+        let near = match self.narrow[d] {
+            true => (0, cells - 1, 0.0),
+            false => (at.saturating_sub(1), (at + 1).min(cells - 1), 0.0),
+        };
+        let wraps = self.periodic[d] && !self.narrow[d];
+        let below = (wraps && at == 0).then_some((cells - 1, cells - 1, size));
+        let above = (wraps && at + 1 == cells).then_some((0, 0, -size));
+        [Some(near), below, above].into_iter().flatten()
     }
 
     /// The runs of cells around a cell.
     pub fn runs(&self, cell: usize) -> Runs {
         let at = [cell % self.cells[0], cell / self.cells[0] % self.cells[1], cell / self.cells[0] / self.cells[1]];
-        let (x, y, z) = (self.around(at[0], 0), self.around(at[1], 1), self.around(at[2], 2));
+        let each = |(first, last, shift): (usize, usize, f64)| (first..=last).map(move |cell| (cell, shift));
         let mut runs = Runs::default();
-        for &(z_first, z_last, z_shift) in &z.0[..z.1] {
-            for cz in z_first..=z_last {
-                for &(y_first, y_last, y_shift) in &y.0[..y.1] {
-                    for cy in y_first..=y_last {
-                        let row = (cz * self.cells[1] + cy) * self.cells[0];
-                        for &(first, last, x_shift) in &x.0[..x.1] {
-                            let shift = [x_shift, y_shift, z_shift];
-                            runs.list[runs.count] = Run { first: row + first, last: row + last, shift };
-                            runs.count += 1;
-                        }
-                    }
+        for (cz, z_shift) in self.around(at[2], 2).flat_map(each) {
+            for (cy, y_shift) in self.around(at[1], 1).flat_map(each) {
+                let row = (cz * self.cells[1] + cy) * self.cells[0];
+                for (first, last, x_shift) in self.around(at[0], 0) {
+                    let shift = [x_shift, y_shift, z_shift];
+                    runs.list[runs.count] = Run { first: row + first, last: row + last, shift };
+                    runs.count += 1;
                 }
             }
         }

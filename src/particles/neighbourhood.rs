@@ -38,17 +38,8 @@ impl<R: Real> Neighbourhood<R> {
         Self { list, reference: Arc::new(Vec::new()), identity: 0, workspace: Workspace::default() }
     }
 
-    /// The same list and reference, for somebody who only reads them.
-    pub fn shared(&self) -> Self {
-        let (list, reference) = (self.list.clone(), self.reference.clone());
-        Self { list, reference, identity: self.identity, workspace: Workspace::default() }
-    }
-
     /// Builds the list of another run's or an earlier reference, in the old list's memory unless somebody else still
     /// holds it.
-    ///
-    /// # Errors
-    /// As for [`Self::build`].
     pub fn rebuild_at(&mut self, reach: &Reach, reference: &Arc<Vec<R>>) -> Result<(), NeighbourError> {
         // The same place in memory: states of one list are known by it.
         self.reference = reference.clone();
@@ -80,9 +71,6 @@ impl<R: Real> Neighbourhood<R> {
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
     /// positions and the reference only, so a replay does the same.
-    ///
-    /// # Errors
-    /// As for [`Self::build`]; a particle that moved half the cut-off in one step.
     pub fn update(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
         let moved = largest_move(reach, position, &self.reference)?;
         // One step never moves a particle that far unless the run has diverged.

@@ -128,9 +128,6 @@ impl<R: Sweeps> SurrogateProblem<R> {
     }
 
     /// The model's initial state over a design's wall: the frames that the solver makes.
-    ///
-    /// # Errors
-    /// A run that diverges.
     pub fn begin(&self, variables: &[f64]) -> anyhow::Result<Tensor> {
         let start = self.problem.start(variables);
         let first: Vec<f64> = start.state.iter().map(|x| x.f64()).collect();

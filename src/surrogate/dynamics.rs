@@ -198,16 +198,9 @@ impl<R: Sweeps> LearnedFlow<R> {
     fn fields_at(&self, step: usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
         let failed = RunError::tensor(step);
         let shown = self.shown(state).and_then(|shown| shown.contiguous()).map_err(&failed)?;
-        let mut list = Err(None);
-        read(&shown.detach(), |numbers: &[R]| {
-            list = Neighbourhood::build(&self.sph.model.reach(), numbers).map_err(Some);
-            Ok(())
-        })
-        .map_err(&failed)?;
-        let list = list.map_err(|source| match source {
-            Some(source) => RunError::Neighbours { step, source },
-            None => RunError::Tensor { step, source: candle_core::Error::Msg("a state that can not be read".into()) },
-        })?;
+        let build = |numbers: &[R]| Ok(Neighbourhood::build(&self.sph.model.reach(), numbers));
+        let list = read(&shown.detach(), build).map_err(&failed)?;
+        let list = list.map_err(|source| RunError::Neighbours { step, source })?;
         let mut tape = TensorSolver::new(self.sph.model.clone(), list, step, 1, self.sph.compute.clone());
         let fields = self.sph.fields(&mut tape, &shown)?;
         Ok(Fields { step, time: self.begin + step as f64 * self.frame_time(), ..fields })

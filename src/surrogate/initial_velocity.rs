@@ -143,9 +143,6 @@ impl<R: Sweeps> LearnedVelocities<R> {
     }
 
     /// The loss of velocities `[D, N]` by the model.
-    ///
-    /// # Errors
-    /// A rollout that diverges.
     pub fn loss(&self, velocity: &[f64]) -> anyhow::Result<f64> {
         let begin = self.begin(&self.tensor(velocity)?)?;
         let mut end = run(&self.flow, &begin, self.frames, &mut [])?;

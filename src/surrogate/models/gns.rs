@@ -7,7 +7,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
-use crate::surrogate::models::composed_gns::ComposedGns;
+use crate::surrogate::models::composed_gns::composed_gns;
 use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::interaction::{Rounds, Trace};
 use crate::surrogate::network::layers::{builder, on_device};
@@ -86,7 +86,7 @@ impl Network for Gns {
         match self.compute.kernels() {
             Kernels::Fused => self.apply_with(inputs, parameters, None),
             Kernels::Composed => on_device(self.compute.device(), inputs, parameters, |inputs, parameters| {
-                ComposedGns::new(&self.sizes, builder(&self.parameters, parameters)?)?.forward(inputs)
+                composed_gns(&self.sizes, &builder(&self.parameters, parameters)?, inputs)
             }),
         }
     }

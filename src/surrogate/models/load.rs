@@ -89,9 +89,6 @@ impl BuiltIn {
 }
 
 /// Identifies a model by the checksum of its file.
-///
-/// # Errors
-/// A file that cannot be read.
 pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     let sum = |bytes: &[u8]| format!("{:08x}", crc32c::crc32c(bytes));
     match path {

@@ -3,7 +3,7 @@
 //! m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - lr (m^/(sqrt(v^) + eps) + decay x), with m^ = m/(1 - b1^t) and
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
-use crate::numerics::candle::{update as in_place, Update};
+use crate::numerics::candle::update;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, Parts, RowKernel};
 use crate::surrogate::network::row::each;
@@ -79,12 +79,11 @@ impl<R: Real> RowKernel<R> for Sweep<'_, R> {
     }
 }
 
-impl<R: Real> Update for Change<R> {
-    type Real = R;
-    const NAME: &'static str = "adamw";
-
-    fn update(&self, x: &mut [R], a: &[R], b: &[R]) {
-        run_rows(&Sweep { x: x.chunks_mut(ROW).collect(), a, b, change: *self }, a.len().div_ceil(ROW));
+impl<R: Real> Change<R> {
+    fn apply(self, x: &Tensor, a: &Tensor, b: &Tensor) -> Result<()> {
+        update("adamw", x, a, b, |x: &mut [R], a, b| {
+            run_rows(&Sweep { x: x.chunks_mut(ROW).collect(), a, b, change: self }, a.len().div_ceil(ROW));
+        })
     }
 }
 
@@ -116,9 +115,9 @@ impl AdamW {
         let [b1, b2, c1, c2, epsilon] =
             [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
         let (g, Moments { first: m, second: v }) = (gradient.contiguous()?.detach(), &self.moments[k]);
-        in_place(Change::Mean { decay: b1, rest: c1 }, m, &g, &g)?;
-        in_place(Change::Square { decay: b2, rest: c2 }, v, &g, &g)?;
-        in_place(Change::Move { rate, first, second, epsilon, decay }, parameter, m, v)
+        Change::Mean { decay: b1, rest: c1 }.apply(m, &g, &g)?;
+        Change::Square { decay: b2, rest: c2 }.apply(v, &g, &g)?;
+        Change::Move { rate, first, second, epsilon, decay }.apply(parameter, m, v)
     }
 }
 

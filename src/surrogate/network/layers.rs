@@ -12,9 +12,6 @@ use std::collections::HashMap;
 
 /// The parts of `parameters` by their names in a checkpoint, with the values `values`, in the form that candle-nn's
 /// layers need. The tensors are views, so their gradients reach `values`.
-///
-/// # Errors
-/// Values of another length.
 pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder<'static>> {
     let mut tensors = HashMap::new();
     for (parameter, values) in parameters.iter().zip(values) {
@@ -70,9 +67,6 @@ pub struct Perceptron {
 
 impl Perceptron {
     /// Builds the layers from the tensors `K.weight`, `K.bias`, `ln.scale` and `ln.offset`.
-    ///
-    /// # Errors
-    /// A tensor that is missing or of another shape.
     pub fn new(shape: &MlpShape, builder: VarBuilder) -> Result<Self> {
         let linear = |k: usize| {
             let (builder, (inputs, outputs)) = (builder.pp(k), shape.size(k));
@@ -122,9 +116,6 @@ pub struct Round {
 
 impl Round {
     /// Builds the round from the tensors `edge.*` and `node.*`.
-    ///
-    /// # Errors
-    /// As for [`Perceptron::new`].
     pub fn new(edge: &MlpShape, node: &MlpShape, builder: VarBuilder) -> Result<Self> {
         Ok(Self {
             edges: Perceptron::new(edge, builder.pp("edge"))?,

@@ -60,9 +60,6 @@ impl Parameter {
     }
 
     /// Loads the values from a file's tensors, whose names are `prefix` + those of the parts.
-    ///
-    /// # Errors
-    /// A tensor that is missing or of another shape.
     pub fn load(&self, file: &TensorFile, prefix: &str) -> anyhow::Result<()> {
         let values = self.read(file, prefix)?;
         let values = Tensor::new(values, &Device::Cpu)?.to_dtype(self.values.dtype())?;

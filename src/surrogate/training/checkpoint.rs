@@ -107,9 +107,6 @@ pub fn read(path: &Path) -> Result<Header, BadInput> {
 }
 
 /// Reads the header of a file that is a checkpoint.
-///
-/// # Errors
-/// As for [`read`].
 pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
     let path = file.path.clone();
     let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
@@ -139,9 +136,6 @@ pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
 
 impl Header {
     /// The optimiser and averages of the file, for the parameters of `network`.
-    ///
-    /// # Errors
-    /// Missing tensors, and ones of another shape.
     pub fn state(&self, network: &dyn Network) -> anyhow::Result<TrainingState> {
         let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
             let values = parameter.read(&self.file, prefix);
@@ -165,9 +159,6 @@ impl Header {
     }
 
     /// Loads the file's parameters into a network of the same sizes, or with `averaged` their averages if they exist.
-    ///
-    /// # Errors
-    /// Missing tensors, and ones of another shape.
     pub fn load_into(&self, network: &dyn Network, averaged: bool) -> anyhow::Result<()> {
         let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
         let loaded = network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix));

@@ -52,9 +52,6 @@ pub struct Training<'a> {
 
 impl<'a> Training<'a> {
     /// The initial state of [`Self::run`]. Nothing is written yet.
-    ///
-    /// # Errors
-    /// Tensors that a checkpoint lacks, or that have another shape.
     pub fn new(
         settings: &'a Settings,
         setup: &'a Setup,
@@ -158,9 +155,6 @@ impl Training<'_> {
     }
 
     /// Runs the same updates on all ranks but the first, which writes the results.
-    ///
-    /// # Errors
-    /// As for [`Self::run`].
     pub fn follow(&mut self) -> anyhow::Result<()> {
         let mut samples = Samples::new(self.metadata, self.train, self.settings, self.setup)?;
         let variables = self.variables();
