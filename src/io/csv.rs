@@ -8,9 +8,6 @@ use super::FileError;
 use std::io::Write;
 use std::path::Path;
 
-const HINT_COLUMNS: &str = "the first line must name the columns, separated by commas (not semicolons or tabs)";
-
-/// One entry of a row.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
     /// Written with as few digits as bring the same f64 back.
@@ -65,7 +62,6 @@ pub fn write_table(path: &Path, header: &[&str], rows: &[Vec<Cell>]) -> Result<(
     })
 }
 
-/// Writes rows of numbers.
 pub fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> Result<(), FileError> {
     let rows: Vec<Vec<Cell>> = rows.iter().map(|row| row.iter().map(|&x| Cell::from(x)).collect()).collect();
     write_table(path, header, &rows)
@@ -178,7 +174,7 @@ fn column_position(path: &Path, header: &[String], name: &str) -> Result<usize, 
             kind: "column",
             name: name.to_owned(),
             present: header.to_vec(),
-            hint: HINT_COLUMNS,
+            hint: "the first line must name the columns, separated by commas (not semicolons or tabs)",
         }),
     }
 }

@@ -88,16 +88,9 @@ impl Graph {
     pub fn parts(&self, parts: usize) -> Vec<Range<usize>> {
         // The perceptron of a node costs about as much as four edges.
         let weight = |i: usize| self.start[i] as usize + 4 * i;
-        let total = weight(self.nodes());
-        let mut ends = Vec::with_capacity(parts);
-        let mut at = 0;
-        for k in 1..=parts {
-            while at < self.nodes() && (weight(at) < total * k / parts || k == parts) {
-                at += 1;
-            }
-            ends.push(at);
-        }
-        (0..parts).map(|k| if k == 0 { 0 } else { ends[k - 1] }..ends[k]).collect()
+        let (nodes, total) = (self.nodes(), weight(self.nodes()));
+        let end = |k: usize| (0..nodes).find(|&i| weight(i) >= total * k / parts).unwrap_or(nodes);
+        (0..parts).map(|k| end(k)..end(k + 1)).collect()
     }
 
     /// Divides nodes into ranges with about the same number of edges, at most `edges` plus those of one node.

@@ -37,12 +37,10 @@ pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<Train
     let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
     let mut optimiser = AdamW::new(&variables)?;
     optimiser.weight_decay = settings.weight_decay;
-    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
+    let copy = |parameter: &Parameter| parameter.values.as_detached_tensor().copy();
+    let copies = || network.parameters().iter().map(copy).collect::<candle_core::Result<Vec<_>>>();
+    let average = (settings.ema > 0.0).then(copies).transpose()?;
     Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, losses: Vec::new(), optimiser, average })
-}
-
-fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
-    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
 }
 
 /// Writes a checkpoint, atomically.
