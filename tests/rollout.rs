@@ -6,8 +6,7 @@ use hydrograd::error::BadInput;
 use hydrograd::surrogate::evaluation::metrics::Counted;
 use hydrograd::surrogate::evaluation::rollout::{rollout, windows, HISTORY};
 use hydrograd::surrogate::evaluation::scores::{chosen_windows, evaluate_windows, Options};
-use hydrograd::surrogate::models::constant_velocity::ConstantVelocity;
-use hydrograd::surrogate::models::still::Still;
+use hydrograd::surrogate::models::baselines::{ConstantVelocity, Still};
 use hydrograd::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde_json::Value;
 

@@ -77,9 +77,9 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
     let count = state.count();
     write_file(path, |file| {
         let shape = [count, state.dimension];
-        write_dataset(path, file, "position", &shape, &particle_major(&state.position, state.dimension))?;
+        write_dataset(path, file, "position", &shape, &transposed(&state.position, state.dimension))?;
         if let Some(velocity) = &state.velocity {
-            write_dataset(path, file, "velocity", &shape, &particle_major(velocity, state.dimension))?;
+            write_dataset(path, file, "velocity", &shape, &transposed(velocity, state.dimension))?;
         }
         for (name, values) in state.scalars() {
             if let Some(values) = values {
@@ -119,7 +119,7 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
     };
     let vector = |name: &str| -> Result<Option<Vec<f64>>, FileError> {
         let values = read_dataset::<f64>(path, &file, &present, name, &[count, dimension])?;
-        Ok(values.map(|values| component_major(&values, dimension)))
+        Ok(values.map(|values| transposed(&values, count)))
     };
     let scalar = |name: &str| read_dataset::<f64>(path, &file, &present, name, &[count]);
     Ok(State {
@@ -141,14 +141,8 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
     })
 }
 
-/// `[D, N]` to `[N, D]`.
-fn particle_major(values: &[f64], dimension: usize) -> Vec<f64> {
-    let count = values.len() / dimension;
-    (0..values.len()).map(|index| values[(index % dimension) * count + index / dimension]).collect()
-}
-
-/// `[N, D]` to `[D, N]`.
-fn component_major(values: &[f64], dimension: usize) -> Vec<f64> {
-    let count = values.len() / dimension;
-    (0..values.len()).map(|index| values[(index % count) * dimension + index / count]).collect()
+/// A matrix of so many rows with its columns as rows: `[D, N]` to `[N, D]` and back.
+fn transposed(values: &[f64], rows: usize) -> Vec<f64> {
+    let columns = values.len() / rows.max(1);
+    (0..values.len()).map(|index| values[(index % rows) * columns + index / rows]).collect()
 }

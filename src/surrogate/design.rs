@@ -299,36 +299,23 @@ fn unknown(what: &str) -> BadInput {
 /// Metadata of the data on which a model was trained, if it can be used for optimisation.
 fn known_data<'a>(config: &Config, model: &'a Learned) -> Result<&'a Metadata, Error> {
     let Some(data) = &model.setup.data else { return Err(unknown("what data it was trained on").into()) };
-    let refused: [(bool, &str, &str, &str); 5] = [
-        (
-            model.setup.heat == HeatModel::None || data.heat.is_none(),
-            "surrogate.model",
-            "the model knows no temperatures",
-            "a model with heat: learned or conduction",
-        ),
-        (
-            model.setup.features.unset_walls,
-            "surrogate.model",
-            "the model sees the temperatures of all walls, which only data have",
-            "a model trained with features.unset_walls = false",
-        ),
-        (
-            config.design.walls != DesignWalls::Bottom,
-            "design.walls",
-            "design.walls = both with a surrogate",
-            "bottom: the data have no other shaped wall",
-        ),
-        (
-            matches!(config.optimise.gradient, GradientMode::Truncated | GradientMode::Steady),
-            "optimise.gradient",
-            "optimise.gradient = truncated or steady with a surrogate",
-            "segments or taped",
-        ),
-        (config.optimise.clip > 0.0, "optimise.clip", "optimise.clip with a surrogate", "0 (the exact gradient)"),
-    ];
-    if let Some((_, key, problem, allowed)) = refused.into_iter().find(|(is_refused, ..)| *is_refused) {
-        return Err(BadInput::new(problem).key(key).allowed(allowed).into());
-    }
+    let refuse = |is_so: bool, key: &str, problem: &str, allowed: &str| match is_so {
+        true => Err(BadInput::new(problem).key(key).allowed(allowed)),
+        false => Ok(()),
+    };
+    let is_cold = model.setup.heat == HeatModel::None || data.heat.is_none();
+    refuse(is_cold, "surrogate.model", "the model knows no temperatures", "a model with heat: learned or conduction")?;
+    let problem = "the model sees the temperatures of all walls, which only data have";
+    let allowed = "a model trained with features.unset_walls = false";
+    refuse(model.setup.features.unset_walls, "surrogate.model", problem, allowed)?;
+    let problem = "design.walls = both with a surrogate";
+    let allowed = "bottom: the data have no other shaped wall";
+    refuse(config.design.walls != DesignWalls::Bottom, "design.walls", problem, allowed)?;
+    let is_partial = matches!(config.optimise.gradient, GradientMode::Truncated | GradientMode::Steady);
+    let problem = "optimise.gradient = truncated or steady with a surrogate";
+    refuse(is_partial, "optimise.gradient", problem, "segments or taped")?;
+    let allowed = "0 (the exact gradient)";
+    refuse(config.optimise.clip > 0.0, "optimise.clip", "optimise.clip with a surrogate", allowed)?;
     let Some(before) = model.setup.data_config() else { return Err(unknown("which scene its data are of").into()) };
     let differing = differences(&before, config, &FREE);
     if !differing.is_empty() {

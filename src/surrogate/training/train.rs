@@ -13,7 +13,7 @@ use crate::io::tensorboard::EventFile;
 use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
-use crate::surrogate::models::constant_velocity::ConstantVelocity;
+use crate::surrogate::models::baselines::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::learning_rate;
