@@ -26,7 +26,7 @@ use crate::surrogate::differentiable_rollout::DifferentiableRollout;
 use crate::surrogate::features::{displacement, Window};
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
-use candle_core::{DType, Device, Result, Tensor, Var};
+use candle_core::{DType, Device, Tensor, Var};
 
 /// A learned model for the particles of a scene.
 pub struct LearnedFlow<R> {
@@ -102,7 +102,7 @@ impl<R: Sweeps> LearnedFlow<R> {
 
     /// The state `[W (D + 1) + F, N]` made from frames of the solver, oldest first, and the solver's initial state.
     /// Each frame has a state `[F, N]` and temperatures `[N]` as in the data.
-    pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> Result<Tensor> {
+    pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> candle_core::Result<Tensor> {
         let (d, n, extent) = (self.dimension(), self.sph.model.particles(), Extent::of(&self.metadata));
         let mut state = Vec::with_capacity((self.solver_row() * n) + first.len());
         for (solver, _) in frames {
@@ -117,7 +117,7 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// The input window of the model.
-    fn window(&self, state: &Tensor) -> Result<Window> {
+    fn window(&self, state: &Tensor) -> candle_core::Result<Window> {
         let kept = Tensor::from_slice(&self.kept, self.kept.len(), &Device::Cpu)?;
         let mut window = Window::default();
         for frame in 0..self.frames() {
@@ -131,13 +131,13 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// Extends rows of the kept particles, `[rows, n]`, to all, `[rows, N]`. The others get finite, unused values.
-    fn spread(&self, rows: &Tensor) -> Result<Tensor> {
+    fn spread(&self, rows: &Tensor) -> candle_core::Result<Tensor> {
         let mut place = vec![0_u32; self.sph.model.particles()];
         self.kept.iter().enumerate().for_each(|(k, &i)| place[i as usize] = k as u32);
         rows.contiguous()?.index_select(&Tensor::from_vec(place, self.sph.model.particles(), &Device::Cpu)?, 1)
     }
 
-    fn next(&self, step: usize, state: &Tensor) -> std::result::Result<Tensor, RunError> {
+    fn next(&self, step: usize, state: &Tensor) -> Result<Tensor, RunError> {
         let failed = |error: anyhow::Error| match error.downcast::<NeighbourError>() {
             Ok(source) => RunError::Neighbours { step, source },
             Err(error) => RunError::Tensor { step, source: candle_core::Error::Msg(format!("{error:#}")) },
@@ -159,7 +159,7 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// The solver's state `[F, N]` for the last frame, on the graph if the state is.
-    fn shown(&self, state: &Tensor) -> Result<Tensor> {
+    fn shown(&self, state: &Tensor) -> candle_core::Result<Tensor> {
         let (d, model) = (self.dimension(), &self.sph.model);
         let l = model.rows;
         let n = model.particles();
@@ -195,7 +195,7 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// The fields of a state, on the graph if it is.
-    fn fields_at(&self, step: usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+    fn fields_at(&self, step: usize, state: &Tensor) -> Result<Fields, RunError> {
         let failed = RunError::tensor(step);
         let shown = self.shown(state).and_then(|shown| shown.contiguous()).map_err(&failed)?;
         let build = |numbers: &[R]| Ok(Neighbourhood::build(&self.sph.model.reach(), numbers));
@@ -246,10 +246,10 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
     type Run = At;
     type Tape = usize;
 
-    fn start(&self, from: &Tensor) -> std::result::Result<At, RunError> {
+    fn start(&self, from: &Tensor) -> Result<At, RunError> {
         Ok(At { step: 0, state: from.clone() })
     }
-    fn advance(&self, run: &mut At) -> std::result::Result<(), RunError> {
+    fn advance(&self, run: &mut At) -> Result<(), RunError> {
         run.state = self.next(run.step, &run.state)?.detach();
         run.step += 1;
         Ok(())
@@ -257,7 +257,7 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
     fn step(&self, run: &At) -> usize {
         run.step
     }
-    fn check(&self, run: &At) -> std::result::Result<(), RunError> {
+    fn check(&self, run: &At) -> Result<(), RunError> {
         let numbers =
             run.state.flatten_all().and_then(|state| state.to_vec1::<f64>()).map_err(RunError::tensor(run.step))?;
         if let Some(at) = numbers.iter().position(|x| !x.is_finite()) {
@@ -279,28 +279,23 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         }
         Ok(())
     }
-    fn look(&self, run: &mut At) -> std::result::Result<Fields, RunError> {
+    fn look(&self, run: &mut At) -> Result<Fields, RunError> {
         self.fields_at(run.step, &run.state)
     }
 
-    fn tensor(&self, from: &Tensor) -> std::result::Result<Tensor, RunError> {
+    fn tensor(&self, from: &Tensor) -> Result<Tensor, RunError> {
         Ok(from.clone())
     }
-    fn advance_taped(
-        &self,
-        tape: &mut usize,
-        state: &Tensor,
-        _: Option<&Tensor>,
-    ) -> std::result::Result<Tensor, RunError> {
+    fn advance_taped(&self, tape: &mut usize, state: &Tensor, _: Option<&Tensor>) -> Result<Tensor, RunError> {
         let next = self.next(*tape, state)?;
         *tape += 1;
         Ok(next)
     }
-    fn fields(&self, tape: &mut usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+    fn fields(&self, tape: &mut usize, state: &Tensor) -> Result<Fields, RunError> {
         self.fields_at(*tape, state)
     }
 
-    fn keep(&self, run: &At, rounded: bool) -> std::result::Result<At, RunError> {
+    fn keep(&self, run: &At, rounded: bool) -> Result<At, RunError> {
         let state = match rounded {
             true => run.state.to_dtype(DType::F32).map_err(RunError::tensor(run.step))?,
             false => run.state.clone(),
@@ -308,11 +303,11 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         Ok(At { step: run.step, state })
     }
     fn settle(&self, _: &mut At, _: &At) {}
-    fn resume(&self, run: &mut At, kept: &At) -> std::result::Result<(), RunError> {
+    fn resume(&self, run: &mut At, kept: &At) -> Result<(), RunError> {
         *run = At { step: kept.step, state: kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))? };
         Ok(())
     }
-    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> std::result::Result<(usize, Var), RunError> {
+    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> Result<(usize, Var), RunError> {
         let state = kept.state.to_dtype(DType::F64).and_then(|state| Var::from_tensor(&state));
         Ok((kept.step, state.map_err(RunError::tensor(kept.step))?))
     }

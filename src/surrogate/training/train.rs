@@ -64,24 +64,21 @@ impl<'a> Training<'a> {
         let (network, state) = origin.network(settings, setup, compute)?;
         let rows = |name: &str| match origin.resumes() {
             true => read_rows(&folder.join(name), state.step),
-            false => Ok(Vec::new()),
+            false => Vec::new(),
         };
-        let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
-        let (train, valid) = (&data.train[..], &data.valid[..]);
-        let (metadata, folder, is_to_stop) = (&data.metadata, folder.to_owned(), false);
         Ok(Self {
             settings,
             setup,
-            metadata,
-            train,
-            valid,
+            metadata: &data.metadata,
+            train: &data.train,
+            valid: &data.valid,
             network,
+            history: rows("history.csv"),
+            validation: rows("validation.csv"),
             state,
             team,
-            folder,
-            is_to_stop,
-            history,
-            validation,
+            folder: folder.to_owned(),
+            is_to_stop: false,
         })
     }
 
@@ -89,20 +86,7 @@ impl<'a> Training<'a> {
     pub fn parameters(&self) -> usize {
         self.network.parameters().iter().map(Parameter::count).sum()
     }
-}
 
-/// The result of a training.
-pub struct Outcome {
-    /// Scores of the last validation.
-    pub scores: Scores,
-    pub linear: Scores,
-    /// Step of the best validation; none if no validation was completed.
-    pub best_step: Option<u64>,
-    /// Wall-clock time per update, without validation.
-    pub seconds_per_step: f64,
-}
-
-impl Training<'_> {
     /// Runs up to `settings.steps`. All files go to the folder, including the settings as config.toml.
     ///
     /// # Errors
@@ -317,6 +301,17 @@ impl Training<'_> {
     }
 }
 
+/// The result of a training.
+pub struct Outcome {
+    /// Scores of the last validation.
+    pub scores: Scores,
+    pub linear: Scores,
+    /// Step of the best validation; none if no validation was completed.
+    pub best_step: Option<u64>,
+    /// Wall-clock time per update, without validation.
+    pub seconds_per_step: f64,
+}
+
 /// Writes rows of numbers as a table; the first number is an integer.
 fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result<()> {
     let cell = |(k, &v): (usize, &f64)| match k {
@@ -329,8 +324,8 @@ fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result
 }
 
 /// Reads the rows of a table up to a step, to resume a training. Empty cells are NaN.
-fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
-    let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
+fn read_rows(path: &Path, up_to: u64) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap_or_default();
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();
-    Ok(text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect())
+    text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect()
 }
