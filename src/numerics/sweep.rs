@@ -5,7 +5,7 @@ use super::lanes::{InstructionSet, Lanes, Real};
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// Runs a kernel over some rows on this thread alone, with the best instruction set: for sweeps so short that waking others
 /// costs more than they save.
@@ -119,18 +119,31 @@ pub fn zeros<R: Real>(count: usize) -> Vec<R> {
     filled(None, count)
 }
 
-/// What each row of a sweep writes: whoever computes a row asks for that row's own.
-pub struct Parts<T>(Vec<Mutex<T>>);
-
-impl<T> FromIterator<T> for Parts<T> {
-    fn from_iter<I: IntoIterator<Item = T>>(parts: I) -> Self {
-        Self(parts.into_iter().map(Mutex::new).collect())
-    }
+/// A kernel over parts, each with what is written for it. Nothing else is written, so no two threads write the same.
+pub trait PartKernel<R: Real>: Sync {
+    type Part: Send;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn part<L: Lanes<Real = R>>(&self, number: usize, part: &mut Self::Part);
 }
 
-impl<T> Parts<T> {
-    pub fn of(&self, row: usize) -> MutexGuard<'_, T> {
-        self.0[row].lock().unwrap_or_else(PoisonError::into_inner)
+/// Runs a kernel over its parts on all threads, see [`run_rows`].
+pub fn run_parts<R: Real, K: PartKernel<R>>(kernel: &K, parts: impl IntoIterator<Item = K::Part>) {
+    let parts: Vec<_> = parts.into_iter().map(Mutex::new).collect();
+    run_rows(&Parts { kernel, parts: &parts }, parts.len());
+}
+
+struct Parts<'a, R: Real, K: PartKernel<R>> {
+    kernel: &'a K,
+    /// Each is locked once, by the thread that computes it.
+    parts: &'a [Mutex<K::Part>],
+}
+
+impl<R: Real, K: PartKernel<R>> RowKernel<R> for Parts<'_, R, K> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        for k in rows {
+            self.kernel.part::<L>(k, &mut self.parts[k].lock().unwrap_or_else(PoisonError::into_inner));
+        }
     }
 }
 

@@ -5,10 +5,9 @@
 
 use crate::numerics::candle::update;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, Parts, RowKernel};
+use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::surrogate::network::row::each;
 use candle_core::{DType, Result, Tensor, Var};
-use std::ops::Range;
 
 pub const FIRST_DECAY: f64 = 0.9;
 pub const SECOND_DECAY: f64 = 0.999;
@@ -46,34 +45,32 @@ enum Change<R> {
 }
 
 struct Sweep<'a, R> {
-    x: Parts<&'a mut [R]>,
     a: &'a [R],
     b: &'a [R],
     change: Change<R>,
 }
 
-impl<R: Real> RowKernel<R> for Sweep<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Sweep<'a, R> {
+    type Part = &'a mut [R];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        for row in rows {
-            let x: &mut [R] = &mut self.x.of(row);
-            let [a, b] = [self.a, self.b].map(|of| &of[row * ROW..][..x.len()]);
-            match self.change {
-                Change::Mean { decay, rest } => {
-                    let [decay, rest] = [decay, rest].map(L::splat);
-                    each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a);
-                }
-                Change::Square { decay, rest } => {
-                    let [decay, rest] = [decay, rest].map(L::splat);
-                    each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a * a);
-                }
-                Change::Move { rate, first, second, epsilon, decay } => {
-                    let [rate, first, second, epsilon, decay] = [rate, first, second, epsilon, decay].map(L::splat);
-                    each::<L, 2>(x, [a, b], |x, [m, v]| {
-                        let step = m * first / ((v * second).sqrt() + epsilon);
-                        x - rate * (step + decay * x)
-                    });
-                }
+    fn part<L: Lanes<Real = R>>(&self, row: usize, x: &mut &'a mut [R]) {
+        let [a, b] = [self.a, self.b].map(|of| &of[row * ROW..][..x.len()]);
+        match self.change {
+            Change::Mean { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a);
+            }
+            Change::Square { decay, rest } => {
+                let [decay, rest] = [decay, rest].map(L::splat);
+                each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a * a);
+            }
+            Change::Move { rate, first, second, epsilon, decay } => {
+                let [rate, first, second, epsilon, decay] = [rate, first, second, epsilon, decay].map(L::splat);
+                each::<L, 2>(x, [a, b], |x, [m, v]| {
+                    let step = m * first / ((v * second).sqrt() + epsilon);
+                    x - rate * (step + decay * x)
+                });
             }
         }
     }
@@ -82,7 +79,7 @@ impl<R: Real> RowKernel<R> for Sweep<'_, R> {
 impl<R: Real> Change<R> {
     fn apply(self, x: &Tensor, a: &Tensor, b: &Tensor) -> Result<()> {
         update("adamw", x, a, b, |x: &mut [R], a, b| {
-            run_rows(&Sweep { x: x.chunks_mut(ROW).collect(), a, b, change: self }, a.len().div_ceil(ROW));
+            run_parts(&Sweep { a, b, change: self }, x.chunks_mut(ROW));
         })
     }
 }

@@ -11,10 +11,10 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
-use crate::numerics::sweep::{cut, run_rows, Parts, RowKernel};
+use crate::numerics::sweep::{cut, run_parts, PartKernel};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
-use crate::surrogate::network::mlp::{self, times, Activations, Cotangents, Layers, MlpShape};
+use crate::surrogate::network::mlp::{self, since, times, Activations, Cotangents, Layers, MlpShape};
 use crate::surrogate::network::row::{self, each};
 use candle_core::{Device, Result, Tensor};
 use std::ops::Range;
@@ -117,12 +117,6 @@ fn weight_of(shape: &MlpShape, k: usize) -> Range<usize> {
     at + k * length..at + (k + 1) * length
 }
 
-/// Rows counted from another one.
-#[inline(always)]
-fn since(start: usize, rows: &Range<usize>) -> Range<usize> {
-    rows.start - start..rows.end - start
-}
-
 /// What each sweep of a round needs.
 #[derive(Clone, Copy)]
 struct Round<'a, R: Real> {
@@ -135,26 +129,21 @@ struct Round<'a, R: Real> {
 }
 
 /// Nodes times Ws and Wr, `[N, H]` each; the bias goes with the receivers.
-struct Project<'a, R: Real> {
-    round: Round<'a, R>,
-    projected: Parts<[&'a mut [R]; 2]>,
-}
+struct Project<'a, R: Real>(Round<'a, R>);
 
-impl<R: Real> RowKernel<R> for Project<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Project<'a, R> {
+    type Part = [&'a mut [R]; 2];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let Round { op, nodes, edge_p: p, .. } = self.round;
-        let (l, h) = (op.latent(), op.edge.hidden);
-        for part in range {
-            let rows = &op.parts[part];
-            let mut projected = self.projected.of(part);
-            for (k, to) in projected.iter_mut().enumerate() {
-                let weight = &p[weight_of(&op.edge, k)];
-                matrix::multiply(to, &nodes[times(rows, l)], weight, (rows.len(), l, h), false);
-            }
-            for row in projected[1].chunks_exact_mut(h) {
-                each::<L, 1>(row, [&p[op.edge.bias(0)]], |x, [b]| x + b);
-            }
+    fn part<L: Lanes<Real = R>>(&self, part: usize, projected: &mut Self::Part) {
+        let Round { op, nodes, edge_p: p, .. } = self.0;
+        let (rows, l, h) = (&op.parts[part], op.latent(), op.edge.hidden);
+        for (k, to) in projected.iter_mut().enumerate() {
+            let weight = &p[weight_of(&op.edge, k)];
+            matrix::multiply(to, &nodes[times(rows, l)], weight, (rows.len(), l, h), false);
+        }
+        for row in projected[1].chunks_exact_mut(h) {
+            each::<L, 1>(row, [&p[op.edge.bias(0)]], |x, [b]| x + b);
         }
     }
 }
@@ -166,7 +155,6 @@ struct Forward<'a, R: Real> {
     /// Of senders and of receivers.
     projected: [&'a [R]; 2],
     gives_edges: bool,
-    parts: Parts<Given<'a, R>>,
 }
 
 /// What the forward pass of a round gives for a part of the nodes and the edges into them.
@@ -179,28 +167,24 @@ struct Given<'a, R> {
     edges: &'a mut [R],
 }
 
-impl<R: Real> RowKernel<R> for Forward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
+    type Part = Given<'a, R>;
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, k: usize, given: &mut Self::Part) {
         let op = self.round.op;
         // Without an adjoint a block's activations stay in the core's cache, and the next block's go over them.
         let mut room = (!op.keeps).then(|| {
             let activations = |shape, rows| Activations::new(&op.memory, shape, rows);
             (activations(&op.edge, op.edge_room), activations(&op.node, op.node_block))
         });
-        let mut room = room.as_mut().map(|(edge, node)| (edge.whole(), node.whole()));
-        for k in range {
-            let given = &mut *self.parts.of(k);
-            let Some((mut edge, mut node)) = given.activations.take().or(room.take()) else { return };
-            for nodes in op.graph.stretches(op.parts[k].clone(), op.edge_block) {
-                self.edges::<L>(k, nodes, given, &mut edge);
-            }
-            for nodes in mlp::blocks(op.parts[k].clone(), op.node_block) {
-                self.nodes::<L>(k, nodes, given, &mut node);
-            }
-            if !op.keeps {
-                room = Some((edge, node));
-            }
+        let room = room.as_mut().map(|(edge, node)| (edge.whole(), node.whole()));
+        let Some((mut edge, mut node)) = given.activations.take().or(room) else { return };
+        for nodes in op.graph.stretches(op.parts[k].clone(), op.edge_block) {
+            self.edges::<L>(k, nodes, given, &mut edge);
+        }
+        for nodes in mlp::blocks(op.parts[k].clone(), op.node_block) {
+            self.nodes::<L>(k, nodes, given, &mut node);
         }
     }
 }
@@ -276,7 +260,6 @@ struct Backward<'a, R: Real> {
     activations: &'a RoundActivations<R>,
     /// Whether anything comes back through the edges that the round gave.
     had_edges: bool,
-    parts: Parts<Bars<'a, R>>,
 }
 
 /// The cotangents of a part of the nodes and the edges into them.
@@ -293,26 +276,26 @@ struct Bars<'a, R> {
     node_p: &'a mut [R],
 }
 
-impl<R: Real> RowKernel<R> for Backward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Backward<'a, R> {
+    type Part = Bars<'a, R>;
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, k: usize, bars: &mut Self::Part) {
         let (op, l) = (self.round.op, self.round.op.latent());
         let mut node_room = Cotangents::new(&op.memory, &op.node, op.node_block, true);
         // The edges' first cotangents have a place of their own.
         let mut edge_room = Cotangents::new(&op.memory, &op.edge, op.edge_room, false);
-        for k in range {
-            let (nodes, bars) = (op.parts[k].clone(), &mut *self.parts.of(k));
-            let mut sums_bar = op.memory.buffer(nodes.len() * l);
-            bars.edge_p.fill(R::default());
-            bars.node_p.fill(R::default());
-            for block in mlp::blocks(nodes.clone(), op.node_block) {
-                let own = since(nodes.start, &block);
-                self.nodes::<L>(block, &own, bars, &mut node_room, &mut sums_bar[times(&own, l)]);
-            }
-            for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
-                let own = since(nodes.start, &stretch);
-                self.edges::<L>(k, stretch, bars, &mut edge_room, &sums_bar[times(&own, l)]);
-            }
+        let nodes = &op.parts[k];
+        let mut sums_bar = op.memory.buffer(nodes.len() * l);
+        bars.edge_p.fill(R::default());
+        bars.node_p.fill(R::default());
+        for block in mlp::blocks(nodes.clone(), op.node_block) {
+            let own = since(nodes.start, &block);
+            self.nodes::<L>(block, &own, bars, &mut node_room, &mut sums_bar[times(&own, l)]);
+        }
+        for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
+            let own = since(nodes.start, &stretch);
+            self.edges::<L>(k, stretch, bars, &mut edge_room, &sums_bar[times(&own, l)]);
         }
     }
 }
@@ -385,35 +368,33 @@ struct Collect<'a, R: Real> {
     round: Round<'a, R>,
     first_bar: &'a [R],
     received_bar: &'a [R],
-    /// Cotangents of each part's nodes, and its share of those of the edges' parameters.
-    parts: Parts<(&'a mut [R], &'a mut [R])>,
 }
 
-impl<R: Real> RowKernel<R> for Collect<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Collect<'a, R> {
+    /// Cotangents of the nodes, and the part's share of those of the edges' parameters.
+    type Part = (&'a mut [R], &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, part: usize, (nodes_bar, g): &mut Self::Part) {
         let Round { op, edge_p: p, .. } = self.round;
         let (l, h) = (op.latent(), op.edge.hidden);
         let mut sent_bar = op.memory.buffer(op.node_block * h);
-        for part in range {
-            let (nodes_bar, g) = &mut *self.parts.of(part);
-            for nodes in mlp::blocks(op.parts[part].clone(), op.node_block) {
-                let count = nodes.len();
-                let sent = &mut sent_bar[..count * h];
-                sent.fill(R::default());
-                for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
-                    for &edge in op.graph.out_of(j) {
-                        let edge = edge as usize;
-                        each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
-                    }
+        for nodes in mlp::blocks(op.parts[part].clone(), op.node_block) {
+            let count = nodes.len();
+            let sent = &mut sent_bar[..count * h];
+            sent.fill(R::default());
+            for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
+                for &edge in op.graph.out_of(j) {
+                    let edge = edge as usize;
+                    each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
                 }
-                let x = &self.round.nodes[times(&nodes, l)];
-                let nodes_bar = &mut nodes_bar[times(&since(op.parts[part].start, &nodes), l)];
-                for (k, bar) in [(0, &*sent), (1, &self.received_bar[times(&nodes, h)])] {
-                    let weight = weight_of(&op.edge, k);
-                    matrix::add_transposed(&mut g[weight.clone()], x, bar, (l, count, h));
-                    matrix::multiply_by_transposed(nodes_bar, bar, &p[weight], (count, h, l), true);
-                }
+            }
+            let x = &self.round.nodes[times(&nodes, l)];
+            let nodes_bar = &mut nodes_bar[times(&since(op.parts[part].start, &nodes), l)];
+            for (k, bar) in [(0, &*sent), (1, &self.received_bar[times(&nodes, h)])] {
+                let weight = weight_of(&op.edge, k);
+                matrix::add_transposed(&mut g[weight.clone()], x, bar, (l, count, h));
+                matrix::multiply_by_transposed(nodes_bar, bar, &p[weight], (count, h, l), true);
             }
         }
     }
@@ -441,8 +422,7 @@ impl<R: Real> Rounds<R> {
         let mut projected = self.memory.buffer(2 * n * h);
         let (sent, received) = projected.split_at_mut(n * h);
         let ends = cut(sent, &self.parts, h).into_iter().zip(cut(received, &self.parts, h));
-        let projected = ends.map(|(sent, received)| [sent, received]).collect();
-        run_rows(&Project { round, projected }, self.parts.len());
+        run_parts(&Project(round), ends.map(|(sent, received)| [sent, received]));
         let activations = |shape, rows| Activations::new(&self.memory, shape, rows);
         let mut kept = self.keeps.then(|| (activations(&self.edge, e), activations(&self.node, n)));
         let layers = kept.as_mut().map(|(edge, node)| (edge.parts(&self.edge_parts), node.parts(&self.parts)));
@@ -453,9 +433,7 @@ impl<R: Real> Rounds<R> {
             let activations = layers.as_mut().and_then(Iterator::next);
             Given { activations, sums, nodes, edges }
         });
-        let pass = Forward { round, edges, projected: [sent, received], gives_edges, parts: parts.collect() };
-        run_rows(&pass, self.parts.len());
-        drop(pass);
+        run_parts(&Forward { round, edges, projected: [sent, received], gives_edges }, parts);
         (nodes_out, kept.map(|(edge, node)| RoundActivations { before: None, edge, node, sums }))
     }
 
@@ -487,10 +465,10 @@ impl<R: Real> Rounds<R> {
             Some(Bars { nodes, edges, first, received, edge_p, node_p })
         });
         let had_edges = number + 1 < self.rounds;
-        run_rows(&Backward { round, edges, activations, had_edges, parts: bars.collect() }, count);
+        run_parts(&Backward { round, edges, activations, had_edges }, bars);
         let bars = cut(nodes_bar, &self.parts, l).into_iter().zip(edge_p_bar.chunks_exact_mut(edge_length));
         let (first_bar, received_bar) = (&first_bar, &received_bar);
-        run_rows(&Collect { round, first_bar, received_bar, parts: bars.collect() }, count);
+        run_parts(&Collect { round, first_bar, received_bar }, bars);
         let (edge_p, node_p) = self.parameters(number);
         mlp::sum_of_parts(&mut p_bar[edge_p], &edge_p_bar);
         mlp::sum_of_parts(&mut p_bar[node_p], &node_p_bar);

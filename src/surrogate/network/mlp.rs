@@ -7,7 +7,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
-use crate::numerics::sweep::{cut, run_rows, Parts, RowKernel};
+use crate::numerics::sweep::{cut, run_parts, PartKernel};
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::row;
 use candle_core::Result;
@@ -163,6 +163,12 @@ pub fn times(rows: &Range<usize>, width: usize) -> Range<usize> {
     rows.start * width..rows.end * width
 }
 
+/// Rows counted from another one.
+#[inline(always)]
+pub fn since(start: usize, rows: &Range<usize>) -> Range<usize> {
+    rows.start - start..rows.end - start
+}
+
 /// From the activations of the first hidden layer on: fills the further ones and the normalised rows.
 #[inline(always)]
 pub fn forward_block<L: Lanes>(p: &[L::Real], layers: &mut Layers<L::Real>, rows: &Range<usize>) {
@@ -281,23 +287,21 @@ pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<u
 const ROW: usize = 4096;
 
 struct Sum<'a, R> {
-    sum: Parts<&'a mut [R]>,
     length: usize,
     parts: &'a [R],
 }
 
-impl<R: Real> RowKernel<R> for Sum<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Sum<'a, R> {
+    type Part = &'a mut [R];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        for row in rows {
-            let mut sum = self.sum.of(row);
-            for (k, part) in self.parts.chunks_exact(self.length).enumerate() {
-                let part = &part[row * ROW..][..sum.len()];
-                if k == 0 {
-                    sum.copy_from_slice(part);
-                } else {
-                    row::each::<L, 1>(&mut sum, [part], |sum, [x]| sum + x);
-                }
+    fn part<L: Lanes<Real = R>>(&self, row: usize, sum: &mut &'a mut [R]) {
+        for (k, part) in self.parts.chunks_exact(self.length).enumerate() {
+            let part = &part[row * ROW..][..sum.len()];
+            if k == 0 {
+                sum.copy_from_slice(part);
+            } else {
+                row::each::<L, 1>(sum, [part], |sum, [x]| sum + x);
             }
         }
     }
@@ -306,7 +310,7 @@ impl<R: Real> RowKernel<R> for Sum<'_, R> {
 /// `sum` <- the gradients of the parts added up in their order.
 pub fn sum_of_parts<R: Real>(sum: &mut [R], parts: &[R]) {
     let length = sum.len();
-    run_rows(&Sum { sum: sum.chunks_mut(ROW).collect(), length, parts }, length.div_ceil(ROW));
+    run_parts(&Sum { length, parts }, sum.chunks_mut(ROW));
 }
 
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
@@ -327,32 +331,30 @@ struct Forward<'a, R: Real> {
     x: &'a [R],
     p: &'a [R],
     rows: &'a [Range<usize>],
-    /// Activations and output of each part.
-    parts: Parts<(Layers<'a, R>, &'a mut [R])>,
 }
 
-impl<R: Real> RowKernel<R> for Forward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
+    /// Activations and output.
+    type Part = (Layers<'a, R>, &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, k: usize, (layers, y): &mut Self::Part) {
         let (shape, p) = (self.shape, self.p);
-        for k in range {
-            let (layers, y) = &mut *self.parts.of(k);
-            let x = &self.x[times(&self.rows[k], shape.inputs)];
-            for rows in blocks(0..self.rows[k].len(), shape.block::<R>()) {
-                let (x, y) = (&x[times(&rows, shape.inputs)], &mut y[times(&rows, shape.outputs)]);
-                let hidden = layers.first(&rows);
-                matrix::multiply(hidden, x, &p[shape.weight(0)], (rows.len(), shape.inputs, shape.hidden), false);
-                row::activate::<L>(hidden, &p[shape.bias(0)]);
-                forward_block::<L>(p, layers, &rows);
-                let z = layers.normalised(&rows);
-                if shape.norm {
-                    let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
-                    for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
-                        row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
-                    }
-                } else {
-                    y.copy_from_slice(z);
+        let x = &self.x[times(&self.rows[k], shape.inputs)];
+        for rows in blocks(0..self.rows[k].len(), shape.block::<R>()) {
+            let (x, y) = (&x[times(&rows, shape.inputs)], &mut y[times(&rows, shape.outputs)]);
+            let hidden = layers.first(&rows);
+            matrix::multiply(hidden, x, &p[shape.weight(0)], (rows.len(), shape.inputs, shape.hidden), false);
+            row::activate::<L>(hidden, &p[shape.bias(0)]);
+            forward_block::<L>(p, layers, &rows);
+            let z = layers.normalised(&rows);
+            if shape.norm {
+                let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
+                for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
+                    row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
                 }
+            } else {
+                y.copy_from_slice(z);
             }
         }
     }
@@ -366,33 +368,30 @@ struct Backward<'a, R: Real> {
     layers: &'a Activations<R>,
     y_bar: &'a [R],
     rows: &'a [Range<usize>],
-    /// Cotangent of the input, empty if nobody asks for it, and gradient `[P]` of each part.
-    parts: Parts<(&'a mut [R], &'a mut [R])>,
 }
 
-impl<R: Real> RowKernel<R> for Backward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Backward<'a, R> {
+    /// Cotangent of the input, empty if nobody asks for it, and gradient `[P]`.
+    type Part = (&'a mut [R], &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, k: usize, (x_bar, g): &mut Self::Part) {
         let (shape, p, layers) = (self.shape, self.p, self.layers);
         let block = shape.block::<R>();
         let mut room = Cotangents::new(self.memory, shape, block, true);
-        for k in range {
-            let (x_bar, g) = &mut *self.parts.of(k);
-            g.fill(R::default());
-            let start = self.rows[k].start;
-            for rows in blocks(self.rows[k].clone(), block) {
-                let count = rows.len();
-                let bar = &mut room.z[..count * shape.outputs];
-                bar.copy_from_slice(&self.y_bar[times(&rows, shape.outputs)]);
-                backward_block::<L>(p, layers, &rows, bar, g, &mut room.first, &mut room.between);
-                let first = &room.first[..count * shape.hidden];
-                let x = &self.x[times(&rows, shape.inputs)];
-                matrix::add_transposed(&mut g[shape.weight(0)], x, first, (shape.inputs, count, shape.hidden));
-                if !x_bar.is_empty() {
-                    let x_bar = &mut x_bar[times(&(rows.start - start..rows.end - start), shape.inputs)];
-                    let size = (count, shape.hidden, shape.inputs);
-                    matrix::multiply_by_transposed(x_bar, first, &p[shape.weight(0)], size, false);
-                }
+        g.fill(R::default());
+        for rows in blocks(self.rows[k].clone(), block) {
+            let count = rows.len();
+            let bar = &mut room.z[..count * shape.outputs];
+            bar.copy_from_slice(&self.y_bar[times(&rows, shape.outputs)]);
+            backward_block::<L>(p, layers, &rows, bar, g, &mut room.first, &mut room.between);
+            let first = &room.first[..count * shape.hidden];
+            let x = &self.x[times(&rows, shape.inputs)];
+            matrix::add_transposed(&mut g[shape.weight(0)], x, first, (shape.inputs, count, shape.hidden));
+            if !x_bar.is_empty() {
+                let x_bar = &mut x_bar[times(&since(self.rows[k].start, &rows), shape.inputs)];
+                let size = (count, shape.hidden, shape.inputs);
+                matrix::multiply_by_transposed(x_bar, first, &p[shape.weight(0)], size, false);
             }
         }
     }
@@ -408,8 +407,8 @@ impl<R: Real> Operator<2> for Mlp<R> {
         let mut activations = Activations::new(&self.memory, shape, count);
         let mut y = vec![R::default(); count * shape.outputs];
         let rows: Vec<_> = pieces(0..count, parts(count)).collect();
-        let parts = activations.parts(&rows).into_iter().zip(cut(&mut y, &rows, shape.outputs)).collect();
-        run_rows(&Forward { shape, x, p, rows: &rows, parts }, rows.len());
+        let parts = activations.parts(&rows).into_iter().zip(cut(&mut y, &rows, shape.outputs));
+        run_parts(&Forward { shape, x, p, rows: &rows }, parts);
         *self.activations.lock().unwrap_or_else(|e| e.into_inner()) = Some(activations);
         Ok((y, (count, shape.outputs).into()))
     }
@@ -432,8 +431,8 @@ impl<R: Real> Operator<2> for Mlp<R> {
         let mut x_bar = vec![R::default(); layers.rows * width];
         let mut parts_bar = memory.buffer(rows.len() * shape.parameters());
         let gradients = parts_bar.chunks_exact_mut(shape.parameters());
-        let parts = cut(&mut x_bar, &rows, width).into_iter().zip(gradients).collect();
-        run_rows(&Backward { shape, memory, x, p, layers, y_bar, rows: &rows, parts }, rows.len());
+        let parts = cut(&mut x_bar, &rows, width).into_iter().zip(gradients);
+        run_parts(&Backward { shape, memory, x, p, layers, y_bar, rows: &rows }, parts);
         let mut p_bar = vec![R::default(); shape.parameters()];
         sum_of_parts(&mut p_bar, &parts_bar);
         Ok([wants_x.then_some(x_bar), Some(p_bar)])
