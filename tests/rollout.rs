@@ -6,8 +6,7 @@ use hydrograd::error::BadInput;
 use hydrograd::surrogate::evaluation::metrics::Counted;
 use hydrograd::surrogate::evaluation::rollout::{rollout, windows, HISTORY};
 use hydrograd::surrogate::evaluation::scores::{chosen_windows, evaluate_windows, Options};
-use hydrograd::surrogate::models::constant_velocity::ConstantVelocity;
-use hydrograd::surrogate::models::still::Still;
+use hydrograd::surrogate::models::baselines::{ConstantVelocity, Still};
 use hydrograd::surrogate::predictor::{Frame, Predictor, Scenery};
 use serde_json::Value;
 
@@ -59,7 +58,7 @@ fn windows_do_not_overlap() {
 fn constant_velocity_is_exact_for_uniform_motion() {
     // Through both ends of the box.
     let set = [trajectory("00000", 60, |_, y| [0.04 * y, -0.013])];
-    let scores = evaluate_windows(&ConstantVelocity, &metadata(false), &set, &Options::default()).unwrap();
+    let scores = evaluate_windows(&ConstantVelocity, &metadata(false), &set, &Options::default(), &mut || ()).unwrap();
     assert_eq!((scores.windows, scores.steps, scores.model.as_str()), (2, 20, "linear"));
     assert!(scores.broken.is_empty());
     // f32 positions: rounded velocities grow linearly.
@@ -67,7 +66,7 @@ fn constant_velocity_is_exact_for_uniform_motion() {
     assert!(scores.sinkhorn.unwrap().abs() < 1e-9 && scores.e_kin.unwrap() < 1e-8);
     assert_eq!((scores.temperature_mse, scores.outflow_error), (None, None));
 
-    let still = evaluate_windows(&Still, &metadata(false), &set, &Options::default()).unwrap();
+    let still = evaluate_windows(&Still, &metadata(false), &set, &Options::default(), &mut || ()).unwrap();
     // Without motion the error after k steps is (k v)^2, the mean over the fluid's nine rows and two directions.
     let rows = (1..10).map(|row| 0.1 * row as f64 + 0.05);
     let square = rows.map(|y| (0.04 * y).powi(2) + 0.013_f64.powi(2)).sum::<f64>() / 9.0 / 2.0;
@@ -80,7 +79,7 @@ fn constant_velocity_is_exact_for_uniform_motion() {
     assert_eq!(still.curves.e_kin_predicted, vec![0.0; 20]);
     // Walls at rest, counted as LagrangeBench does, make every model look better.
     let all = Options { counted: Counted::All, ..Options::default() };
-    let with_walls = evaluate_windows(&Still, &metadata(false), &set, &all).unwrap();
+    let with_walls = evaluate_windows(&Still, &metadata(false), &set, &all, &mut || ()).unwrap();
     assert!((with_walls.mse / still.mse - 0.9).abs() < 1e-9);
 }
 
@@ -88,11 +87,11 @@ fn constant_velocity_is_exact_for_uniform_motion() {
 fn fewer_steps_have_fewer_metrics() {
     let set = [trajectory("00000", 20, |_, _| [0.01, 0.0])];
     let options = Options { steps: 7, sinkhorn: false, ..Options::default() };
-    let scores = evaluate_windows(&Still, &metadata(false), &set, &options).unwrap();
+    let scores = evaluate_windows(&Still, &metadata(false), &set, &options, &mut || ()).unwrap();
     assert!(scores.mse_5.is_some() && scores.mse_10.is_none() && scores.sinkhorn.is_none());
     assert_eq!(scores.curves.mse.len(), 7);
     let one = Options { steps: 1, ..options };
-    assert_eq!(evaluate_windows(&Still, &metadata(false), &set, &one).unwrap().e_kin, None);
+    assert_eq!(evaluate_windows(&Still, &metadata(false), &set, &one, &mut || ()).unwrap().e_kin, None);
 }
 
 #[test]
@@ -158,7 +157,7 @@ fn temperature_and_outflow_are_scored() {
     let metadata = heated_metadata();
     let mut t = trajectory("00000", 26, |_, _| [0.03, 0.0]);
     heat(&mut t, |_, x| 1.0 + 0.2 * x);
-    let still = evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default()).unwrap();
+    let still = evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default(), &mut || ()).unwrap();
     // Nothing moves: no heat flows out, all of it is missing.
     assert_eq!(still.outflow_error, Some(1.0));
     assert!(still.temperature_mse.unwrap() > 1e-4);
@@ -170,7 +169,7 @@ fn temperature_and_outflow_are_scored() {
         *frame = Frame::of(&truth, HISTORY + call - 1);
         Ok(())
     });
-    let scores = evaluate_windows(&oracle, &metadata, &[t], &Options::default()).unwrap();
+    let scores = evaluate_windows(&oracle, &metadata, &[t], &Options::default(), &mut || ()).unwrap();
     assert_eq!((scores.outflow_error, scores.temperature_mse, scores.mse), (Some(0.0), Some(0.0), 0.0));
 }
 
@@ -212,7 +211,8 @@ fn a_rollout_that_breaks_ends_and_says_so() {
         }
         Ok(())
     });
-    let scores = evaluate_windows(&model, &periodic, std::slice::from_ref(&t), &Options::default()).unwrap();
+    let scores =
+        evaluate_windows(&model, &periodic, std::slice::from_ref(&t), &Options::default(), &mut || ()).unwrap();
     assert_eq!(scores.broken.len(), 1);
     let broken = &scores.broken[0];
     assert_eq!((broken.trajectory.as_str(), broken.start, broken.step), ("00000", 26, 5));
@@ -230,7 +230,7 @@ fn a_rollout_that_breaks_ends_and_says_so() {
 
     // A model that never works is an error.
     let never = odd(|_, _| anyhow::bail!("no such tensor"));
-    let error = evaluate_windows(&never, &periodic, &[t], &Options::default()).unwrap_err().to_string();
+    let error = evaluate_windows(&never, &periodic, &[t], &Options::default(), &mut || ()).unwrap_err().to_string();
     assert!(error.contains("odd") && error.contains("no such tensor"), "{error}");
 }
 
@@ -243,7 +243,7 @@ fn a_divergence_without_an_end_is_left_out_and_counted() {
         frame.position[199] = if call == 1 { 0.99 } else { 0.5 };
         Ok(())
     });
-    let scores = evaluate_windows(&one_leaves, &metadata(true), &[t], &Options::default()).unwrap();
+    let scores = evaluate_windows(&one_leaves, &metadata(true), &[t], &Options::default(), &mut || ()).unwrap();
     assert_eq!((scores.sinkhorn_failures, scores.broken.len()), (1, 0));
     assert_eq!(scores.sinkhorn, Some(0.0), "of the others");
 }
@@ -259,9 +259,9 @@ fn trajectories_that_are_too_short_are_bad_input() {
             assert!(text.contains(part), "no `{part}` in {text}");
         }
     };
-    check(evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default()).unwrap_err());
+    check(evaluate_windows(&Still, &metadata, std::slice::from_ref(&t), &Options::default(), &mut || ()).unwrap_err());
     check(rollout(&Still, &metadata, &t, 0, 20).unwrap_err());
-    assert!(evaluate_windows(&Still, &metadata, &[], &Options::default()).unwrap_err().is::<BadInput>());
+    assert!(evaluate_windows(&Still, &metadata, &[], &Options::default(), &mut || ()).unwrap_err().is::<BadInput>());
 }
 
 #[test]

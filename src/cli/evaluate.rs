@@ -10,9 +10,8 @@ use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::report::text::shown;
-use crate::surrogate::evaluation::scores::{chosen_windows, evaluate_with, Curves, Options, Scores};
-use crate::surrogate::models::constant_velocity::ConstantVelocity;
-use crate::surrogate::models::still::Still;
+use crate::surrogate::evaluation::scores::{chosen_windows, evaluate_windows, Curves, Options, Scores};
+use crate::surrogate::models::baselines::{ConstantVelocity, Still};
 use crate::surrogate::predictor::Predictor;
 use clap::Args;
 use serde_json::json;
@@ -73,7 +72,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let mut scores = Vec::new();
     for model in &models {
         bar.message(model.name());
-        scores.push(evaluate_with(&**model, &metadata, &trajectories, &options, &mut || bar.done(1))?);
+        scores.push(evaluate_windows(&**model, &metadata, &trajectories, &options, &mut || bar.done(1))?);
     }
     bar.finish();
 

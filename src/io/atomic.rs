@@ -28,9 +28,6 @@ where
 }
 
 /// Writes `bytes` to `path` in one go; see [`write_atomically`].
-///
-/// # Errors
-/// As [`write_atomically`].
 pub fn write_bytes_atomically(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_atomically(path, |writer| writer.write_all(bytes))
 }

@@ -8,9 +8,6 @@ use super::FileError;
 use std::io::Write;
 use std::path::Path;
 
-const HINT_COLUMNS: &str = "the first line must name the columns, separated by commas (not semicolons or tabs)";
-
-/// One entry of a row.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
     /// Written with as few digits as bring the same f64 back.
@@ -55,32 +52,16 @@ impl std::fmt::Display for Cell {
 /// [`FileError::Input`] if a row has not as many cells as the header, else system errors.
 pub fn write_table(path: &Path, header: &[&str], rows: &[Vec<Cell>]) -> Result<(), FileError> {
     if let Some((index, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != header.len()) {
-        return Err(FileError::input(
-            path,
-            format!("row {} has {} cells", index + 1, row.len()),
-            format!("{} cells, as in the header", header.len()),
-        ));
+        let problem = format!("row {} has {} cells", index + 1, row.len());
+        return Err(FileError::input(path, problem, format!("{} cells, as in the header", header.len())));
     }
     write_atomically(path, |writer| {
         let names: Vec<String> = header.iter().map(|name| quoted(name)).collect();
-        writeln!(writer, "{}", names.join(","))?;
-        for row in rows {
-            for (index, cell) in row.iter().enumerate() {
-                if index > 0 {
-                    writer.write_all(b",")?;
-                }
-                write!(writer, "{cell}")?;
-            }
-            writeln!(writer)?;
-        }
-        Ok(())
+        let rows = rows.iter().map(|row| row.iter().map(Cell::to_string).collect());
+        std::iter::once(names).chain(rows).try_for_each(|cells: Vec<String>| writeln!(writer, "{}", cells.join(",")))
     })
 }
 
-/// Writes rows of numbers.
-///
-/// # Errors
-/// As for [`write_table`].
 pub fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> Result<(), FileError> {
     let rows: Vec<Vec<Cell>> = rows.iter().map(|row| row.iter().map(|&x| Cell::from(x)).collect()).collect();
     write_table(path, header, &rows)
@@ -93,11 +74,8 @@ pub fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> Result<(),
 pub fn write_columns(path: &Path, columns: &[(&str, &[f64])]) -> Result<(), FileError> {
     let length = columns.first().map_or(0, |(_, values)| values.len());
     if let Some((name, values)) = columns.iter().find(|(_, values)| values.len() != length) {
-        return Err(FileError::input(
-            path,
-            format!("column `{name}` has {} values", values.len()),
-            format!("{length} values, as in the first column"),
-        ));
+        let problem = format!("column `{name}` has {} values", values.len());
+        return Err(FileError::input(path, problem, format!("{length} values, as in the first column")));
     }
     let header: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
     let rows: Vec<Vec<Cell>> =
@@ -116,9 +94,8 @@ pub fn read_columns(path: &Path, names: &[&str]) -> Result<Vec<Vec<f64>>, FileEr
     let mut lines = lines(&text);
     let (_, header_line) = lines.next().ok_or_else(|| damaged(path, "it is empty".to_owned()))?;
     let header = split_line(header_line);
-    let positions =
-        names.iter().map(|name| column_position(path, &header, name)).collect::<Result<Vec<usize>, FileError>>()?;
-
+    let positions = names.iter().map(|name| column_position(path, &header, name));
+    let positions = positions.collect::<Result<Vec<usize>, FileError>>()?;
     let mut columns = vec![Vec::new(); names.len()];
     for (line, content) in lines {
         let cells = split_line(content);
@@ -197,7 +174,7 @@ fn column_position(path: &Path, header: &[String], name: &str) -> Result<usize, 
             kind: "column",
             name: name.to_owned(),
             present: header.to_vec(),
-            hint: HINT_COLUMNS,
+            hint: "the first line must name the columns, separated by commas (not semicolons or tabs)",
         }),
     }
 }

@@ -5,16 +5,13 @@ use std::path::{Path, PathBuf};
 /// A file could not be written or read, or does not hold what it should.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The operating system refused to write.
     #[error("cannot write {}: {source}; {}", path.display(), hint_for(source))]
     Write { path: PathBuf, source: std::io::Error },
-    /// The operating system refused to read.
     #[error("cannot read {}: {source}; {}", path.display(), hint_for(source))]
     Read { path: PathBuf, source: std::io::Error },
     /// The path is of the wrong kind: a folder where a file is wanted, or the reverse.
     #[error("{} is {found}, but {wanted} is needed there; {hint}", path.display())]
     WrongKind { path: PathBuf, found: &'static str, wanted: &'static str, hint: &'static str },
-    /// The file is damaged, cut short, or of another format.
     #[error(
         "{} is not a readable {format}: {what}; \
          it may be cut short (a run killed while copying?) or of another format: {hint}",
@@ -34,7 +31,6 @@ pub enum FileError {
     /// A named part is there but has another shape, type or length.
     #[error("{}: `{name}` is {found}, but must be {allowed}; {hint}", path.display())]
     Mismatch { path: PathBuf, name: String, found: String, allowed: String, hint: &'static str },
-    /// One cell of a table is not a number that can be used.
     #[error(
         "{}, line {line}, column `{column}`: `{value}` is {what}; \
          allowed: finite numbers such as -0.02 or 1.5e-3; correct the cell or remove the row",
@@ -44,10 +40,8 @@ pub enum FileError {
     /// The caller's data do not fit together; nothing was written.
     #[error("cannot write {}: {what}; allowed: {allowed}; nothing was written", path.display())]
     Input { path: PathBuf, what: String, allowed: String },
-    /// The HDF5 library failed.
     #[error("{}: HDF5 failed to {action}: {source}; check free space and that no other program holds the file open", path.display())]
     Hdf5 { path: PathBuf, action: String, source: hdf5::Error },
-    /// The plotting library failed.
     #[error("cannot draw {}: {what}; {hint}", path.display())]
     Plot { path: PathBuf, what: String, hint: &'static str },
 }
@@ -66,6 +60,22 @@ impl FileError {
     /// Data given for `path` that do not fit together.
     pub fn input(path: &Path, what: impl Into<String>, allowed: impl Into<String>) -> Self {
         Self::Input { path: path.to_owned(), what: what.into(), allowed: allowed.into() }
+    }
+
+    /// Checks arrays of `count` particles for `path`: name of each, length that it must have, and that it has.
+    pub(super) fn check_lengths(
+        path: &Path,
+        dimension: usize,
+        count: usize,
+        arrays: &[(&str, usize, usize)],
+    ) -> Result<(), Self> {
+        if !(1..=3).contains(&dimension) {
+            return Err(Self::input(path, format!("dimension is {dimension}"), "1, 2 or 3"));
+        }
+        arrays.iter().find(|(_, wanted, found)| wanted != found).map_or(Ok(()), |(name, wanted, found)| {
+            let allowed = format!("{wanted} for {count} particles in {dimension} dimensions");
+            Err(Self::input(path, format!("{name} has {found} values"), allowed))
+        })
     }
 }
 
@@ -88,11 +98,9 @@ const MOST_NAMES: usize = 20;
 
 /// Names in a row, or "nothing".
 fn list(names: &[String]) -> String {
-    if names.is_empty() {
-        "nothing".to_owned()
-    } else if names.len() > MOST_NAMES {
-        format!("{}, ... ({} in all)", names[..MOST_NAMES].join(", "), names.len())
-    } else {
-        names.join(", ")
+    match names.len() {
+        0 => "nothing".to_owned(),
+        ..=MOST_NAMES => names.join(", "),
+        count => format!("{}, ... ({count} in all)", names[..MOST_NAMES].join(", ")),
     }
 }

@@ -168,11 +168,20 @@ pub fn read_dataset<T: H5Type>(
         return Ok(None);
     }
     let dataset = group.dataset(name).map_err(failed(path, "open")(name))?;
-    let found = dataset.shape();
+    read_values(path, &dataset, name, shape).map(Some)
+}
+
+fn read_values<T: H5Type>(
+    path: &Path,
+    from: &hdf5::Container,
+    name: &str,
+    shape: &[usize],
+) -> Result<Vec<T>, FileError> {
+    let found = from.shape();
     if found != shape {
         return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
     }
-    dataset.read_raw().map(Some).map_err(failed(path, "read")(name))
+    from.read_raw().map_err(failed(path, "read")(name))
 }
 
 pub fn write_attribute<T: H5Type>(
@@ -182,11 +191,8 @@ pub fn write_attribute<T: H5Type>(
     shape: &[usize],
     values: &[T],
 ) -> Result<(), FileError> {
-    group.new_attr::<T>().shape(shape).create(name).and_then(|attribute| attribute.write_raw(values)).map_err(failed(
-        path, "write",
-    )(
-        name
-    ))
+    let written = group.new_attr::<T>().shape(shape).create(name).and_then(|attribute| attribute.write_raw(values));
+    written.map_err(failed(path, "write")(name))
 }
 
 pub fn read_attribute<T: H5Type>(
@@ -200,11 +206,7 @@ pub fn read_attribute<T: H5Type>(
         return Err(missing(path, "attribute", name, present));
     }
     let attribute = group.attr(name).map_err(failed(path, "open")(name))?;
-    let found = attribute.shape();
-    if found != shape {
-        return Err(mismatch(path, name, format!("of shape {found:?}"), &format!("of shape {shape:?}")));
-    }
-    attribute.read_raw().map_err(failed(path, "read")(name))
+    read_values(path, &attribute, name, shape)
 }
 
 pub fn read_number<T: H5Type + Copy>(path: &Path, group: &hdf5::Group, name: &str) -> Result<T, FileError> {

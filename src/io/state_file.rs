@@ -56,26 +56,15 @@ impl State {
     }
 
     fn check(&self, path: &Path) -> Result<(), FileError> {
-        if !(1..=3).contains(&self.dimension) {
-            return Err(FileError::input(path, format!("dimension is {}", self.dimension), "1, 2 or 3"));
-        }
-        let count = self.count();
-        let vector = self.dimension * count;
-        let wanted = |name: &str, found: Option<usize>, wanted: usize| match found {
-            Some(found) if found != wanted => Err(FileError::input(
-                path,
-                format!("{name} has {found} values"),
-                format!("{wanted} for {count} particles in {} dimensions", self.dimension),
-            )),
-            _ => Ok(()),
-        };
-        wanted("position", Some(self.position.len()), vector)?;
-        wanted("velocity", self.velocity.as_ref().map(Vec::len), vector)?;
-        for (name, values) in self.scalars() {
-            wanted(name, values.as_ref().map(Vec::len), count)?;
-        }
-        wanted("tag", self.tag.as_ref().map(Vec::len), count)?;
-        wanted("box_size", Some(self.box_size.len()), self.dimension)
+        let (count, vector) = (self.count(), self.dimension * self.count());
+        let mut arrays = vec![("position", vector, self.position.len())];
+        arrays.extend(self.velocity.as_ref().map(|values| ("velocity", vector, values.len())));
+        arrays.extend(
+            self.scalars().into_iter().filter_map(|(name, values)| Some((name, count, values.as_ref()?.len()))),
+        );
+        arrays.extend(self.tag.as_ref().map(|values| ("tag", count, values.len())));
+        arrays.push(("box_size", self.dimension, self.box_size.len()));
+        FileError::check_lengths(path, self.dimension, count, &arrays)
     }
 }
 
@@ -88,9 +77,9 @@ pub fn write_state(path: &Path, state: &State) -> Result<(), FileError> {
     let count = state.count();
     write_file(path, |file| {
         let shape = [count, state.dimension];
-        write_dataset(path, file, "position", &shape, &particle_major(&state.position, state.dimension))?;
+        write_dataset(path, file, "position", &shape, &transposed(&state.position, state.dimension))?;
         if let Some(velocity) = &state.velocity {
-            write_dataset(path, file, "velocity", &shape, &particle_major(velocity, state.dimension))?;
+            write_dataset(path, file, "velocity", &shape, &transposed(velocity, state.dimension))?;
         }
         for (name, values) in state.scalars() {
             if let Some(values) = values {
@@ -130,7 +119,7 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
     };
     let vector = |name: &str| -> Result<Option<Vec<f64>>, FileError> {
         let values = read_dataset::<f64>(path, &file, &present, name, &[count, dimension])?;
-        Ok(values.map(|values| component_major(&values, dimension)))
+        Ok(values.map(|values| transposed(&values, count)))
     };
     let scalar = |name: &str| read_dataset::<f64>(path, &file, &present, name, &[count]);
     Ok(State {
@@ -152,14 +141,8 @@ pub fn read_state(path: &Path, required: &[&str]) -> Result<State, FileError> {
     })
 }
 
-/// `[D, N]` to `[N, D]`.
-fn particle_major(values: &[f64], dimension: usize) -> Vec<f64> {
-    let count = values.len() / dimension;
-    (0..values.len()).map(|index| values[(index % dimension) * count + index / dimension]).collect()
-}
-
-/// `[N, D]` to `[D, N]`.
-fn component_major(values: &[f64], dimension: usize) -> Vec<f64> {
-    let count = values.len() / dimension;
-    (0..values.len()).map(|index| values[(index % count) * dimension + index / count]).collect()
+/// A matrix of so many rows with its columns as rows: `[D, N]` to `[N, D]` and back.
+fn transposed(values: &[f64], rows: usize) -> Vec<f64> {
+    let columns = values.len() / rows.max(1);
+    (0..values.len()).map(|index| values[(index % rows) * columns + index / rows]).collect()
 }

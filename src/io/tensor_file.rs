@@ -5,15 +5,13 @@
 
 use super::atomic::write_atomically;
 use super::FileError;
-use safetensors::{Dtype, SafeTensors};
+use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The metadata entry with the CRC-32C of the tensors' bytes; files of other programs have none.
 const CHECKSUM: &str = "crc32c";
-const FORMAT: &str = "safetensors file";
-const HINT_FILE: &str = "take an earlier checkpoint or start without one";
 const HINT_TENSOR: &str = "the file may come from another version or another kind of run";
 
 /// Elements of a tensor in row-major order.
@@ -26,21 +24,13 @@ pub enum Data {
     I32(Vec<i32>),
 }
 
+// The bytes of numbers in memory are those in the file, which are little-endian.
+const _: () = assert!(cfg!(target_endian = "little"));
+
 impl Data {
     /// Number of elements.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::F64(values) => values.len(),
-            Self::F32(values) => values.len(),
-            Self::U64(values) => values.len(),
-            Self::I64(values) => values.len(),
-            Self::I32(values) => values.len(),
-        }
-    }
-
-    /// True if there are no elements.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+    pub fn count(&self) -> usize {
+        self.bytes().len() / self.kind().1
     }
 
     /// Name of the element type in the format, and its bytes per element.
@@ -54,13 +44,13 @@ impl Data {
         }
     }
 
-    fn write_to(&self, writer: &mut impl Write) -> std::io::Result<()> {
+    fn bytes(&self) -> &[u8] {
         match self {
-            Self::F64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::F32(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::U64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::I64(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
-            Self::I32(values) => values.iter().try_for_each(|v| writer.write_all(&v.to_le_bytes())),
+            Self::F64(values) => bytemuck::cast_slice(values),
+            Self::F32(values) => bytemuck::cast_slice(values),
+            Self::U64(values) => bytemuck::cast_slice(values),
+            Self::I64(values) => bytemuck::cast_slice(values),
+            Self::I32(values) => bytemuck::cast_slice(values),
         }
     }
 }
@@ -75,10 +65,10 @@ pub type Tensors = BTreeMap<String, (Vec<usize>, Data)>;
 pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String, String>) -> Result<(), FileError> {
     for (name, (shape, data)) in tensors {
         let elements: usize = shape.iter().product();
-        if elements != data.len() {
+        if elements != data.count() {
             return Err(FileError::input(
                 path,
-                format!("tensor `{name}` has shape {shape:?} but {} elements", data.len()),
+                format!("tensor `{name}` has shape {shape:?} but {} elements", data.count()),
                 format!("{elements} elements for this shape"),
             ));
         }
@@ -94,23 +84,16 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
     let mut ordered: Vec<_> = tensors.iter().collect();
     ordered.sort_by_key(|(_, (_, data))| std::cmp::Reverse(data.kind().1));
 
-    let mut checksum = Checksum(0);
-    ordered
-        .iter()
-        .try_for_each(|(_, (_, data))| data.write_to(&mut checksum))
-        .map_err(|e| FileError::write(path, e))?;
+    let checksum = ordered.iter().fold(0, |sum, (_, (_, data))| crc32c::crc32c_append(sum, data.bytes()));
     let mut metadata = metadata.clone();
-    metadata.insert(CHECKSUM.to_owned(), checksum.text());
+    metadata.insert(CHECKSUM.to_owned(), format!("{checksum:08x}"));
     let mut header = serde_json::Map::new();
     header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
     let mut offset = 0;
     for (name, (shape, data)) in &ordered {
-        let (dtype, bytes) = data.kind();
-        let end = offset + bytes * data.len();
-        header.insert(
-            (*name).clone(),
-            serde_json::json!({"dtype": dtype, "shape": shape, "data_offsets": [offset, end]}),
-        );
+        let end = offset + data.bytes().len();
+        let entry = serde_json::json!({"dtype": data.kind().0, "shape": shape, "data_offsets": [offset, end]});
+        header.insert((*name).clone(), entry);
         offset = end;
     }
     let mut header = serde_json::Value::Object(header).to_string().into_bytes();
@@ -119,28 +102,8 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
     write_atomically(path, |writer| {
         writer.write_all(&(header.len() as u64).to_le_bytes())?;
         writer.write_all(&header)?;
-        ordered.iter().try_for_each(|(_, (_, data))| data.write_to(writer))
+        ordered.iter().try_for_each(|(_, (_, data))| writer.write_all(data.bytes()))
     })
-}
-
-/// The CRC-32C of what is written to it.
-struct Checksum(u32);
-
-impl Checksum {
-    fn text(&self) -> String {
-        format!("{:08x}", self.0)
-    }
-}
-
-impl Write for Checksum {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0 = crc32c::crc32c_append(self.0, bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
 }
 
 /// Contents of a tensor file, with access by name that explains what is wrong.
@@ -162,29 +125,22 @@ impl TensorFile {
     }
 
     /// The contents of a file, which messages call `path`.
-    ///
-    /// # Errors
-    /// As for [`Self::read`].
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, FileError> {
-        let damaged = |error: safetensors::SafeTensorError| FileError::Damaged {
+        let damaged = |what: String| FileError::Damaged {
             path: path.to_owned(),
-            format: FORMAT,
-            what: format!("{error} ({} bytes)", bytes.len()),
-            hint: HINT_FILE,
+            format: "safetensors file",
+            what,
+            hint: "take an earlier checkpoint or start without one",
         };
-        let (size, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
+        let invalid = |error: SafeTensorError| damaged(format!("{error} ({} bytes)", bytes.len()));
+        let (size, header) = SafeTensors::read_metadata(bytes).map_err(invalid)?;
         let mut metadata = header.metadata().clone().unwrap_or_default();
         // Behind the header's own length, eight bytes.
-        let found = Checksum(crc32c::crc32c(&bytes[size + 8..]));
-        if metadata.remove(CHECKSUM).is_some_and(|expected| expected != found.text()) {
-            return Err(FileError::Damaged {
-                path: path.to_owned(),
-                format: FORMAT,
-                what: "its numbers are not those that were written (checksum)".to_owned(),
-                hint: HINT_FILE,
-            });
+        let found = format!("{:08x}", crc32c::crc32c(&bytes[size + 8..]));
+        if metadata.remove(CHECKSUM).is_some_and(|expected| expected != found) {
+            return Err(damaged("its numbers are not those that were written (checksum)".to_owned()));
         }
-        let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
+        let file = SafeTensors::deserialize(bytes).map_err(invalid)?;
         let mut tensors = Tensors::new();
         for (name, view) in file.iter() {
             let data = match view.dtype() {
@@ -209,42 +165,22 @@ impl TensorFile {
     }
 
     /// Elements of the f64 tensor `name`, which must have the given shape.
-    ///
-    /// # Errors
-    /// Names what is there instead.
     pub fn f64(&self, name: &str, shape: &[usize]) -> Result<&[f64], FileError> {
-        match self.get(name, shape)? {
-            Data::F64(values) => Ok(values),
-            other => Err(self.wrong_type(name, other, "F64")),
-        }
-    }
-
-    /// Elements of the f32 tensor `name`, which must have the given shape.
-    ///
-    /// # Errors
-    /// Names what is there instead.
-    pub fn f32(&self, name: &str, shape: &[usize]) -> Result<&[f32], FileError> {
-        match self.get(name, shape)? {
-            Data::F32(values) => Ok(values),
-            other => Err(self.wrong_type(name, other, "F32")),
-        }
-    }
-
-    /// Elements of the u64 tensor `name`, which must have the given shape.
-    ///
-    /// # Errors
-    /// Names what is there instead.
-    pub fn u64(&self, name: &str, shape: &[usize]) -> Result<&[u64], FileError> {
-        match self.get(name, shape)? {
-            Data::U64(values) => Ok(values),
-            other => Err(self.wrong_type(name, other, "U64")),
+        let mismatch = |found: String, allowed: String| FileError::Mismatch {
+            path: self.path.clone(),
+            name: name.to_owned(),
+            found,
+            allowed,
+            hint: HINT_TENSOR,
+        };
+        match (self.shape(name)?, &self.tensors[name].1) {
+            (found, _) if found != shape => Err(mismatch(format!("of shape {found:?}"), format!("of shape {shape:?}"))),
+            (_, Data::F64(values)) => Ok(values),
+            (_, other) => Err(mismatch(format!("a tensor of {}", other.kind().0), "of F64".to_owned())),
         }
     }
 
     /// Elements of a tensor of any type as f64, row-major, with its shape.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the names that are there.
     pub fn numbers(&self, name: &str) -> Result<(&[usize], Vec<f64>), FileError> {
         let shape = self.shape(name)?;
         let numbers = match &self.tensors[name].1 {
@@ -258,9 +194,6 @@ impl TensorFile {
     }
 
     /// The metadata text `key`.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the keys that are there.
     pub fn text(&self, key: &str) -> Result<&str, FileError> {
         self.metadata
             .get(key)
@@ -269,38 +202,11 @@ impl TensorFile {
     }
 
     /// Shape of the tensor `name`, for those whose size is not known beforehand.
-    ///
-    /// # Errors
-    /// [`FileError::Missing`], with the names that are there.
     pub fn shape(&self, name: &str) -> Result<&[usize], FileError> {
         self.tensors
             .get(name)
             .map(|(shape, _)| shape.as_slice())
             .ok_or_else(|| self.missing("tensor", name, self.tensors.keys()))
-    }
-
-    fn get(&self, name: &str, shape: &[usize]) -> Result<&Data, FileError> {
-        let found = self.shape(name)?;
-        if found != shape {
-            return Err(FileError::Mismatch {
-                path: self.path.clone(),
-                name: name.to_owned(),
-                found: format!("of shape {found:?}"),
-                allowed: format!("of shape {shape:?}"),
-                hint: HINT_TENSOR,
-            });
-        }
-        Ok(&self.tensors[name].1)
-    }
-
-    fn wrong_type(&self, name: &str, found: &Data, allowed: &str) -> FileError {
-        FileError::Mismatch {
-            path: self.path.clone(),
-            name: name.to_owned(),
-            found: format!("a tensor of {}", found.kind().0),
-            allowed: format!("of {allowed}"),
-            hint: HINT_TENSOR,
-        }
     }
 
     fn missing<'a>(&self, kind: &'static str, name: &str, present: impl Iterator<Item = &'a String>) -> FileError {

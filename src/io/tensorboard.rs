@@ -19,48 +19,31 @@ pub struct EventFile {
 
 impl EventFile {
     /// A new event file in a folder; earlier ones stay, TensorBoard reads them all.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn create(folder: &Path) -> Result<Self, FileError> {
         let now = seconds();
         let path =
             folder.join(format!("events.out.tfevents.{:010}.{:09}.hydrograd", now as u64, (now.fract() * 1e9) as u64));
         let file = File::create(&path).map_err(|source| FileError::write(&path, source))?;
         let mut events = Self { path, file };
-        let mut event = field(1, 1);
-        event.extend(now.to_le_bytes());
-        event.extend(bytes(3, b"brain.Event:2"));
-        events.record(&event)?;
+        events.record(now, &bytes(3, b"brain.Event:2"))?;
         Ok(events)
     }
 
     /// Scalars of a step.
-    ///
-    /// # Errors
-    /// System errors.
     pub fn scalars(&mut self, step: u64, values: &[(&str, f64)]) -> Result<(), FileError> {
         let mut summary = Vec::new();
         for (tag, value) in values {
-            let mut entry = bytes(1, tag.as_bytes());
-            entry.extend(field(2, 5));
-            entry.extend((*value as f32).to_le_bytes());
-            summary.extend(bytes(1, &entry));
+            let value = (*value as f32).to_le_bytes();
+            summary.extend(bytes(1, &[&bytes(1, tag.as_bytes()), &field(2, 5), &value[..]].concat()));
         }
-        let mut event = field(1, 1);
-        event.extend(seconds().to_le_bytes());
-        event.extend(field(2, 0));
-        event.extend(varint(step));
-        event.extend(bytes(5, &summary));
-        self.record(&event)
+        self.record(seconds(), &[field(2, 0), varint(step), bytes(5, &summary)].concat())
     }
 
-    fn record(&mut self, data: &[u8]) -> Result<(), FileError> {
+    /// An event at a time, with the fields behind it.
+    fn record(&mut self, time: f64, fields: &[u8]) -> Result<(), FileError> {
+        let data = [&field(1, 1), &time.to_le_bytes()[..], fields].concat();
         let length = (data.len() as u64).to_le_bytes();
-        let mut record = length.to_vec();
-        record.extend(masked(&length).to_le_bytes());
-        record.extend(data);
-        record.extend(masked(data).to_le_bytes());
+        let record = [&length[..], &masked(&length).to_le_bytes(), &data, &masked(&data).to_le_bytes()].concat();
         self.file.write_all(&record).map_err(|source| FileError::write(&self.path, source))
     }
 }
@@ -79,10 +62,7 @@ fn field(number: u64, wire: u64) -> Vec<u8> {
 }
 
 fn bytes(number: u64, data: &[u8]) -> Vec<u8> {
-    let mut field = field(number, 2);
-    field.extend(varint(data.len() as u64));
-    field.extend(data);
-    field
+    [&field(number, 2), &varint(data.len() as u64), data].concat()
 }
 
 fn varint(mut value: u64) -> Vec<u8> {

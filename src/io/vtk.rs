@@ -48,38 +48,17 @@ impl ParticleFrame<'_> {
 
     /// Lengths must fit together, names must be usable.
     fn check(&self, path: &Path) -> Result<(), FileError> {
-        if !(1..=3).contains(&self.dimension) {
-            return Err(FileError::input(path, format!("dimension is {}", self.dimension), "1, 2 or 3"));
-        }
-        let count = self.count();
-        let vector = self.dimension * count;
-        let wrong_length = |name: &str, found: usize, wanted: usize| {
-            FileError::input(
-                path,
-                format!("{name} has {found} values"),
-                format!("{wanted} for {count} particles in {} dimensions", self.dimension),
-            )
-        };
-        if self.position.len() != vector {
-            return Err(wrong_length("position", self.position.len(), vector));
-        }
-        if !self.velocity.is_empty() && self.velocity.len() != vector {
-            return Err(wrong_length("velocity", self.velocity.len(), vector));
-        }
-        if !self.tag.is_empty() && self.tag.len() != count {
-            return Err(wrong_length("tag", self.tag.len(), count));
-        }
-        for (index, (name, values)) in self.scalars.iter().enumerate() {
-            if values.len() != count {
-                return Err(wrong_length(name, values.len(), count));
-            }
+        let (count, vector) = (self.count(), self.dimension * self.count());
+        let mut arrays = vec![("position", vector, self.position.len())];
+        arrays.extend((!self.velocity.is_empty()).then_some(("velocity", vector, self.velocity.len())));
+        arrays.extend((!self.tag.is_empty()).then_some(("tag", count, self.tag.len())));
+        arrays.extend(self.scalars.iter().map(|(name, values)| (*name, count, values.len())));
+        FileError::check_lengths(path, self.dimension, count, &arrays)?;
+        for (index, (name, _)) in self.scalars.iter().enumerate() {
             let doubled = self.scalars[..index].iter().any(|(other, _)| other == name);
             if doubled || ["", "velocity", "tag"].contains(name) {
-                return Err(FileError::input(
-                    path,
-                    format!("a scalar is named `{name}`"),
-                    "a name of its own, not empty, not `velocity` or `tag`",
-                ));
+                let allowed = "a name of its own, not empty, not `velocity` or `tag`";
+                return Err(FileError::input(path, format!("a scalar is named `{name}`"), allowed));
             }
         }
         Ok(())
@@ -143,7 +122,7 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
     }
     let points = Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64);
     let vertices = [Block::integers("connectivity", 0..count), Block::integers("offsets", 1..count + 1)];
-    write_poly_data(path, Some(frame.time), point_data, points, Cells { name: "Verts", count, blocks: vertices })
+    write_poly_data(path, Some(frame.time), point_data, points, ("Verts", count, vertices))
 }
 
 /// Writes a surface of quadrilaterals as a `.vtp` file, atomically: `points` in scene length units, the numbers of each
@@ -162,11 +141,8 @@ pub fn write_surface(
         return Err(FileError::input(path, problem, format!("{}, one for each point", points.len())));
     }
     if let Some(corner) = corners.iter().flatten().find(|&&corner| corner >= points.len()) {
-        return Err(FileError::input(
-            path,
-            format!("a corner is point {corner}"),
-            format!("less than {}", points.len()),
-        ));
+        let allowed = format!("less than {}", points.len());
+        return Err(FileError::input(path, format!("a corner is point {corner}"), allowed));
     }
     let scalar = |(name, values): &(&str, &[f64])| Block::reals(name, 1, values.iter().copied(), Precision::F64);
     let all = points.iter().flatten().copied();
@@ -174,26 +150,18 @@ pub fn write_surface(
         Block::integers("connectivity", corners.iter().flatten().copied()),
         Block::integers("offsets", (1..=corners.len()).map(|k| 4 * k)),
     ];
-    let cells = Cells { name: "Polys", count: corners.len(), blocks };
     let point_data = scalars.iter().map(scalar).collect();
-    write_poly_data(path, None, point_data, Block::reals("Points", 3, all, Precision::F64), cells)
+    let points = Block::reals("Points", 3, all, Precision::F64);
+    write_poly_data(path, None, point_data, points, ("Polys", corners.len(), blocks))
 }
 
-/// The cells of a file, all of one kind.
-struct Cells {
-    /// `Verts` or `Polys`.
-    name: &'static str,
-    count: usize,
-    /// Connectivity and offsets.
-    blocks: [Block; 2],
-}
-
+/// `cells`, all of one kind: `Verts` or `Polys`, how many, connectivity and offsets.
 fn write_poly_data(
     path: &Path,
     time: Option<f64>,
     point_data: Vec<Block>,
     points: Block,
-    cells: Cells,
+    (kind, cells, blocks): (&str, usize, [Block; 2]),
 ) -> Result<(), FileError> {
     let mut offset = 0;
     let mut header = String::from(
@@ -211,7 +179,7 @@ fn write_poly_data(
     }
     // Three numbers of eight bytes each.
     let count = points.bytes.len() / 24;
-    let cells_of = |name: &str| if name == cells.name { cells.count } else { 0 };
+    let cells_of = |name: &str| if name == kind { cells } else { 0 };
     let _ = writeln!(
         header,
         "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{}\" NumberOfLines=\"0\" \
@@ -219,23 +187,20 @@ fn write_poly_data(
         cells_of("Verts"),
         cells_of("Polys")
     );
-    let mut section = |name: &str, blocks: &[Block]| {
+    let sections = [("PointData", point_data), ("Points", vec![points]), (kind, blocks.into())];
+    for (name, blocks) in &sections {
         let _ = writeln!(header, "<{name}>");
         for block in blocks {
             let _ = writeln!(header, "<DataArray {} format=\"appended\" offset=\"{offset}\"/>", block.attributes);
             offset += size_of::<u64>() + block.bytes.len();
         }
         let _ = writeln!(header, "</{name}>");
-    };
-    let points = [points];
-    section("PointData", &point_data);
-    section("Points", &points);
-    section(cells.name, &cells.blocks);
+    }
     header.push_str("</Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_");
 
     write_atomically(path, |writer| {
         writer.write_all(header.as_bytes())?;
-        for block in point_data.iter().chain(&points).chain(&cells.blocks) {
+        for block in sections.iter().flat_map(|(_, blocks)| blocks) {
             writer.write_all(&(block.bytes.len() as u64).to_le_bytes())?;
             writer.write_all(&block.bytes)?;
         }
@@ -261,20 +226,14 @@ impl VtkSeries {
     /// The folder cannot be created or written to; the name is not a plain file name.
     pub fn new(folder: &Path, name: &str) -> Result<Self, FileError> {
         if name.is_empty() || name.contains(['/', '\\', '\0']) {
-            return Err(FileError::input(
-                folder,
-                format!("a series is named `{name}`"),
-                "a plain file name without `/`",
-            ));
+            let allowed = "a plain file name without `/`";
+            return Err(FileError::input(folder, format!("a series is named `{name}`"), allowed));
         }
         prepare_output_folder(folder)?;
         Ok(Self { folder: folder.to_owned(), name: name.to_owned(), frames: Vec::new() })
     }
 
     /// Writes the next frame and the list of frames so far; returns the path of the frame.
-    ///
-    /// # Errors
-    /// As [`write_vtp`].
     pub fn write(&mut self, frame: &ParticleFrame) -> Result<PathBuf, FileError> {
         let file_name = format!("{}_{:06}.vtp", self.name, self.frames.len());
         let path = self.folder.join(&file_name);
@@ -292,25 +251,6 @@ impl VtkSeries {
     /// Path of the `.pvd` file.
     pub fn list_path(&self) -> PathBuf {
         self.folder.join(format!("{}.pvd", self.name))
-    }
-
-    /// Number of frames so far.
-    pub fn len(&self) -> usize {
-        self.frames.len()
-    }
-
-    /// True before the first frame.
-    pub fn is_empty(&self) -> bool {
-        self.frames.is_empty()
-    }
-
-    /// Ends the series; returns the path of the `.pvd` (written even if there is no frame).
-    ///
-    /// # Errors
-    /// System errors.
-    pub fn finish(self) -> Result<PathBuf, FileError> {
-        self.write_list()?;
-        Ok(self.list_path())
     }
 
     fn write_list(&self) -> Result<(), FileError> {
@@ -358,22 +298,16 @@ pub fn read_vtp(path: &Path) -> Result<ParticleFile, FileError> {
         let attribute = |name: &str| array.attribute(name).unwrap_or_default();
         // Only what is in the block; the time stands in the text.
         let Ok(offset) = attribute("offset").parse::<usize>() else { continue };
-        let length = numbers.get(offset..offset.saturating_add(8)).and_then(|bytes| bytes.try_into().ok());
-        let length = length.map(u64::from_le_bytes).and_then(|length| usize::try_from(length).ok());
-        let block = length.and_then(|length| numbers[offset + 8..].get(..length));
+        let rest = numbers.get(offset..).and_then(|rest| rest.split_first_chunk());
+        let block = rest.and_then(|(length, rest)| rest.get(..usize::try_from(u64::from_le_bytes(*length)).ok()?));
         let block = block.ok_or_else(|| damaged(&format!("the array `{}` is cut short", attribute("Name"))))?;
         let reals = || -> Vec<f64> {
             match attribute("type") {
-                "Float64" => {
-                    block.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap_or_default())).collect()
-                }
-                _ => {
-                    let of = |b: &[u8]| f64::from(f32::from_le_bytes(b.try_into().unwrap_or_default()));
-                    block.chunks_exact(4).map(of).collect()
-                }
+                "Float64" => block.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(),
+                _ => block.as_chunks().0.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes))).collect(),
             }
         };
-        let triples = || reals().chunks_exact(3).map(|it| [it[0], it[1], it[2]]).collect();
+        let triples = || reals().as_chunks().0.to_vec();
         let is_real = ["Float64", "Float32"].contains(&attribute("type"));
         match attribute("Name") {
             "Points" => file.position = triples(),
@@ -385,8 +319,8 @@ pub fn read_vtp(path: &Path) -> Result<ParticleFile, FileError> {
     }
     let count = file.position.len();
     let fits = |length: usize| length == count || length == 0;
-    match fits(file.velocity.len()) && fits(file.tag.len()) && file.scalars.values().all(|values| values.len() == count)
-    {
+    let all_fit = file.scalars.values().all(|values| values.len() == count);
+    match all_fit && fits(file.velocity.len()) && fits(file.tag.len()) {
         true => Ok(file),
         false => Err(damaged("its arrays have different lengths")),
     }

@@ -6,6 +6,7 @@ use candle_core::{
     CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, DType, Device, InplaceOp3, Layout, Result, Shape,
     Storage, Tensor, WithDType,
 };
+use std::marker::PhantomData;
 use std::sync::{Mutex, PoisonError};
 
 /// An operator with N tensor inputs and one output, on plain numbers, and its adjoint. Everything else that it knows (a
@@ -15,16 +16,10 @@ pub trait Operator<const N: usize>: Send + Sync + 'static {
     const NAME: &'static str;
 
     /// The output's numbers and shape.
-    ///
-    /// # Errors
-    /// Inputs that do not belong together.
     fn forward(&self, inputs: [&[Self::Real]; N], shapes: [&Shape; N]) -> Result<(Vec<Self::Real>, Shape)>;
 
     /// The inputs' cotangents from that of the output. `wanted` says which of them somebody asks for; none of the others
     /// need be given.
-    ///
-    /// # Errors
-    /// As for the forward pass.
     fn adjoint(
         &self,
         inputs: [&[Self::Real]; N],
@@ -43,17 +38,11 @@ pub fn apply1<O: Operator<1>>(operator: O, x: &Tensor) -> Result<Tensor> {
 }
 
 /// (a, b) -> y on candle's graph.
-///
-/// # Errors
-/// As for [`apply1`].
 pub fn apply2<O: Operator<2>>(operator: O, a: &Tensor, b: &Tensor) -> Result<Tensor> {
     a.contiguous()?.apply_op2(&b.contiguous()?, Node(operator))
 }
 
 /// (a, b, c) -> y on candle's graph.
-///
-/// # Errors
-/// As for [`apply1`].
 pub fn apply3<O: Operator<3>>(operator: O, a: &Tensor, b: &Tensor, c: &Tensor) -> Result<Tensor> {
     a.contiguous()?.apply_op3(&b.contiguous()?, &c.contiguous()?, Node(operator))
 }
@@ -162,9 +151,6 @@ impl<O: Operator<3>> CustomOp3 for Node<O> {
 
 /// A value on candle's graph, on any device, that was found from `x` in another way than its derivative is: `adjoint` takes
 /// the value's cotangent to that of `x`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn with_adjoint(
     x: &Tensor,
     value: Tensor,
@@ -219,26 +205,26 @@ impl<F: Fn(&Tensor) -> Result<Tensor> + Send + Sync + 'static> CustomOp1 for Fou
     }
 }
 
-/// What happens to the numbers of a tensor in place, given those of two others of the same shape.
-pub trait Update: Send + Sync {
-    type Real: Real;
-    const NAME: &'static str;
-    fn update(&self, x: &mut [Self::Real], a: &[Self::Real], b: &[Self::Real]);
-}
-
 /// x <- f(x, a, b), in x's own memory: a graph that was built with x must be gone.
-///
-/// # Errors
-/// Types or shapes that differ.
-pub fn update<U: Update>(update: U, x: &Tensor, a: &Tensor, b: &Tensor) -> Result<()> {
-    x.inplace_op3(a, b, &InPlace(update))
+pub fn update<R: Real>(
+    name: &'static str,
+    x: &Tensor,
+    a: &Tensor,
+    b: &Tensor,
+    f: impl Fn(&mut [R], &[R], &[R]),
+) -> Result<()> {
+    x.inplace_op3(a, b, &InPlace { name, f, real: PhantomData::<R> })
 }
 
-struct InPlace<U>(U);
+struct InPlace<R, F> {
+    name: &'static str,
+    f: F,
+    real: PhantomData<R>,
+}
 
-impl<U: Update> InplaceOp3 for InPlace<U> {
+impl<R: Real, F: Fn(&mut [R], &[R], &[R])> InplaceOp3 for InPlace<R, F> {
     fn name(&self) -> &'static str {
-        U::NAME
+        self.name
     }
     fn cpu_fwd(
         &self,
@@ -249,18 +235,18 @@ impl<U: Update> InplaceOp3 for InPlace<U> {
         b: &CpuStorage,
         b_layout: &Layout,
     ) -> Result<()> {
-        let (a, b) = (slice::<U::Real>(a, a_layout)?, slice::<U::Real>(b, b_layout)?);
-        let x: &mut [U::Real] = match x {
-            CpuStorage::F32(x) if U::Real::DTYPE == DType::F32 => bytemuck::cast_slice_mut(x),
-            CpuStorage::F64(x) if U::Real::DTYPE == DType::F64 => bytemuck::cast_slice_mut(x),
-            _ => candle_core::bail!("{}: the types of the tensors differ", U::NAME),
+        let (a, b) = (slice::<R>(a, a_layout)?, slice::<R>(b, b_layout)?);
+        let x: &mut [R] = match x {
+            CpuStorage::F32(x) if R::DTYPE == DType::F32 => bytemuck::cast_slice_mut(x),
+            CpuStorage::F64(x) if R::DTYPE == DType::F64 => bytemuck::cast_slice_mut(x),
+            _ => candle_core::bail!("{}: the types of the tensors differ", self.name),
         };
         match x_layout.contiguous_offsets() {
             Some((from, to)) if to - from == a.len() && a.len() == b.len() => {
-                self.0.update(&mut x[from..to], a, b);
+                (self.f)(&mut x[from..to], a, b);
                 Ok(())
             }
-            _ => candle_core::bail!("{}: the shapes of the tensors differ", U::NAME),
+            _ => candle_core::bail!("{}: the shapes of the tensors differ", self.name),
         }
     }
 }

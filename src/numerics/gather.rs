@@ -57,9 +57,6 @@ impl Gather {
     }
 
     /// The rows with these numbers: the dimension `dim` of `x` goes from the rows to M.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn rows(&self, x: &Tensor, dim: usize) -> Result<Tensor> {
         let Some(places) = self.places.clone() else { return x.contiguous()?.index_select(&self.numbers, dim) };
         let value = x.detach().contiguous()?.index_select(&self.numbers, dim)?;
@@ -67,9 +64,6 @@ impl Gather {
     }
 
     /// For each row the sum of what has its number: the dimension `dim` of `x` goes from M to the rows.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn sums(&self, x: &Tensor, dim: usize) -> Result<Tensor> {
         let Some(places) = &self.places else {
             let mut shape = x.dims().to_vec();

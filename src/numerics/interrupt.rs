@@ -26,9 +26,6 @@ static ADVICE: OnceLock<String> = OnceLock::new();
 const TOGETHER: Duration = Duration::from_secs(1);
 
 /// Listens from now on; `advice` is how the work goes on later. A second signal ends the process at once.
-///
-/// # Errors
-/// System errors.
 pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
     if ADVICE.set(advice.into()).is_err() {
         return Ok(());
@@ -37,9 +34,6 @@ pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
 }
 
 /// The same for a process that another one speaks for.
-///
-/// # Errors
-/// System errors.
 pub fn listen_quietly() -> std::io::Result<()> {
     begin(false)
 }
@@ -88,9 +82,6 @@ pub fn farewell(signal: i32) -> String {
 }
 
 /// An error if somebody asked to stop: the process, or the work of this thread.
-///
-/// # Errors
-/// [`Error::Stopped`].
 pub fn check() -> Result<(), Error> {
     match asked() {
         Some(_) => Err(Error::Stopped),
@@ -99,9 +90,6 @@ pub fn check() -> Result<(), Error> {
 }
 
 /// An error if the work of this thread shall stop, whatever the process shall do.
-///
-/// # Errors
-/// [`Error::Stopped`].
 pub fn check_own() -> Result<(), Error> {
     match is_asked_here() {
         true => Err(Error::Stopped),

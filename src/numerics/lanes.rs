@@ -150,13 +150,19 @@ pub trait Lanes:
         // SAFETY: no lane type is wider than WIDEST.
         unsafe { Self::load(part.as_ptr()) }
     }
+    /// The lanes as numbers, zeros behind them.
+    #[inline(always)]
+    fn numbers(self) -> [Self::Real; WIDEST] {
+        let mut numbers = [Self::Real::default(); WIDEST];
+        // SAFETY: no lane type is wider than WIDEST.
+        unsafe { self.store(numbers.as_mut_ptr()) };
+        numbers
+    }
     /// The largest lane.
     #[inline(always)]
     fn largest(self) -> Self::Real {
-        let mut lanes = [Self::Real::default(); WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { self.store(lanes.as_mut_ptr()) };
-        lanes[..Self::COUNT].iter().fold(lanes[0], |most, &x| if x > most { x } else { most })
+        let numbers = self.numbers();
+        numbers[..Self::COUNT].iter().fold(numbers[0], |most, &x| if x > most { x } else { most })
     }
     /// Stores `COUNT` numbers.
     ///

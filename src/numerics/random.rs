@@ -5,24 +5,19 @@ use rand_chacha::ChaCha8Rng;
 
 /// The stream of a purpose: the name's bytes (at most 8) are the stream's number.
 pub fn stream(seed: u64, purpose: &str) -> ChaCha8Rng {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut number = [0; 8];
-    for (to, from) in number.iter_mut().zip(purpose.bytes()) {
-        *to = from;
-    }
-    rng.set_stream(u64::from_le_bytes(number));
-    rng
+    of_bytes(seed, purpose.bytes().take(8))
 }
 
 /// The stream of one of many: at most 4 bytes of purpose, and its number.
 pub fn numbered(seed: u64, purpose: &str, number: u32) -> ChaCha8Rng {
-    let mut stream = [0; 8];
-    for (to, from) in stream[..4].iter_mut().zip(purpose.bytes()) {
-        *to = from;
-    }
-    stream[4..].copy_from_slice(&number.to_le_bytes());
+    let purpose = purpose.bytes().chain([0; 4]).take(4);
+    of_bytes(seed, purpose.chain(number.to_le_bytes()))
+}
+
+/// The stream whose number has these bytes, the lowest first.
+fn of_bytes(seed: u64, bytes: impl Iterator<Item = u8>) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(u64::from_le_bytes(stream));
+    rng.set_stream(bytes.zip(0..).fold(0, |number, (byte, place)| number | u64::from(byte) << (8 * place)));
     rng
 }
 

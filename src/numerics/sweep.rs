@@ -6,6 +6,7 @@ use super::thread_pool::ThreadPool;
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// Runs a kernel over some rows on this thread alone, with the best instruction set: for sweeps so short that waking others
 /// costs more than they save.
@@ -117,6 +118,43 @@ pub fn copied<R: Real>(from: &[R]) -> Vec<R> {
 /// So many zeros, written on all threads.
 pub fn zeros<R: Real>(count: usize) -> Vec<R> {
     filled(None, count)
+}
+
+/// A kernel over parts, each with what is written for it. Nothing else is written, so no two threads write the same.
+pub trait PartKernel<R: Real>: Sync {
+    type Part: Send;
+    /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
+    fn part<L: Lanes<Real = R>>(&self, number: usize, part: &mut Self::Part);
+}
+
+/// Runs a kernel over its parts on all threads, see [`run_rows`].
+pub fn run_parts<R: Real, K: PartKernel<R>>(kernel: &K, parts: impl IntoIterator<Item = K::Part>) {
+    let parts: Vec<_> = parts.into_iter().map(Mutex::new).collect();
+    run_rows(&Parts { kernel, parts: &parts }, parts.len());
+}
+
+struct Parts<'a, R: Real, K: PartKernel<R>> {
+    kernel: &'a K,
+    /// Each is locked once, by the thread that computes it.
+    parts: &'a [Mutex<K::Part>],
+}
+
+impl<R: Real, K: PartKernel<R>> RowKernel<R> for Parts<'_, R, K> {
+    #[inline(always)]
+    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
+        for k in rows {
+            self.kernel.part::<L>(k, &mut self.parts[k].lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+}
+
+/// The numbers of each of some parts of rows that follow each other, `width` to a row.
+///
+/// # Panics
+/// There are fewer numbers.
+pub fn cut<'a, T>(mut numbers: &'a mut [T], parts: &[Range<usize>], width: usize) -> Vec<&'a mut [T]> {
+    let part = |part: &Range<usize>| numbers.split_off_mut(..part.len() * width).expect("numbers of every row");
+    parts.iter().map(part).collect()
 }
 
 /// A slice that several threads write, each to places of its own.

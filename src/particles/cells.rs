@@ -89,43 +89,30 @@ impl Geometry {
     }
 
     /// The neighbouring cells of `at` in direction d: first, last, shift, without wrapping runs together.
-    fn around(&self, at: usize, d: usize) -> ([(usize, usize, f64); 3], usize) {
-        let cells = self.cells[d];
-        let (low, high) = (at.saturating_sub(1), (at + 1).min(cells - 1));
-        let mut parts = [(0, 0, 0.0); 3];
-        if self.narrow[d] {
-            parts[0] = (0, cells - 1, 0.0);
-            return (parts, 1);
-        }
-        parts[0] = (low, high, 0.0);
-        let mut count = 1;
-        if self.periodic[d] && at == 0 {
-            parts[count] = (cells - 1, cells - 1, self.size[d]);
-            count += 1;
-        }
-        if self.periodic[d] && at + 1 == cells {
-            parts[count] = (0, 0, -self.size[d]);
-            count += 1;
-        }
-        (parts, count)
+    fn around(&self, at: usize, d: usize) -> impl Iterator<Item = (usize, usize, f64)> {
+        let (cells, size) = (self.cells[d], self.size[d]);
+        let near = match self.narrow[d] {
+            true => (0, cells - 1, 0.0),
+            false => (at.saturating_sub(1), (at + 1).min(cells - 1), 0.0),
+        };
+        let wraps = self.periodic[d] && !self.narrow[d];
+        let below = (wraps && at == 0).then_some((cells - 1, cells - 1, size));
+        let above = (wraps && at + 1 == cells).then_some((0, 0, -size));
+        [Some(near), below, above].into_iter().flatten()
     }
 
     /// The runs of cells around a cell.
     pub fn runs(&self, cell: usize) -> Runs {
         let at = [cell % self.cells[0], cell / self.cells[0] % self.cells[1], cell / self.cells[0] / self.cells[1]];
-        let (x, y, z) = (self.around(at[0], 0), self.around(at[1], 1), self.around(at[2], 2));
+        let each = |(first, last, shift): (usize, usize, f64)| (first..=last).map(move |cell| (cell, shift));
         let mut runs = Runs::default();
-        for &(z_first, z_last, z_shift) in &z.0[..z.1] {
-            for cz in z_first..=z_last {
-                for &(y_first, y_last, y_shift) in &y.0[..y.1] {
-                    for cy in y_first..=y_last {
-                        let row = (cz * self.cells[1] + cy) * self.cells[0];
-                        for &(first, last, x_shift) in &x.0[..x.1] {
-                            let shift = [x_shift, y_shift, z_shift];
-                            runs.list[runs.count] = Run { first: row + first, last: row + last, shift };
-                            runs.count += 1;
-                        }
-                    }
+        for (cz, z_shift) in self.around(at[2], 2).flat_map(each) {
+            for (cy, y_shift) in self.around(at[1], 1).flat_map(each) {
+                let row = (cz * self.cells[1] + cy) * self.cells[0];
+                for (first, last, x_shift) in self.around(at[0], 0) {
+                    let shift = [x_shift, y_shift, z_shift];
+                    runs.list[runs.count] = Run { first: row + first, last: row + last, shift };
+                    runs.count += 1;
                 }
             }
         }
@@ -136,16 +123,17 @@ impl Geometry {
 /// Some of the particles, sorted by cell and within a cell by number.
 #[derive(Debug, Clone, Default)]
 pub struct Cells<R> {
-    members: Vec<u32>,
+    /// Their numbers, in the order they were given.
+    pub members: Vec<u32>,
     /// Cell of each member.
     cell: Vec<u32>,
     /// First place of each cell, and the end of the last.
     start: Vec<u32>,
     next: Vec<u32>,
-    /// By place: cell, number, and positions `[D][places]`, padded by the widest lane count.
-    cell_of_place: Vec<u32>,
-    number: Vec<u32>,
-    position: [Vec<R>; 3],
+    /// By place: cell, number, and positions `[D][places]`. The last two are padded by the widest lane count.
+    pub cell_of_place: Vec<u32>,
+    pub number: Vec<u32>,
+    pub position: [Vec<R>; 3],
 }
 
 /// The cell of each member.
@@ -215,31 +203,9 @@ impl<R: Real> Cells<R> {
         }
     }
 
-    /// How many particles there are.
-    pub fn members(&self) -> usize {
-        self.members.len()
-    }
-    /// Their numbers, in the order they were given.
-    pub fn in_order(&self) -> &[u32] {
-        &self.members
-    }
     /// Places of the cells `first..=last` of a row of cells.
     #[inline(always)]
     pub fn places(&self, first: usize, last: usize) -> (usize, usize) {
         (self.start[first] as usize, self.start[last + 1] as usize)
-    }
-    #[inline(always)]
-    pub fn cell_of_place(&self, place: usize) -> usize {
-        self.cell_of_place[place] as usize
-    }
-    /// Numbers by place, padded.
-    #[inline(always)]
-    pub fn numbers(&self) -> &[u32] {
-        &self.number
-    }
-    /// A component of the positions by place, padded.
-    #[inline(always)]
-    pub fn position(&self, d: usize) -> &[R] {
-        &self.position[d]
     }
 }

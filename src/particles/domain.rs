@@ -51,9 +51,6 @@ impl Domain {
 
     /// [`Self::nearest`] of tensors that hold differences in direction `d`. Which image it is does not change with an
     /// infinitesimal step: a constant as far as derivatives go.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn nearest_of(&self, d: usize, difference: &Tensor) -> Result<Tensor> {
         if !self.periodic[d] {
             return Ok(difference.clone());
@@ -63,9 +60,6 @@ impl Domain {
     }
 
     /// [`Self::wrapped`] of tensors that hold coordinates in direction `d`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn wrapped_of(&self, d: usize, coordinate: &Tensor) -> Result<Tensor> {
         if !self.periodic[d] {
             return Ok(coordinate.clone());

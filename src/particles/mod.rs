@@ -6,13 +6,11 @@ mod error;
 pub mod neighbour_list;
 pub mod neighbourhood;
 pub mod reach;
-pub mod search;
 
 pub use domain::Domain;
 pub use neighbour_list::NeighbourList;
 pub use neighbourhood::Neighbourhood;
 pub use reach::Reach;
-pub use search::Search;
 
 /// What a particle is. Values as in JAX-SPH's files.
 pub mod tag {

@@ -110,7 +110,7 @@ impl NeighbourList {
         }
         let geometry = Geometry::new(position, n, domain, reach)?;
         workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
-        if workspace.wall.members() + self.fluid_rows.len() != n {
+        if workspace.wall.members.len() + self.fluid_rows.len() != n {
             let all: Vec<u32> = (0..n as u32).filter(walls).collect();
             workspace.wall.fill(&geometry, position, n, &all);
         } else {
@@ -119,7 +119,10 @@ impl NeighbourList {
         self.capacity = self.capacity.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE);
         loop {
             self.index.resize(n * self.capacity, 0);
-            self.sweep(&geometry, workspace);
+            match geometry.dimension {
+                2 => self.sweep::<R, 2>(&geometry, workspace),
+                _ => self.sweep::<R, 3>(&geometry, workspace),
+            }
             let (particle, &most) = self.count.iter().enumerate().max_by_key(|(_, c)| **c).unwrap_or((0, &0));
             let most = most as usize;
             if most > MOST_NEIGHBOURS {
@@ -133,33 +136,26 @@ impl NeighbourList {
         }
         self.wall_rows.clear();
         let count = &self.count;
-        self.wall_rows.extend(workspace.wall.in_order().iter().copied().filter(|&i| count[i as usize] > 0));
+        self.wall_rows.extend(workspace.wall.members.iter().copied().filter(|&i| count[i as usize] > 0));
         Ok(())
     }
 
-    fn sweep<R: Real>(&mut self, geometry: &Geometry, workspace: &Workspace<R>) {
-        let capacity = self.capacity;
-        let search = Search {
+    fn sweep<R: Real, const D: usize>(&mut self, geometry: &Geometry, workspace: &Workspace<R>) {
+        let Workspace { fluid, wall } = workspace;
+        let search = Search::<R, D> {
             geometry,
-            fluid: &workspace.fluid,
-            wall: &workspace.wall,
-            capacity,
+            fluid,
+            wall,
+            capacity: self.capacity,
             index: Shared::new(&mut self.index),
             count: Shared::new(&mut self.count),
             fluid_count: Shared::new(&mut self.fluid_count),
         };
-        let rows = workspace.fluid.members() + workspace.wall.members();
-        match geometry.dimension {
-            2 => run_rows(&SearchIn::<R, 2>(search), rows),
-            _ => run_rows(&SearchIn::<R, 3>(search), rows),
-        }
+        run_rows(&search, fluid.members.len() + wall.members.len());
     }
 
     /// For composed operators on a device: who stands where in the list, and 1 where an entry is a pair, 0 in the padding,
     /// `[1, N, K]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn tensors(&self, device: &Device, dtype: DType) -> candle_core::Result<(Gather, Tensor)> {
         if !sums_by_place(device) {
             return self.new_tensors(device, dtype);
@@ -200,7 +196,7 @@ impl NeighbourList {
 }
 
 /// The search for neighbours: rows are places in the fluid's cells, then in the walls'.
-struct Search<'a, R> {
+struct Search<'a, R, const D: usize> {
     geometry: &'a Geometry,
     fluid: &'a Cells<R>,
     wall: &'a Cells<R>,
@@ -210,44 +206,41 @@ struct Search<'a, R> {
     fluid_count: Shared<'a, u32>,
 }
 
-struct SearchIn<'a, R, const D: usize>(Search<'a, R>);
-
 /// Neighbours found for one particle, with room for a last whole vector.
 type Found = [u32; MOST_NEIGHBOURS + ROW_MULTIPLE];
 
-impl<R: Real, const D: usize> RowKernel<R> for SearchIn<'_, R, D> {
+impl<R: Real, const D: usize> RowKernel<R> for Search<'_, R, D> {
     const SHORT: bool = D == 2;
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let search = &self.0;
-        let fluids = search.fluid.members();
+        let fluids = self.fluid.members.len();
         let mut found: Found = [0; MOST_NEIGHBOURS + ROW_MULTIPLE];
         let mut cell = usize::MAX;
         let mut runs = Runs::default();
         let mut own_wall = false;
         for row in rows {
             let wall = row >= fluids;
-            let (own, place) = if wall { (search.wall, row - fluids) } else { (search.fluid, row) };
-            if cell != own.cell_of_place(place) || wall != own_wall {
-                (cell, own_wall) = (own.cell_of_place(place), wall);
-                runs = search.geometry.runs(cell);
+            let (own, place) = if wall { (self.wall, row - fluids) } else { (self.fluid, row) };
+            if cell != own.cell_of_place[place] as usize || wall != own_wall {
+                (cell, own_wall) = (own.cell_of_place[place] as usize, wall);
+                runs = self.geometry.runs(cell);
             }
-            let here: [L; D] = std::array::from_fn(|d| L::splat(own.position(d)[place]));
-            let me = own.numbers()[place];
+            let here: [L; D] = std::array::from_fn(|d| L::splat(own.position[d][place]));
+            let me = own.number[place];
             let myself = if wall { None } else { Some(place) };
-            let mut total = append::<R, L, D>(search.geometry, &runs, search.fluid, &here, myself, &mut found, 0);
+            let mut total = append::<R, L, D>(self.geometry, &runs, self.fluid, &here, myself, &mut found, 0);
             let fluid_count = total;
-            if !wall && search.wall.members() > 0 {
-                total = append::<R, L, D>(search.geometry, &runs, search.wall, &here, None, &mut found, total);
+            if !wall && !self.wall.members.is_empty() {
+                total = append::<R, L, D>(self.geometry, &runs, self.wall, &here, None, &mut found, total);
             }
-            let (i, capacity) = (me as usize, search.capacity);
+            let (i, capacity) = (me as usize, self.capacity);
             // SAFETY: every particle stands at one place, so row i and its counts belong to this iteration alone.
             unsafe {
-                search.count.set(i, total as u32);
-                search.fluid_count.set(i, fluid_count as u32);
+                self.count.set(i, total as u32);
+                self.fluid_count.set(i, fluid_count as u32);
                 if total <= capacity {
-                    let row = search.index.slice(i * capacity..(i + 1) * capacity);
+                    let row = self.index.slice(i * capacity..(i + 1) * capacity);
                     row[..total].copy_from_slice(&found[..total]);
                     row[total..].fill(me);
                 }
@@ -277,7 +270,7 @@ fn append<R: Real, L: Lanes<Real = R>, const D: usize>(
             let mut r2 = L::zero();
             for d in 0..D {
                 // SAFETY: positions are padded by the widest lane count behind the last place.
-                let there = unsafe { L::load(cells.position(d).as_ptr().add(at)) };
+                let there = unsafe { L::load(cells.position[d].as_ptr().add(at)) };
                 let mut dr = here[d] - there + shift[d];
                 if geometry.narrow[d] {
                     let size = L::splat(R::of(geometry.size[d]));
@@ -295,7 +288,7 @@ fn append<R: Real, L: Lanes<Real = R>, const D: usize>(
             // SAFETY: numbers are padded as positions are; `found` has room for COUNT behind MOST_NEIGHBOURS.
             unsafe {
                 let free = found.as_mut_ptr().add(total.min(MOST_NEIGHBOURS));
-                L::compress(cells.numbers().as_ptr().add(at), bits, free);
+                L::compress(cells.number.as_ptr().add(at), bits, free);
             }
             total += bits.count_ones() as usize;
             at += L::COUNT;

@@ -1,8 +1,7 @@
 //! The neighbour list of a run: kept while its skin lasts, rebuilt from where it was built before.
 
 use super::neighbour_list::{NeighbourError, NeighbourList, Workspace};
-use super::reach::Reach;
-use super::Search;
+use super::reach::{largest_move, Reach};
 use crate::numerics::lanes::Real;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::Arc;
@@ -22,7 +21,7 @@ pub struct Neighbourhood<R> {
 /// Lists that were built.
 static BUILT: AtomicU64 = AtomicU64::new(1);
 
-impl<R: Search> Neighbourhood<R> {
+impl<R: Real> Neighbourhood<R> {
     /// Builds the list from positions `[D.., N]` (the leading rows of a state will do).
     ///
     /// # Errors
@@ -39,17 +38,8 @@ impl<R: Search> Neighbourhood<R> {
         Self { list, reference: Arc::new(Vec::new()), identity: 0, workspace: Workspace::default() }
     }
 
-    /// The same list and reference, for somebody who only reads them.
-    pub fn shared(&self) -> Self {
-        let (list, reference) = (self.list.clone(), self.reference.clone());
-        Self { list, reference, identity: self.identity, workspace: Workspace::default() }
-    }
-
     /// Builds the list of another run's or an earlier reference, in the old list's memory unless somebody else still
     /// holds it.
-    ///
-    /// # Errors
-    /// As for [`Self::build`].
     pub fn rebuild_at(&mut self, reach: &Reach, reference: &Arc<Vec<R>>) -> Result<(), NeighbourError> {
         // The same place in memory: states of one list are known by it.
         self.reference = reference.clone();
@@ -76,16 +66,13 @@ impl<R: Search> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        R::rebuild(list, &self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
+        list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
     /// positions and the reference only, so a replay does the same.
-    ///
-    /// # Errors
-    /// As for [`Self::build`]; a particle that moved half the cut-off in one step.
     pub fn update(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
-        let moved = R::largest_move(reach, position, &self.reference)?;
+        let moved = largest_move(reach, position, &self.reference)?;
         // One step never moves a particle that far unless the run has diverged.
         if moved > 0.5 * reach.cutoff {
             let particle = furthest(reach, position, &self.reference);

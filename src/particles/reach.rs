@@ -28,9 +28,6 @@ impl Reach<'_> {
 }
 
 /// Distance that the fastest particle has moved since the list was built.
-///
-/// # Errors
-/// A position that is not a number.
 pub fn largest_move<R: Real>(reach: &Reach, position: &[R], reference: &[R]) -> Result<f64, NeighbourError> {
     let n = reach.tags.len();
     let largest = LargestMove { reach, position, reference, square: AtomicU64::new(0), lost: AtomicBool::new(false) };

@@ -10,7 +10,8 @@ use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
 use crate::config::stability::CflLimit;
 use crate::numerics::candle::read;
-use crate::particles::{NeighbourList, Neighbourhood, Search};
+use crate::numerics::lanes::Real;
+use crate::particles::{NeighbourList, Neighbourhood};
 use candle_core::{Device, Tensor};
 use std::any::Any;
 use std::fmt::Debug;
@@ -162,7 +163,7 @@ pub struct Place<'a, R> {
     pub device: &'a Device,
 }
 
-impl<R: Search> Place<'_, R> {
+impl<R: Real> Place<'_, R> {
     /// Makes the neighbour list valid for positions `[D, N]`.
     ///
     /// # Errors

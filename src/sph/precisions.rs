@@ -10,7 +10,7 @@ macro_rules! declare {
     ($(fn $name:ident($($argument:ident: $type:ty),* $(,)?) = $sweep:path;)*) => {
         /// The sweeps of a precision: forward, and the adjoints with names that end in `_bar`.
         #[allow(clippy::too_many_arguments)]
-        pub trait Sweeps: $crate::particles::Search {
+        pub trait Sweeps: $crate::numerics::lanes::Real {
             $(fn $name($($argument: $type),*);)*
         }
     };

@@ -10,11 +10,12 @@
 use super::predictor::{Frame, Scenery};
 use crate::dataset::extent::Extent;
 use crate::dataset::{kind, Heat, Metadata};
+use crate::numerics::gather::Gather;
 use crate::particles::neighbour_list::NeighbourList;
 use crate::particles::{tag, Domain};
 use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::conduction;
-use candle_core::{DType, Device, Result, Tensor};
+use candle_core::{Device, Result, Tensor};
 
 /// dt <= this h^2/alpha, the solver's default time.diffusion_number.
 const DIFFUSION_NUMBER: f64 = 0.25;
@@ -130,23 +131,15 @@ impl<'a> Conduction<'a> {
     fn rate_on_graph(&self, position: &Tensor, numbers: &[f64], temperature: &Tensor) -> anyhow::Result<Tensor> {
         let n = self.tags.len();
         let pairs = self.pairs(numbers)?;
-        let index = |of: &dyn Fn(&Pair) -> usize| {
-            Tensor::from_vec(pairs.iter().map(|pair| of(pair) as u32).collect::<Vec<_>>(), pairs.len(), &Device::Cpu)
-        };
-        let (i, j) = (index(&|pair| pair.i)?, index(&|pair| pair.j)?);
-        let own = |of: &Tensor| of.index_select(&i, 1);
-        let other = |of: &Tensor| of.index_select(&j, 1);
-        let sums = |of: &Tensor| Tensor::zeros((1, n), DType::F64, &Device::Cpu)?.index_add(&i, of, 1);
-        let mut square: Option<Tensor> = None;
-        for k in 0..self.domain.dimension {
+        let (i, j): (Vec<u32>, Vec<u32>) = pairs.iter().map(|pair| (pair.i as u32, pair.j as u32)).unzip();
+        let (i, j) = (Gather::new(&i, n, &Device::Cpu)?, Gather::new(&j, n, &Device::Cpu)?);
+        let (own, other, sums) =
+            (|of: &Tensor| i.rows(of, 1), |of: &Tensor| j.rows(of, 1), |of: &Tensor| i.sums(of, 1));
+        let square = |k: usize| {
             let x = position.narrow(0, k, 1)?;
-            let apart = self.domain.nearest_of(k, &(own(&x)? - other(&x)?)?)?.sqr()?;
-            square = Some(match square {
-                None => apart,
-                Some(sum) => (sum + apart)?,
-            });
-        }
-        let Some(square) = square else { anyhow::bail!("particles without a place") };
+            self.domain.nearest_of(k, &(own(&x)? - other(&x)?)?)?.sqr()
+        };
+        let square = (1..self.domain.dimension).try_fold(square(0)?, |sum, k| sum + square(k)?)?;
         let (weight, slope) = self.kernel.composed(&square.sqrt()?)?;
         let weights = sums(&weight)?;
         let fluid = mask(self.tags.iter().map(|&tag| tag == tag::FLUID))?;
@@ -174,7 +167,8 @@ impl<'a> Conduction<'a> {
 
     /// dT/dt `[N]`. `position` is `[D, N]` relative to the box's corner.
     fn rate(&self, position: &[f64], temperature: &[f64]) -> anyhow::Result<Vec<f64>> {
-        let n = temperature.len();
+        let (n, metadata) = (temperature.len(), self.scenery.metadata);
+        let is_fluid = |i: usize| self.tags[i] == tag::FLUID;
         let pairs = self.pairs(position)?;
         let sums = |of: &dyn Fn(&Pair) -> f64| {
             let mut sums = vec![0.0; n];
@@ -182,20 +176,30 @@ impl<'a> Conduction<'a> {
             sums
         };
         let weights = sums(&|pair| pair.weight);
-        let volume = self.volumes(&weights);
+        // 1/sum_j W_ij, which is m/rho for equal masses; walls have the lattice's volume.
+        let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
+        let volume = |i: usize| if is_fluid(i) { 1.0 / (itself + weights[i]) } else { lattice };
+        let volume: Vec<f64> = (0..n).map(volume).collect();
         let means = sums(&|pair| pair.weight * temperature[pair.j]);
-        let now = self.with_walls(temperature, &means, &weights);
+        let wall = |i: usize| {
+            let set = self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
+            let mean = means[i] / weights[i];
+            // A set temperature holds on the wall's surface, midway between a dummy particle and the fluid.
+            match set.is_finite() {
+                true => 2.0 * f64::from(set) - mean,
+                false => mean,
+            }
+        };
+        let now = |i: usize| if is_fluid(i) || weights[i] == 0.0 { temperature[i] } else { wall(i) };
+        let now: Vec<f64> = (0..n).map(now).collect();
         let flows = sums(&|pair| {
             let Pair { i, j, slope, .. } = *pair;
             conduction::flow([volume[i], volume[j]], slope, [now[i], now[j]])
         });
         // Over m_i = rho_i V_i: 2 alpha = 2 k/(c rho) at the reference density.
-        let rate = |i: usize| {
-            if self.conducts(i, position[i]) {
-                2.0 * self.heat.diffusivity / volume[i] * flows[i]
-            } else {
-                0.0
-            }
+        let rate = |i: usize| match self.conducts(i, position[i]) {
+            true => 2.0 * self.heat.diffusivity / volume[i] * flows[i],
+            false => 0.0,
         };
         Ok((0..n).map(rate).collect())
     }
@@ -215,30 +219,6 @@ impl<'a> Conduction<'a> {
             }
         }
         Ok(pairs)
-    }
-
-    /// 1/sum_j W_ij, which is m/rho for equal masses, from the sums over neighbours; walls have the lattice's volume.
-    fn volumes(&self, weights: &[f64]) -> Vec<f64> {
-        let metadata = self.scenery.metadata;
-        let (itself, lattice) = (self.kernel.at_zero(), metadata.dx.powi(metadata.dim as i32));
-        let volume = |(&tag, sum): (&u8, &f64)| if tag == tag::FLUID { 1.0 / (itself + sum) } else { lattice };
-        self.tags.iter().zip(weights).map(volume).collect()
-    }
-
-    /// Temperatures with those of walls filled in, given the weighted sums of their neighbours' temperatures.
-    fn with_walls(&self, temperature: &[f64], means: &[f64], weights: &[f64]) -> Vec<f64> {
-        let wall = |i: usize| {
-            let set = self.scenery.wall_temperature.map_or(f32::NAN, |w| w[i]);
-            let mean = means[i] / weights[i];
-            // A set temperature holds on the wall's surface, midway between a dummy particle and the fluid.
-            if set.is_finite() {
-                2.0 * f64::from(set) - mean
-            } else {
-                mean
-            }
-        };
-        let now = |i: usize| if self.tags[i] == tag::FLUID || weights[i] == 0.0 { temperature[i] } else { wall(i) };
-        (0..temperature.len()).map(now).collect()
     }
 }
 

@@ -22,20 +22,17 @@ use crate::config::scene::{
 };
 use crate::config::training::HeatModel;
 use crate::dataset::recipe::Recipe;
-use crate::dataset::record::kind_of;
-use crate::dataset::store::CONFIGURATION;
 use crate::dataset::Metadata;
 use crate::design::objectives::{self, Samples};
 use crate::design::problem::{check_gradient, Derivative, Evaluation, ADJOINT};
 use crate::design::{Judge, Parametrisation, Problem};
 use crate::error::{BadInput, Error};
-use crate::particles::tag;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
-use crate::surrogate::dynamics::{Begin, LearnedFlow};
+use crate::surrogate::dynamics::LearnedFlow;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::{load_learned, HEATED_CHANNEL};
 use candle_core::{DType, Device, Tensor};
@@ -110,7 +107,9 @@ impl<R: Sweeps> SurrogateProblem<R> {
         let Some(problem) = scene.design else {
             return Err(Error::run("a scene with a design has none", "report this"));
         };
-        let flow = flow(config, model, metadata, &problem, pace.dt * pace.total as f64)?;
+        let origin = metadata.origin().ok_or_else(|| unknown("where its data's 0, 0 is"))?;
+        let (hot, begin) = (config.wall.hot_temperature as f32, pace.dt * pace.total as f64);
+        let flow = LearnedFlow::new(model, metadata, problem.dynamics(), origin, hot, begin);
         let time = flow.frame_time();
         let window = ((wanted.window / time).round() as usize).clamp(1, wanted.steps);
         let samples = Samples::window(wanted.steps, window, window);
@@ -123,21 +122,13 @@ impl<R: Sweeps> SurrogateProblem<R> {
         Ok(Self { problem, flow, objective, steps, looks, first_frames, solver_schedule, model_schedule })
     }
 
-    /// Number of solver steps for the frames, without their gradient.
-    pub fn solver_steps(&self) -> usize {
-        self.problem.steps
-    }
-
     /// The time of the last predicted frame.
     pub fn end(&self) -> f64 {
         self.flow.begin + self.steps as f64 * self.flow.frame_time()
     }
 
     /// The model's initial state over a design's wall: the frames that the solver makes.
-    ///
-    /// # Errors
-    /// A run that diverges.
-    pub fn begin(&self, variables: &[f64]) -> anyhow::Result<Begin> {
+    pub fn begin(&self, variables: &[f64]) -> anyhow::Result<Tensor> {
         let start = self.problem.start(variables);
         let first: Vec<f64> = start.state.iter().map(|x| x.f64()).collect();
         let (model, mut frames) = (&self.problem.model, Vec::new());
@@ -161,7 +152,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
             Ok(())
         };
         run(&self.problem.dynamics(), &start, self.problem.steps, &mut [&mut keep])?;
-        Ok(Begin { state: self.flow.state(&frames, &first)? })
+        Ok(self.flow.state(&frames, &first)?)
     }
 
     /// The predicted objective of a design.
@@ -187,12 +178,12 @@ impl<R: Sweeps> SurrogateProblem<R> {
     /// [`Error::Diverged`] for a run that diverges and for a gradient that is not finite; others.
     pub fn differentiate(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
         let failed = |error: RunError| error.advised(ADVICE);
+        let broken = |error: candle_core::Error| Error::run(error.to_string(), "report this");
         let begin = self.begin(variables).map_err(told)?;
         let mut own = |share: f64| progress(0.2 + 0.6 * share);
         let found = gradient(&self.flow, &begin, &self.model_schedule, &*self.objective, &mut own).map_err(&failed)?;
         let mut steps = self.problem.steps;
-        let rows = || -> candle_core::Result<Vec<Vec<f64>>> { found.state.to_vec2::<f64>() };
-        let rows = rows().map_err(|error| Error::run(error.to_string(), "report this"))?;
+        let rows = found.state.to_vec2::<f64>().map_err(broken)?;
         let n = self.problem.model.particles();
         let is_wall = |i: usize| !self.problem.model.is_fluid(i);
         let mut bar: Vec<f64> = rows[self.flow.solver_row()..].concat();
@@ -214,8 +205,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
             let dynamics = self.problem.dynamics();
             let found = gradient(&dynamics, &start, &self.solver_schedule, &objective, &mut own).map_err(&failed)?;
             steps += found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
-            let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>());
-            let state = state.map_err(|error| Error::run(error.to_string(), "report this"))?;
+            let state = found.state.flatten_all().and_then(|state| state.to_vec1::<R>()).map_err(broken)?;
             bar.iter_mut().zip(&state).for_each(|(bar, more)| *bar += more.f64());
         }
         let bar: Vec<R> = bar.into_iter().map(R::of).collect();
@@ -287,31 +277,6 @@ impl Objective for GivenCotangents {
     }
 }
 
-/// The model for the particles of a scene.
-fn flow<R: Sweeps>(
-    config: &Config,
-    model: Learned,
-    metadata: Metadata,
-    problem: &Problem<R>,
-    begin: f64,
-) -> Result<LearnedFlow<R>, Error> {
-    let tags = &problem.model.tags;
-    let kept: Vec<usize> = (0..tags.len()).filter(|&i| !tag::is_on_surface(tags[i])).collect();
-    let hot = config.wall.hot_temperature as f32;
-    let set = |&i: &usize| if tags[i] == tag::HOT_WALL { hot } else { f32::NAN };
-    let origin = metadata.origin().ok_or_else(|| unknown("where its data's 0, 0 is"))?;
-    Ok(LearnedFlow {
-        kind: kept.iter().map(|&i| kind_of(tags[i])).collect(),
-        wall_temperature: kept.iter().map(set).collect(),
-        kept: kept.into_iter().map(|i| i as u32).collect(),
-        sph: problem.dynamics(),
-        model,
-        metadata,
-        origin,
-        begin,
-    })
-}
-
 /// The checkpointing schedule for a part of the gradient.
 fn schedule(wanted: &Optimise, steps: usize, costs: crate::adjoint::schedule::Costs) -> Result<Schedule, Error> {
     if wanted.gradient == GradientMode::Taped {
@@ -330,43 +295,30 @@ fn unknown(what: &str) -> BadInput {
 /// Metadata of the data on which a model was trained, if it can be used for optimisation.
 fn known_data<'a>(config: &Config, model: &'a Learned) -> Result<&'a Metadata, Error> {
     let Some(data) = &model.setup.data else { return Err(unknown("what data it was trained on").into()) };
-    let bad = |problem: String| BadInput::new(problem).key("surrogate.model");
-    if model.setup.heat == HeatModel::None || data.heat.is_none() {
-        return Err(bad("the model knows no temperatures".into())
-            .allowed("a model with heat: learned or conduction")
-            .into());
-    }
-    if model.setup.features.unset_walls {
-        return Err(bad("the model sees the temperatures of all walls, which only data have".into())
-            .allowed("a model trained with features.unset_walls = false")
-            .into());
-    }
-    if config.design.walls != DesignWalls::Bottom {
-        return Err(BadInput::new("design.walls = both with a surrogate")
-            .key("design.walls")
-            .allowed("bottom: the data have no other shaped wall")
-            .into());
-    }
-    if matches!(config.optimise.gradient, GradientMode::Truncated | GradientMode::Steady) {
-        return Err(BadInput::new("optimise.gradient = truncated or steady with a surrogate")
-            .key("optimise.gradient")
-            .allowed("segments or taped")
-            .into());
-    }
-    if config.optimise.clip > 0.0 {
-        return Err(BadInput::new("optimise.clip with a surrogate")
-            .key("optimise.clip")
-            .allowed("0 (the exact gradient)")
-            .into());
-    }
-    let text = data.other.get(CONFIGURATION).and_then(|text| text.as_str());
-    let before = text.and_then(|text| Config::from_record(text).ok());
-    let Some(before) = before else { return Err(unknown("which scene its data are of").into()) };
+    let refuse = |is_so: bool, key: &str, problem: &str, allowed: &str| match is_so {
+        true => Err(BadInput::new(problem).key(key).allowed(allowed)),
+        false => Ok(()),
+    };
+    let is_cold = model.setup.heat == HeatModel::None || data.heat.is_none();
+    refuse(is_cold, "surrogate.model", "the model knows no temperatures", "a model with heat: learned or conduction")?;
+    let problem = "the model sees the temperatures of all walls, which only data have";
+    let allowed = "a model trained with features.unset_walls = false";
+    refuse(model.setup.features.unset_walls, "surrogate.model", problem, allowed)?;
+    let problem = "design.walls = both with a surrogate";
+    let allowed = "bottom: the data have no other shaped wall";
+    refuse(config.design.walls != DesignWalls::Bottom, "design.walls", problem, allowed)?;
+    let is_partial = matches!(config.optimise.gradient, GradientMode::Truncated | GradientMode::Steady);
+    let problem = "optimise.gradient = truncated or steady with a surrogate";
+    refuse(is_partial, "optimise.gradient", problem, "segments or taped")?;
+    let allowed = "0 (the exact gradient)";
+    refuse(config.optimise.clip > 0.0, "optimise.clip", "optimise.clip with a surrogate", allowed)?;
+    let Some(before) = model.setup.data_config() else { return Err(unknown("which scene its data are of").into()) };
     let differing = differences(&before, config, &FREE);
     if !differing.is_empty() {
         let list: Vec<String> =
             differing.iter().map(|d| format!("{} was {} and is {}", d.key, d.before, d.now)).collect();
-        return Err(bad(format!("the model knows another flow: {}", list.join("; ")))
+        return Err(BadInput::new(format!("the model knows another flow: {}", list.join("; ")))
+            .key("surrogate.model")
             .allowed("the scene that its data are of, with other walls, start, objective and time step")
             .advice("scripts/train_model.sh, which makes a model of a scene, or the data's own values")
             .into());

@@ -22,9 +22,6 @@ pub struct DifferentiableRollout<'a> {
 
 impl<'a> DifferentiableRollout<'a> {
     /// A rollout of a model, whose parameters may be tracked.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(model: &'a Learned, scenery: Scenery<'a>) -> anyhow::Result<Self> {
         let moves = scenery.kind.iter().map(|&k| if kind::is_kinematic(k) { 0.0 } else { 1.0 });
         let moves = column(moves.collect())?;

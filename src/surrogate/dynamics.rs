@@ -13,10 +13,12 @@
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::adjoint::schedule::Costs;
 use crate::dataset::extent::Extent;
+use crate::dataset::record::kind_of;
 use crate::dataset::Metadata;
 use crate::numerics::candle::read;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
+use crate::particles::tag;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::TensorSolver;
 use crate::sph::Sweeps;
@@ -24,7 +26,7 @@ use crate::surrogate::differentiable_rollout::DifferentiableRollout;
 use crate::surrogate::features::{displacement, Window};
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::predictor::Scenery;
-use candle_core::{DType, Device, Result, Tensor, Var};
+use candle_core::{DType, Device, Tensor, Var};
 
 /// A learned model for the particles of a scene.
 pub struct LearnedFlow<R> {
@@ -47,13 +49,6 @@ pub struct LearnedFlow<R> {
 /// A particle has left an open box if it is this many box lengths outside.
 const FAR: f64 = 0.5;
 
-/// The first frames of a model.
-#[derive(Debug, Clone)]
-pub struct Begin {
-    /// State, `[W (D + 1) + F, N]` or `[W D + F, N]`.
-    pub state: Tensor,
-}
-
 /// The state of a run without a graph, which is also the kept state of a schedule.
 #[derive(Debug, Clone)]
 pub struct At {
@@ -62,6 +57,16 @@ pub struct At {
 }
 
 impl<R: Sweeps> LearnedFlow<R> {
+    /// A model for the particles of a scene. `hot` is the temperature of its hot walls.
+    pub fn new(model: Learned, metadata: Metadata, sph: Sph<R>, origin: Vec<f64>, hot: f32, begin: f64) -> Self {
+        let tags = &sph.model.tags;
+        let kept = (0..tags.len() as u32).filter(|&i| !tag::is_on_surface(tags[i as usize]));
+        let (kept, tags): (Vec<u32>, Vec<u8>) = kept.map(|i| (i, tags[i as usize])).unzip();
+        let kind = tags.iter().map(|&tag| kind_of(tag)).collect();
+        let wall_temperature = tags.iter().map(|&tag| if tag == tag::HOT_WALL { hot } else { f32::NAN }).collect();
+        Self { model, metadata, sph, kept, kind, wall_temperature, origin, begin }
+    }
+
     fn frames(&self) -> usize {
         self.model.setup.features.frames
     }
@@ -97,7 +102,7 @@ impl<R: Sweeps> LearnedFlow<R> {
 
     /// The state `[W (D + 1) + F, N]` made from frames of the solver, oldest first, and the solver's initial state.
     /// Each frame has a state `[F, N]` and temperatures `[N]` as in the data.
-    pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> Result<Tensor> {
+    pub fn state(&self, frames: &[(Vec<f64>, Vec<f64>)], first: &[f64]) -> candle_core::Result<Tensor> {
         let (d, n, extent) = (self.dimension(), self.sph.model.particles(), Extent::of(&self.metadata));
         let mut state = Vec::with_capacity((self.solver_row() * n) + first.len());
         for (solver, _) in frames {
@@ -112,7 +117,7 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// The input window of the model.
-    fn window(&self, state: &Tensor) -> Result<Window> {
+    fn window(&self, state: &Tensor) -> candle_core::Result<Window> {
         let kept = Tensor::from_slice(&self.kept, self.kept.len(), &Device::Cpu)?;
         let mut window = Window::default();
         for frame in 0..self.frames() {
@@ -126,13 +131,13 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// Extends rows of the kept particles, `[rows, n]`, to all, `[rows, N]`. The others get finite, unused values.
-    fn spread(&self, rows: &Tensor) -> Result<Tensor> {
+    fn spread(&self, rows: &Tensor) -> candle_core::Result<Tensor> {
         let mut place = vec![0_u32; self.sph.model.particles()];
         self.kept.iter().enumerate().for_each(|(k, &i)| place[i as usize] = k as u32);
         rows.contiguous()?.index_select(&Tensor::from_vec(place, self.sph.model.particles(), &Device::Cpu)?, 1)
     }
 
-    fn next(&self, step: usize, state: &Tensor) -> std::result::Result<Tensor, RunError> {
+    fn next(&self, step: usize, state: &Tensor) -> Result<Tensor, RunError> {
         let failed = |error: anyhow::Error| match error.downcast::<NeighbourError>() {
             Ok(source) => RunError::Neighbours { step, source },
             Err(error) => RunError::Tensor { step, source: candle_core::Error::Msg(format!("{error:#}")) },
@@ -154,7 +159,7 @@ impl<R: Sweeps> LearnedFlow<R> {
     }
 
     /// The solver's state `[F, N]` for the last frame, on the graph if the state is.
-    fn shown(&self, state: &Tensor) -> Result<Tensor> {
+    fn shown(&self, state: &Tensor) -> candle_core::Result<Tensor> {
         let (d, model) = (self.dimension(), &self.sph.model);
         let l = model.rows;
         let n = model.particles();
@@ -168,43 +173,34 @@ impl<R: Sweeps> LearnedFlow<R> {
             displacement(&frame(last)?.t()?.contiguous()?, &frame(last - 1)?.t()?.contiguous()?, &self.metadata)?;
         let velocity = step.t()?.contiguous()?.affine(1.0 / self.frame_time(), 0.0)?;
         let reference = model.heat.as_ref().map_or(0.0, |heat| heat.reference);
-        let temperature = match self.is_warm() {
-            true => Some(state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference)?),
-            false => None,
-        };
+        let warmth = || state.narrow(0, self.rows(last).1, 1)?.affine(1.0, -reference);
+        let temperature = self.is_warm().then(warmth).transpose()?;
         let mut rows = Vec::with_capacity(l.count());
         for row in 0..l.count() {
             let still = state.narrow(0, solver + row, 1)?;
             let moved = match (row, &temperature) {
-                (row, _) if row < d => frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?,
+                (row, _) if row < d => Some(frame(last)?.narrow(0, row, 1)?.affine(1.0, self.origin[row])?),
                 (row, _) if (l.velocity()..l.velocity() + d).contains(&row) => {
-                    velocity.narrow(0, row - l.velocity(), 1)?
+                    Some(velocity.narrow(0, row - l.velocity(), 1)?)
                 }
-                (row, Some(temperature)) if Some(row) == l.temperature() => temperature.clone(),
-                _ => {
-                    rows.push(still);
-                    continue;
-                }
+                (row, Some(temperature)) if Some(row) == l.temperature() => Some(temperature.clone()),
+                _ => None,
             };
-            rows.push((moved.broadcast_mul(&moves)? + still.broadcast_mul(&stays)?)?);
+            rows.push(match moved {
+                Some(moved) => (moved.broadcast_mul(&moves)? + still.broadcast_mul(&stays)?)?,
+                None => still,
+            });
         }
         Tensor::cat(&rows, 0)?.to_dtype(R::DTYPE)
     }
 
     /// The fields of a state, on the graph if it is.
-    fn fields_at(&self, step: usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+    fn fields_at(&self, step: usize, state: &Tensor) -> Result<Fields, RunError> {
         let failed = RunError::tensor(step);
         let shown = self.shown(state).and_then(|shown| shown.contiguous()).map_err(&failed)?;
-        let mut list = Err(None);
-        read(&shown.detach(), |numbers: &[R]| {
-            list = Neighbourhood::build(&self.sph.model.reach(), numbers).map_err(Some);
-            Ok(())
-        })
-        .map_err(&failed)?;
-        let list = list.map_err(|source| match source {
-            Some(source) => RunError::Neighbours { step, source },
-            None => RunError::Tensor { step, source: candle_core::Error::Msg("a state that can not be read".into()) },
-        })?;
+        let build = |numbers: &[R]| Ok(Neighbourhood::build(&self.sph.model.reach(), numbers));
+        let list = read(&shown.detach(), build).map_err(&failed)?;
+        let list = list.map_err(|source| RunError::Neighbours { step, source })?;
         let mut tape = TensorSolver::new(self.sph.model.clone(), list, step, 1, self.sph.compute.clone());
         let fields = self.sph.fields(&mut tape, &shown)?;
         Ok(Fields { step, time: self.begin + step as f64 * self.frame_time(), ..fields })
@@ -241,22 +237,19 @@ impl<R: Sweeps> LearnedFlow<R> {
         let reach = self.model.setup.normalisation.radius / (1.45 * self.metadata.dx);
         (PAIRS * reach.max(1.0).powi(self.dimension() as i32) * self.kept.len() as f64) as usize
     }
-
-    fn particle_of(&self, place: usize) -> usize {
-        place % self.sph.model.particles()
-    }
 }
 
 impl<R: Sweeps> Dynamics for LearnedFlow<R> {
-    type Start = Begin;
+    /// The state of the first frames.
+    type Start = Tensor;
     type Kept = At;
     type Run = At;
     type Tape = usize;
 
-    fn start(&self, from: &Begin) -> std::result::Result<At, RunError> {
-        Ok(At { step: 0, state: from.state.clone() })
+    fn start(&self, from: &Tensor) -> Result<At, RunError> {
+        Ok(At { step: 0, state: from.clone() })
     }
-    fn advance(&self, run: &mut At) -> std::result::Result<(), RunError> {
+    fn advance(&self, run: &mut At) -> Result<(), RunError> {
         run.state = self.next(run.step, &run.state)?.detach();
         run.step += 1;
         Ok(())
@@ -264,11 +257,11 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
     fn step(&self, run: &At) -> usize {
         run.step
     }
-    fn check(&self, run: &At) -> std::result::Result<(), RunError> {
+    fn check(&self, run: &At) -> Result<(), RunError> {
         let numbers =
             run.state.flatten_all().and_then(|state| state.to_vec1::<f64>()).map_err(RunError::tensor(run.step))?;
         if let Some(at) = numbers.iter().position(|x| !x.is_finite()) {
-            let (particle, value) = (self.particle_of(at), numbers[at]);
+            let (particle, value) = (at % self.sph.model.particles(), numbers[at]);
             return Err(RunError::NotFinite { step: run.step, field: "a predicted number", particle, value });
         }
         let (n, extent, last) =
@@ -286,28 +279,23 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         }
         Ok(())
     }
-    fn look(&self, run: &mut At) -> std::result::Result<Fields, RunError> {
+    fn look(&self, run: &mut At) -> Result<Fields, RunError> {
         self.fields_at(run.step, &run.state)
     }
 
-    fn tensor(&self, from: &Begin) -> std::result::Result<Tensor, RunError> {
-        Ok(from.state.clone())
+    fn tensor(&self, from: &Tensor) -> Result<Tensor, RunError> {
+        Ok(from.clone())
     }
-    fn advance_taped(
-        &self,
-        tape: &mut usize,
-        state: &Tensor,
-        _: Option<&Tensor>,
-    ) -> std::result::Result<Tensor, RunError> {
+    fn advance_taped(&self, tape: &mut usize, state: &Tensor, _: Option<&Tensor>) -> Result<Tensor, RunError> {
         let next = self.next(*tape, state)?;
         *tape += 1;
         Ok(next)
     }
-    fn fields(&self, tape: &mut usize, state: &Tensor) -> std::result::Result<Fields, RunError> {
+    fn fields(&self, tape: &mut usize, state: &Tensor) -> Result<Fields, RunError> {
         self.fields_at(*tape, state)
     }
 
-    fn keep(&self, run: &At, rounded: bool) -> std::result::Result<At, RunError> {
+    fn keep(&self, run: &At, rounded: bool) -> Result<At, RunError> {
         let state = match rounded {
             true => run.state.to_dtype(DType::F32).map_err(RunError::tensor(run.step))?,
             false => run.state.clone(),
@@ -315,11 +303,11 @@ impl<R: Sweeps> Dynamics for LearnedFlow<R> {
         Ok(At { step: run.step, state })
     }
     fn settle(&self, _: &mut At, _: &At) {}
-    fn resume(&self, run: &mut At, kept: &At) -> std::result::Result<(), RunError> {
+    fn resume(&self, run: &mut At, kept: &At) -> Result<(), RunError> {
         *run = At { step: kept.step, state: kept.state.to_dtype(DType::F64).map_err(RunError::tensor(kept.step))? };
         Ok(())
     }
-    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> std::result::Result<(usize, Var), RunError> {
+    fn tape(&self, kept: &At, _: Option<usize>, _: &At) -> Result<(usize, Var), RunError> {
         let state = kept.state.to_dtype(DType::F64).and_then(|state| Var::from_tensor(&state));
         Ok((kept.step, state.map_err(RunError::tensor(kept.step))?))
     }

@@ -53,9 +53,7 @@ impl Normalisation {
             change: heat.map(|h| [h.change_mean, h.change_std]),
         }
     }
-}
 
-impl Normalisation {
     /// Removes the means and uses one scale for all directions, so that rotated flows have rotated normalised values.
     pub fn make_isotropic(&mut self) {
         for (mean, scale) in [
@@ -218,18 +216,12 @@ fn length(x: &Tensor) -> Result<Tensor> {
 }
 
 /// a - b to the nearest image in periodic directions, `[N, D]`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn displacement(a: &Tensor, b: &Tensor, metadata: &Metadata) -> Result<Tensor> {
     let domain = metadata.domain();
     by_direction(&(a - b)?, metadata, |d, difference| domain.nearest_of(d, difference))
 }
 
 /// Positions wrapped into the box in periodic directions, `[N, D]`.
-///
-/// # Errors
-/// Tensor errors.
 pub fn wrap(position: &Tensor, metadata: &Metadata) -> Result<Tensor> {
     let domain = metadata.domain();
     by_direction(position, metadata, |d, coordinate| match (domain.periodic[d], metadata.bounds[d][0]) {

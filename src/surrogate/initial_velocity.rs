@@ -24,8 +24,6 @@ use crate::config::layers::Setting;
 use crate::config::scene::{Config, Kernels};
 use crate::dataset::extent::Extent;
 use crate::dataset::recipe::Recipe;
-use crate::dataset::record::kind_of;
-use crate::dataset::store::CONFIGURATION;
 use crate::dataset::Metadata;
 use crate::error::{BadInput, Error};
 use crate::inverse::initial_state::{InitialState, Unknown};
@@ -33,7 +31,7 @@ use crate::inverse::matching::Matching;
 use crate::scene::load::Loaded;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
-use crate::surrogate::dynamics::{Begin, LearnedFlow};
+use crate::surrogate::dynamics::LearnedFlow;
 use crate::surrogate::features::{displacement, wrap, Window};
 use crate::surrogate::models::learned::Learned;
 use candle_core::{Device, Tensor, Var};
@@ -74,8 +72,8 @@ fn known_data(model: &Learned) -> Result<&Metadata, BadInput> {
 }
 
 fn known_config(model: &Learned) -> Result<Config, BadInput> {
-    let text = known_data(model)?.other.get(CONFIGURATION).and_then(|text| text.as_str());
-    text.and_then(|text| Config::from_record(text).ok()).ok_or_else(|| unknown("which scene its data are of"))
+    known_data(model)?;
+    model.setup.data_config().ok_or_else(|| unknown("which scene its data are of"))
 }
 
 impl<R: Sweeps> LearnedVelocities<R> {
@@ -112,16 +110,8 @@ impl<R: Sweeps> LearnedVelocities<R> {
         let (n, d, extent) = (scene.model.particles(), metadata.dim, Extent::of(&metadata));
         let state: Vec<f64> = scene.start.state.iter().map(|x| x.f64()).collect();
         let place = (0..n * d).map(|at| extent.wrapped(at % d, state[at % d * n + at / d] - origin[at % d])).collect();
-        let flow = LearnedFlow {
-            kind: scene.model.tags.iter().map(|&tag| kind_of(tag)).collect(),
-            wall_temperature: vec![f32::NAN; n],
-            kept: (0..n as u32).collect(),
-            sph: Sph::new(scene.model.clone(), Kernels::Fused),
-            model,
-            metadata,
-            origin,
-            begin: 0.0,
-        };
+        let sph = Sph::new(scene.model.clone(), Kernels::Fused);
+        let flow = LearnedFlow::new(model, metadata, sph, origin, f32::NAN, 0.0);
         let schedule = Schedule::affordable(frames, 0, flow.costs(flow.pairs()), config.optimise.memory)?;
         let matching = problem.matching_at(frames);
         let first = Tensor::from_slice(&state, (state.len() / n, n), &Device::Cpu)?;
@@ -153,11 +143,8 @@ impl<R: Sweeps> LearnedVelocities<R> {
     }
 
     /// The loss of velocities `[D, N]` by the model.
-    ///
-    /// # Errors
-    /// A rollout that diverges.
     pub fn loss(&self, velocity: &[f64]) -> anyhow::Result<f64> {
-        let begin = Begin { state: self.begin(&self.tensor(velocity)?)? };
+        let begin = self.begin(&self.tensor(velocity)?)?;
         let mut end = run(&self.flow, &begin, self.frames, &mut [])?;
         Ok(value(&self.matching, &self.flow.look(&mut end)?)?)
     }
@@ -173,7 +160,7 @@ impl<R: Sweeps> LearnedVelocities<R> {
         let variable = variable.map_err(|error| broken(error.to_string()))?;
         // A neighbour search that fails here is that of x_0, which is the same for all velocities.
         let begin = self.begin(&variable).map_err(|error| broken(format!("{error:#}")))?;
-        let start = Begin { state: begin.detach() };
+        let start = begin.detach();
         let found = gradient(&self.flow, &start, &self.schedule, &self.matching, progress).map_err(failed)?;
         let by_velocity = || -> candle_core::Result<Vec<f64>> {
             let gradients = (begin * found.state)?.sum_all()?.backward()?;

@@ -3,9 +3,8 @@
 use crate::dataset::extent::Extent;
 use crate::dataset::{Metadata, Trajectory};
 use crate::error::BadInput;
-use crate::surrogate::evaluation::metrics;
-use crate::surrogate::evaluation::metrics::Counted;
-use crate::surrogate::evaluation::rollout::{check_length, rollout, windows, Rollout, HISTORY};
+use crate::surrogate::evaluation::metrics::{self, Counted};
+use crate::surrogate::evaluation::rollout::{check_length, rollout, windows, Broken, Rollout, HISTORY};
 use crate::surrogate::evaluation::sinkhorn;
 use crate::surrogate::predictor::{Frame, Predictor};
 use serde::{Deserialize, Serialize};
@@ -105,24 +104,11 @@ pub fn chosen_windows(trajectories: &[Trajectory], options: &Options) -> Result<
     Ok((0..count).map(|k| all[k * all.len() / count]).collect())
 }
 
-/// Rolls the model out over windows that do not overlap, and averages its metrics.
+/// Rolls the model out over windows that do not overlap, and averages its metrics; calls `done` after every window.
 ///
 /// # Errors
 /// [`BadInput`] if trajectories are too short; a model that breaks in the first step of every window.
 pub fn evaluate_windows(
-    predictor: &dyn Predictor,
-    metadata: &Metadata,
-    trajectories: &[Trajectory],
-    options: &Options,
-) -> anyhow::Result<Scores> {
-    evaluate_with(predictor, metadata, trajectories, options, &mut || ())
-}
-
-/// As [`evaluate_windows`]; calls `done` after every window.
-///
-/// # Errors
-/// As for [`evaluate_windows`].
-pub fn evaluate_with(
     predictor: &dyn Predictor,
     metadata: &Metadata,
     trajectories: &[Trajectory],
@@ -138,13 +124,8 @@ pub fn evaluate_with(
         let run = rollout(predictor, metadata, trajectory, start, options.steps)?;
         seconds += run.seconds;
         steps += run.frames.len() + usize::from(run.broken.is_some());
-        if let Some(what) = &run.broken {
-            broken.push(BrokenWindow {
-                trajectory: trajectory.name.clone(),
-                start,
-                step: what.step,
-                reason: what.reason.clone(),
-            });
+        if let Some(Broken { step, reason }) = run.broken.clone() {
+            broken.push(BrokenWindow { trajectory: trajectory.name.clone(), start, step, reason });
         }
         scored.push(score(metadata, trajectory, start, run, options));
         done();

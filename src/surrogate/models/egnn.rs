@@ -15,7 +15,7 @@ use crate::surrogate::network::layers::{builder, embedded, on_device, Perceptron
 use crate::surrogate::network::mlp::MlpShape;
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Device, Result, Tensor};
-use candle_nn::{embedding, Embedding, Module, VarBuilder};
+use candle_nn::{embedding, Module};
 
 pub struct Egnn {
     sizes: Sizes,
@@ -29,9 +29,6 @@ pub struct Egnn {
 
 impl Egnn {
     /// A new network from a seed. Its parameters stay on the CPU.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(sizes: Sizes, frames: usize, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let network = Self { sizes, velocities: frames - 1, device: Device::Cpu, parameters: Vec::new() };
@@ -90,45 +87,6 @@ impl Egnn {
     fn head(&self, outputs: usize) -> MlpShape {
         self.perceptron(self.sizes.latent, outputs, false)
     }
-}
-
-/// The network as candle-nn's layers, for one set of parameters.
-struct Layers {
-    embedding: Embedding,
-    encoder: Perceptron,
-    rounds: Vec<Round>,
-    /// Decoder of the invariant outputs, if there are any.
-    decoder: Option<Perceptron>,
-}
-
-struct Round {
-    messages: Perceptron,
-    nodes: Perceptron,
-    /// w.
-    pull: Perceptron,
-    /// All u_k in one perceptron.
-    drift: Perceptron,
-}
-
-impl Egnn {
-    fn layers(&self, builder: VarBuilder) -> Result<Layers> {
-        let round = |k: usize| {
-            let builder = builder.pp("proc").pp(k);
-            Ok(Round {
-                messages: Perceptron::new(&self.messages(), builder.pp("edge"))?,
-                nodes: Perceptron::new(&self.nodes(), builder.pp("node"))?,
-                pull: Perceptron::new(&self.head(1), builder.pp("pull"))?,
-                drift: Perceptron::new(&self.head(self.velocities), builder.pp("drift"))?,
-            })
-        };
-        let decodes = self.scalars() > 0;
-        Ok(Layers {
-            embedding: embedding(KINDS, self.sizes.embedding, builder.pp("embed"))?,
-            encoder: Perceptron::new(&self.encoder(), builder.pp("enc.node"))?,
-            rounds: (0..self.sizes.rounds).map(round).collect::<Result<_>>()?,
-            decoder: decodes.then(|| Perceptron::new(&self.head(self.scalars()), builder.pp("dec"))).transpose()?,
-        })
-    }
 
     /// The invariant node features: speeds, and those after the velocities.
     fn invariants(&self, inputs: &Inputs, velocities: &[Tensor]) -> Result<Vec<Tensor>> {
@@ -141,6 +99,39 @@ impl Egnn {
         }
         Ok(invariants)
     }
+
+    fn apply_there(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
+        let builder = builder(&self.parameters, parameters)?;
+        let apply = |name: &str, shape, x: &Tensor| Perceptron::new(&shape, builder.pp(name))?.forward(x);
+        let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
+        let d = self.dimension();
+        let velocity = |k: usize| inputs.nodes.narrow(1, k * d, d);
+        let velocities = (0..self.velocities).map(velocity).collect::<Result<Vec<_>>>()?;
+        let (relative, length) = (inputs.edges.narrow(1, 0, d)?, inputs.edges.narrow(1, d, 1)?);
+
+        let mut scalars = self.invariants(inputs, &velocities)?;
+        scalars.push(embedded(&embedding(KINDS, self.sizes.embedding, builder.pp("embed"))?, &inputs.kinds)?);
+        let mut h = apply("enc.node", self.encoder(), &Tensor::cat(&scalars, 1)?)?;
+        let mut x = velocities[0].zeros_like()?;
+        for k in 0..self.sizes.rounds {
+            let apply = |part: &str, shape, x: &Tensor| apply(&format!("proc.{k}.{part}"), shape, x);
+            let pairs = Tensor::cat(&[&ends.of_senders(&h)?, &ends.of_receivers(&h)?, &length], 1)?;
+            let messages = apply("edge", self.messages(), &pairs)?;
+            h = (&h + apply("node", self.nodes(), &Tensor::cat(&[&h, &ends.sums(&messages)?], 1)?)?)?;
+            // w.
+            let pull = apply("pull", self.head(1), &messages)?;
+            x = (x + ends.sums(&relative.broadcast_mul(&pull)?)?)?;
+            // All u_k in one perceptron.
+            let drift = apply("drift", self.head(self.velocities), &h)?;
+            for (k, velocity) in velocities.iter().enumerate() {
+                x = (x + velocity.broadcast_mul(&drift.narrow(1, k, 1)?)?)?;
+            }
+        }
+        match self.scalars() {
+            0 => Ok(x),
+            scalars => Tensor::cat(&[x, apply("dec", self.head(scalars), &h)?], 1),
+        }
+    }
 }
 
 impl Network for Egnn {
@@ -150,35 +141,5 @@ impl Network for Egnn {
 
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
         on_device(&self.device, inputs, parameters, |inputs, parameters| self.apply_there(inputs, parameters))
-    }
-}
-
-impl Egnn {
-    fn apply_there(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
-        let layers = self.layers(builder(&self.parameters, parameters)?)?;
-        let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
-        let d = self.dimension();
-        let velocity = |k: usize| inputs.nodes.narrow(1, k * d, d);
-        let velocities = (0..self.velocities).map(velocity).collect::<Result<Vec<_>>>()?;
-        let (relative, length) = (inputs.edges.narrow(1, 0, d)?, inputs.edges.narrow(1, d, 1)?);
-
-        let mut scalars = self.invariants(inputs, &velocities)?;
-        scalars.push(embedded(&layers.embedding, &inputs.kinds)?);
-        let mut h = layers.encoder.forward(&Tensor::cat(&scalars, 1)?)?;
-        let mut x = velocities[0].zeros_like()?;
-        for round in &layers.rounds {
-            let pairs = Tensor::cat(&[&ends.of_senders(&h)?, &ends.of_receivers(&h)?, &length], 1)?;
-            let messages = round.messages.forward(&pairs)?;
-            h = (&h + round.nodes.forward(&Tensor::cat(&[&h, &ends.sums(&messages)?], 1)?)?)?;
-            x = (x + ends.sums(&relative.broadcast_mul(&round.pull.forward(&messages)?)?)?)?;
-            let drift = round.drift.forward(&h)?;
-            for (k, velocity) in velocities.iter().enumerate() {
-                x = (x + velocity.broadcast_mul(&drift.narrow(1, k, 1)?)?)?;
-            }
-        }
-        match layers.decoder {
-            Some(decoder) => Tensor::cat(&[x, decoder.forward(&h)?], 1),
-            None => Ok(x),
-        }
     }
 }

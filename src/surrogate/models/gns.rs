@@ -7,7 +7,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
-use crate::surrogate::models::composed_gns::ComposedGns;
+use crate::surrogate::models::composed_gns::composed_gns;
 use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::interaction::{Rounds, Trace};
 use crate::surrogate::network::layers::{builder, on_device};
@@ -27,9 +27,6 @@ pub struct Gns {
 
 impl Gns {
     /// A new network from a seed. Its parameters do not depend on `compute` and stay on the CPU.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(sizes: Sizes, compute: impl Into<Compute>, seed: u64, dtype: DType) -> Result<Self> {
         let mut rng = stream(seed, "weights");
         let mut parameters = vec![Parameter::table("embed.weight", KINDS, sizes.embedding, &mut rng, dtype)?];
@@ -65,9 +62,6 @@ impl Gns {
     }
 
     /// As [`Network::apply`] by the fused operators, with the states `[N + E, L]` after the encoder and each round.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn apply_traced(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<(Tensor, Vec<Tensor>)> {
         let trace = Trace::default();
         let out = self.apply_with(inputs, parameters, Some(trace.clone()))?;
@@ -92,7 +86,7 @@ impl Network for Gns {
         match self.compute.kernels() {
             Kernels::Fused => self.apply_with(inputs, parameters, None),
             Kernels::Composed => on_device(self.compute.device(), inputs, parameters, |inputs, parameters| {
-                ComposedGns::new(&self.sizes, builder(&self.parameters, parameters)?)?.forward(inputs)
+                composed_gns(&self.sizes, &builder(&self.parameters, parameters)?, inputs)
             }),
         }
     }

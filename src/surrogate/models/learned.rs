@@ -25,9 +25,7 @@ impl Learned {
         let parameters = detached(&*network);
         Self { name, setup, network, parameters }
     }
-}
 
-impl Learned {
     /// Positions `[N, D]` and, if the network learns them, temperatures `[N]` one frame after a window, with kinematic
     /// particles not yet restored. They are on candle's graph if the window or the parameters are. `force`: external
     /// force `[N, D]`, if any.

@@ -6,11 +6,10 @@ use crate::dataset::Metadata;
 use crate::error::BadInput;
 use crate::io::tensor_file::TensorFile;
 use crate::surrogate::features::{Features, Normalisation};
-use crate::surrogate::models::constant_velocity::ConstantVelocity;
+use crate::surrogate::models::baselines::{ConstantVelocity, Still};
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::models::sizes::Sizes;
-use crate::surrogate::models::still::Still;
 use crate::surrogate::predictor::Predictor;
 use crate::surrogate::training::checkpoint;
 use candle_core::DType;
@@ -43,9 +42,7 @@ pub fn load_predictor(
     if file.metadata.contains_key("format") {
         let header = checkpoint::read(path)?;
         header.setup.fits(metadata).map_err(|bad| bad.place(path.display().to_string()))?;
-        let network = header.setup.network(compute, 0, DType::F32)?;
-        header.load_into(&*network, true)?;
-        return Ok(Box::new(Learned::new(name, header.setup, Arc::from(network))));
+        return Ok(Box::new(learned(header, name, compute, DType::F32)?));
     }
     let setup = foreign(&file, metadata)
         .map_err(|problem| bad(format!("not a model of hydrograd, nor LagrangeBench's weights: {problem}")))?;
@@ -91,9 +88,6 @@ impl BuiltIn {
 }
 
 /// Identifies a model by the checksum of its file.
-///
-/// # Errors
-/// A file that cannot be read.
 pub fn identity(path: Option<&Path>) -> Result<String, BadInput> {
     let sum = |bytes: &[u8]| format!("{:08x}", crc32c::crc32c(bytes));
     match path {

@@ -1,7 +1,9 @@
 //! The data of a trained model besides its parameters (sizes, features, normalisation), which its checkpoint contains.
 
 use crate::config::device::Compute;
+use crate::config::scene::Config;
 use crate::config::training::{HeatModel, Kind, Settings};
+use crate::dataset::store::CONFIGURATION;
 use crate::dataset::{Heat, Metadata};
 use crate::error::BadInput;
 use crate::surrogate::features::{Features, Normalisation};
@@ -44,14 +46,13 @@ impl Setup {
                 .allowed("data made by `hydrograd generate` from a scene with heat")
                 .advice("model.heat=none"));
         }
-        let learned = heat.is_some() && model.heat == HeatModel::Learned;
         let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
         // Conduction is computed, so the network does not need temperatures.
-        let seen = heat.filter(|_| learned);
+        let seen = heat.filter(|_| model.heat == HeatModel::Learned);
         let sizes = Sizes {
             node_features: settings.features.count(metadata, seen.is_some(), 0),
             edge_features: metadata.dim + 1,
-            outputs: metadata.dim + usize::from(learned),
+            outputs: metadata.dim + usize::from(seen.is_some()),
             latent: model.latent,
             rounds: model.rounds,
             linears: model.linears,
@@ -74,10 +75,12 @@ impl Setup {
         })
     }
 
+    /// The configuration of the scene that the training data are of, if it is known.
+    pub fn data_config(&self) -> Option<Config> {
+        Config::from_record(self.data.as_ref()?.other.get(CONFIGURATION)?.as_str()?).ok()
+    }
+
     /// A network of these sizes. The equivariant one always consists of candle-nn's layers.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn network(
         &self,
         compute: impl Into<Compute>,

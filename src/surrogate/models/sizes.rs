@@ -24,7 +24,7 @@ pub struct Sizes {
 impl Sizes {
     /// The first size that needs more values than a file has, to be checked before memory is allocated.
     pub fn beyond(&self, file: &TensorFile) -> Option<String> {
-        let numbers: usize = file.tensors.values().map(|(_, data)| data.len()).sum();
+        let numbers: usize = file.tensors.values().map(|(_, data)| data.count()).sum();
         let Self { node_features, edge_features, outputs, latent, rounds, linears, embedding } = *self;
         let needed = [
             ("latent", latent, latent),

@@ -3,12 +3,11 @@
 //! m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - lr (m^/(sqrt(v^) + eps) + decay x), with m^ = m/(1 - b1^t) and
 //! v^ = v/(1 - b2^t): as optax and LagrangeBench, b1 0.9, b2 0.999, eps 1e-8, decay 1e-8.
 
-use crate::numerics::candle::{update as in_place, Update};
+use crate::numerics::candle::update;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::surrogate::network::row::each;
 use candle_core::{DType, Result, Tensor, Var};
-use std::ops::Range;
 
 pub const FIRST_DECAY: f64 = 0.9;
 pub const SECOND_DECAY: f64 = 0.999;
@@ -46,19 +45,17 @@ enum Change<R> {
 }
 
 struct Sweep<'a, R> {
-    x: Shared<'a, R>,
     a: &'a [R],
     b: &'a [R],
     change: Change<R>,
 }
 
-impl<R: Real> RowKernel<R> for Sweep<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Sweep<'a, R> {
+    type Part = &'a mut [R];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let range = rows.start * ROW..self.a.len().min(rows.end * ROW);
-        // SAFETY: each range belongs to one iteration.
-        let x = unsafe { self.x.slice(range.clone()) };
-        let (a, b) = (&self.a[range.clone()], &self.b[range]);
+    fn part<L: Lanes<Real = R>>(&self, row: usize, x: &mut &'a mut [R]) {
+        let [a, b] = [self.a, self.b].map(|of| &of[row * ROW..][..x.len()]);
         match self.change {
             Change::Mean { decay, rest } => {
                 let [decay, rest] = [decay, rest].map(L::splat);
@@ -79,12 +76,11 @@ impl<R: Real> RowKernel<R> for Sweep<'_, R> {
     }
 }
 
-impl<R: Real> Update for Change<R> {
-    type Real = R;
-    const NAME: &'static str = "adamw";
-
-    fn update(&self, x: &mut [R], a: &[R], b: &[R]) {
-        run_rows(&Sweep { x: Shared::new(x), a, b, change: *self }, a.len().div_ceil(ROW));
+impl<R: Real> Change<R> {
+    fn apply(self, x: &Tensor, a: &Tensor, b: &Tensor) -> Result<()> {
+        update("adamw", x, a, b, |x: &mut [R], a, b| {
+            run_parts(&Sweep { a, b, change: self }, x.chunks_mut(ROW));
+        })
     }
 }
 
@@ -100,35 +96,26 @@ impl AdamW {
     /// One update; `gradients` stand in the order of the parameters.
     pub fn step(&mut self, parameters: &[Var], gradients: &[Tensor], learning_rate: f64) -> Result<()> {
         self.steps += 1;
-        for ((parameter, gradient), moments) in parameters.iter().zip(gradients).zip(&mut self.moments) {
+        for (k, (parameter, gradient)) in parameters.iter().zip(gradients).enumerate() {
             match parameter.dtype() {
-                DType::F32 => {
-                    self::update::<f32>(parameter, gradient, moments, self.steps, learning_rate, self.weight_decay)?
-                }
-                _ => self::update::<f64>(parameter, gradient, moments, self.steps, learning_rate, self.weight_decay)?,
+                DType::F32 => self.update::<f32>(parameter, gradient, k, learning_rate)?,
+                _ => self.update::<f64>(parameter, gradient, k, learning_rate)?,
             }
         }
         Ok(())
     }
-}
 
-fn update<R: Real>(
-    parameter: &Var,
-    gradient: &Tensor,
-    moments: &mut Moments,
-    steps: u64,
-    learning_rate: f64,
-    weight_decay: f64,
-) -> Result<()> {
-    let share = |decay: f64| R::of(1.0 / (1.0 - decay.powf(steps as f64)));
-    let (first, second) = (share(FIRST_DECAY), share(SECOND_DECAY));
-    let (rate, decay) = (R::of(learning_rate), R::of(weight_decay));
-    let [b1, b2, c1, c2, epsilon] =
-        [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
-    let (g, m, v) = (gradient.contiguous()?.detach(), &moments.first, &moments.second);
-    in_place(Change::Mean { decay: b1, rest: c1 }, m, &g, &g)?;
-    in_place(Change::Square { decay: b2, rest: c2 }, v, &g, &g)?;
-    in_place(Change::Move { rate, first, second, epsilon, decay }, parameter, m, v)
+    fn update<R: Real>(&self, parameter: &Var, gradient: &Tensor, k: usize, learning_rate: f64) -> Result<()> {
+        let share = |decay: f64| R::of(1.0 / (1.0 - decay.powf(self.steps as f64)));
+        let (first, second) = (share(FIRST_DECAY), share(SECOND_DECAY));
+        let (rate, decay) = (R::of(learning_rate), R::of(self.weight_decay));
+        let [b1, b2, c1, c2, epsilon] =
+            [FIRST_DECAY, SECOND_DECAY, 1.0 - FIRST_DECAY, 1.0 - SECOND_DECAY, EPSILON].map(R::of);
+        let (g, Moments { first: m, second: v }) = (gradient.contiguous()?.detach(), &self.moments[k]);
+        Change::Mean { decay: b1, rest: c1 }.apply(m, &g, &g)?;
+        Change::Square { decay: b2, rest: c2 }.apply(v, &g, &g)?;
+        Change::Move { rate, first, second, epsilon, decay }.apply(parameter, m, v)
+    }
 }
 
 /// max(start factor^(step/interval), least): LagrangeBench's decay.

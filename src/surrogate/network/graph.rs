@@ -88,16 +88,9 @@ impl Graph {
     pub fn parts(&self, parts: usize) -> Vec<Range<usize>> {
         // The perceptron of a node costs about as much as four edges.
         let weight = |i: usize| self.start[i] as usize + 4 * i;
-        let total = weight(self.nodes());
-        let mut ends = Vec::with_capacity(parts);
-        let mut at = 0;
-        for k in 1..=parts {
-            while at < self.nodes() && (weight(at) < total * k / parts || k == parts) {
-                at += 1;
-            }
-            ends.push(at);
-        }
-        (0..parts).map(|k| if k == 0 { 0 } else { ends[k - 1] }..ends[k]).collect()
+        let (nodes, total) = (self.nodes(), weight(self.nodes()));
+        let end = |k: usize| (0..nodes).find(|&i| weight(i) >= total * k / parts).unwrap_or(nodes);
+        (0..parts).map(|k| end(k)..end(k + 1)).collect()
     }
 
     /// Divides nodes into ranges with about the same number of edges, at most `edges` plus those of one node.
@@ -132,34 +125,22 @@ pub struct Ends {
 
 impl Ends {
     /// The ends on a device.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn new(graph: &Graph, device: &Device) -> candle_core::Result<Self> {
         let gather = |ends: &[u32]| Gather::new(ends, graph.nodes(), device);
         Ok(Self { senders: gather(&graph.senders)?, receivers: gather(&graph.receivers)? })
     }
 
     /// Rows of the senders: `[N, C]` -> `[E, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of_senders(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.senders.rows(x, 0)
     }
 
     /// Rows of the receivers: `[N, C]` -> `[E, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn of_receivers(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.receivers.rows(x, 0)
     }
 
     /// Sums over the edges into each node: `[E, C]` -> `[N, C]`.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn sums(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.receivers.sums(x, 0)
     }

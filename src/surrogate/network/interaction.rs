@@ -11,13 +11,11 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{cut, run_parts, PartKernel};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
-use crate::surrogate::network::mlp;
-use crate::surrogate::network::mlp::{Activations, Cotangents, MlpShape, SharedActivations};
-use crate::surrogate::network::row;
-use crate::surrogate::network::row::each;
+use crate::surrogate::network::mlp::{self, since, times, Activations, Cotangents, Layers, MlpShape};
+use crate::surrogate::network::row::{self, each};
 use candle_core::{Device, Result, Tensor};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -30,7 +28,9 @@ pub struct Rounds<R: Real> {
     rounds: usize,
     /// Whether the adjoint may be asked for.
     keeps: bool,
+    /// The nodes of each part, and the edges into them.
     parts: Vec<Range<usize>>,
+    edge_parts: Vec<Range<usize>>,
     /// About how many edges go through together, and how many at most.
     edge_block: usize,
     edge_room: usize,
@@ -75,8 +75,10 @@ impl<R: Real> Rounds<R> {
     ) -> Self {
         let (edge, node) = (edge_shape(latent, hidden, linears), node_shape(latent, hidden, linears));
         let most = (0..graph.nodes()).map(|i| graph.entering(&(i..i + 1)).len()).max().unwrap_or(0);
+        let parts = graph.parts(mlp::parts(graph.edges() + graph.nodes()));
         Self {
-            parts: graph.parts(mlp::parts(graph.edges() + graph.nodes())),
+            edge_parts: parts.iter().map(|nodes| graph.entering(nodes)).collect(),
+            parts,
             graph: graph.clone(),
             edge,
             node,
@@ -115,110 +117,111 @@ fn weight_of(shape: &MlpShape, k: usize) -> Range<usize> {
     at + k * length..at + (k + 1) * length
 }
 
-/// Nodes times Ws and Wr, `[N, 2 H]` as two matrices behind each other; the bias goes with the receivers.
-struct Project<'a, R: Real> {
+/// What each sweep of a round needs.
+#[derive(Clone, Copy)]
+struct Round<'a, R: Real> {
     op: &'a Rounds<R>,
+    /// Nodes before the round.
     nodes: &'a [R],
-    p: &'a [R],
-    projected: Shared<'a, R>,
+    /// Parameters of the edges' perceptron and of the nodes'.
+    edge_p: &'a [R],
+    node_p: &'a [R],
 }
 
-impl<R: Real> RowKernel<R> for Project<'_, R> {
+/// Nodes times Ws and Wr, `[N, H]` each; the bias goes with the receivers.
+struct Project<'a, R: Real>(Round<'a, R>);
+
+impl<'a, R: Real> PartKernel<R> for Project<'a, R> {
+    type Part = [&'a mut [R]; 2];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let (op, l, h) = (self.op, self.op.latent(), self.op.edge.hidden);
-        let n = op.graph.nodes();
-        for nodes in range.map(|k| op.parts[k].clone()) {
-            let x = &self.nodes[nodes.start * l..nodes.end * l];
-            for k in 0..2 {
-                // SAFETY: each part's nodes belong to one iteration.
-                let to = unsafe { self.projected.slice((k * n + nodes.start) * h..(k * n + nodes.end) * h) };
-                matrix::multiply(to, x, &self.p[weight_of(&op.edge, k)], (nodes.len(), l, h), false);
-                if k == 1 {
-                    let bias = &self.p[op.edge.bias(0)];
-                    for row in to.chunks_exact_mut(h) {
-                        each::<L, 1>(row, [bias], |x, [b]| x + b);
-                    }
-                }
-            }
+    fn part<L: Lanes<Real = R>>(&self, part: usize, projected: &mut Self::Part) {
+        let Round { op, nodes, edge_p: p, .. } = self.0;
+        let (rows, l, h) = (&op.parts[part], op.latent(), op.edge.hidden);
+        for (k, to) in projected.iter_mut().enumerate() {
+            let weight = &p[weight_of(&op.edge, k)];
+            matrix::multiply(to, &nodes[times(rows, l)], weight, (rows.len(), l, h), false);
+        }
+        for row in projected[1].chunks_exact_mut(h) {
+            each::<L, 1>(row, [&p[op.edge.bias(0)]], |x, [b]| x + b);
         }
     }
 }
 
 struct Forward<'a, R: Real> {
-    op: &'a Rounds<R>,
-    nodes: &'a [R],
-    /// None if they stand in `edges_out` and are changed there: half the memory to go through.
+    round: Round<'a, R>,
+    /// None if they stand where those behind the round are put: half the memory to go through.
     edges: Option<&'a [R]>,
-    edge_p: &'a [R],
-    node_p: &'a [R],
-    projected: &'a [R],
-    /// Of edges and nodes; none if no adjoint follows.
-    activations: Option<(SharedActivations<'a, R>, SharedActivations<'a, R>)>,
-    sums: Shared<'a, R>,
-    nodes_out: Shared<'a, R>,
-    /// Empty if nobody reads them.
-    edges_out: Shared<'a, R>,
+    /// Of senders and of receivers.
+    projected: [&'a [R]; 2],
     gives_edges: bool,
 }
 
-impl<R: Real> RowKernel<R> for Forward<'_, R> {
+/// What the forward pass of a round gives for a part of the nodes and the edges into them.
+struct Given<'a, R> {
+    /// Of edges and nodes; none if no adjoint follows.
+    activations: Option<(Layers<'a, R>, Layers<'a, R>)>,
+    sums: &'a mut [R],
+    nodes: &'a mut [R],
+    /// Empty if nobody reads them.
+    edges: &'a mut [R],
+}
+
+impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
+    type Part = Given<'a, R>;
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let op = self.op;
+    fn part<L: Lanes<Real = R>>(&self, k: usize, given: &mut Self::Part) {
+        let op = self.round.op;
         // Without an adjoint a block's activations stay in the core's cache, and the next block's go over them.
-        let mut room = (self.activations.is_none()).then(|| {
+        let mut room = (!op.keeps).then(|| {
             let activations = |shape, rows| Activations::new(&op.memory, shape, rows);
             (activations(&op.edge, op.edge_room), activations(&op.node, op.node_block))
         });
-        let room = room.as_mut().map(|(edge, node)| (edge.shared(), node.shared()));
-        let Some((edge, node)) = self.activations.as_ref().or(room.as_ref()) else { return };
-        for k in range {
-            let nodes = op.parts[k].clone();
-            for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
-                self.edges::<L>(stretch, edge);
-            }
-            for block in mlp::blocks(nodes, op.node_block) {
-                self.nodes::<L>(block, node);
-            }
+        let room = room.as_mut().map(|(edge, node)| (edge.whole(), node.whole()));
+        let Some((mut edge, mut node)) = given.activations.take().or(room) else { return };
+        for nodes in op.graph.stretches(op.parts[k].clone(), op.edge_block) {
+            self.edges::<L>(k, nodes, given, &mut edge);
+        }
+        for nodes in mlp::blocks(op.parts[k].clone(), op.node_block) {
+            self.nodes::<L>(k, nodes, given, &mut node);
         }
     }
 }
 
 impl<R: Real> Forward<'_, R> {
-    /// Messages into a stretch of nodes, and their sums.
+    /// Messages into a stretch of a part's nodes, and their sums.
     #[inline(always)]
-    fn edges<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &SharedActivations<R>) {
-        let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.edge_p);
-        let (graph, n) = (&*op.graph, op.graph.nodes());
+    fn edges<L: Lanes<Real = R>>(&self, k: usize, nodes: Range<usize>, given: &mut Given<R>, layers: &mut Layers<R>) {
+        let Round { op, edge_p: p, .. } = self.round;
+        let (graph, l, h) = (&*op.graph, op.latent(), op.edge.hidden);
         let edges = graph.entering(&nodes);
-        let rows = if self.activations.is_some() { edges.clone() } else { 0..edges.len() };
-        // SAFETY (all): a node, and the edges into it, belong to one iteration.
-        let hidden = unsafe { layers.hidden(&op.edge, 0, rows.clone()) };
-        let place = edges.start * l..edges.end * l;
-        let e = self.edges.map(|edges| &edges[place.clone()]);
-        let given = e.unwrap_or_else(|| unsafe { &*self.edges_out.slice(place.clone()) });
-        matrix::multiply(hidden, given, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
+        let own = since(op.edge_parts[k].start, &edges);
+        let rows = if op.keeps { own.clone() } else { 0..edges.len() };
+        let hidden = layers.first(&rows);
+        let e = self.edges.map(|all| &all[times(&edges, l)]);
+        let before = e.unwrap_or_else(|| &given.edges[times(&own, l)]);
+        matrix::multiply(hidden, before, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
         for (edge, row) in edges.clone().zip(hidden.chunks_exact_mut(h)) {
-            let (j, i) = (graph.senders[edge] as usize, n + graph.receivers[edge] as usize);
-            let (from, to) = (&self.projected[j * h..(j + 1) * h], &self.projected[i * h..(i + 1) * h]);
+            let (j, i) = (graph.senders[edge] as usize, graph.receivers[edge] as usize);
+            let [from, to] = self.projected;
+            let (from, to) = (&from[j * h..(j + 1) * h], &to[i * h..(i + 1) * h]);
             each::<L, 2>(row, [from, to], |x, [from, to]| (x + from + to).positive());
         }
-        unsafe { mlp::forward_block::<L>(&op.edge, p, layers, rows.clone()) };
-        let z = unsafe { &*layers.normalised(&op.edge, rows) };
+        mlp::forward_block::<L>(p, layers, &rows);
+        let z = layers.normalised(&rows);
         let (scale, offset) = (&p[op.edge.scale()], &p[op.edge.offset()]);
-        for i in nodes {
+        let sums = &mut given.sums[times(&since(op.parts[k].start, &nodes), l)];
+        for (i, sums) in nodes.zip(sums.chunks_exact_mut(l)) {
             let into = graph.entering(&(i..i + 1));
-            let sums = unsafe { self.sums.slice(i * l..(i + 1) * l) };
             sums.fill(R::default());
-            let of_node = &z[(into.start - edges.start) * l..(into.end - edges.start) * l];
-            row::add_rows::<L, 1>(sums, [of_node], |[z]| z);
+            row::add_rows::<L, 1>(sums, [&z[times(&since(edges.start, &into), l)]], |[z]| z);
             let count = L::splat(R::of(into.len() as f64));
             each::<L, 2>(sums, [scale, offset], |sum, [scale, offset]| sum * scale + count * offset);
         }
         if self.gives_edges {
-            let out = unsafe { self.edges_out.slice(place) };
-            for (row, (out, z)) in out.chunks_exact_mut(l).zip(z.chunks_exact(l)).enumerate() {
+            let out = given.edges[times(&own, l)].chunks_exact_mut(l);
+            for (row, (out, z)) in out.zip(z.chunks_exact(l)).enumerate() {
                 match e {
                     Some(e) => {
                         let e = &e[row * l..(row + 1) * l];
@@ -231,23 +234,20 @@ impl<R: Real> Forward<'_, R> {
     }
 
     #[inline(always)]
-    fn nodes<L: Lanes<Real = R>>(&self, nodes: Range<usize>, layers: &SharedActivations<R>) {
-        let (op, l, h, p) = (self.op, self.op.latent(), self.op.node.hidden, self.node_p);
-        let place = nodes.start * l..nodes.end * l;
-        let rows = if self.activations.is_some() { nodes.clone() } else { 0..nodes.len() };
-        // SAFETY (all): as for the edges.
-        let (hidden, sums, out) = unsafe {
-            let sums = &*self.sums.slice(place.clone());
-            (layers.hidden(&op.node, 0, rows.clone()), sums, self.nodes_out.slice(place.clone()))
-        };
-        let (x, size) = (&self.nodes[place], (nodes.len(), l, h));
+    fn nodes<L: Lanes<Real = R>>(&self, k: usize, nodes: Range<usize>, given: &mut Given<R>, layers: &mut Layers<R>) {
+        let Round { op, node_p: p, .. } = self.round;
+        let (l, h) = (op.latent(), op.node.hidden);
+        let own = since(op.parts[k].start, &nodes);
+        let rows = if op.keeps { own.clone() } else { 0..nodes.len() };
+        let (hidden, place) = (layers.first(&rows), times(&own, l));
+        let (x, size) = (&self.round.nodes[times(&nodes, l)], (nodes.len(), l, h));
         matrix::multiply(hidden, x, &p[weight_of(&op.node, 0)], size, false);
-        matrix::multiply(hidden, sums, &p[weight_of(&op.node, 1)], size, true);
+        matrix::multiply(hidden, &given.sums[place.clone()], &p[weight_of(&op.node, 1)], size, true);
         row::activate::<L>(hidden, &p[op.node.bias(0)]);
-        unsafe { mlp::forward_block::<L>(&op.node, p, layers, rows.clone()) };
-        let z = unsafe { &*layers.normalised(&op.node, rows) };
+        mlp::forward_block::<L>(p, layers, &rows);
+        let z = layers.normalised(&rows);
         let (scale, offset) = (&p[op.node.scale()], &p[op.node.offset()]);
-        for ((out, x), z) in out.chunks_exact_mut(l).zip(x.chunks_exact(l)).zip(z.chunks_exact(l)) {
+        for ((out, x), z) in given.nodes[place].chunks_exact_mut(l).zip(x.chunks_exact(l)).zip(z.chunks_exact(l)) {
             each::<L, 4>(out, [x, z, scale, offset], |_, [x, z, scale, offset]| x + (z * scale + offset));
         }
     }
@@ -255,57 +255,47 @@ impl<R: Real> Forward<'_, R> {
 
 /// First pass of the adjoint: through the nodes' perceptron and the edges', to the sums of the edges' first layer.
 struct Backward<'a, R: Real> {
-    op: &'a Rounds<R>,
-    nodes: &'a [R],
+    round: Round<'a, R>,
     edges: &'a [R],
-    edge_p: &'a [R],
-    node_p: &'a [R],
-    edge: SharedActivations<'a, R>,
-    node: SharedActivations<'a, R>,
-    sums: &'a [R],
-    /// Cotangents of what the round gave, and then of what it was given.
-    nodes_bar: Shared<'a, R>,
-    edges_bar: Shared<'a, R>,
+    activations: &'a RoundActivations<R>,
     /// Whether anything comes back through the edges that the round gave.
     had_edges: bool,
-    /// `[E, H]`: cotangent of the first layer's sums; the second pass collects it by sender.
-    first_bar: Shared<'a, R>,
-    /// `[N, H]`: the same collected by receiver.
-    received_bar: Shared<'a, R>,
-    /// `[parts, P]`.
-    edge_p_bar: Shared<'a, R>,
-    node_p_bar: Shared<'a, R>,
 }
 
-impl<R: Real> RowKernel<R> for Backward<'_, R> {
+/// The cotangents of a part of the nodes and the edges into them.
+struct Bars<'a, R> {
+    /// Of what the round gave, and then of what it was given.
+    nodes: &'a mut [R],
+    edges: &'a mut [R],
+    /// `[E, H]`: of the first layer's sums; the second pass collects it by sender.
+    first: &'a mut [R],
+    /// `[N, H]`: the same collected by receiver.
+    received: &'a mut [R],
+    /// Of the parameters, the part's share.
+    edge_p: &'a mut [R],
+    node_p: &'a mut [R],
+}
+
+impl<'a, R: Real> PartKernel<R> for Backward<'a, R> {
+    type Part = Bars<'a, R>;
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let (op, l) = (self.op, self.op.latent());
-        let (node_block, edge_block) = (op.node_block, op.edge_block);
-        let mut node_room = Cotangents::new(&op.memory, &op.node, node_block, true);
+    fn part<L: Lanes<Real = R>>(&self, k: usize, bars: &mut Self::Part) {
+        let (op, l) = (self.round.op, self.round.op.latent());
+        let mut node_room = Cotangents::new(&op.memory, &op.node, op.node_block, true);
         // The edges' first cotangents have a place of their own.
         let mut edge_room = Cotangents::new(&op.memory, &op.edge, op.edge_room, false);
-        for k in range {
-            let nodes = op.parts[k].clone();
-            let mut sums_bar = op.memory.buffer(nodes.len() * l);
-            let (edge_length, node_length) = (op.edge.parameters(), op.node.parameters());
-            // SAFETY: each part belongs to one iteration.
-            let (edge_g, node_g) = unsafe {
-                (
-                    self.edge_p_bar.slice(k * edge_length..(k + 1) * edge_length),
-                    self.node_p_bar.slice(k * node_length..(k + 1) * node_length),
-                )
-            };
-            edge_g.fill(R::default());
-            node_g.fill(R::default());
-            for block in mlp::blocks(nodes.clone(), node_block) {
-                let sums_bar = &mut sums_bar[(block.start - nodes.start) * l..(block.end - nodes.start) * l];
-                self.nodes::<L>(block, node_g, &mut node_room, sums_bar);
-            }
-            for stretch in op.graph.stretches(nodes.clone(), edge_block) {
-                let sums_bar = &sums_bar[(stretch.start - nodes.start) * l..(stretch.end - nodes.start) * l];
-                self.edges::<L>(stretch, edge_g, &mut edge_room, sums_bar);
-            }
+        let nodes = &op.parts[k];
+        let mut sums_bar = op.memory.buffer(nodes.len() * l);
+        bars.edge_p.fill(R::default());
+        bars.node_p.fill(R::default());
+        for block in mlp::blocks(nodes.clone(), op.node_block) {
+            let own = since(nodes.start, &block);
+            self.nodes::<L>(block, &own, bars, &mut node_room, &mut sums_bar[times(&own, l)]);
+        }
+        for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
+            let own = since(nodes.start, &stretch);
+            self.edges::<L>(k, stretch, bars, &mut edge_room, &sums_bar[times(&own, l)]);
         }
     }
 }
@@ -315,37 +305,41 @@ impl<R: Real> Backward<'_, R> {
     fn nodes<L: Lanes<Real = R>>(
         &self,
         nodes: Range<usize>,
-        g: &mut [R],
+        own: &Range<usize>,
+        bars: &mut Bars<R>,
         room: &mut Cotangents<R>,
         sums_bar: &mut [R],
     ) {
-        let (op, l, h, p) = (self.op, self.op.latent(), self.op.node.hidden, self.node_p);
-        let (count, place) = (nodes.len(), nodes.start * l..nodes.end * l);
-        // SAFETY (all): a node, and the edges into it, belong to one iteration.
-        let nodes_bar = unsafe { self.nodes_bar.slice(place.clone()) };
+        let Round { op, node_p: p, .. } = self.round;
+        let (l, h, count, place) = (op.latent(), op.node.hidden, nodes.len(), times(&nodes, op.latent()));
+        let (nodes_bar, g) = (&mut bars.nodes[times(own, l)], &mut *bars.node_p);
         let (z_bar, first) = (&mut room.z[..count * l], &mut room.first[..count * h]);
         z_bar.copy_from_slice(nodes_bar);
-        unsafe { mlp::backward_block::<L>(&op.node, p, &self.node, nodes, z_bar, g, first, &mut room.between) };
+        mlp::backward_block::<L>(p, &self.activations.node, &nodes, z_bar, g, first, &mut room.between);
         let (own, of_sums) = (weight_of(&op.node, 0), weight_of(&op.node, 1));
-        matrix::add_transposed(&mut g[own.clone()], &self.nodes[place.clone()], first, (l, count, h));
-        matrix::add_transposed(&mut g[of_sums.clone()], &self.sums[place], first, (l, count, h));
+        matrix::add_transposed(&mut g[own.clone()], &self.round.nodes[place.clone()], first, (l, count, h));
+        matrix::add_transposed(&mut g[of_sums.clone()], &self.activations.sums[place], first, (l, count, h));
         matrix::multiply_by_transposed(nodes_bar, first, &p[own], (count, h, l), true);
         matrix::multiply_by_transposed(sums_bar, first, &p[of_sums], (count, h, l), false);
     }
 
     #[inline(always)]
-    fn edges<L: Lanes<Real = R>>(&self, nodes: Range<usize>, g: &mut [R], room: &mut Cotangents<R>, sums_bar: &[R]) {
-        let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.edge_p);
-        let graph = &*op.graph;
+    fn edges<L: Lanes<Real = R>>(
+        &self,
+        k: usize,
+        nodes: Range<usize>,
+        bars: &mut Bars<R>,
+        room: &mut Cotangents<R>,
+        sums_bar: &[R],
+    ) {
+        let Round { op, edge_p: p, .. } = self.round;
+        let (graph, l, h) = (&*op.graph, op.latent(), op.edge.hidden);
         let edges = graph.entering(&nodes);
-        let count = edges.len();
+        let (count, own) = (edges.len(), since(op.edge_parts[k].start, &edges));
         let z_bar = &mut room.z[..count * l];
-        let place = edges.start * l..edges.end * l;
-        // SAFETY (all): as for the nodes.
-        let edges_bar = unsafe { self.edges_bar.slice(place.clone()) };
+        let (edges_bar, g) = (&mut bars.edges[times(&own, l)], &mut *bars.edge_p);
         for (bar, i) in sums_bar.chunks_exact(l).zip(nodes.clone()) {
-            for edge in graph.entering(&(i..i + 1)) {
-                let at = edge - edges.start;
+            for at in since(edges.start, &graph.entering(&(i..i + 1))) {
                 let z_bar = &mut z_bar[at * l..(at + 1) * l];
                 if self.had_edges {
                     let edge_bar = &edges_bar[at * l..(at + 1) * l];
@@ -355,68 +349,63 @@ impl<R: Real> Backward<'_, R> {
                 }
             }
         }
-        let first = unsafe { self.first_bar.slice(edges.start * h..edges.end * h) };
-        unsafe { mlp::backward_block::<L>(&op.edge, p, &self.edge, edges.clone(), z_bar, g, first, &mut room.between) };
-        let own = weight_of(&op.edge, 2);
-        matrix::add_transposed(&mut g[own.clone()], &self.edges[place], first, (l, count, h));
-        matrix::multiply_by_transposed(edges_bar, first, &p[own], (count, h, l), self.had_edges);
-        for i in nodes {
-            let received = unsafe { self.received_bar.slice(i * h..(i + 1) * h) };
+        let first = &mut bars.first[times(&own, h)];
+        mlp::backward_block::<L>(p, &self.activations.edge, &edges, z_bar, g, first, &mut room.between);
+        let weight = weight_of(&op.edge, 2);
+        matrix::add_transposed(&mut g[weight.clone()], &self.edges[times(&edges, l)], first, (l, count, h));
+        matrix::multiply_by_transposed(edges_bar, first, &p[weight], (count, h, l), self.had_edges);
+        let received = &mut bars.received[times(&since(op.parts[k].start, &nodes), h)];
+        for (i, received) in nodes.zip(received.chunks_exact_mut(h)) {
             received.fill(R::default());
-            let into = graph.entering(&(i..i + 1));
-            row::add_rows::<L, 1>(
-                received,
-                [&first[(into.start - edges.start) * h..(into.end - edges.start) * h]],
-                |[bar]| bar,
-            );
+            let into = since(edges.start, &graph.entering(&(i..i + 1)));
+            row::add_rows::<L, 1>(received, [&first[times(&into, h)]], |[bar]| bar);
         }
     }
 }
 
 /// Second pass: what comes back to the nodes through the gathered projections.
 struct Collect<'a, R: Real> {
-    op: &'a Rounds<R>,
-    nodes: &'a [R],
-    p: &'a [R],
+    round: Round<'a, R>,
     first_bar: &'a [R],
     received_bar: &'a [R],
-    nodes_bar: Shared<'a, R>,
-    edge_p_bar: Shared<'a, R>,
 }
 
-impl<R: Real> RowKernel<R> for Collect<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Collect<'a, R> {
+    /// Cotangents of the nodes, and the part's share of those of the edges' parameters.
+    type Part = (&'a mut [R], &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let (op, l, h, p) = (self.op, self.op.latent(), self.op.edge.hidden, self.p);
+    fn part<L: Lanes<Real = R>>(&self, part: usize, (nodes_bar, g): &mut Self::Part) {
+        let Round { op, edge_p: p, .. } = self.round;
+        let (l, h) = (op.latent(), op.edge.hidden);
         let mut sent_bar = op.memory.buffer(op.node_block * h);
-        for k in range {
-            let length = op.edge.parameters();
-            // SAFETY (all): each part and its nodes belong to one iteration.
-            let g = unsafe { self.edge_p_bar.slice(k * length..(k + 1) * length) };
-            for nodes in mlp::blocks(op.parts[k].clone(), op.node_block) {
-                let count = nodes.len();
-                let sent = &mut sent_bar[..count * h];
-                sent.fill(R::default());
-                for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
-                    for &edge in op.graph.out_of(j) {
-                        let edge = edge as usize;
-                        each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
-                    }
+        for nodes in mlp::blocks(op.parts[part].clone(), op.node_block) {
+            let count = nodes.len();
+            let sent = &mut sent_bar[..count * h];
+            sent.fill(R::default());
+            for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
+                for &edge in op.graph.out_of(j) {
+                    let edge = edge as usize;
+                    each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
                 }
-                let place = nodes.start * l..nodes.end * l;
-                let x = &self.nodes[place.clone()];
-                let nodes_bar = unsafe { self.nodes_bar.slice(place) };
-                for (k, bar) in [(0, &*sent), (1, &self.received_bar[nodes.start * h..nodes.end * h])] {
-                    let weight = weight_of(&op.edge, k);
-                    matrix::add_transposed(&mut g[weight.clone()], x, bar, (l, count, h));
-                    matrix::multiply_by_transposed(nodes_bar, bar, &p[weight], (count, h, l), true);
-                }
+            }
+            let x = &self.round.nodes[times(&nodes, l)];
+            let nodes_bar = &mut nodes_bar[times(&since(op.parts[part].start, &nodes), l)];
+            for (k, bar) in [(0, &*sent), (1, &self.received_bar[times(&nodes, h)])] {
+                let weight = weight_of(&op.edge, k);
+                matrix::add_transposed(&mut g[weight.clone()], x, bar, (l, count, h));
+                matrix::multiply_by_transposed(nodes_bar, bar, &p[weight], (count, h, l), true);
             }
         }
     }
 }
 
 impl<R: Real> Rounds<R> {
+    fn round<'a>(&'a self, round: usize, nodes: &'a [R], p: &'a [R]) -> Round<'a, R> {
+        let (edge_p, node_p) = self.parameters(round);
+        Round { op: self, nodes, edge_p: &p[edge_p], node_p: &p[node_p] }
+    }
+
     /// One round: nodes behind it, and what the adjoint needs. The edges behind it come to stand in `edges_out`, where those
     /// before it stand if there are no `edges`.
     fn forward_round(
@@ -427,78 +416,60 @@ impl<R: Real> Rounds<R> {
         edges_out: &mut [R],
         p: &[R],
     ) -> (Buffer<R>, Option<RoundActivations<R>>) {
-        let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
-        let (edge_p, node_p) = self.parameters(round);
-        let (edge_p, node_p, take) = (&p[edge_p], &p[node_p], |length| self.memory.buffer(length));
-        let mut nodes_out = take(n * l);
-        let (mut projected, mut sums) = (take(2 * n * self.edge.hidden), take(n * l));
+        let (l, h, n, e) = (self.latent(), self.edge.hidden, self.graph.nodes(), self.graph.edges());
+        let (gives_edges, round) = (self.gives_edges(round), self.round(round, nodes, p));
+        let [mut nodes_out, mut sums] = [n * l, n * l].map(|length| self.memory.buffer(length));
+        let mut projected = self.memory.buffer(2 * n * h);
+        let (sent, received) = projected.split_at_mut(n * h);
+        let ends = cut(sent, &self.parts, h).into_iter().zip(cut(received, &self.parts, h));
+        run_parts(&Project(round), ends.map(|(sent, received)| [sent, received]));
         let activations = |shape, rows| Activations::new(&self.memory, shape, rows);
-        let mut layers = self.keeps.then(|| (activations(&self.edge, e), activations(&self.node, n)));
-        let pass = Project { op: self, nodes, p: edge_p, projected: Shared::new(&mut projected) };
-        run_rows(&pass, self.parts.len());
-        let pass = Forward {
-            op: self,
-            nodes,
-            edges,
-            edge_p,
-            node_p,
-            projected: &projected,
-            activations: layers.as_mut().map(|(edge, node)| (edge.shared(), node.shared())),
-            sums: Shared::new(&mut sums),
-            nodes_out: Shared::new(&mut nodes_out),
-            edges_out: Shared::new(edges_out),
-            gives_edges: self.gives_edges(round),
-        };
-        run_rows(&pass, self.parts.len());
-        let activations = layers.map(|(edge, node)| RoundActivations { before: None, edge, node, sums });
-        (nodes_out, activations)
+        let mut kept = self.keeps.then(|| (activations(&self.edge, e), activations(&self.node, n)));
+        let layers = kept.as_mut().map(|(edge, node)| (edge.parts(&self.edge_parts), node.parts(&self.parts)));
+        let mut layers = layers.map(|(edge, node)| edge.into_iter().zip(node));
+        let width = if edges_out.is_empty() { 0 } else { l };
+        let nodes_parts = cut(&mut sums, &self.parts, l).into_iter().zip(cut(&mut nodes_out, &self.parts, l));
+        let parts = nodes_parts.zip(cut(edges_out, &self.edge_parts, width)).map(|((sums, nodes), edges)| {
+            let activations = layers.as_mut().and_then(Iterator::next);
+            Given { activations, sums, nodes, edges }
+        });
+        run_parts(&Forward { round, edges, projected: [sent, received], gives_edges }, parts);
+        (nodes_out, kept.map(|(edge, node)| RoundActivations { before: None, edge, node, sums }))
     }
 
     /// Its adjoint: `nodes_bar` and `edges_bar` go from behind the round to before it, the gradient is put into `p_bar`.
     #[allow(clippy::too_many_arguments)]
     fn backward_round(
         &self,
-        round: usize,
+        number: usize,
         (nodes, edges): (&[R], &[R]),
         p: &[R],
-        activations: &mut RoundActivations<R>,
+        activations: &RoundActivations<R>,
         nodes_bar: &mut [R],
         edges_bar: &mut [R],
         p_bar: &mut [R],
     ) {
-        let (n, e, h, parts) = (self.graph.nodes(), self.graph.edges(), self.edge.hidden, self.parts.len());
-        let (edge_p, node_p) = self.parameters(round);
-        let mut edge_p_bar = self.memory.buffer(parts * edge_p.len());
-        let mut node_p_bar = self.memory.buffer(parts * node_p.len());
-        let (mut first_bar, mut received_bar) = (self.memory.buffer(e * h), self.memory.buffer(n * h));
-        let pass = Backward {
-            op: self,
-            nodes,
-            edges,
-            edge_p: &p[edge_p.clone()],
-            node_p: &p[node_p.clone()],
-            edge: activations.edge.shared(),
-            node: activations.node.shared(),
-            sums: &activations.sums,
-            nodes_bar: Shared::new(nodes_bar),
-            edges_bar: Shared::new(edges_bar),
-            had_edges: round + 1 < self.rounds,
-            first_bar: Shared::new(&mut first_bar),
-            received_bar: Shared::new(&mut received_bar),
-            edge_p_bar: Shared::new(&mut edge_p_bar),
-            node_p_bar: Shared::new(&mut node_p_bar),
-        };
-        run_rows(&pass, parts);
-        let pass = Collect {
-            op: self,
-            nodes,
-            p: &p[edge_p.clone()],
-            first_bar: &first_bar,
-            received_bar: &received_bar,
-            nodes_bar: Shared::new(nodes_bar),
-            edge_p_bar: Shared::new(&mut edge_p_bar),
-        };
-        run_rows(&pass, parts);
+        let (n, e, l, h) = (self.graph.nodes(), self.graph.edges(), self.latent(), self.edge.hidden);
+        let (round, count) = (self.round(number, nodes, p), self.parts.len());
+        let (edge_length, node_length) = (round.edge_p.len(), round.node_p.len());
+        let [mut edge_p_bar, mut node_p_bar, mut first_bar, mut received_bar] =
+            [count * edge_length, count * node_length, e * h, n * h].map(|length| self.memory.buffer(length));
+        let mut edge_bars = cut(edges_bar, &self.edge_parts, l).into_iter();
+        let mut first = cut(&mut first_bar, &self.edge_parts, h).into_iter();
+        let mut received = cut(&mut received_bar, &self.parts, h).into_iter();
+        let of_edges = edge_p_bar.chunks_exact_mut(edge_length);
+        let mut of_parameters = of_edges.zip(node_p_bar.chunks_exact_mut(node_length));
+        let bars = cut(nodes_bar, &self.parts, l).into_iter().map_while(|nodes| {
+            let (edges, first, received) = (edge_bars.next()?, first.next()?, received.next()?);
+            let (edge_p, node_p) = of_parameters.next()?;
+            Some(Bars { nodes, edges, first, received, edge_p, node_p })
+        });
+        let had_edges = number + 1 < self.rounds;
+        run_parts(&Backward { round, edges, activations, had_edges }, bars);
+        let bars = cut(nodes_bar, &self.parts, l).into_iter().zip(edge_p_bar.chunks_exact_mut(edge_length));
+        let (first_bar, received_bar) = (&first_bar, &received_bar);
+        run_parts(&Collect { round, first_bar, received_bar }, bars);
+        let (edge_p, node_p) = self.parameters(number);
         mlp::sum_of_parts(&mut p_bar[edge_p], &edge_p_bar);
         mlp::sum_of_parts(&mut p_bar[node_p], &node_p_bar);
     }
@@ -546,18 +517,16 @@ impl<R: Real> Operator<3> for Rounds<R> {
         out_bar: &[R],
         _: [bool; 3],
     ) -> Result<[Option<Vec<R>>; 3]> {
-        let mut activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
+        let activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
         if activations.len() != self.rounds {
             candle_core::bail!("rounds: the gradient was asked for without a forward pass that keeps activations")
         }
         let mut nodes_bar = out_bar.to_vec();
         let mut edges_bar = vec![R::default(); edges.len()];
         let mut p_bar = vec![R::default(); p.len()];
-        for (round, activations) in activations.iter_mut().enumerate().rev() {
-            let before = activations.before.take();
-            let state = before.as_ref().map_or((nodes, edges), |(nodes, edges)| (&nodes[..], &edges[..]));
+        for (round, activations) in activations.iter().enumerate().rev() {
+            let state = activations.before.as_ref().map_or((nodes, edges), |(nodes, edges)| (&nodes[..], &edges[..]));
             self.backward_round(round, state, p, activations, &mut nodes_bar, &mut edges_bar, &mut p_bar);
-            activations.before = before;
         }
         Ok([Some(nodes_bar), Some(edges_bar), Some(p_bar)])
     }

@@ -12,9 +12,6 @@ use std::collections::HashMap;
 
 /// The parts of `parameters` by their names in a checkpoint, with the values `values`, in the form that candle-nn's
 /// layers need. The tensors are views, so their gradients reach `values`.
-///
-/// # Errors
-/// Values of another length.
 pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder<'static>> {
     let mut tensors = HashMap::new();
     for (parameter, values) in parameters.iter().zip(values) {
@@ -29,9 +26,6 @@ pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder
 
 /// Applies a network on a device and returns its output to the device of the inputs; gradients go the same way. The
 /// graph and the types of the particles are not moved.
-///
-/// # Errors
-/// Tensor errors.
 pub fn on_device(
     device: &Device,
     inputs: &Inputs,
@@ -54,9 +48,6 @@ pub fn on_device(
 }
 
 /// Rows of an embedding by the particles' types, `[N, columns]`. The embedding may be on another device.
-///
-/// # Errors
-/// Tensor errors.
 pub fn embedded(embedding: &Embedding, kinds: &Tensor) -> Result<Tensor> {
     let table = embedding.embeddings();
     match table.device().is_cpu() {
@@ -76,9 +67,6 @@ pub struct Perceptron {
 
 impl Perceptron {
     /// Builds the layers from the tensors `K.weight`, `K.bias`, `ln.scale` and `ln.offset`.
-    ///
-    /// # Errors
-    /// A tensor that is missing or of another shape.
     pub fn new(shape: &MlpShape, builder: VarBuilder) -> Result<Self> {
         let linear = |k: usize| {
             let (builder, (inputs, outputs)) = (builder.pp(k), shape.size(k));
@@ -128,9 +116,6 @@ pub struct Round {
 
 impl Round {
     /// Builds the round from the tensors `edge.*` and `node.*`.
-    ///
-    /// # Errors
-    /// As for [`Perceptron::new`].
     pub fn new(edge: &MlpShape, node: &MlpShape, builder: VarBuilder) -> Result<Self> {
         Ok(Self {
             edges: Perceptron::new(edge, builder.pp("edge"))?,
@@ -139,9 +124,6 @@ impl Round {
     }
 
     /// Nodes `[N, L]` and edges `[E, L]` -> nodes and edges after the round.
-    ///
-    /// # Errors
-    /// Tensor errors.
     pub fn forward(&self, ends: &Ends, nodes: &Tensor, edges: &Tensor) -> Result<(Tensor, Tensor)> {
         let inputs = Tensor::cat(&[&ends.of_senders(nodes)?, &ends.of_receivers(nodes)?, edges], 1)?;
         let messages = self.edges.forward(&inputs)?;

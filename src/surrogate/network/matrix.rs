@@ -4,16 +4,11 @@
 
 use crate::numerics::lanes::Real;
 
-/// How the stored matrix is meant: rows and columns of what is multiplied, and the strides between them.
-#[derive(Clone, Copy)]
-struct View<'a, R> {
-    numbers: &'a [R],
-    row_stride: usize,
-    column_stride: usize,
-}
+/// A stored matrix as it is meant: its numbers, and the strides between rows and between columns.
+type View<'a, R> = (&'a [R], usize, usize);
 
 fn product<R: Real>(c: &mut [R], (m, k, n): (usize, usize, usize), a: View<R>, b: View<R>, add: bool) {
-    assert!(c.len() == m * n && a.numbers.len() == m * k && b.numbers.len() == k * n, "sizes of a product");
+    assert!(c.len() == m * n && a.0.len() == m * k && b.0.len() == k * n, "sizes of a product");
     if m == 0 || n == 0 {
         return;
     }
@@ -28,12 +23,12 @@ fn product<R: Real>(c: &mut [R], (m, k, n): (usize, usize, usize), a: View<R>, b
             1,
             n as isize,
             add,
-            a.numbers.as_ptr(),
-            a.column_stride as isize,
-            a.row_stride as isize,
-            b.numbers.as_ptr(),
-            b.column_stride as isize,
-            b.row_stride as isize,
+            a.0.as_ptr(),
+            a.2 as isize,
+            a.1 as isize,
+            b.0.as_ptr(),
+            b.2 as isize,
+            b.1 as isize,
             read,
             one,
             false,
@@ -46,18 +41,15 @@ fn product<R: Real>(c: &mut [R], (m, k, n): (usize, usize, usize), a: View<R>, b
 
 /// `c [m, n] = a [m, k] b [k, n]`, or `c += a b`.
 pub fn multiply<R: Real>(c: &mut [R], a: &[R], b: &[R], (m, k, n): (usize, usize, usize), add: bool) {
-    let a = View { numbers: a, row_stride: k, column_stride: 1 };
-    product(c, (m, k, n), a, View { numbers: b, row_stride: n, column_stride: 1 }, add);
+    product(c, (m, k, n), (a, k, 1), (b, n, 1), add);
 }
 
 /// `c [m, n] = a [m, k] b^T` with b stored as `[n, k]`, or `c += a b^T`.
 pub fn multiply_by_transposed<R: Real>(c: &mut [R], a: &[R], b: &[R], (m, k, n): (usize, usize, usize), add: bool) {
-    let a = View { numbers: a, row_stride: k, column_stride: 1 };
-    product(c, (m, k, n), a, View { numbers: b, row_stride: 1, column_stride: k }, add);
+    product(c, (m, k, n), (a, k, 1), (b, 1, k), add);
 }
 
 /// `c [m, n] += a^T b` with a stored as `[k, m]`: what `k` rows add to the gradient of a weight.
 pub fn add_transposed<R: Real>(c: &mut [R], a: &[R], b: &[R], (m, k, n): (usize, usize, usize)) {
-    let a = View { numbers: a, row_stride: 1, column_stride: m };
-    product(c, (m, k, n), a, View { numbers: b, row_stride: n, column_stride: 1 }, true);
+    product(c, (m, k, n), (a, 1, m), (b, n, 1), true);
 }

@@ -7,7 +7,7 @@
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::pool::{Buffer, Buffers};
-use crate::numerics::sweep::{run_rows, RowKernel, Shared};
+use crate::numerics::sweep::{cut, run_parts, PartKernel};
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::row;
 use candle_core::Result;
@@ -90,16 +90,12 @@ impl MlpShape {
     pub fn block<R>(&self) -> usize {
         (BLOCK_BYTES / (self.hidden * std::mem::size_of::<R>())).clamp(32, 1024)
     }
-
-    /// Matrices of hidden activations per row.
-    pub fn hidden_per_row(&self) -> usize {
-        (self.linears - 1) * self.hidden
-    }
 }
 
 /// What the forward pass leaves for the adjoint.
 #[derive(Debug)]
 pub struct Activations<R: Real> {
+    shape: MlpShape,
     /// `[linears - 1, rows, hidden]`: behind each ReLU.
     hidden: Buffer<R>,
     /// `[rows, outputs]`: normalised, before scale and offset; without normalisation the output.
@@ -112,93 +108,79 @@ pub struct Activations<R: Real> {
 impl<R: Real> Activations<R> {
     pub fn new(memory: &Buffers<R>, shape: &MlpShape, rows: usize) -> Self {
         Self {
-            hidden: memory.buffer(rows * shape.hidden_per_row()),
+            shape: *shape,
+            hidden: memory.buffer((shape.linears - 1) * rows * shape.hidden),
             normalised: memory.buffer(rows * shape.outputs),
             inverse: memory.buffer(if shape.norm { rows } else { 0 }),
             rows,
         }
     }
 
-    pub fn shared(&mut self) -> SharedActivations<'_, R> {
-        SharedActivations {
-            hidden: Shared::new(&mut self.hidden),
-            normalised: Shared::new(&mut self.normalised),
-            inverse: Shared::new(&mut self.inverse),
-            rows: self.rows,
-        }
+    /// The activations to be filled, in parts of rows that follow each other.
+    pub fn parts(&mut self, parts: &[Range<usize>]) -> Vec<Layers<'_, R>> {
+        let shape = self.shape;
+        let layers = self.hidden.chunks_exact_mut((self.rows * shape.hidden).max(1));
+        let mut layers: Vec<_> = layers.map(|layer| cut(layer, parts, shape.hidden).into_iter()).collect();
+        let normalised = cut(&mut self.normalised, parts, shape.outputs).into_iter();
+        let inverse = cut(&mut self.inverse, parts, usize::from(shape.norm));
+        let part = |(normalised, inverse)| {
+            let hidden = layers.iter_mut().filter_map(Iterator::next).collect();
+            Layers { shape, hidden, normalised, inverse }
+        };
+        normalised.zip(inverse).map(part).collect()
+    }
+
+    /// All of them in one part.
+    pub fn whole(&mut self) -> Layers<'_, R> {
+        self.parts(&[0..self.rows]).swap_remove(0)
     }
 }
 
-/// [`Activations`], written and read by several threads, each its own rows.
-pub struct SharedActivations<'a, R> {
-    hidden: Shared<'a, R>,
-    normalised: Shared<'a, R>,
-    inverse: Shared<'a, R>,
-    rows: usize,
+/// [`Activations`] of a part of the rows, to be filled. Rows are counted from the part's first.
+pub struct Layers<'a, R> {
+    shape: MlpShape,
+    hidden: Vec<&'a mut [R]>,
+    normalised: &'a mut [R],
+    inverse: &'a mut [R],
 }
 
-impl<R: Real> SharedActivations<'_, R> {
-    /// Hidden activations of layer k of some rows.
-    ///
-    /// # Safety
-    /// No other thread may access these rows, and no other slice of them may be alive.
+impl<R: Real> Layers<'_, R> {
+    /// Activations of the first hidden layer of some rows.
     #[inline(always)]
-    #[allow(clippy::mut_from_ref)]
-    pub unsafe fn hidden(&self, shape: &MlpShape, k: usize, rows: Range<usize>) -> &mut [R] {
-        let at = k * self.rows;
-        // SAFETY: by the contract.
-        unsafe { self.hidden.slice((at + rows.start) * shape.hidden..(at + rows.end) * shape.hidden) }
+    pub fn first(&mut self, rows: &Range<usize>) -> &mut [R] {
+        &mut self.hidden[0][times(rows, self.shape.hidden)]
     }
 
-    /// Normalised rows.
-    ///
-    /// # Safety
-    /// As for `hidden`.
     #[inline(always)]
-    #[allow(clippy::mut_from_ref)]
-    pub unsafe fn normalised(&self, shape: &MlpShape, rows: Range<usize>) -> &mut [R] {
-        // SAFETY: by the contract.
-        unsafe { self.normalised.slice(rows.start * shape.outputs..rows.end * shape.outputs) }
+    pub fn normalised(&self, rows: &Range<usize>) -> &[R] {
+        &self.normalised[times(rows, self.shape.outputs)]
     }
+}
 
-    /// # Safety
-    /// As for `hidden`.
-    #[inline(always)]
-    #[allow(clippy::mut_from_ref)]
-    unsafe fn inverse(&self, shape: &MlpShape, rows: Range<usize>) -> &mut [R] {
-        // SAFETY: by the contract.
-        unsafe { self.inverse.slice(if shape.norm { rows } else { 0..0 }) }
-    }
+/// Where rows stand in a matrix of `width` columns.
+#[inline(always)]
+pub fn times(rows: &Range<usize>, width: usize) -> Range<usize> {
+    rows.start * width..rows.end * width
+}
+
+/// Rows counted from another one.
+#[inline(always)]
+pub fn since(start: usize, rows: &Range<usize>) -> Range<usize> {
+    rows.start - start..rows.end - start
 }
 
 /// From the activations of the first hidden layer on: fills the further ones and the normalised rows.
-///
-/// # Safety
-/// No other thread may access these rows of `layers`.
 #[inline(always)]
-pub unsafe fn forward_block<L: Lanes>(
-    shape: &MlpShape,
-    p: &[L::Real],
-    layers: &SharedActivations<L::Real>,
-    rows: Range<usize>,
-) {
-    let count = rows.len();
+pub fn forward_block<L: Lanes>(p: &[L::Real], layers: &mut Layers<L::Real>, rows: &Range<usize>) {
+    let (shape, count, place) = (layers.shape, rows.len(), times(rows, layers.shape.hidden));
     for k in 1..shape.linears - 1 {
-        // SAFETY: by the contract; the layers k - 1 and k are different places.
-        let (before, after) =
-            unsafe { (layers.hidden(shape, k - 1, rows.clone()), layers.hidden(shape, k, rows.clone())) };
+        let (before, after) = layers.hidden.split_at_mut(k);
+        let (before, after) = (&before[k - 1][place.clone()], &mut after[0][place.clone()]);
         matrix::multiply(after, before, &p[shape.weight(k)], (count, shape.hidden, shape.hidden), false);
         row::activate::<L>(after, &p[shape.bias(k)]);
     }
     let last = shape.linears - 1;
-    // SAFETY: by the contract.
-    let (hidden, z, inverse) = unsafe {
-        (
-            layers.hidden(shape, last - 1, rows.clone()),
-            layers.normalised(shape, rows.clone()),
-            layers.inverse(shape, rows.clone()),
-        )
-    };
+    let (hidden, z) = (&layers.hidden[last - 1][place], &mut layers.normalised[times(rows, shape.outputs)]);
     matrix::multiply(z, hidden, &p[shape.weight(last)], (count, shape.hidden, shape.outputs), false);
     let bias = &p[shape.bias(last)];
     let width = L::Real::of(1.0 / shape.outputs as f64);
@@ -209,7 +191,7 @@ pub unsafe fn forward_block<L: Lanes>(
             let middle = L::splat(mean);
             let variance = row::sum::<L>(z, z, |z, _| (z - middle) * (z - middle)) * width;
             let scale = L::Real::of(1.0) / (variance + L::Real::of(EPSILON)).sqrt();
-            inverse[r] = scale;
+            layers.inverse[rows.start + r] = scale;
             let scale = L::splat(scale);
             row::each::<L, 0>(z, [], |z, []| (z - middle) * scale);
         }
@@ -236,27 +218,20 @@ impl<R: Real> Cotangents<R> {
 
 /// From the cotangent `z_bar` of the output (which is overwritten) back to that of the first layer's sums, `first`; adds to
 /// the gradient `g` of all parameters but the first weight.
-///
-/// # Safety
-/// No other thread may access these rows of `layers`.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
-pub unsafe fn backward_block<L: Lanes>(
-    shape: &MlpShape,
+pub fn backward_block<L: Lanes>(
     p: &[L::Real],
-    layers: &SharedActivations<L::Real>,
-    rows: Range<usize>,
+    layers: &Activations<L::Real>,
+    rows: &Range<usize>,
     z_bar: &mut [L::Real],
     g: &mut [L::Real],
     first: &mut [L::Real],
     between: &mut [L::Real],
 ) {
-    let count = rows.len();
+    let (shape, count) = (layers.shape, rows.len());
     let last = shape.linears - 1;
     let width = L::Real::of(1.0 / shape.outputs as f64);
-    // SAFETY: by the contract.
-    let (normalised, inverse) =
-        unsafe { (&*layers.normalised(shape, rows.clone()), &*layers.inverse(shape, rows.clone())) };
+    let normalised = &layers.normalised[times(rows, shape.outputs)];
     if shape.norm {
         let scale = &p[shape.scale()];
         let (scale_bar, offset_bar) = g[shape.scale().start..shape.offset().end].split_at_mut(shape.outputs);
@@ -268,14 +243,14 @@ pub unsafe fn backward_block<L: Lanes>(
             row::each::<L, 1>(y_bar, [scale], |y, [scale]| y * scale);
             let mean = row::sum::<L>(y_bar, y_bar, |y, _| y) * width;
             let along = row::sum::<L>(y_bar, x, |y, x| y * x) * width;
-            let [mean, along, inverse] = [mean, along, inverse[r]].map(L::splat);
+            let [mean, along, inverse] = [mean, along, layers.inverse[rows.start + r]].map(L::splat);
             row::each::<L, 1>(y_bar, [x], |y, [x]| (y - mean - x * along) * inverse);
         }
     }
     row::add_rows::<L, 1>(&mut g[shape.bias(last)], [z_bar], |[bar]| bar);
     for k in (1..=last).rev() {
-        // SAFETY: by the contract.
-        let hidden = unsafe { &*layers.hidden(shape, k - 1, rows.clone()) };
+        let behind = (k - 1) * layers.rows;
+        let hidden = &layers.hidden[times(&(behind + rows.start..behind + rows.end), shape.hidden)];
         let outputs = shape.size(k).1;
         // They take turns so that layer 1 ends in `first`.
         let (to, before) = if k % 2 == 1 { (&mut *first, &*between) } else { (&mut *between, &*first) };
@@ -294,34 +269,39 @@ pub fn parts(rows: usize) -> usize {
     1 << (rows / 512).clamp(1, 16).ilog2()
 }
 
-/// Part `k` of `parts` of some rows.
-pub fn part(rows: usize, parts: usize, k: usize) -> Range<usize> {
-    rows * k / parts..rows * (k + 1) / parts
+/// A range in so many even pieces.
+#[inline(always)]
+fn pieces(range: Range<usize>, pieces: usize) -> impl Iterator<Item = Range<usize>> {
+    let length = range.len();
+    (0..pieces).map(move |k| range.start + length * k / pieces..range.start + length * (k + 1) / pieces)
+}
+
+/// A range in even pieces of at most `block`: a small rest would be multiplied at half the speed.
+#[inline(always)]
+pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<usize>> {
+    let count = range.len().div_ceil(block);
+    pieces(range, count)
 }
 
 /// Numbers per row of the sweep over a gradient.
 const ROW: usize = 4096;
 
 struct Sum<'a, R> {
-    sum: Shared<'a, R>,
     length: usize,
     parts: &'a [R],
 }
 
-impl<R: Real> RowKernel<R> for Sum<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Sum<'a, R> {
+    type Part = &'a mut [R];
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        for row in rows {
-            let range = row * ROW..self.length.min((row + 1) * ROW);
-            // SAFETY: each range belongs to one iteration.
-            let sum = unsafe { self.sum.slice(range.clone()) };
-            for (k, part) in self.parts.chunks_exact(self.length).enumerate() {
-                let part = &part[range.clone()];
-                if k == 0 {
-                    sum.copy_from_slice(part);
-                } else {
-                    row::each::<L, 1>(sum, [part], |sum, [x]| sum + x);
-                }
+    fn part<L: Lanes<Real = R>>(&self, row: usize, sum: &mut &'a mut [R]) {
+        for (k, part) in self.parts.chunks_exact(self.length).enumerate() {
+            let part = &part[row * ROW..][..sum.len()];
+            if k == 0 {
+                sum.copy_from_slice(part);
+            } else {
+                row::each::<L, 1>(sum, [part], |sum, [x]| sum + x);
             }
         }
     }
@@ -330,7 +310,7 @@ impl<R: Real> RowKernel<R> for Sum<'_, R> {
 /// `sum` <- the gradients of the parts added up in their order.
 pub fn sum_of_parts<R: Real>(sum: &mut [R], parts: &[R]) {
     let length = sum.len();
-    run_rows(&Sum { sum: Shared::new(sum), length, parts }, length.div_ceil(ROW));
+    run_parts(&Sum { length, parts }, sum.chunks_mut(ROW));
 }
 
 /// x `[rows, inputs]`, parameters `[P]` -> `[rows, outputs]`.
@@ -350,45 +330,34 @@ struct Forward<'a, R: Real> {
     shape: &'a MlpShape,
     x: &'a [R],
     p: &'a [R],
-    layers: SharedActivations<'a, R>,
-    y: Shared<'a, R>,
-    rows: usize,
-    parts: usize,
+    rows: &'a [Range<usize>],
 }
 
-impl<R: Real> RowKernel<R> for Forward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
+    /// Activations and output.
+    type Part = (Layers<'a, R>, &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
+    fn part<L: Lanes<Real = R>>(&self, k: usize, (layers, y): &mut Self::Part) {
         let (shape, p) = (self.shape, self.p);
-        for rows in range.flat_map(|k| blocks(part(self.rows, self.parts, k), shape.block::<R>())) {
-            let size = (rows.len(), shape.inputs, shape.hidden);
-            // SAFETY: each part's rows belong to one iteration.
-            unsafe {
-                let hidden = self.layers.hidden(shape, 0, rows.clone());
-                let x = &self.x[rows.start * shape.inputs..rows.end * shape.inputs];
-                matrix::multiply(hidden, x, &p[shape.weight(0)], size, false);
-                row::activate::<L>(hidden, &p[shape.bias(0)]);
-                forward_block::<L>(shape, p, &self.layers, rows.clone());
-                let y = self.y.slice(rows.start * shape.outputs..rows.end * shape.outputs);
-                let z = &*self.layers.normalised(shape, rows);
-                if shape.norm {
-                    let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
-                    for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
-                        row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
-                    }
-                } else {
-                    y.copy_from_slice(z);
+        let x = &self.x[times(&self.rows[k], shape.inputs)];
+        for rows in blocks(0..self.rows[k].len(), shape.block::<R>()) {
+            let (x, y) = (&x[times(&rows, shape.inputs)], &mut y[times(&rows, shape.outputs)]);
+            let hidden = layers.first(&rows);
+            matrix::multiply(hidden, x, &p[shape.weight(0)], (rows.len(), shape.inputs, shape.hidden), false);
+            row::activate::<L>(hidden, &p[shape.bias(0)]);
+            forward_block::<L>(p, layers, &rows);
+            let z = layers.normalised(&rows);
+            if shape.norm {
+                let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
+                for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
+                    row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
                 }
+            } else {
+                y.copy_from_slice(z);
             }
         }
     }
-}
-
-/// A range in even pieces of at most `block`: a small rest would be multiplied at half the speed.
-#[inline(always)]
-pub fn blocks(range: Range<usize>, block: usize) -> impl Iterator<Item = Range<usize>> {
-    let (length, pieces) = (range.len(), range.len().div_ceil(block));
-    (0..pieces).map(move |k| range.start + length * k / pieces..range.start + length * (k + 1) / pieces)
 }
 
 struct Backward<'a, R: Real> {
@@ -396,46 +365,33 @@ struct Backward<'a, R: Real> {
     memory: &'a Buffers<R>,
     x: &'a [R],
     p: &'a [R],
-    layers: SharedActivations<'a, R>,
+    layers: &'a Activations<R>,
     y_bar: &'a [R],
-    /// Empty if nobody asks for it.
-    x_bar: Shared<'a, R>,
-    wants_x: bool,
-    /// `[parts, P]`.
-    p_bar: Shared<'a, R>,
-    rows: usize,
-    parts: usize,
+    rows: &'a [Range<usize>],
 }
 
-impl<R: Real> RowKernel<R> for Backward<'_, R> {
+impl<'a, R: Real> PartKernel<R> for Backward<'a, R> {
+    /// Cotangent of the input, empty if nobody asks for it, and gradient `[P]`.
+    type Part = (&'a mut [R], &'a mut [R]);
+
     #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, range: Range<usize>) {
-        let (shape, p) = (self.shape, self.p);
+    fn part<L: Lanes<Real = R>>(&self, k: usize, (x_bar, g): &mut Self::Part) {
+        let (shape, p, layers) = (self.shape, self.p, self.layers);
         let block = shape.block::<R>();
         let mut room = Cotangents::new(self.memory, shape, block, true);
-        for k in range {
-            // SAFETY: each part, its rows and its gradient belong to one iteration.
-            let g = unsafe { self.p_bar.slice(k * shape.parameters()..(k + 1) * shape.parameters()) };
-            g.fill(R::default());
-            for rows in blocks(part(self.rows, self.parts, k), block) {
-                let count = rows.len();
-                let bar = &mut room.z[..count * shape.outputs];
-                bar.copy_from_slice(&self.y_bar[rows.start * shape.outputs..rows.end * shape.outputs]);
-                // SAFETY: as above.
-                unsafe {
-                    let (first, between) = (&mut room.first, &mut room.between);
-                    backward_block::<L>(shape, p, &self.layers, rows.clone(), bar, g, first, between)
-                };
-                let first = &room.first[..count * shape.hidden];
-                let inputs = rows.start * shape.inputs..rows.end * shape.inputs;
-                let x = &self.x[inputs.clone()];
-                matrix::add_transposed(&mut g[shape.weight(0)], x, first, (shape.inputs, count, shape.hidden));
-                if self.wants_x {
-                    // SAFETY: as above.
-                    let x_bar = unsafe { self.x_bar.slice(inputs) };
-                    let size = (count, shape.hidden, shape.inputs);
-                    matrix::multiply_by_transposed(x_bar, first, &p[shape.weight(0)], size, false);
-                }
+        g.fill(R::default());
+        for rows in blocks(self.rows[k].clone(), block) {
+            let count = rows.len();
+            let bar = &mut room.z[..count * shape.outputs];
+            bar.copy_from_slice(&self.y_bar[times(&rows, shape.outputs)]);
+            backward_block::<L>(p, layers, &rows, bar, g, &mut room.first, &mut room.between);
+            let first = &room.first[..count * shape.hidden];
+            let x = &self.x[times(&rows, shape.inputs)];
+            matrix::add_transposed(&mut g[shape.weight(0)], x, first, (shape.inputs, count, shape.hidden));
+            if !x_bar.is_empty() {
+                let x_bar = &mut x_bar[times(&since(self.rows[k].start, &rows), shape.inputs)];
+                let size = (count, shape.hidden, shape.inputs);
+                matrix::multiply_by_transposed(x_bar, first, &p[shape.weight(0)], size, false);
             }
         }
     }
@@ -447,14 +403,14 @@ impl<R: Real> Operator<2> for Mlp<R> {
 
     fn forward(&self, [x, p]: [&[R]; 2], _: [&candle_core::Shape; 2]) -> Result<(Vec<R>, candle_core::Shape)> {
         let shape = &self.shape;
-        let rows = x.len() / shape.inputs;
-        let mut activations = Activations::new(&self.memory, shape, rows);
-        let mut y = vec![R::default(); rows * shape.outputs];
-        let parts = parts(rows);
-        let layers = activations.shared();
-        run_rows(&Forward { shape, x, p, layers, y: Shared::new(&mut y), rows, parts }, parts);
+        let count = x.len() / shape.inputs;
+        let mut activations = Activations::new(&self.memory, shape, count);
+        let mut y = vec![R::default(); count * shape.outputs];
+        let rows: Vec<_> = pieces(0..count, parts(count)).collect();
+        let parts = activations.parts(&rows).into_iter().zip(cut(&mut y, &rows, shape.outputs));
+        run_parts(&Forward { shape, x, p, rows: &rows }, parts);
         *self.activations.lock().unwrap_or_else(|e| e.into_inner()) = Some(activations);
-        Ok((y, (rows, shape.outputs).into()))
+        Ok((y, (count, shape.outputs).into()))
     }
 
     fn adjoint(
@@ -465,29 +421,18 @@ impl<R: Real> Operator<2> for Mlp<R> {
         // Features are data more often than not: nobody asks for their gradient then.
         [wants_x, _]: [bool; 2],
     ) -> Result<[Option<Vec<R>>; 2]> {
-        let shape = &self.shape;
-        let mut activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
-        let Some(activations) = activations.as_mut() else {
+        let (shape, memory) = (&self.shape, &self.memory);
+        let activations = self.activations.lock().unwrap_or_else(|e| e.into_inner());
+        let Some(layers) = activations.as_ref() else {
             candle_core::bail!("mlp: the gradient was asked for without a forward pass")
         };
-        let rows = activations.rows;
-        let parts = parts(rows);
-        let mut x_bar = vec![R::default(); if wants_x { x.len() } else { 0 }];
-        let mut parts_bar = self.memory.buffer(parts * shape.parameters());
-        let pass = Backward {
-            shape,
-            memory: &self.memory,
-            x,
-            p,
-            layers: activations.shared(),
-            y_bar,
-            x_bar: Shared::new(&mut x_bar),
-            wants_x,
-            p_bar: Shared::new(&mut parts_bar),
-            rows,
-            parts,
-        };
-        run_rows(&pass, parts);
+        let rows: Vec<_> = pieces(0..layers.rows, parts(layers.rows)).collect();
+        let width = if wants_x { shape.inputs } else { 0 };
+        let mut x_bar = vec![R::default(); layers.rows * width];
+        let mut parts_bar = memory.buffer(rows.len() * shape.parameters());
+        let gradients = parts_bar.chunks_exact_mut(shape.parameters());
+        let parts = cut(&mut x_bar, &rows, width).into_iter().zip(gradients);
+        run_parts(&Backward { shape, memory, x, p, layers, y_bar, rows: &rows }, parts);
         let mut p_bar = vec![R::default(); shape.parameters()];
         sum_of_parts(&mut p_bar, &parts_bar);
         Ok([wants_x.then_some(x_bar), Some(p_bar)])

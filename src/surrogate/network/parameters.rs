@@ -60,9 +60,6 @@ impl Parameter {
     }
 
     /// Loads the values from a file's tensors, whose names are `prefix` + those of the parts.
-    ///
-    /// # Errors
-    /// A tensor that is missing or of another shape.
     pub fn load(&self, file: &TensorFile, prefix: &str) -> anyhow::Result<()> {
         let values = self.read(file, prefix)?;
         let values = Tensor::new(values, &Device::Cpu)?.to_dtype(self.values.dtype())?;
@@ -77,24 +74,17 @@ impl Parameter {
         let mut values = vec![0.0; self.count()];
         for (name, at, shape) in &self.parts {
             let name = format!("{prefix}{name}");
-            let (found, numbers) = file.numbers(&name)?;
-            if found != shape {
-                return Err(FileError::Mismatch {
-                    path: file.path.clone(),
-                    name,
-                    found: format!("of shape {found:?}"),
-                    allowed: format!("of shape {shape:?}"),
-                    hint: "the file belongs to a model of other sizes",
-                });
+            let (of, numbers) = file.numbers(&name)?;
+            let mismatch = |found: String, allowed: String, hint| {
+                Err(FileError::Mismatch { path: file.path.clone(), name: name.clone(), found, allowed, hint })
+            };
+            if of != shape {
+                let (found, allowed) = (format!("of shape {of:?}"), format!("of shape {shape:?}"));
+                return mismatch(found, allowed, "the file belongs to a model of other sizes");
             }
             if let Some(k) = numbers.iter().position(|x| !x.is_finite()) {
-                return Err(FileError::Mismatch {
-                    path: file.path.clone(),
-                    name,
-                    found: format!("{} at place {k}", numbers[k]),
-                    allowed: "of finite numbers".to_owned(),
-                    hint: "its training failed: take an earlier checkpoint",
-                });
+                let (found, allowed) = (format!("{} at place {k}", numbers[k]), "of finite numbers".to_owned());
+                return mismatch(found, allowed, "its training failed: take an earlier checkpoint");
             }
             values[at.clone()].copy_from_slice(&numbers);
         }
@@ -120,9 +110,6 @@ pub trait Network: Send + Sync {
     /// The normalised acceleration `[N, D]`, with learned heat followed by a column of the temperature's change.
     ///
     /// `parameters` are those of [`Self::parameters`], tracked or not.
-    ///
-    /// # Errors
-    /// Tensor errors.
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor>;
 }
 

@@ -3,7 +3,7 @@
 //! Written as plain loops these end, once the compiler has to check an index in them, with up to a whole unrolled vector of
 //! numbers one by one: with 128 columns that was half of each row, and a tenth of a training step.
 
-use crate::numerics::lanes::{Lanes, WIDEST};
+use crate::numerics::lanes::Lanes;
 
 /// The numbers of rows from `at` on. (Loops: of an array's `map` the compiler makes ten functions for each kind of lanes.)
 ///
@@ -43,15 +43,12 @@ pub fn each<L: Lanes, const K: usize>(x: &mut [L::Real], others: [&[L::Real]; K]
         unsafe { f(L::load(x.as_ptr().add(at)), load(&others, at)).store(x.as_mut_ptr().add(at)) };
     }
     if whole < length {
-        let mut lanes = [L::Real::default(); WIDEST];
         let mut rest = [L::zero(); K];
         for k in 0..K {
             rest[k] = L::load_part(&others[k][whole..]);
         }
         let last = f(L::load_part(&x[whole..]), rest);
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { last.store(lanes.as_mut_ptr()) };
-        x[whole..].copy_from_slice(&lanes[..length - whole]);
+        x[whole..].copy_from_slice(&last.numbers()[..length - whole]);
     }
 }
 
@@ -70,9 +67,7 @@ pub fn sum<L: Lanes>(a: &[L::Real], b: &[L::Real], f: impl Fn(L, L) -> L) -> L::
     }
     if whole < a.len() {
         // Lanes behind the end are taken out again: f need not be 0 there.
-        let mut lanes = [L::Real::default(); WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { f(L::load_part(&a[whole..]), L::load_part(&b[whole..])).store(lanes.as_mut_ptr()) };
+        let mut lanes = f(L::load_part(&a[whole..]), L::load_part(&b[whole..])).numbers();
         lanes[a.len() - whole..].fill(L::Real::default());
         sum += L::load_part(&lanes);
     }
@@ -118,18 +113,19 @@ fn add_columns<L: Lanes, const K: usize, const BLOCKS: usize>(
 ) {
     let width = sum.len();
     assert!(at + BLOCKS * L::COUNT <= width);
-    // SAFETY (all): the columns end within a row, and each row within its slice.
     let mut sums = [L::zero(); BLOCKS];
     for k in 0..BLOCKS {
-        sums[k] = unsafe { L::load(sum.as_ptr().add(at + k * L::COUNT)) };
+        sums[k] = L::load_part(&sum[at + k * L::COUNT..]);
     }
     for row in (0..rows[0].len()).step_by(width) {
         for k in 0..BLOCKS {
+            // SAFETY: the columns end within a row, and each row within its slice.
             sums[k] += f(unsafe { load(&rows, row + at + k * L::COUNT) });
         }
     }
     for k in 0..BLOCKS {
-        unsafe { sums[k].store(sum.as_mut_ptr().add(at + k * L::COUNT)) };
+        let at = at + k * L::COUNT;
+        sum[at..at + L::COUNT].copy_from_slice(&sums[k].numbers()[..L::COUNT]);
     }
 }
 

@@ -26,9 +26,6 @@ pub struct TrainingData {
 
 impl TrainingData {
     /// Reads both splits of a folder.
-    ///
-    /// # Errors
-    /// Files that are missing or damaged.
     pub fn read(folder: &Path, metadata: Metadata) -> Result<Self, FileError> {
         let train = read_split(folder, &metadata, Split::Train)?;
         let valid = read_split(folder, &metadata, Split::Valid)?;
@@ -36,9 +33,6 @@ impl TrainingData {
     }
 
     /// Checks that no split is empty and that trajectories are long enough for validation.
-    ///
-    /// # Errors
-    /// [`BadInput`].
     pub fn check(&self, settings: &Settings) -> Result<(), BadInput> {
         for (split, trajectories) in [("train.h5", &self.train), ("valid.h5", &self.valid)] {
             if trajectories.is_empty() {
@@ -107,9 +101,6 @@ impl Origin {
     }
 
     /// The network with its parameters, and the state of its training.
-    ///
-    /// # Errors
-    /// Tensors that a checkpoint lacks, or that have another shape.
     pub fn network(
         &self,
         settings: &Settings,

@@ -33,25 +33,17 @@ pub struct TrainingState {
 }
 
 /// The initial state of a training of a network.
-///
-/// # Errors
-/// Tensor errors.
 pub fn fresh(settings: &Settings, network: &dyn Network) -> anyhow::Result<TrainingState> {
     let variables: Vec<Var> = network.parameters().iter().map(|p| p.values.clone()).collect();
     let mut optimiser = AdamW::new(&variables)?;
     optimiser.weight_decay = settings.weight_decay;
-    let average = (settings.ema > 0.0).then(|| copies(network)).transpose()?;
+    let copy = |parameter: &Parameter| parameter.values.as_detached_tensor().copy();
+    let copies = || network.parameters().iter().map(copy).collect::<candle_core::Result<Vec<_>>>();
+    let average = (settings.ema > 0.0).then(copies).transpose()?;
     Ok(TrainingState { step: 0, seconds: 0.0, best: f64::INFINITY, losses: Vec::new(), optimiser, average })
 }
 
-fn copies(network: &dyn Network) -> candle_core::Result<Vec<Tensor>> {
-    network.parameters().iter().map(|p| p.values.as_detached_tensor().copy()).collect()
-}
-
 /// Writes a checkpoint, atomically.
-///
-/// # Errors
-/// System errors.
 pub fn write(
     path: &Path,
     settings: &Settings,
@@ -113,9 +105,6 @@ pub fn read(path: &Path) -> Result<Header, BadInput> {
 }
 
 /// Reads the header of a file that is a checkpoint.
-///
-/// # Errors
-/// As for [`read`].
 pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
     let path = file.path.clone();
     let bad = |problem: String| BadInput::new(problem).place(path.display().to_string()).allowed(ALLOWED);
@@ -145,9 +134,6 @@ pub fn of_file(file: TensorFile) -> Result<Header, BadInput> {
 
 impl Header {
     /// The optimiser and averages of the file, for the parameters of `network`.
-    ///
-    /// # Errors
-    /// Missing tensors, and ones of another shape.
     pub fn state(&self, network: &dyn Network) -> anyhow::Result<TrainingState> {
         let tensor = |parameter: &Parameter, prefix: &str| -> anyhow::Result<Tensor> {
             let values = parameter.read(&self.file, prefix);
@@ -171,9 +157,6 @@ impl Header {
     }
 
     /// Loads the file's parameters into a network of the same sizes, or with `averaged` their averages if they exist.
-    ///
-    /// # Errors
-    /// Missing tensors, and ones of another shape.
     pub fn load_into(&self, network: &dyn Network, averaged: bool) -> anyhow::Result<()> {
         let prefix = if averaged && self.settings.ema > 0.0 { "ema." } else { "param." };
         let loaded = network.parameters().iter().try_for_each(|parameter| parameter.load(&self.file, prefix));

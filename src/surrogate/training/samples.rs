@@ -70,11 +70,6 @@ impl<'a> Samples<'a> {
         Ok(Self { metadata, trajectories, settings, setup, length, before, count, order: (u64::MAX, Vec::new()) })
     }
 
-    /// Number of windows.
-    pub fn count(&self) -> usize {
-        self.count
-    }
-
     /// Trajectory and first frame of sample `number`, counted over all steps. Every epoch orders all windows anew.
     fn window(&mut self, number: u64) -> (&'a Trajectory, usize) {
         let epoch = number / self.count as u64;

@@ -13,15 +13,14 @@ use crate::io::tensorboard::EventFile;
 use crate::report::plots::{training_curves, ErrorCurve};
 use crate::report::progress::Progress;
 use crate::surrogate::evaluation::scores::{evaluate_windows, Options, Scores};
-use crate::surrogate::models::constant_velocity::ConstantVelocity;
+use crate::surrogate::models::baselines::ConstantVelocity;
 use crate::surrogate::models::learned::Learned;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::adamw::learning_rate;
 use crate::surrogate::network::parameters::{Network, Parameter};
 use crate::surrogate::training::batch::{Found, Team};
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
-use crate::surrogate::training::checkpoint;
-use crate::surrogate::training::checkpoint::TrainingState;
+use crate::surrogate::training::checkpoint::{self, TrainingState};
 use crate::surrogate::training::samples::Samples;
 use candle_core::Var;
 use std::path::{Path, PathBuf};
@@ -53,9 +52,6 @@ pub struct Training<'a> {
 
 impl<'a> Training<'a> {
     /// The initial state of [`Self::run`]. Nothing is written yet.
-    ///
-    /// # Errors
-    /// Tensors that a checkpoint lacks, or that have another shape.
     pub fn new(
         settings: &'a Settings,
         setup: &'a Setup,
@@ -68,25 +64,21 @@ impl<'a> Training<'a> {
         let (network, state) = origin.network(settings, setup, compute)?;
         let rows = |name: &str| match origin.resumes() {
             true => read_rows(&folder.join(name), state.step),
-            false => Ok(Vec::new()),
+            false => Vec::new(),
         };
-        let (history, validation) = (rows("history.csv")?, rows("validation.csv")?);
-        let (train, valid) = (&data.train[..], &data.valid[..]);
-        let (metadata, folder) = (&data.metadata, folder.to_owned());
-        let is_to_stop = false;
         Ok(Self {
             settings,
             setup,
-            metadata,
-            train,
-            valid,
+            metadata: &data.metadata,
+            train: &data.train,
+            valid: &data.valid,
             network,
+            history: rows("history.csv"),
+            validation: rows("validation.csv"),
             state,
             team,
-            folder,
-            is_to_stop,
-            history,
-            validation,
+            folder: folder.to_owned(),
+            is_to_stop: false,
         })
     }
 
@@ -94,20 +86,7 @@ impl<'a> Training<'a> {
     pub fn parameters(&self) -> usize {
         self.network.parameters().iter().map(Parameter::count).sum()
     }
-}
 
-/// The result of a training.
-pub struct Outcome {
-    /// Scores of the last validation.
-    pub scores: Scores,
-    pub linear: Scores,
-    /// Step of the best validation; none if no validation was completed.
-    pub best_step: Option<u64>,
-    /// Wall-clock time per update, without validation.
-    pub seconds_per_step: f64,
-}
-
-impl Training<'_> {
     /// Runs up to `settings.steps`. All files go to the folder, including the settings as config.toml.
     ///
     /// # Errors
@@ -145,8 +124,7 @@ impl Training<'_> {
                 write_rows(&self.folder.join("history.csv"), &HISTORY_COLUMNS, &self.history)?;
             }
             if self.state.step.is_multiple_of(settings.validate_every) || last {
-                let found = self.validate(&linear, &mut events, bar)?;
-                scores = Some(found);
+                scores = Some(self.validate(&linear, &mut events, bar)?);
             }
             if self.state.step.is_multiple_of(settings.store_every) || last || self.is_to_stop {
                 self.store(LAST)?;
@@ -155,15 +133,12 @@ impl Training<'_> {
         }
         let scores = match scores {
             Some(scores) => scores,
-            None => self.score(&self.predictor()?)?,
+            None => self.score(&self.predictor())?,
         };
         Ok(Outcome { scores, linear, best_step: self.best_step(), seconds_per_step: working / f64::from(steps.max(1)) })
     }
 
     /// Runs the same updates on all ranks but the first, which writes the results.
-    ///
-    /// # Errors
-    /// As for [`Self::run`].
     pub fn follow(&mut self) -> anyhow::Result<()> {
         let mut samples = Samples::new(self.metadata, self.train, self.settings, self.setup)?;
         let variables = self.variables();
@@ -236,13 +211,13 @@ impl Training<'_> {
     }
 
     /// The trained model, with averaged parameters if there are any.
-    pub fn predictor(&self) -> anyhow::Result<Learned> {
+    pub fn predictor(&self) -> Learned {
         let mut learned =
             Learned::new(format!("{:?}", self.setup.kind).to_lowercase(), self.setup.clone(), self.network.clone());
         if let Some(average) = &self.state.average {
             learned.parameters = average.clone();
         }
-        Ok(learned)
+        learned
     }
 
     fn score(&self, predictor: &dyn crate::surrogate::predictor::Predictor) -> anyhow::Result<Scores> {
@@ -251,7 +226,7 @@ impl Training<'_> {
             windows: Some(self.settings.validation_windows),
             ..Options::default()
         };
-        evaluate_windows(predictor, self.metadata, self.valid, &options)
+        evaluate_windows(predictor, self.metadata, self.valid, &options, &mut || ())
     }
 
     /// The error of a model: position MSE, and with heat temperature MSE, over those of the linear baseline.
@@ -264,28 +239,17 @@ impl Training<'_> {
     }
 
     fn validate(&mut self, linear: &Scores, events: &mut EventFile, bar: &Progress) -> anyhow::Result<Scores> {
-        let scores = self.score(&self.predictor()?)?;
-        let none = f64::NAN;
-        let row = vec![
-            self.state.step as f64,
-            self.state.seconds,
-            scores.mse_1.unwrap_or(none),
-            scores.mse_5.unwrap_or(none),
-            scores.mse_10.unwrap_or(none),
-            scores.mse_20.unwrap_or(none),
-            scores.sinkhorn.unwrap_or(none),
-            scores.e_kin.unwrap_or(none),
-            scores.temperature_mse.unwrap_or(none),
-        ];
+        let scores = self.score(&self.predictor())?;
+        let Scores { mse_1, mse_5, mse_10, mse_20, sinkhorn, e_kin, temperature_mse, .. } = scores;
+        let metrics = [mse_1, mse_5, mse_10, mse_20, sinkhorn, e_kin, temperature_mse];
+        let times = [self.state.step as f64, self.state.seconds];
+        let row = [&times[..], &metrics.map(|metric| metric.unwrap_or(f64::NAN))].concat();
         let tags = METRICS.iter().zip(&row[2..]).filter(|(_, v)| v.is_finite());
         let tags: Vec<(String, f64)> = tags.map(|(name, &value)| (format!("validation/{name}"), value)).collect();
         events.scalars(self.state.step, &tags.iter().map(|(name, v)| (name.as_str(), *v)).collect::<Vec<_>>())?;
         self.validation.push(row);
-        write_rows(
-            &self.folder.join("validation.csv"),
-            &[&["step", "seconds"], &METRICS[..]].concat(),
-            &self.validation,
-        )?;
+        let header = [&["step", "seconds"], &METRICS[..]].concat();
+        write_rows(&self.folder.join("validation.csv"), &header, &self.validation)?;
         let merit = Self::merit(&scores, linear);
         if merit < self.state.best {
             self.state.best = merit;
@@ -337,29 +301,31 @@ impl Training<'_> {
     }
 }
 
+/// The result of a training.
+pub struct Outcome {
+    /// Scores of the last validation.
+    pub scores: Scores,
+    pub linear: Scores,
+    /// Step of the best validation; none if no validation was completed.
+    pub best_step: Option<u64>,
+    /// Wall-clock time per update, without validation.
+    pub seconds_per_step: f64,
+}
+
 /// Writes rows of numbers as a table; the first number is an integer.
 fn write_rows(path: &Path, header: &[&str], rows: &[Vec<f64>]) -> anyhow::Result<()> {
-    let cells = |row: &Vec<f64>| {
-        row.iter()
-            .enumerate()
-            .map(|(k, &v)| {
-                if k == 0 {
-                    Cell::Integer(v as i64)
-                } else if v.is_nan() {
-                    Cell::Text(String::new())
-                } else {
-                    Cell::Number(v)
-                }
-            })
-            .collect()
+    let cell = |(k, &v): (usize, &f64)| match k {
+        0 => Cell::Integer(v as i64),
+        _ if v.is_nan() => Cell::Text(String::new()),
+        _ => Cell::Number(v),
     };
-    let rows: Vec<Vec<Cell>> = rows.iter().map(cells).collect();
+    let rows: Vec<Vec<Cell>> = rows.iter().map(|row| row.iter().enumerate().map(cell).collect()).collect();
     Ok(write_table(path, header, &rows)?)
 }
 
 /// Reads the rows of a table up to a step, to resume a training. Empty cells are NaN.
-fn read_rows(path: &Path, up_to: u64) -> anyhow::Result<Vec<Vec<f64>>> {
-    let Ok(text) = std::fs::read_to_string(path) else { return Ok(Vec::new()) };
+fn read_rows(path: &Path, up_to: u64) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap_or_default();
     let row = |line: &str| line.split(',').map(|cell| cell.parse().unwrap_or(f64::NAN)).collect::<Vec<f64>>();
-    Ok(text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect())
+    text.lines().skip(1).map(row).filter(|row| row[0] <= up_to as f64).collect()
 }

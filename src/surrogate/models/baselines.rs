@@ -1,8 +1,9 @@
-//! The baseline of constant velocity, which every model must beat: p + (p - p_before), T + (T - T_before).
+//! Baselines that every model must beat.
 
 use crate::dataset::extent::Extent;
 use crate::surrogate::predictor::{Frame, Predictor, Scenery};
 
+/// Constant velocity: p + (p - p_before), T + (T - T_before).
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ConstantVelocity;
 
@@ -30,5 +31,23 @@ impl Predictor for ConstantVelocity {
             _ => None,
         };
         Ok(Frame { position, temperature })
+    }
+}
+
+/// No change: the last frame again.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Still;
+
+impl Predictor for Still {
+    fn name(&self) -> String {
+        "no change".into()
+    }
+
+    fn window(&self) -> usize {
+        1
+    }
+
+    fn next(&self, _: &Scenery, window: &[Frame]) -> anyhow::Result<Frame> {
+        window.last().cloned().ok_or_else(|| anyhow::anyhow!("no change needs one frame"))
     }
 }
