@@ -100,7 +100,7 @@ const MOST_NAMES: usize = 20;
 fn list(names: &[String]) -> String {
     match names.len() {
         0 => "nothing".to_owned(),
-        ..=MOST_NAMES => names.join(", "),
+        1..=MOST_NAMES => names.join(", "),
         count => format!("{}, ... ({count} in all)", names[..MOST_NAMES].join(", ")),
     }
 }

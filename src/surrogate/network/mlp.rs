@@ -132,7 +132,8 @@ impl<R: Real> Activations<R> {
 
     /// All of them in one part.
     pub fn whole(&mut self) -> Layers<'_, R> {
-        self.parts(&[0..self.rows]).swap_remove(0)
+        let all = 0..self.rows;
+        self.parts(std::slice::from_ref(&all)).swap_remove(0)
     }
 }
 
