@@ -524,10 +524,9 @@ fn the_heated_channel_against_finite_elements() {
 fn a_row_of_the_grid_and_its_copies() {
     let grid = Grid::new(11, 4);
     let mut numbers = vec![0.0f64; 2 * grid.field()];
-    let fields = Fields::new(grid, 2, &mut numbers);
+    let fields = Fields::new(grid, 2, 0, &mut numbers);
     for column in (0..11).step_by(4) {
-        // SAFETY: one thread, field 1 exists.
-        unsafe { fields.put(1, -2, column, <f64 as Real>::Portable::ramp() + Lanes::splat(column as f64)) };
+        fields.put(1, -2, column, <f64 as Real>::Portable::ramp() + Lanes::splat(column as f64));
     }
     let row: Vec<f64> = (-2..13).map(|c| numbers[grid.field() + grid.place(-2, c)]).collect();
     let mut expected: Vec<f64> = (-2..13).map(|c: isize| c.rem_euclid(11) as f64).collect();

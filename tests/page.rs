@@ -2,12 +2,13 @@
 
 use crate::support::program::{hydrograd, refused, succeeds};
 use base64::Engine;
-use hydrograd::cli::page::names::{counted, label, rounded, sized};
+use hydrograd::cli::page::names::{label, rounded, sized};
 use hydrograd::dataset::{read_split, Metadata, Split};
 use hydrograd::report::page::{
     link, short, Body, Cell, Chart, Column, Fields, File, Note, Page, RawFrame, RawPanel, Series, Table, Text,
     GENERATOR,
 };
+use hydrograd::report::text::counted;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -17,9 +17,6 @@ use crate::sph::solver::Snapshot;
 use crate::sph::standard::{Laws, Layout, Standard};
 use crate::sph::{Model, Sweeps};
 
-#[cfg(test)]
-use crate::config::scene::KernelName;
-
 /// The keys of the standard method; for other methods, values without an effect on them.
 fn standard(config: &Config) -> scene::Standard {
     match config.method {

@@ -1,6 +1,5 @@
 //! Measures a case in its own process, with a fixed number of threads and its own peak memory.
 
-use std::f64::consts::TAU;
 use super::case::{Case, Keeping, Kind, Length, Measured, Outcome, Request, Size, Source};
 use super::{needs, surrogate};
 use crate::adjoint::gradient::gradient;
@@ -25,6 +24,7 @@ use crate::sph::standard::Standard;
 use crate::sph::Model;
 use crate::sph::Sweeps;
 use candle_core::Tensor;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::time::Instant;
 

@@ -76,5 +76,3 @@ pub fn rounded(cell: Cell, digits: usize) -> Cell {
         _ => cell,
     }
 }
-
-}
