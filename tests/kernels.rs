@@ -98,7 +98,7 @@ fn agrees_with_jax_sph() {
         let h = number(&group, "h");
         let q = group.dataset("q").unwrap().read_raw::<f64>().unwrap();
         for (shape, theirs, dimension) in SHAPES.iter().flat_map(|s| (1..=3).map(move |d| (s.0, s.1, d))) {
-            // In one dimension Wendland's are other functions of the same smoothness (src/sph/kernels/wendland_c2.rs).
+            // In one dimension Wendland's are other functions of the same smoothness (src/sph/kernels/wendland.rs).
             if dimension == 1 && theirs.starts_with("Wendland") {
                 continue;
             }

@@ -249,7 +249,7 @@ fn scenes() -> Vec<Options> {
         let turn = k + k / 4;
         let kernel = match (on(5), OTHERS[turn as usize % OTHERS.len()]) {
             (false, _) => KernelName::QuinticSpline,
-            // The walls' sums of W go through zero: see src/sph/kernels/super_gaussian.rs.
+            // The walls' sums of W go through zero: see src/sph/kernels/gaussian.rs.
             (true, KernelName::SuperGaussian) if on(3) => KernelName::Gaussian,
             (true, other) => other,
         };

@@ -280,6 +280,22 @@ pub unsafe fn gather_fields<L: Lanes>(records: *const L::Real, fields: usize, na
     }
 }
 
+/// A field of a record.
+#[inline(always)]
+pub fn get<L: Lanes, const G: usize>(record: &[[L; 4]; G], field: usize) -> L {
+    record[field / 4][field % 4]
+}
+
+/// Fields of a record from one on.
+#[inline(always)]
+pub fn vector<L: Lanes, const K: usize, const G: usize>(record: &[[L; 4]; G], from: usize) -> [L; K] {
+    let mut vector = [L::zero(); K];
+    for k in 0..K {
+        vector[k] = get(record, from + k);
+    }
+    vector
+}
+
 /// A record in every lane.
 // Loops, not `array::from_fn`: its closures are not always inlined, and then run without AVX.
 #[inline(always)]

@@ -11,14 +11,14 @@
 //! pair adds x_ij (-F_ij) bracket_ij to the scalar product, and row i sums its derivatives by i's own fields.
 
 use super::blocks::{store, vectors, width, OfParticles, Place};
-use super::geometry::{get, Around, Geometry};
+use super::geometry::{Around, Geometry};
 use super::kept::Kept;
 use super::kinds::{rows, PRESSURE};
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::own::Own;
-use crate::sph::pairs::{stride, with_dimension, Records};
+use crate::sph::pairs::{get, stride, with_dimension, Records};
 use std::ops::Range;
 
 /// Records: position D, p, V, grad p D, and for the adjoint D_bar.

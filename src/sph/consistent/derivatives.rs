@@ -13,14 +13,14 @@
 //! c_i = sum_j F_ij r_ij over the same.
 
 use super::blocks::{load, store, vectors, width, OfParticles, Place, Table};
-use super::geometry::{get, Around, Geometry};
+use super::geometry::{Around, Geometry};
 use super::kept::Kept;
 use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::own::Own;
-use crate::sph::pairs::{stride, Records};
+use crate::sph::pairs::{get, stride, vector, Records};
 use std::ops::Range;
 
 /// A pivot below this share of sum W belongs to a direction without neighbours.
@@ -43,16 +43,6 @@ macro_rules! sizes {
             (_, _) => $go!(3, 9, 45, 5, 2, 24),
         }
     };
-}
-
-/// Where a point on the surface has its normal.
-#[inline(always)]
-fn normal<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L; D] {
-    let mut normal = [L::zero(); D];
-    for d in 0..D {
-        normal[d] = get(record, D + d);
-    }
-    normal
 }
 
 /// With more than one field (all of them) the matrices are made here, for one (the new pressure) they are there.
@@ -131,7 +121,7 @@ impl<R: Real, const D: usize, const Q: usize, const P: usize, const N: usize, co
                     accumulate::<L, Q, P>(&mut matrices[kind], w * weights[kind], &q);
                 }
                 if N > D + 1 {
-                    let q = along::<L, D, Q>(&around.scaled(&r, 1.0), &normal::<L, D, G>(&other));
+                    let q = along::<L, D, Q>(&around.scaled(&r, 1.0), &vector(&other, D));
                     accumulate::<L, Q, P>(&mut matrices[TEMPERATURE], w * weights[NO_FLUX], &q);
                 }
                 add_right::<L, D, Q, N, G>(&mut right, of_fields::<L, D, N>(w, &weights), &q, &own, &other);
@@ -356,11 +346,7 @@ impl<L: Lanes, const B: usize> Fit<'_, L, B> {
         let mut toward = [L::zero(); Q];
         let mut along = [L::zero(); N];
         for field in 0..N {
-            let (mut lambda, mut d) = ([L::zero(); Q], [L::zero(); Q]);
-            for a in 0..Q {
-                lambda[a] = get(self.0, field * Q + a);
-                d[a] = get(self.0, (N + field) * Q + a);
-            }
+            let (lambda, d): ([L; Q], [L; Q]) = (vector(self.0, field * Q), vector(self.0, (N + field) * Q));
             let weight = weights[kind(D, N, field)];
             let l = weight * dot(&lambda, &q);
             let e = difference[field] - dot(&d, &q);
@@ -386,11 +372,7 @@ impl<L: Lanes, const B: usize> Fit<'_, L, B> {
         value_bar: &mut L,
     ) -> ([L; D], [L; D]) {
         let q = along::<L, D, Q>(s, n);
-        let (mut lambda, mut d) = ([L::zero(); Q], [L::zero(); Q]);
-        for a in 0..Q {
-            lambda[a] = get(self.0, (N - 1) * Q + a);
-            d[a] = get(self.0, (2 * N - 1) * Q + a);
-        }
+        let (lambda, d): ([L; Q], [L; Q]) = (vector(self.0, (N - 1) * Q), vector(self.0, (2 * N - 1) * Q));
         let (l, slope) = (-(weight * dot(&lambda, &q)), dot(&d, &q));
         *value_bar = l.mul_add(slope, *value_bar);
         let toward_lambda = -(weight * slope);
@@ -399,15 +381,6 @@ impl<L: Lanes, const B: usize> Fit<'_, L, B> {
             toward[a] = toward_lambda.mul_add(lambda[a], l * d[a]);
         }
         pull_back_along::<L, D, Q>(s, n, &toward)
-    }
-
-    #[inline(always)]
-    fn spread<const D: usize, const Q: usize, const N: usize>(&self) -> [L; D] {
-        let mut spread = [L::zero(); D];
-        for d in 0..D {
-            spread[d] = get(self.0, 2 * N * Q + 1 + d);
-        }
-        spread
     }
 }
 
@@ -445,7 +418,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
                 sums.fields[field] = (-w).mul_add(along[field], sums.fields[field]);
             }
             if N > D + 1 && !OTHER {
-                let (s, n) = (around.scaled(&r, 1.0), normal::<L, D, G>(other));
+                let (s, n) = (around.scaled(&r, 1.0), vector(other, D));
                 let (s_bar, _) = fit.of_no_flux::<D, Q, N>(&s, &n, weights[NO_FLUX], &mut value_bar);
                 for d in 0..D {
                     sums.position[d] = (-scaled).mul_add(s_bar[d], sums.position[d]);
@@ -466,7 +439,7 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
                 sums.fields[field] = w.mul_add(along[field], sums.fields[field]);
             }
             if N > D + 1 && !OWN {
-                let (s, n) = (around.scaled(&r, -1.0), normal::<L, D, G>(own));
+                let (s, n) = (around.scaled(&r, -1.0), vector(own, D));
                 let (s_bar, n_bar) = fit.of_no_flux::<D, Q, N>(&s, &n, weights[NO_FLUX], &mut value_bar);
                 for d in 0..D {
                     sums.position[d] = scaled.mul_add(s_bar[d], sums.position[d]);
@@ -481,7 +454,8 @@ impl<R: Real, const D: usize, const Q: usize, const N: usize, const G: usize, co
         }
         if N > 1 && self.geometry.model.fits.shift.is_isotropic() {
             // c_i = sum F (r_i - r_j): a pair adds F gamma.(r_i - r_j).
-            let (a, b) = (Fit(own_bar).spread::<D, Q, N>(), Fit(other_bar).spread::<D, Q, N>());
+            let at = 2 * N * Q + 1;
+            let (a, b): ([L; D], [L; D]) = (vector(own_bar, at), vector(other_bar, at));
             let mut gamma = [L::zero(); D];
             for d in 0..D {
                 if OWN {

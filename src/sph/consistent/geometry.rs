@@ -5,7 +5,7 @@ use super::model::Consistent;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::kernels::KernelLanes;
 use crate::sph::pace::TimeSteps;
-use crate::sph::pairs::{Names, Records, RowGeometry};
+use crate::sph::pairs::{vector, Names, Records, RowGeometry};
 
 /// The model, the tables of the neighbour list and the time steps.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +40,7 @@ impl<'a, L: Lanes, const D: usize> Around<'a, L, D> {
     /// r_j - r_i and its square, from the records of i and j, which begin with their positions.
     #[inline(always)]
     pub fn towards<const G: usize>(&self, here: &[[L; 4]; G], there: &[[L; 4]; G]) -> ([L; D], L) {
-        self.pairs.difference::<true>(&position::<L, D, G>(there), &position::<L, D, G>(here))
+        self.pairs.difference::<true>(&vector::<L, D, G>(there, 0), &vector::<L, D, G>(here, 0))
     }
 
     /// r over the spacing.
@@ -59,20 +59,4 @@ impl<'a, L: Lanes, const D: usize> Around<'a, L, D> {
     pub fn weights(&self, names: Names<'_, L>) -> [L; 4] {
         self.weights.groups::<L, 1>(names)[0]
     }
-}
-
-/// The position, which stands first in a record.
-#[inline(always)]
-fn position<L: Lanes, const D: usize, const G: usize>(record: &[[L; 4]; G]) -> [L; D] {
-    let mut position = [L::zero(); D];
-    for d in 0..D {
-        position[d] = get(record, d);
-    }
-    position
-}
-
-/// A field of gathered groups.
-#[inline(always)]
-pub fn get<L: Lanes, const G: usize>(groups: &[[L; 4]; G], field: usize) -> L {
-    groups[field / 4][field % 4]
 }

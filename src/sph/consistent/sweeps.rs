@@ -1,6 +1,6 @@
 //! The sweeps of the consistent method over particles, for f32 and f64.
 //!
-//! They are called through a trait with implementations that are not generic, see [`crate::sph::precisions`].
+//! They are called through a trait with implementations that are not generic, see `src/sph/precisions.rs`.
 
 use super::blocks::Blocks;
 use super::geometry::Geometry;

@@ -8,13 +8,13 @@
 //! The mirror image of a dummy particle stands in its rows of velocity, which it has no other use for.
 
 use super::blocks::{load, store, vectors, width, OfParticles, Place};
-use super::geometry::{get, Around, Geometry};
+use super::geometry::{Around, Geometry};
 use super::kept::Kept;
 use super::stencil::{accumulate, at, dot, factorise, packed, solve};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::own::Own;
-use crate::sph::pairs::{stride, Records};
+use crate::sph::pairs::{get, stride, vector, Records};
 use std::ops::Range;
 
 /// Added to the linear terms' diagonal, in units of sum W.
@@ -230,11 +230,7 @@ impl<R: Real, const D: usize, const K: usize, const N: usize, const G: usize, co
                 let mut value_bar = L::zero();
                 let mut toward = [L::zero(); D];
                 for field in 0..N {
-                    let (mut lambda, mut c) = ([L::zero(); K], [L::zero(); K]);
-                    for a in 0..K {
-                        lambda[a] = get(&bar, field * K + a);
-                        c[a] = get(&bar, (N + field) * K + a);
-                    }
+                    let (lambda, c): ([L; K], [L; K]) = (vector(&bar, field * K), vector(&bar, (N + field) * K));
                     let l = dot(&lambda, &q);
                     let e = get(fluid, D + field) - dot(&c, &q);
                     value_bar = l.mul_add(e, value_bar);

@@ -16,7 +16,7 @@ use super::grid::run;
 use super::grid::REACH;
 use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
-use super::sweeps::{along, hot, Context, End, Pairs, Wall, WALLS};
+use super::sweeps::{along, hot, Context, End, Pairs, WALLS};
 use super::work::{field, line, Work};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::RowKernel;
@@ -213,14 +213,10 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
                     c.put(field::T_BAR, j, at, c.get::<L>(field::T_BAR, j, here) + bar);
                 }
                 let conormal = conormal * L::splat(R::of(wall.inward()));
-                let (along_line, lean_line) = match wall {
-                    Wall::Bottom => (line::BOTTOM_ALONG, line::BOTTOM_LEAN_BAR),
-                    Wall::Top => (line::TOP_ALONG, line::TOP_LEAN_BAR),
-                };
-                c.put_line(along_line, at, conormal * c.line(wall.lean(), here));
+                c.put_line(line::ALONG[wall as usize], at, conormal * c.line(line::LEAN[wall as usize], here));
                 if METRIC {
                     let sides = [-1, 0, 1].map(|k| c.get::<L>(field::T, c.near(wall, 0), here + k));
-                    c.put_line(lean_line, at, conormal * along(c, wall, here, sides));
+                    c.put_line(line::LEAN_BAR[wall as usize], at, conormal * along(c, wall, here, sides));
                 }
             }
             if METRIC {
@@ -365,7 +361,7 @@ impl<R: Real> RowKernel<R> for Finish<'_, R> {
             for j in 0..c.rows() {
                 let mut p_bar = c.get::<L>(field::P_BAR, j, here);
                 let mut t_bar = c.get::<L>(field::T_BAR, j, here);
-                for (wall, along_line) in WALLS.into_iter().zip([line::BOTTOM_ALONG, line::TOP_ALONG]) {
+                for (wall, along_line) in WALLS.into_iter().zip(line::ALONG) {
                     for k in 0..REACH {
                         if j == c.near(wall, k) {
                             p_bar += ghosts::line_bar(c.ghost_rows::<L>(field::P_BAR, wall, at))[k];

@@ -94,10 +94,6 @@ impl<R: Real> Fixed<R> {
         self.channel.rows as f64 * self.channel.spacing
     }
 
-    pub fn length(&self) -> f64 {
-        self.channel.columns as f64 * self.channel.spacing
-    }
-
     /// Reference coordinate eta of a row of the lattice; negative and beyond the height for ghost rows.
     pub(crate) fn eta(&self, row: isize) -> f64 {
         (row as f64 + 0.5) * self.channel.spacing

@@ -40,7 +40,7 @@ impl<R: Real> Fixed<R> {
         make(&|i| slope(grid, &weights, &stretch, i), work.line(grid, line::STRETCH_SLOPE));
         let rise = work.line(grid, line::STRETCH_SLOPE).to_vec();
         let bottom_slope = work.line(grid, line::BOTTOM_SLOPE).to_vec();
-        for (to, eta) in [(line::BOTTOM_LEAN, 0.0), (line::TOP_LEAN, height)] {
+        for (to, eta) in line::LEAN.into_iter().zip([0.0, height]) {
             let lean = |i: usize| {
                 let at = grid.column(i as isize);
                 let s = bottom_slope[at].f64() + rise[at].f64() * eta;
@@ -77,7 +77,7 @@ impl<R: Real> Fixed<R> {
         });
         let (stretch, of_bottom, of_rise) =
             (get(work, line::D), get(work, line::BOTTOM_SLOPE), get(work, line::STRETCH_SLOPE));
-        for (lean, eta) in [(line::BOTTOM_LEAN_BAR, 0.0), (line::TOP_LEAN_BAR, height)] {
+        for (lean, eta) in line::LEAN_BAR.into_iter().zip([0.0, height]) {
             for (i, q_bar) in get(work, lean).into_iter().enumerate() {
                 let s = of_bottom[i] + of_rise[i] * eta;
                 let over = 1.0 / (1.0 + s * s);

@@ -156,12 +156,6 @@ pub(super) enum Wall {
 pub(super) const WALLS: [Wall; 2] = [Wall::Bottom, Wall::Top];
 
 impl Wall {
-    pub fn lean(self) -> usize {
-        match self {
-            Wall::Bottom => line::BOTTOM_LEAN,
-            Wall::Top => line::TOP_LEAN,
-        }
-    }
     /// Which way eta grows, seen from the wall.
     pub fn inward(self) -> f64 {
         match self {
@@ -250,7 +244,7 @@ impl<R: Real> RowKernel<R> for Spread<'_, R> {
                 }
                 // SAFETY: two numbers more than a vector are there.
                 let sides = [0, 1, 2].map(|k| unsafe { L::load(around.as_ptr().add(k)) });
-                let slope = along(c, wall, at as isize, sides) * c.line(wall.lean(), at as isize);
+                let slope = along(c, wall, at as isize, sides) * c.line(line::LEAN[wall as usize], at as isize);
                 let conormal = L::splat(R::of(wall.inward())) * slope;
                 let given = L::splat(R::of(c.fixed.channel.hot_excess));
                 let near = c.near_rows::<L>(field::T, wall, at);

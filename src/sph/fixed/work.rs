@@ -48,15 +48,12 @@ pub mod line {
     pub const BOTTOM_SLOPE: usize = 1;
     pub const STRETCH_SLOPE: usize = 2;
     /// D S/(1 + S^2) on the bottom and on the top wall.
-    pub const BOTTOM_LEAN: usize = 3;
-    pub const TOP_LEAN: usize = 4;
+    pub const LEAN: [usize; 2] = [3, 4];
     /// Cotangents of the conormal derivatives times their lean.
-    pub const BOTTOM_ALONG: usize = 5;
-    pub const TOP_ALONG: usize = 6;
+    pub const ALONG: [usize; 2] = [5, 6];
     /// Cotangents of D, sum S and sum eta S of the columns from both pair sweeps, then those of the leans.
     pub const BARS: usize = 7;
-    pub const BOTTOM_LEAN_BAR: usize = 13;
-    pub const TOP_LEAN_BAR: usize = 14;
+    pub const LEAN_BAR: [usize; 2] = [13, 14];
     /// Momentum along x and mass of columns.
     pub const MOMENTUM: usize = 15;
     pub const MASS: usize = 16;

@@ -1,25 +1,17 @@
-//! Smoothing kernels: W(d) = sigma w(q), q = d/h, one shape w per file.
+//! Smoothing kernels: W(d) = sigma w(q), q = d/h, one family of shapes w per file.
 //!
-//! What the operators need besides W is F = W'(d)/d and, for adjoints, G = F'(d)/d. A new kernel is a file with a
-//! [`SmoothingKernel`] and an arm in [`Kernel`].
+//! What the operators need besides W is F = W'(d)/d and, for adjoints, G = F'(d)/d. A new kernel is a
+//! [`SmoothingKernel`], with its name in `with_shape`.
 
-pub mod cubic_spline;
 pub mod gaussian;
-pub mod quintic_spline;
 pub mod shape;
-pub mod super_gaussian;
-pub mod wendland_c2;
-pub mod wendland_c4;
-pub mod wendland_c6;
+pub mod splines;
+pub mod wendland;
 
-pub use cubic_spline::CubicSpline;
-pub use gaussian::Gaussian;
-pub use quintic_spline::QuinticSpline;
+pub use gaussian::{Gaussian, SuperGaussian};
 pub use shape::SmoothingKernel;
-pub use super_gaussian::SuperGaussian;
-pub use wendland_c2::WendlandC2;
-pub use wendland_c4::WendlandC4;
-pub use wendland_c6::WendlandC6;
+pub use splines::{CubicSpline, QuinticSpline};
+pub use wendland::{WendlandC2, WendlandC4, WendlandC6};
 
 pub use crate::config::scene::KernelName;
 use crate::numerics::lanes::{Lanes, Rare, Real};

@@ -51,20 +51,10 @@ impl BodyForce {
             Self::None => 0.0,
             Self::Gravity(g) => g[0],
             Self::Uniform(g) => g,
-            Self::Band { strength, from, to } => {
-                if y > from && y < to {
-                    strength
-                } else {
-                    0.0
-                }
-            }
-            Self::Reversing { strength, turn } => {
-                if y > turn {
-                    -strength
-                } else {
-                    strength
-                }
-            }
+            Self::Band { strength, from, to } if y > from && y < to => strength,
+            Self::Band { .. } => 0.0,
+            Self::Reversing { strength, turn } if y > turn => -strength,
+            Self::Reversing { strength, .. } => strength,
         }
     }
 

@@ -10,7 +10,7 @@ use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::wrapped;
-use crate::sph::masks::per_particle;
+use crate::sph::composed::fluid_mask;
 use crate::sph::own::Own;
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
@@ -183,8 +183,7 @@ pub fn composed<R: Real>(model: &Standard<R>, dt: f64, state: &Tensor) -> Result
         rows.push(shift);
     }
     if model.walls_slide {
-        let fluid = (0..model.particles()).map(|i| R::of(model.is_fluid(i) as u8 as f64)).collect();
-        drift = drift.broadcast_mul(&per_particle(fluid, state)?)?;
+        drift = drift.broadcast_mul(&fluid_mask(model, state)?)?;
     }
     let position = (state.narrow(0, 0, d)? + drift.affine(dt, 0.0)?)?;
     let wrapped = (0..d).map(|k| model.domain.wrapped_of(k, &position.narrow(0, k, 1)?)).collect::<Result<Vec<_>>>()?;

@@ -22,8 +22,7 @@ use crate::sph::laws::continuity::{self, Flowing};
 use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::Flux;
 use crate::sph::own::Own;
-use crate::sph::pairs;
-use crate::sph::pairs::{splat_fields, with_dimension, Fields, Records, RowGeometry};
+use crate::sph::pairs::{self, get, splat_fields, with_dimension, Fields, Records, RowGeometry};
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -94,7 +93,7 @@ fn apart<L: Lanes, const D: usize, const EDGE: bool>(
     let mut velocity = [L::zero(); D];
     let mut parting = L::zero();
     for d in 0..D {
-        velocity[d] = here[(D + d) / 4][(D + d) % 4] - there[(D + d) / 4][(D + d) % 4];
+        velocity[d] = get(here, D + d) - get(there, D + d);
         parting = velocity[d].mul_add(difference[d], parting);
     }
     Apart { difference, square, velocity, parting }
@@ -121,7 +120,7 @@ impl<R: Real, const D: usize> Forward<'_, R, D> {
             let there = self.records.fields(WIDTH, names);
             let apart = apart::<L, D, EDGE>(geometry, &here, &there);
             let f = mask.apply(geometry.kernel.slope(apart.square));
-            sum = (there[2 * D / 4][2 * D % 4] * f).mul_add(apart.parting, sum);
+            sum = (get(&there, 2 * D) * f).mul_add(apart.parting, sum);
             self.slope.store(from + k * L::COUNT, f);
         }
         sum
@@ -184,7 +183,6 @@ impl<R: Real, const D: usize> Backward<'_, R, D> {
     #[inline(always)]
     fn row<L: Lanes<Real = R>, const EDGE: bool>(&self, geometry: &RowGeometry<L, D>, i: usize) -> RowBar<L, D> {
         let here = splat_fields::<L>(self.records.of(i), WIDTH);
-        let get = |f: &Fields<L>, q: usize| f[q / 4][q % 4];
         let mut sums = RowBar { position: [L::zero(); D], velocity: [L::zero(); D], volume: L::zero() };
         for (names, mask) in pairs::row::<L>(&self.step.list, i) {
             let there = self.records.fields(WIDTH, names);

@@ -21,11 +21,7 @@ impl Layout {
         self.dimension
     }
     fn w(&self) -> usize {
-        if self.transport {
-            self.dimension
-        } else {
-            0
-        }
+        self.dimension * self.transport as usize
     }
 
     /// State: position D, velocity D, acceleration D, (transport acceleration D), (temperature, its rate), (mass),
@@ -106,9 +102,6 @@ impl Layout {
     /// Rows of the rates: acceleration D, (transport acceleration D), (temperature rate).
     pub fn rate_rows(&self) -> usize {
         self.rate_temperature() + self.heat as usize
-    }
-    pub fn rate_transport(&self) -> usize {
-        self.d()
     }
     pub fn rate_temperature(&self) -> usize {
         self.d() + self.w()

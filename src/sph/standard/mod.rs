@@ -10,7 +10,7 @@
 //!
 //! The density is summed ([`density`]) or evolves ([`evolution`]); between drift and density the neighbour list is made valid
 //! for the moved state. The order is that of JAX-SPH, so that states agree to rounding. A step is executed on reused buffers
-//! ([`worker`]), as a fused node on candle's graph ([`whole_step`]), or composed of candle's own operators ([`tape`]).
+//! (`worker`), as a fused node on candle's graph ([`whole_step`]), or composed of candle's own operators (`tape`).
 
 pub mod assemble;
 pub mod chain;

@@ -26,28 +26,25 @@ use crate::sph::laws::{
 };
 use crate::sph::masks;
 use crate::sph::own::Own;
-use crate::sph::pairs;
-use crate::sph::pairs::{splat_fields, stride, Fields, Records, RowGeometry};
+use crate::sph::pairs::{self, get, splat_fields, stride, vector, Fields, Records, RowGeometry};
 use candle_core::{Result, Tensor};
 use std::ops::Range;
 
 #[inline(always)]
 fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
-    let get = |q: usize| f[q / 4][q % 4];
-    let density = get(D + 1);
+    let density = get(f, D + 1);
     let half = L::splat(L::Real::of(0.5)) * density;
     let mut side = Side {
-        volume: get(D),
+        volume: get(f, D),
         density,
-        velocity: [L::zero(); D],
+        velocity: vector(f, D + 2),
         transport: [L::zero(); D],
-        temperature: if W::HEAT { get(record_temperature(D, W::TRANSPORT)) } else { L::zero() },
+        temperature: if W::HEAT { get(f, record_temperature(D, W::TRANSPORT)) } else { L::zero() },
         conductivity: L::zero(),
     };
-    for d in 0..D {
-        side.velocity[d] = get(D + 2 + d);
-        if W::TRANSPORT {
-            side.transport[d] = half * get(2 * D + 2 + d);
+    if W::TRANSPORT {
+        for d in 0..D {
+            side.transport[d] = half * get(f, 2 * D + 2 + d);
         }
     }
     side
@@ -67,14 +64,6 @@ fn records<'a, R: Real, W: PairLaw, const D: usize>(step: &Step<R>, kept: &'a Pa
     Records::new(&kept.records, width, step.model.particles())
 }
 
-/// The position stands first in a record.
-#[inline(always)]
-fn position<L: Lanes, const D: usize>(f: &Fields<L>) -> [L; D] {
-    let mut position = [L::zero(); D];
-    position.copy_from_slice(&f[0][..D]);
-    position
-}
-
 struct Forward<'a, R, W, const D: usize> {
     step: &'a Step<R>,
     laws: W,
@@ -90,7 +79,7 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
         let fields = const { record_fields(D, W::TRANSPORT, W::HEAT) };
         let (records, conductivities) = (records::<R, W, D>(self.step, self.kept), conductivities::<R, W>(self.step));
         let own = splat_fields::<L>(records.of(i), fields);
-        let (here, mut a) = (position::<L, D>(&own), side::<L, W, D>(&own));
+        let (here, mut a): ([L; D], _) = (vector(&own, 0), side::<L, W, D>(&own));
         if W::MATERIALS {
             a.conductivity = L::splat(conductivities.of(i)[0]);
         }
@@ -101,7 +90,7 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
         let fluids = list.fluid_count[i] as usize;
         for (k, (names, mask, slope)) in pairs::row_with::<L>(list, i, &self.kept.slope).enumerate() {
             let other = records.fields(fields, names);
-            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (there, mut b): ([L; D], _) = (vector(&other, 0), side::<L, W, D>(&other));
             if W::MATERIALS {
                 b.conductivity = conductivities.numbers(names);
             }
@@ -192,7 +181,7 @@ const fn bar_fields(d: usize, transport: bool, heat: bool) -> usize {
 /// The cotangents of a pair from the records of both sides.
 #[inline(always)]
 fn bars_of<L: Lanes, W: PairLaw, const D: usize>(own: &Fields<L>, other: &Fields<L>, along: &[L; D]) -> Bars<L, D> {
-    let difference = |q: usize| own[q / 4][q % 4] - other[q / 4][q % 4];
+    let difference = |q: usize| get(own, q) - get(other, q);
     let zero = [L::zero(); D];
     let mut bars = Bars { acceleration: zero, along: L::zero(), transport: zero, temperature: L::zero() };
     for d in 0..D {
@@ -217,7 +206,7 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let two = L::splat(R::of(2.0));
         let (records, conductivities) = (records::<R, W, D>(self.step, self.kept), conductivities::<R, W>(self.step));
         let own = splat_fields::<L>(records.of(i), fields);
-        let (here, mut a) = (position::<L, D>(&own), side::<L, W, D>(&own));
+        let (here, mut a): ([L; D], _) = (vector(&own, 0), side::<L, W, D>(&own));
         if W::MATERIALS {
             a.conductivity = L::splat(conductivities.of(i)[0]);
         }
@@ -231,7 +220,7 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
         for (k, (names, mask)) in pairs::row::<L>(list, i).enumerate() {
             let (other, other_bar) = (records.fields(fields, names), self.bars.fields(bar_fields, names));
-            let (there, mut b) = (position::<L, D>(&other), side::<L, W, D>(&other));
+            let (there, mut b): ([L; D], _) = (vector(&other, 0), side::<L, W, D>(&other));
             if W::MATERIALS {
                 b.conductivity = conductivities.numbers(names);
             }

@@ -31,8 +31,9 @@ use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::{Flux, Slip};
 use crate::sph::masks;
 use crate::sph::own::Own;
-use crate::sph::pairs;
-use crate::sph::pairs::{gather_fields, pack_positions, splat_fields, stride, Fields, Records, RowGeometry};
+use crate::sph::pairs::{
+    self, gather_fields, get, pack_positions, splat_fields, stride, vector, Fields, Records, RowGeometry,
+};
 use candle_core::{Result, Shape, Tensor};
 use std::ops::Range;
 use std::sync::Arc;
@@ -77,17 +78,14 @@ fn averaged<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, 
     step: &Step<R>,
     f: &Fields<L>,
 ) -> Averages<L, D> {
-    let get = |q: usize| f[q / 4][q % 4];
     let mut fields = Averages::all(L::zero());
-    for d in 0..D {
-        fields.velocity[d] = get(D + 2 + d);
-        if TRANSPORT {
-            fields.shift[d] = get(2 * D + 2 + d);
-        }
+    fields.velocity = vector(f, D + 2);
+    if TRANSPORT {
+        fields.shift = vector(f, 2 * D + 2);
     }
-    fields.pressure = step.model.equation_of_state.pressure_lanes(get(D + 1));
+    fields.pressure = step.model.equation_of_state.pressure_lanes(get(f, D + 1));
     if HEAT {
-        fields.temperature = get(record_temperature(D, TRANSPORT) + 1);
+        fields.temperature = get(f, record_temperature(D, TRANSPORT) + 1);
     }
     fields
 }
@@ -108,7 +106,7 @@ fn lifted<L: Lanes, const D: usize>(gravity: &[L; 3], r: &[L; D], there: &Fields
     for d in 0..D {
         along = gravity[d].mul_add(r[d], along);
     }
-    there[(D + 1) / 4][(D + 1) % 4].mul_add(along, pressure)
+    get(there, D + 1).mul_add(along, pressure)
 }
 
 /// Sums of W and of W times the fields over a wall particle's row. `records` are those of the step, of fluid at least.
@@ -437,7 +435,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                 if let Some(gravity) = &gravity {
                     x.pressure = lifted::<L, D>(gravity, &dr, &there, x.pressure);
                     // d(rho_j g.r)/dr = rho_j g.
-                    let density = there[(D + 1) / 4][(D + 1) % 4];
+                    let density = get(&there, D + 1);
                     let share = mask.apply(geometry.kernel.value(r2)) * by_field.pressure * density;
                     for d in 0..D {
                         sum[d] = share.mul_add(gravity[d], sum[d]);
@@ -502,7 +500,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             for (names, mask) in pairs::part::<L>(list, j, from, to) {
                 // Fluid particles among them are masked; their records of cotangents are zero.
                 let ([there], bar) = (positions.groups(names), self.sums_bar.fields(bar_fields, names));
-                let get = |q: usize| bar[q / 4][q % 4];
+                let get = |q: usize| pairs::get(&bar, q);
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there);
                 let (w, f, _) = geometry.kernel.all(r2);
                 let w = mask.apply(w);
@@ -513,7 +511,7 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     for d in 0..D {
                         along = along - gravity[d] * dr[d];
                     }
-                    let density = own[(D + 1) / 4][(D + 1) % 4];
+                    let density = pairs::get(&own, D + 1);
                     pressure = density.mul_add(along, pressure);
                     let share = w * get(at);
                     depth = share.mul_add(along, depth);
