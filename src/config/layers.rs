@@ -203,9 +203,8 @@ pub struct Merged {
 
 impl Merged {
     /// Starts from a complete text, a built-in or a resolved one.
-    pub fn new(text: &str, places: BTreeMap<String, String>) -> Self {
-        let document = text.parse().expect("a complete text is valid TOML");
-        Self { document, places, methods: vec![], of_method: vec![], misfit: None }
+    pub fn new(text: &str) -> Self {
+        Self::with_methods(text.parse().expect("a complete text is valid TOML"), vec![])
     }
 
     /// Starts from a complete document, in which the section `[method]` may be replaced by another of `methods`.
@@ -290,10 +289,7 @@ impl Merged {
                     let written = entry.before.as_ref().unwrap_or(&entry.path);
                     let bad =
                         BadInput::new(format!("{written} is a key of the method {having}, and the method is {name}"));
-                    let allowed = match Method::keys_of(&name) {
-                        own if own.is_empty() => "no key but name".into(),
-                        own => own.join(", "),
-                    };
+                    let allowed = Method::keys_of(&name).join(", ");
                     let bad = bad.place(&entry.place).allowed(format!("in [method] with name = {name}: {allowed}"));
                     wrong = Some(bad.advice(format!("method.name={having}, or leave {written} out")));
                 }

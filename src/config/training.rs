@@ -1,6 +1,5 @@
 //! The configuration of a training, read from TOML and `key=value`. `data/training.toml` has a comment on every key.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -207,7 +206,7 @@ impl Settings {
 
     /// [`Settings::load`] for settings that carry the names of command-line options for error messages.
     pub fn load_settings(file: Option<&Path>, like: Option<&Self>, settings: &[Setting]) -> Result<Self, BadInput> {
-        let mut merged = Merged::new(TRAINING, BTreeMap::new());
+        let mut merged = Merged::new(TRAINING);
         match (file, like) {
             (Some(path), _) => merged.apply::<Self>(&read(path)?),
             (None, Some(like)) => {
@@ -228,7 +227,7 @@ impl Settings {
 
     /// The settings as TOML with a comment on every key, including absent ones.
     pub fn shown(&self) -> String {
-        let mut merged = Merged::new(TRAINING, BTreeMap::new());
+        let mut merged = Merged::new(TRAINING);
         merged.apply::<Self>(&Layer::from_value(self, ""));
         merged.text()
     }

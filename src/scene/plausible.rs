@@ -42,7 +42,7 @@ impl Findings {
     /// The estimates for a scene and the configuration that it was built from.
     pub fn of<R: Sweeps>(config: &Config, scene: &Scene<R>) -> Result<Self, BadInput> {
         let grid = match config.scene {
-            Family::Custom => Some(Grid::of(config)?),
+            Family::Custom => Some(Geometry::of(config)?),
             _ => None,
         };
         let speed = speed(config, scene, grid.as_ref());
@@ -189,7 +189,7 @@ fn criteria(config: &Config) -> Vec<Criterion> {
 }
 
 /// The largest of the initial speed and the speed that the body force may cause.
-fn speed<R: Sweeps>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f64 {
+fn speed<R: Sweeps>(config: &Config, scene: &Scene<R>, grid: Option<&Geometry>) -> f64 {
     let (model, n) = (&scene.model, scene.model.particles());
     let l = model.rows;
     let is_velocity = |i: usize| model.has_velocity(i);
@@ -203,28 +203,13 @@ fn speed<R: Sweeps>(config: &Config, scene: &Scene<R>, grid: Option<&Grid>) -> f
     start.max(driven)
 }
 
-/// The fluid and wall cells of a custom scene.
-struct Grid {
-    cells: [usize; 3],
-    periodic: [bool; 3],
-    dimension: usize,
-    is_wall: Vec<bool>,
-}
-
-impl Grid {
-    fn of(config: &Config) -> Result<Self, BadInput> {
-        let Geometry { lattice, is_wall, .. } = Geometry::of(config)?;
-        let mut cells = lattice.cells;
-        cells[lattice.dimension..].fill(1);
-        Ok(Self { cells, periodic: lattice.periodic, dimension: lattice.dimension, is_wall })
-    }
-
+impl Geometry {
     /// Index of the cell `by` steps along direction `d`, if there is one.
     fn step(&self, i: usize, d: usize, by: isize) -> Option<usize> {
-        let stride: usize = self.cells[..d].iter().product();
-        let (count, row) = (self.cells[d], i / stride % self.cells[d]);
+        let stride: usize = self.lattice.cells[..d].iter().product();
+        let (count, row) = (self.lattice.cells[d], i / stride % self.lattice.cells[d]);
         let to = row as isize + by;
-        let to = match self.periodic[d] {
+        let to = match self.lattice.periodic[d] {
             true => to.rem_euclid(count as isize),
             false if (0..count as isize).contains(&to) => to,
             false => return None,
@@ -259,12 +244,12 @@ impl Grid {
     /// the caps of round shapes, do not count.
     fn narrowest(&self, walls: bool) -> Option<usize> {
         let is_through = |run: &Vec<usize>, d: usize| {
-            let others = (0..self.dimension).filter(|&e| e != d);
+            let others = (0..self.lattice.dimension).filter(|&e| e != d);
             others.flat_map(|e| [(e, -1), (e, 1)]).all(|(e, by)| {
                 run.iter().all(|&i| self.step(i, e, by).is_none_or(|beside| self.is_wall[beside] == walls))
             })
         };
-        (0..self.dimension)
+        (0..self.lattice.dimension)
             .flat_map(|d| self.runs(d, walls).into_iter().filter(move |run| is_through(run, d)).map(|run| run.len()))
             .min()
     }
@@ -274,13 +259,15 @@ impl Grid {
     fn driven(&self, config: &Config) -> f64 {
         let (nu, dx, time) = (config.model_viscosity(), config.resolution.dx, config.duration());
         let mut fastest: f64 = 0.0;
-        for (d, g) in config.region.acceleration.iter().enumerate().filter(|(d, g)| **g != 0.0 && self.periodic[*d]) {
+        for (d, g) in
+            config.region.acceleration.iter().enumerate().filter(|(d, g)| **g != 0.0 && self.lattice.periodic[*d])
+        {
             let free = g.abs() * time;
-            let stride: usize = self.cells[..d].iter().product();
-            let section = |i: usize| i / stride % self.cells[d];
+            let stride: usize = self.lattice.cells[..d].iter().product();
+            let section = |i: usize| i / stride % self.lattice.cells[d];
             // Sums of width^3 over the passages of each section, and its widest passage. In three dimensions the width
             // is that in the narrower direction.
-            let (mut cubes, mut widest) = (vec![0.0; self.cells[d]], vec![0.0_f64; self.cells[d]]);
+            let (mut cubes, mut widest) = (vec![0.0; self.lattice.cells[d]], vec![0.0_f64; self.lattice.cells[d]]);
             let across = |e: usize| {
                 let mut width = vec![f64::INFINITY; self.is_wall.len()];
                 for run in self.runs(e, false) {
@@ -289,7 +276,7 @@ impl Grid {
                 }
                 width
             };
-            let widths: Vec<Vec<f64>> = (0..self.dimension).filter(|&e| e != d).map(across).collect();
+            let widths: Vec<Vec<f64>> = (0..self.lattice.dimension).filter(|&e| e != d).map(across).collect();
             for i in (0..self.is_wall.len()).filter(|&i| !self.is_wall[i]) {
                 let width = widths.iter().map(|width| width[i]).fold(f64::INFINITY, f64::min);
                 // The part of a cell in its passage.
@@ -301,7 +288,7 @@ impl Grid {
                 continue;
             }
             let resistance: f64 = cubes.iter().map(|cube| 12.0 * nu * dx / cube).sum();
-            let length = self.cells[d] as f64 * dx;
+            let length = self.lattice.cells[d] as f64 * dx;
             let rate = g.abs() * length / resistance;
             let found = cubes.iter().zip(&widest).map(|(cube, width)| 1.5 * rate * width * width / cube);
             // An infinitely wide passage has no resistance.

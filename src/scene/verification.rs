@@ -15,7 +15,6 @@ use crate::config::schema::values;
 use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
-use crate::design::Problem;
 use crate::error::{BadInput, Error};
 use crate::sph::Sweeps;
 use std::time::Instant;
@@ -134,7 +133,7 @@ impl Verification {
         let clock = Instant::now();
         // A wall that is not allowed fails here and is not a result.
         for wall in [&self.reference, &self.best] {
-            self.loaded.with(&self.wall(wall))?;
+            self.loaded.with(&wall_settings(wall, &self.loaded.config))?;
         }
         let checks = Check::EACH.into_iter().filter(|check| check.is_for(&self.loaded.config));
         let pairs: Vec<(Check, Result<Pair, Error>)> = checks.map(|check| (check, self.pair(check))).collect();
@@ -166,12 +165,9 @@ impl Verification {
 
     pub fn pair(&self, check: Check) -> Result<Pair, Error> {
         let settings = self.settings(check)?;
-        let with = |wall: &Shape| self.loaded.with(&[&settings[..], &self.wall(wall)].concat());
+        let wall = |wall: &Shape| wall_settings(wall, &self.loaded.config);
+        let with = |shape: &Shape| self.loaded.with(&[&settings[..], &wall(shape)].concat());
         Ok([with(&self.reference)?, with(&self.best)?])
-    }
-
-    fn wall(&self, wall: &Shape) -> Vec<Setting> {
-        wall_settings(wall, &self.loaded.config)
     }
 
     fn settings(&self, check: Check) -> Result<Vec<Setting>, Error> {
@@ -335,11 +331,8 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
 }
 
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
-    let problem = problem::<R>(loaded)?;
+    let design = Scene::<R>::problem(&loaded.config)?;
+    let problem = design
+        .ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))?;
     Ok(problem.evaluate_watched(&problem.first, progress)? * problem.figure.factor)
-}
-
-fn problem<R: Sweeps>(loaded: &Loaded) -> Result<Problem<R>, Error> {
-    let design = Scene::problem(&loaded.config)?;
-    design.ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))
 }
