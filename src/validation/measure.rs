@@ -3,7 +3,7 @@
 use super::{probe, reference};
 use crate::adjoint::run::run;
 use crate::config::layers::Setting;
-use crate::config::scene::Kernels;
+use crate::config::scene::{Config, Kernels};
 use crate::design::diagnostics::Measurement;
 use crate::scene::load::Loaded;
 use crate::scene::Scene;
@@ -17,6 +17,9 @@ use serde::{Deserialize, Serialize};
 const SAMPLES: usize = 50;
 /// Places on a centre line.
 const PLACES: usize = 127;
+
+/// Sees the share of a run that is done.
+pub type Progress<'a> = &'a mut dyn FnMut(f64);
 
 /// A named line of a picture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,16 +84,11 @@ pub enum Measure {
 const SHAPES: [&str; 4] = ["up", "sin1", "cos2", "Wcen"];
 
 impl Measure {
-    /// Runs a scene and measures it; `progress` sees the share of the run that is done.
+    /// Runs a scene and measures it.
     ///
     /// # Errors
     /// A run that does not get to its end.
-    pub fn take<R: Sweeps>(
-        self,
-        loaded: &Loaded,
-        scene: &Scene<R>,
-        progress: &mut dyn FnMut(f64),
-    ) -> anyhow::Result<Found> {
+    pub fn take<R: Sweeps>(self, loaded: &Loaded, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
         match self {
             Self::Velocity | Self::Profile => self.velocity(scene, progress),
             Self::Temperature | Self::Nusselt => self.warmth(scene, progress),
@@ -101,8 +99,8 @@ impl Measure {
                 let exact = table.column("Q")[0];
                 Ok(Found { error: (outflow(scene, progress)? / exact - 1.0).abs(), curves: vec![] })
             }
-            Self::HydrostaticPressure | Self::Rest => self.still_water(loaded, scene, progress),
-            Self::Front => front(loaded, scene, progress),
+            Self::HydrostaticPressure | Self::Rest => self.still_water(&loaded.config, scene, progress),
+            Self::Front => front(&loaded.config, scene, progress),
             Self::Shapes => shapes::<R>(loaded, progress),
             Self::Gradient => gradient::<R>(loaded, progress),
         }
@@ -124,7 +122,7 @@ impl Measure {
         }
     }
 
-    fn warmth<R: Sweeps>(self, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    fn warmth<R: Sweeps>(self, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
         let solver = watched(scene, progress, &mut |_| ())?;
         let found = scene.figures(&solver.state, scene.steps as f64 * scene.model.dt);
         let error = match self {
@@ -135,7 +133,7 @@ impl Measure {
         Ok(Found { error, curves: vec![] })
     }
 
-    fn velocity<R: Sweeps>(self, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+    fn velocity<R: Sweeps>(self, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
         let solver = watched(scene, progress, &mut |_| ())?;
         let time = solver.step as f64 * scene.model.dt;
         let figures = scene.figures(&solver.state, time);
@@ -164,13 +162,7 @@ impl Measure {
         Ok(Found::beside(error, points, "exact", exact.collect()))
     }
 
-    fn still_water<R: Sweeps>(
-        self,
-        loaded: &Loaded,
-        scene: &Scene<R>,
-        progress: &mut dyn FnMut(f64),
-    ) -> anyhow::Result<Found> {
-        let config = &loaded.config;
+    fn still_water<R: Sweeps>(self, config: &Config, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
         let (height, gravity, density) = (config.water.height, -config.fluid.gravity[1], config.fluid.density);
         let (n, l) = (scene.model.particles(), scene.model.rows);
         let fluid: Vec<usize> = (0..n).filter(|&i| scene.model.is_fluid(i)).collect();
@@ -202,8 +194,7 @@ impl Measure {
     }
 }
 
-fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
-    let config = &loaded.config;
+fn front<R: Sweeps>(config: &Config, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
     let (width, gravity) = (config.water.length, -config.fluid.gravity[1]);
     let n = scene.model.particles();
     let mut points = Vec::new();
@@ -214,15 +205,20 @@ fn front<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, progress: &mut dyn FnMut(
         points.push((time * (2.0 * gravity / width).sqrt(), front / width));
     })?;
     let table = reference::dam_break_front();
-    let (t, z): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
-    let end = t.last().copied().unwrap_or_default();
+    let end = points.last().map_or(0.0, |last| last.0);
     let seen: Vec<(f64, f64)> =
         table.column("T").into_iter().zip(table.column("Z")).filter(|(time, _)| *time <= end).collect();
     if seen.is_empty() {
         bail!("the run ends before the experiment's first time");
     }
-    let error = seen.iter().map(|(time, exact)| (reference::between(&t, &z, *time) / exact - 1.0).abs()).sum::<f64>();
+    let error: f64 = errors(&points, &seen).iter().sum();
     Ok(Found::beside(error / seen.len() as f64, points, "Martin and Moyce (1952)", seen))
+}
+
+/// Relative errors at the reference's times; ours are close enough together to be joined by lines.
+fn errors(ours: &[(f64, f64)], theirs: &[(f64, f64)]) -> Vec<f64> {
+    let (t, x): (Vec<f64>, Vec<f64>) = ours.iter().copied().unzip();
+    theirs.iter().map(|(time, exact)| (reference::between(&t, &x, *time) / exact - 1.0).abs()).collect()
 }
 
 /// The largest of numbers that are not below 0; not a number if one is none, which `max` would hide.
@@ -233,7 +229,7 @@ fn largest(numbers: impl IntoIterator<Item = f64>) -> f64 {
 /// Runs a scene to its end.
 fn watched<R: Sweeps>(
     scene: &Scene<R>,
-    progress: &mut dyn FnMut(f64),
+    progress: Progress,
     see: &mut dyn FnMut(&Solver<R>),
 ) -> anyhow::Result<Solver<R>> {
     let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
@@ -245,9 +241,8 @@ fn watched<R: Sweeps>(
     run(&dynamics, &scene.start, scene.steps, &mut [&mut watch])
 }
 
-fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
     let table = reference::taylor_green_3d();
-    let (times, energies) = (table.column("time"), table.column("kinetic_energy"));
     let volume: f64 = scene.model.domain.size[..scene.model.dimension()].iter().product();
     let density = scene.model.equation_of_state.reference_density;
     let mut points = Vec::new();
@@ -256,16 +251,13 @@ fn kinetic_energy<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) ->
         let energy = scene.figures(&solver.state, time).kinetic_energy;
         points.push((time, energy / (density * volume)));
     })?;
-    // The reference's times; ours are close enough together to be joined by lines.
-    let (t, e): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
-    let end = t.last().copied().unwrap_or_default();
-    let compared = times.iter().zip(&energies).filter(|(time, _)| **time <= end + 1e-9);
-    let error = largest(compared.map(|(time, energy)| (reference::between(&t, &e, *time) / energy - 1.0).abs()));
-    let exact = times.into_iter().zip(energies).filter(|(time, _)| *time <= end + 1e-9).collect();
-    Ok(Found::beside(error, points, "spectral", exact))
+    let end = points.last().map_or(0.0, |last| last.0);
+    let exact = table.column("time").into_iter().zip(table.column("kinetic_energy"));
+    let exact: Vec<(f64, f64)> = exact.filter(|(time, _)| *time <= end + 1e-9).collect();
+    Ok(Found::beside(largest(errors(&points, &exact)), points, "spectral", exact))
 }
 
-fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
     // Walls are as thick on both sides of the unit square or cube.
     let wall = |d: usize| 0.5 * (scene.model.domain.size[d] - 1.0);
     let every = (scene.steps / 4 / SAMPLES).max(1);
@@ -322,7 +314,7 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> a
 }
 
 /// Q.
-fn outflow<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
+fn outflow<R: Sweeps>(scene: &Scene<R>, progress: Progress) -> anyhow::Result<f64> {
     let Some(design) = &scene.design else { bail!("the scene has no outflowing heat") };
     let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
     let mut measured = Measurement::of(design);
@@ -334,7 +326,7 @@ fn outflow<R: Sweeps>(scene: &Scene<R>, progress: &mut dyn FnMut(f64)) -> anyhow
     Ok(measured.diagnostics().q)
 }
 
-fn shapes<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+fn shapes<R: Sweeps>(loaded: &Loaded, progress: Progress) -> anyhow::Result<Found> {
     let table = reference::heated_channel();
     let (names, amplitudes, exact) = (table.texts("shape"), table.column("A"), table.column("Q"));
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
@@ -360,7 +352,7 @@ fn nodes() -> String {
     format!("design.nodes={nodes:?}")
 }
 
-fn gradient<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Found> {
+fn gradient<R: Sweeps>(loaded: &Loaded, progress: Progress) -> anyhow::Result<Found> {
     let search = loaded.with(&[Setting::set(&nodes())])?.for_search()?;
     let scene = Scene::<R>::from_config(&search.config)?;
     let Some(problem) = &scene.design else { bail!("the scene has no design") };

@@ -10,7 +10,7 @@ pub mod reference;
 pub mod stress;
 
 pub use cases::Case;
-pub use measure::{Curve, Found, Measure};
+pub use measure::{Curve, Found, Measure, Progress};
 
 use crate::config::scene::Config;
 use crate::numerics::interrupt;
@@ -66,7 +66,7 @@ impl Case {
     ///
     /// # Errors
     /// A configuration that is not allowed, which is a mistake in the table.
-    pub fn run(&self, quick: bool, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Validated> {
+    pub fn run(&self, quick: bool, progress: Progress) -> anyhow::Result<Validated> {
         let loaded = |precision: &str, level: &cases::Level| {
             let mut settings: Vec<String> =
                 [self.settings, level.settings].concat().iter().map(|s| s.to_string()).collect();
@@ -129,7 +129,7 @@ struct Attempt {
     found: Result<Found, String>,
 }
 
-fn attempt<R: Sweeps>(loaded: &Loaded, measure: Measure, progress: &mut dyn FnMut(f64)) -> anyhow::Result<Attempt> {
+fn attempt<R: Sweeps>(loaded: &Loaded, measure: Measure, progress: Progress) -> anyhow::Result<Attempt> {
     let scene = Scene::<R>::from_config(&loaded.config)?;
     let clock = Instant::now();
     let found = measure.take(loaded, &scene, progress);

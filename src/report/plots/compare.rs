@@ -1,10 +1,10 @@
 //! Any number of series in one picture: starts against each other, work against precision, gradient checks.
 
 use super::axis::{Axis, PlotArea, INK};
-use super::drawing::{Anchor, Drawing, Point};
+use super::drawing::{Anchor, Drawing, Point, Saved};
 use super::lines::{self, Line, Look};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Draws named series of (x, y) as lines whose names stand at their ends. On a logarithmic axis values that are not
 /// positive are left out, as are NaN and infinities. More series than one frame can show are divided over frames under
@@ -14,20 +14,20 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`FileError::Input`] if there is not a single point to show; system errors.
 pub fn compare(
-    path_stem: &Path,
+    stem: &Path,
     title: &str,
     x_label: &str,
     y_label: &str,
     series: &[(String, Vec<Point>)],
     log_x: bool,
     log_y: bool,
-) -> Result<[PathBuf; 2], FileError> {
+) -> Saved {
     let usable = |value: f64, log: bool| value.is_finite() && (!log || value > 0.0);
     let points =
         || series.iter().flat_map(|(_, points)| points).filter(move |(x, y)| usable(*x, log_x) && usable(*y, log_y));
     if points().next().is_none() {
         let allowed = "at least one finite point (positive on a logarithmic axis)";
-        return Err(FileError::input(path_stem, "no series has a point to show", allowed));
+        return Err(FileError::input(stem, "no series has a point to show", allowed));
     }
     let axis = |values: Vec<f64>, log: bool| match log {
         true => Axis::around_log(values),
@@ -51,5 +51,5 @@ pub fn compare(
             |(k, (name, points)): (usize, &(String, Vec<Point>))| Line::new(name, points.clone(), Look::series(k));
         lines::draw(&mut drawing, &frame, &part.iter().enumerate().map(line).collect::<Vec<_>>());
     }
-    drawing.save(path_stem)
+    drawing.save(stem)
 }

@@ -16,6 +16,9 @@ pub type Color = [u8; 3];
 /// Pixels to the right and down from the upper left corner.
 pub type Point = (f64, f64);
 
+/// The paths of a picture's PNG and SVG.
+pub type Saved = Result<[PathBuf; 2], FileError>;
+
 /// Pixels of the PNG per nominal pixel.
 const PNG_SCALE: usize = 2;
 /// The PNG is drawn this much larger and averaged: plotters does not smooth the edges of areas and thick lines.
@@ -126,7 +129,7 @@ impl Drawing {
     }
 
     /// Writes `<stem>.png` and `<stem>.svg` (both atomically) and returns their paths.
-    pub fn save(&self, stem: &Path) -> Result<[PathBuf; 2], FileError> {
+    pub fn save(&self, stem: &Path) -> Saved {
         register_font();
         let png = with_ending(stem, ".png");
         let svg = with_ending(stem, ".svg");

@@ -1,10 +1,10 @@
 //! The course of an optimisation: objective, loss and gradient norm per epoch.
 
 use super::axis::{Axis, PlotArea, INK};
-use super::drawing::{Drawing, Point};
+use super::drawing::{Drawing, Point, Saved};
 use super::lines::{self, Line, Look};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One epoch. Values that are not finite are left out of the plot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,13 +25,13 @@ pub struct HistoryPoint {
 /// # Errors
 /// [`FileError::Input`] without any epoch; system errors.
 pub fn history(
-    path_stem: &Path,
+    stem: &Path,
     epochs: &[HistoryPoint],
     (symbol, label): (&str, &str),
     q_reference: Option<(&str, f64)>,
-) -> Result<[PathBuf; 2], FileError> {
+) -> Saved {
     if epochs.is_empty() {
-        return Err(FileError::input(path_stem, "there is no epoch to show", "at least one epoch"));
+        return Err(FileError::input(stem, "there is no epoch to show", "at least one epoch"));
     }
     let number = |point: &HistoryPoint| point.epoch as f64;
     let series = |value: fn(&HistoryPoint) -> f64| -> Vec<Point> {
@@ -53,7 +53,7 @@ pub fn history(
     let lower = |value| vec![Line::new("", series(value), Look::series(0))];
     let (loss, gradient) = (lower(|p| p.loss), lower(|p| p.gradient_norm));
     panels(
-        path_stem,
+        stem,
         ("epoch", Axis::whole_numbers(epochs.iter().map(number))),
         &[
             (label, 300.0, Axis::around(values(&upper)), upper),
@@ -67,11 +67,7 @@ pub fn history(
 pub(super) type Panel<'a> = (&'a str, f64, Axis, Vec<Line>);
 
 /// Draws panels under each other over one horizontal axis.
-pub(super) fn panels(
-    path_stem: &Path,
-    (x_label, x): (&str, Axis),
-    panels: &[Panel],
-) -> Result<[PathBuf; 2], FileError> {
+pub(super) fn panels(stem: &Path, (x_label, x): (&str, Axis), panels: &[Panel]) -> Saved {
     const GAP: f64 = 26.0;
     let left = panels.iter().map(|(_, _, y, _)| y.margin()).fold(0.0, f64::max);
     let height: f64 = panels.iter().map(|panel| panel.1 + GAP).sum();
@@ -83,5 +79,5 @@ pub(super) fn panels(
         lines::draw(&mut drawing, &frame, lines);
         top += height + GAP;
     }
-    drawing.save(path_stem)
+    drawing.save(stem)
 }

@@ -2,10 +2,10 @@
 
 use super::axis::{PlotArea, INK, TICKS};
 use super::colors;
-use super::drawing::{Anchor, Drawing};
+use super::drawing::{Anchor, Drawing, Saved};
 use super::temperature::{check_ranges, color_bar};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 #[derive(Clone, Copy, Debug)]
 pub struct ReliefPanel<'a> {
@@ -19,19 +19,13 @@ pub struct ReliefPanel<'a> {
 ///
 /// # Errors
 /// [`FileError::Input`] if there is no wall, a range is empty, or lengths do not fit; system errors.
-pub fn relief(
-    path_stem: &Path,
-    panels: &[ReliefPanel],
-    most: f64,
-    x: (f64, f64, usize),
-    z: (f64, f64, usize),
-) -> Result<[PathBuf; 2], FileError> {
+pub fn relief(stem: &Path, panels: &[ReliefPanel], most: f64, x: (f64, f64, usize), z: (f64, f64, usize)) -> Saved {
     let cells = x.2 * z.2;
     if panels.is_empty() || panels.iter().any(|panel| panel.heights.len() != cells) {
         let lengths: Vec<usize> = panels.iter().map(|panel| panel.heights.len()).collect();
-        return Err(FileError::input(path_stem, format!("walls have {lengths:?} heights"), format!("{cells} each")));
+        return Err(FileError::input(stem, format!("walls have {lengths:?} heights"), format!("{cells} each")));
     }
-    check_ranges(path_stem, [("height", (-most, most)), ("x", (x.0, x.1)), ("z", (z.0, z.1))])?;
+    check_ranges(stem, [("height", (-most, most)), ("x", (x.0, x.1)), ("z", (z.0, z.1))])?;
     let pixels = f64::min(760.0 / (x.1 - x.0), 460.0 / (z.1 - z.0));
     let (width, height) = (pixels * (x.1 - x.0), pixels * (z.1 - z.0));
     let (left, first_top, gap) = (110.0, 48.0, 62.0);
@@ -56,5 +50,5 @@ pub fn relief(
     }
     let label = "height of the wall (scene units)";
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (-most, most), label);
-    drawing.save(path_stem)
+    drawing.save(stem)
 }

@@ -1,10 +1,9 @@
 //! Predicted, true, difference: three panels of particles in a row, row under row.
 
 use super::axis::{PlotArea, INK};
-use super::drawing::{Anchor, Drawing};
+use super::drawing::{Anchor, Drawing, Saved};
 use super::temperature::{check, color_bar, draw_particles, TemperaturePanel};
-use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// What the panels have in common. Panels' `temperature` may be any value of the particles.
 #[derive(Clone, Copy, Debug)]
@@ -21,15 +20,11 @@ pub struct SideBySide<'a> {
 /// Draws rows of panels; both axes have the same scale.
 ///
 /// # Errors
-/// [`FileError::Input`] if lengths do not fit, a range is empty, or there is no row; system errors.
-pub fn side_by_side(
-    path_stem: &Path,
-    rows: &[[TemperaturePanel; 3]],
-    options: &SideBySide,
-) -> Result<[PathBuf; 2], FileError> {
+/// [`crate::io::FileError::Input`] if lengths do not fit, a range is empty, or there is no row; system errors.
+pub fn side_by_side(stem: &Path, rows: &[[TemperaturePanel; 3]], options: &SideBySide) -> Saved {
     let SideBySide { range, difference_range, x_range, y_range, .. } = *options;
-    check(path_stem, rows.as_flattened(), range, x_range, y_range)?;
-    check(path_stem, rows.as_flattened(), difference_range, x_range, y_range)?;
+    check(stem, rows.as_flattened(), range, x_range, y_range)?;
+    check(stem, rows.as_flattened(), difference_range, x_range, y_range)?;
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     let pixels = f64::min(420.0 / x_span, 300.0 / y_span);
     let (width, height) = (pixels * x_span, pixels * y_span);
@@ -55,5 +50,5 @@ pub fn side_by_side(
     }
     color_bar(&mut drawing, (bar_left, top), total_height, range, options.label);
     color_bar(&mut drawing, (last_bar_left, top), total_height, difference_range, options.difference_label);
-    drawing.save(path_stem)
+    drawing.save(stem)
 }

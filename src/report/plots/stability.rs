@@ -1,9 +1,9 @@
 //! Maps of where something holds: a letter in a coloured cell, panels in rows.
 
 use super::axis::INK;
-use super::drawing::{text_width, Anchor, Color, Drawing};
+use super::drawing::{text_width, Anchor, Color, Drawing, Saved};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One map: rows from the lowest up, a letter per cell: S stable, D degraded, X diverged, others unknown.
 #[derive(Clone, Debug)]
@@ -37,18 +37,12 @@ fn colors(letter: char) -> (Color, Color) {
 ///
 /// # Errors
 /// [`FileError::Input`] if there is no panel or cells do not fit the axes; system errors.
-pub fn stability(
-    path_stem: &Path,
-    title: &str,
-    panels: &[StabilityPanel],
-    columns: usize,
-    axes: &StabilityAxes,
-) -> Result<[PathBuf; 2], FileError> {
+pub fn stability(stem: &Path, title: &str, panels: &[StabilityPanel], columns: usize, axes: &StabilityAxes) -> Saved {
     let (across, up) = (axes.x.1.len(), axes.y.1.len());
     let fits = |panel: &StabilityPanel| panel.cells.len() == up && panel.cells.iter().all(|row| row.len() == across);
     if panels.is_empty() || columns == 0 || !panels.iter().all(fits) {
         let allowed = format!("{up} rows of {across} cells");
-        return Err(FileError::input(path_stem, "cells that do not fit the axes", allowed));
+        return Err(FileError::input(stem, "cells that do not fit the axes", allowed));
     }
     let widest = axes.y.1.iter().map(|label| text_width(label, LABEL)).fold(0.0, f64::max);
     let (width, height) = (across as f64 * CELL, up as f64 * CELL);
@@ -88,7 +82,7 @@ pub fn stability(
         cell(&mut drawing, at, letter);
         drawing.text(meaning, (at.0 + CELL + 6.0, at.1 + 0.5 * CELL - 4.0), LABEL, Anchor::Left, INK);
     }
-    drawing.save(path_stem)
+    drawing.save(stem)
 }
 
 fn cell(drawing: &mut Drawing, (x, y): (f64, f64), letter: char) {

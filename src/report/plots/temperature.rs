@@ -2,9 +2,9 @@
 
 use super::axis::{Axis, PlotArea, INK, TICKS};
 use super::colors;
-use super::drawing::{text_width, Anchor, Color, Drawing, Point};
+use super::drawing::{text_width, Anchor, Color, Drawing, Point, Saved};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Tags as in JAX-SPH.
 const FLUID: u8 = 0;
@@ -42,14 +42,14 @@ pub struct TemperaturePanel<'a> {
 /// # Errors
 /// [`FileError::Input`] if lengths do not fit, a range is empty, or there is no panel.
 pub fn colored_particles(
-    path_stem: &Path,
+    stem: &Path,
     label: &str,
     panels: &[TemperaturePanel],
     (t_min, t_max): (f64, f64),
     x_range: (f64, f64),
     y_range: (f64, f64),
-) -> Result<[PathBuf; 2], FileError> {
-    check(path_stem, panels, (t_min, t_max), x_range, y_range)?;
+) -> Saved {
+    check(stem, panels, (t_min, t_max), x_range, y_range)?;
     let (x_span, y_span) = (x_range.1 - x_range.0, y_range.1 - y_range.0);
     // Wide scenes fill the width; tall ones are limited by height.
     let pixels = f64::min(900.0 / x_span, if panels.len() > 1 { 460.0 } else { 700.0 } / y_span);
@@ -71,7 +71,7 @@ pub fn colored_particles(
     }
     color_bar(&mut drawing, (bar_left, first_top), bottom - first_top, (t_min, t_max), label);
     legend(&mut drawing, (left, bottom + 80.0), panels);
-    drawing.save(path_stem)
+    drawing.save(stem)
 }
 
 pub(super) fn draw_particles(
@@ -128,13 +128,7 @@ fn legend(drawing: &mut Drawing, (mut x, y): Point, panels: &[TemperaturePanel])
     }
 }
 
-pub(super) fn color_bar(
-    drawing: &mut Drawing,
-    (left, top): Point,
-    height: f64,
-    (t_min, t_max): (f64, f64),
-    label: &str,
-) {
+pub(super) fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (low, high): (f64, f64), label: &str) {
     const STRIPES: usize = 200;
     const WIDTH: f64 = 22.0;
     let stripe = height / STRIPES as f64;
@@ -142,7 +136,7 @@ pub(super) fn color_bar(
         let part = 1.0 - (index as f64 + 0.5) / STRIPES as f64;
         drawing.rectangle((left, top + stripe * index as f64), WIDTH, stripe, colors::heat(part), 1.0);
     }
-    let frame = PlotArea { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(t_min, t_max) };
+    let frame = PlotArea { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(low, high) };
     frame.outline(drawing);
     frame.draw_right(drawing, &frame.y, label, INK);
 }

@@ -1,10 +1,10 @@
 //! The course of a training: loss, and validation errors beside those of a baseline.
 
 use super::axis::Axis;
+use super::drawing::Saved;
 use super::history::panels;
 use super::lines::{self, Line, Look};
-use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// An error that falls (or does not) over the steps, as (step, value).
 #[derive(Debug, Clone)]
@@ -17,12 +17,7 @@ pub struct ErrorCurve {
 
 /// Two panels over the steps: `loss` as (step, value), and below it `errors` with those of the baseline called `baseline`
 /// (thin). Curves without a number above 0 are left out.
-pub fn training_curves(
-    path_stem: &Path,
-    loss: &[(f64, f64)],
-    errors: &[ErrorCurve],
-    baseline: &str,
-) -> Result<[PathBuf; 2], FileError> {
+pub fn training_curves(stem: &Path, loss: &[(f64, f64)], errors: &[ErrorCurve], baseline: &str) -> Saved {
     let shows = |line: &&ErrorCurve| line.points.iter().any(|p| p.1.is_finite() && p.1 > 0.0);
     let steps = loss.iter().chain(errors.iter().flat_map(|error| &error.points)).map(|p| p.0);
     let last = steps.clone().fold(0.0, f64::max);
@@ -37,7 +32,7 @@ pub fn training_curves(
     }
     let axis = |points: &mut dyn Iterator<Item = &(f64, f64)>| Axis::around_log(points.map(|p| p.1));
     panels(
-        path_stem,
+        stem,
         ("training step", Axis::around(steps.chain([0.0]))),
         &[
             ("training loss", 250.0, axis(&mut loss.iter()), vec![Line::new("", loss.to_vec(), Look::series(0))]),

@@ -2,10 +2,10 @@
 
 use super::axis::{Axis, PlotArea, INK};
 use super::colors;
-use super::drawing::{text_width, Anchor, Color, Drawing, Point};
+use super::drawing::{text_width, Anchor, Color, Drawing, Point, Saved};
 use super::lines::{self, Line, Look};
 use crate::io::FileError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const BEST: Color = [213, 94, 0];
 const BOUND: Color = [110, 110, 110];
@@ -16,13 +16,13 @@ const BOUND: Color = [110, 110, 110];
 /// # Errors
 /// [`FileError::Input`] if there is no shape, a length differs from that of `nodes`, or `best` is no index.
 pub fn wall_shapes(
-    path_stem: &Path,
+    stem: &Path,
     nodes: &[f64],
     shapes: &[(String, Vec<f64>)],
     best: Option<usize>,
     bound: f64,
-) -> Result<[PathBuf; 2], FileError> {
-    let bad = |problem: String, allowed: String| Err(FileError::input(path_stem, problem, allowed));
+) -> Saved {
+    let bad = |problem: String, allowed: String| Err(FileError::input(stem, problem, allowed));
     if shapes.is_empty() || nodes.is_empty() {
         return bad("there is no wall shape to show".into(), "at least one shape with nodes".into());
     }
@@ -62,7 +62,7 @@ pub fn wall_shapes(
     if !are_few {
         shade_bar(&mut drawing, (left, top + height + 92.0), 240.0, &shapes[0].0, &shapes[shapes.len() - 1].0);
     }
-    drawing.save(path_stem)
+    drawing.save(stem)
 }
 
 /// A bar of the line colours between the names of the first and the last shape, the bar's middle line at `y`.
