@@ -56,7 +56,7 @@
 //! let mut optimiser = optimisers::of_config(&config.optimise, &problem.first);
 //! let mut best = before;
 //! for _ in 0..3 {
-//!     let found = problem.gradient(optimiser.ask(), &schedule, &mut |_| ())?;
+//!     let found = problem.differentiate(optimiser.ask(), &schedule, &mut |_| ())?;
 //!     best = best.max(problem.evaluate(optimiser.ask())?);
 //!     optimiser.tell(problem.parametrisation.limits(), found.loss, &found.gradient);
 //! }

@@ -113,7 +113,7 @@ pub fn run(arguments: BenchArguments) -> anyhow::Result<()> {
         println!("{}", earlier.summary(&all));
     }
     page::write(&arguments.out)?;
-    let of_case = |(label, reason): &(String, String)| json!({ "case": label, "reason": reason });
+    let of_case = |(label, reason): &runner::LeftOut| json!({ "case": label, "reason": reason });
     machine::answer(&json!({
         "folder": machine::path(&arguments.out),
         "rows": all,

@@ -9,12 +9,11 @@ use crate::report::progress::Progress;
 use serde::de::DeserializeOwned;
 use std::process::Stdio;
 
-/// Rows, and the cases that failed with their reasons.
-type Ran = (Vec<Row>, Vec<(String, String)>);
+/// The label of a case that was left out, and why.
+pub type LeftOut = (String, String);
 
-/// Runs every case `repeats` times in turns, A B C A B C: the rows, and the labels of cases that were left out with the
-/// reasons.
-pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<Ran> {
+/// Runs every case `repeats` times in turns, A B C A B C.
+pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<(Vec<Row>, Vec<LeftOut>)> {
     let mut measured: Vec<Result<Vec<Measured>, String>> = vec![Ok(vec![]); family.len()];
     for _ in 0..repeats {
         for (case, found) in family.iter().zip(&mut measured) {
