@@ -39,6 +39,7 @@
 //!
 //! ```
 //! use hydrograd::config::scene::Config;
+//! use hydrograd::design::judge::{Judge, Scheduled};
 //! use hydrograd::design::optimisers;
 //! use hydrograd::scene::Scene;
 //!
@@ -47,18 +48,20 @@
 //! let settings = ["time.end=0.3", "objective.window=0.1", "optimise.method=l-bfgs-b"].map(String::from);
 //! let config = Config::load(Some("heated-channel"), None, &settings)?.config;
 //! let problem = Scene::<f64>::from_config(&config)?.design.expect("this scene has a design");
+//! let first = problem.first.clone();
+//! let mut optimiser = optimisers::of_config(&config.optimise, &first);
 //!
-//! // Q of the first wall, without a gradient.
-//! let before = problem.evaluate(&problem.first)?;
+//! // A judge gives Q of a wall, and the loss with its gradient.
+//! let schedule = problem.schedule(&config.optimise, config.run.precision)?;
+//! let solver = Scheduled { problem, schedule };
+//! let before = solver.value(&first)?.figure;
 //!
 //! // Three evaluations with gradients, each at the wall that the optimiser asks for.
-//! let schedule = problem.schedule(&config.optimise, config.run.precision)?;
-//! let mut optimiser = optimisers::of_config(&config.optimise, &problem.first);
 //! let mut best = before;
 //! for _ in 0..3 {
-//!     let found = problem.differentiate(optimiser.ask(), &schedule, &mut |_| ())?;
-//!     best = best.max(problem.evaluate(optimiser.ask())?);
-//!     optimiser.tell(problem.parametrisation.limits(), found.loss, &found.gradient);
+//!     let found = solver.gradient(optimiser.ask(), &mut |_| ())?;
+//!     best = best.max(found.figure);
+//!     optimiser.tell(solver.parametrisation().limits(), found.loss, &found.gradient);
 //! }
 //! assert!(best > before);
 //! # Ok(())

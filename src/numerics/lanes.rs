@@ -6,8 +6,21 @@
 //! the bit.
 
 use candle_core::WithDType;
+use std::mem::MaybeUninit;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Range, Sub, SubAssign};
 use std::sync::OnceLock;
+
+/// An array of f(0), f(1), ... (`std::array::from_fn` and an array's `map` leave calls in kernels, because parts of them
+/// are compiled in other pieces of the crate.)
+#[inline(always)]
+pub fn array<T: Copy, const N: usize>(mut f: impl FnMut(usize) -> T) -> [T; N] {
+    let mut all = [const { MaybeUninit::uninit() }; N];
+    for k in 0..N {
+        all[k].write(f(k));
+    }
+    // SAFETY: all elements are written, and an array of them is as large.
+    unsafe { std::mem::transmute_copy(&all) }
+}
 
 /// A scalar of the simulation: `f32` or `f64`.
 pub trait Real:
@@ -128,6 +141,7 @@ pub trait Lanes:
     type Real: Real;
     const COUNT: usize;
     fn splat(value: Self::Real) -> Self;
+    #[inline(always)]
     fn zero() -> Self {
         Self::splat(Self::Real::default())
     }
@@ -247,11 +261,11 @@ macro_rules! portable {
         #[derive(Clone, Copy)]
         pub struct $name([$real; $count]);
         operators!($name, |a, b|
-            Add add std::array::from_fn(|l| a[l] + b[l]),
-            Sub sub std::array::from_fn(|l| a[l] - b[l]),
-            Mul mul std::array::from_fn(|l| a[l] * b[l]),
-            Div div std::array::from_fn(|l| a[l] / b[l]),
-            -c Self(c.0.map(|a| -a))
+            Add add array(|l| a[l] + b[l]),
+            Sub sub array(|l| a[l] - b[l]),
+            Mul mul array(|l| a[l] * b[l]),
+            Div div array(|l| a[l] / b[l]),
+            -c Self(array(|l| -c.0[l]))
         );
         impl Lanes for $name {
             type Real = $real;
@@ -262,7 +276,7 @@ macro_rules! portable {
             }
             #[inline(always)]
             fn ramp() -> Self {
-                Self(std::array::from_fn(|l| l as $real))
+                Self(array(|l| l as $real))
             }
             #[inline(always)]
             unsafe fn load(from: *const $real) -> Self {
@@ -280,27 +294,28 @@ macro_rules! portable {
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
-                Self(self.0.map(|a| a.sqrt()))
+                Self(array(|l| self.0[l].sqrt()))
             }
             #[inline(always)]
             fn inverse_sqrt(self) -> Self {
-                Self(self.0.map(|a| 1.0 / a.sqrt()))
+                Self(array(|l| 1.0 / self.0[l].sqrt()))
             }
             #[inline(always)]
             fn positive(self) -> Self {
-                Self(self.0.map(|a| if a > 0.0 { a } else { 0.0 }))
+                Self(array(|l| if self.0[l] > 0.0 { self.0[l] } else { 0.0 }))
             }
             #[inline(always)]
             fn round(self) -> Self {
-                Self(self.0.map(|a| a.round_ties_even()))
+                Self(array(|l| self.0[l].round_ties_even()))
             }
             #[inline(always)]
             fn power_of_two(self) -> Self {
-                Self(self.0.map(|a| <$real>::from_bits((a + $exponent).to_bits() << (<$real>::MANTISSA_DIGITS - 1))))
+                let power = |a: $real| <$real>::from_bits((a + $exponent).to_bits() << (<$real>::MANTISSA_DIGITS - 1));
+                Self(array(|l| power(self.0[l])))
             }
             #[inline(always)]
             fn select_less(self, limit: Self, below: Self, above: Self) -> Self {
-                Self(std::array::from_fn(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
+                Self(array(|l| if self.0[l] < limit.0[l] { below.0[l] } else { above.0[l] }))
             }
             #[inline(always)]
             fn bits_less(self, limit: Self) -> u32 {
@@ -317,14 +332,14 @@ macro_rules! portable {
             #[inline(always)]
             unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                 // SAFETY: the caller promises valid indices and records of at least 4 numbers.
-                std::array::from_fn(|q| {
-                    Self(std::array::from_fn(|l| unsafe { *records.add(*index.add(l) as usize * stride + q) }))
+                array(|q| {
+                    Self(array(|l| unsafe { *records.add(*index.add(l) as usize * stride + q) }))
                 })
             }
             #[inline(always)]
             unsafe fn gather(values: *const $real, index: *const u32) -> Self {
                 // SAFETY: the caller promises valid indices.
-                Self(std::array::from_fn(|l| unsafe { *values.add(*index.add(l) as usize) }))
+                Self(array(|l| unsafe { *values.add(*index.add(l) as usize) }))
             }
         }
     };
@@ -380,7 +395,7 @@ mod x86 {
                 }
                 #[inline(always)]
                 fn ramp() -> Self {
-                    Self::from_array(std::array::from_fn(|l| l as $real))
+                    Self::from_array(array(|l| l as $real))
                 }
                 #[inline(always)]
                 unsafe fn load(from: *const $real) -> Self {
@@ -448,11 +463,13 @@ mod x86 {
                 #[inline(always)]
                 unsafe fn gather4(records: *const $real, stride: usize, index: *const u32) -> [Self; 4] {
                     let $record = |l: usize| unsafe { records.add(*index.add(l) as usize * stride) };
-                    unsafe { $gather4 }.map(Self)
+                    // (An array's own `map` is not inlined.)
+                    let [a, b, c, d] = unsafe { $gather4 };
+                    [Self(a), Self(b), Self(c), Self(d)]
                 }
                 #[inline(always)]
                 unsafe fn gather(values: *const $real, index: *const u32) -> Self {
-                    Self::from_array(std::array::from_fn(|l| unsafe { *values.add(*index.add(l) as usize) }))
+                    Self::from_array(array(|l| unsafe { *values.add(*index.add(l) as usize) }))
                 }
             }
         };

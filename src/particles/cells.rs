@@ -1,6 +1,6 @@
 //! Particles sorted into cells of at least one reach, so that neighbours stand in a few runs of contiguous places.
 
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::error::NeighbourError;
 use crate::particles::Domain;
@@ -47,7 +47,7 @@ impl Geometry {
             size: domain.size,
             narrow: [false; 3],
             // What is said of a direction that the scene does not have must not wrap its one layer of cells around.
-            periodic: std::array::from_fn(|d| d < domain.dimension && domain.periodic[d]),
+            periodic: array(|d| d < domain.dimension && domain.periodic[d]),
             cells: [1; 3],
             origin: [0.0; 3],
             scale: [0.0; 3],

@@ -1,6 +1,6 @@
 //! The box that particles live in, and the nearest images over its periodic edges.
 
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use candle_core::{Result, Tensor};
 
 /// The box: `dimension` (2 or 3) lengths, periodic or not direction by direction. Its lower corner is at 0 where it is
@@ -15,8 +15,9 @@ pub struct Domain {
 impl Domain {
     /// 1 / size in periodic directions, 0 in the others: `d - size * round(d * inverse)` is then the nearest image
     /// everywhere.
+    #[inline]
     pub fn inverse_period(&self) -> [f64; 3] {
-        std::array::from_fn(|d| if self.periodic[d] { 1.0 / self.size[d] } else { 0.0 })
+        array(|d| if self.periodic[d] { 1.0 / self.size[d] } else { 0.0 })
     }
 
     /// A difference of coordinates in direction `d`: the shortest one of all images.
@@ -81,10 +82,7 @@ impl<L: Lanes, const D: usize> Images<L, D> {
     pub fn new(domain: &Domain) -> Self {
         let inverse = domain.inverse_period();
         let of = L::Real::of;
-        Self {
-            size: std::array::from_fn(|d| L::splat(of(domain.size[d]))),
-            inverse: std::array::from_fn(|d| L::splat(of(inverse[d]))),
-        }
+        Self { size: array(|d| L::splat(of(domain.size[d]))), inverse: array(|d| L::splat(of(inverse[d]))) }
     }
 
     #[inline(always)]

@@ -10,7 +10,7 @@
 //! positions gives the same list, the same order of every sum and the same bits.
 
 use crate::numerics::gather::{sums_by_place, Gather};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs, ROW_MULTIPLE};
 use crate::particles::error::MOST_NEIGHBOURS;
@@ -226,7 +226,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Search<'_, R, D> {
                 (cell, own_wall) = (own.cell_of_place[place] as usize, wall);
                 runs = self.geometry.runs(cell);
             }
-            let here: [L; D] = std::array::from_fn(|d| L::splat(own.position[d][place]));
+            let here: [L; D] = array(|d| L::splat(own.position[d][place]));
             let me = own.number[place];
             let myself = if wall { None } else { Some(place) };
             let mut total = append::<R, L, D>(self.geometry, &runs, self.fluid, &here, myself, &mut found, 0);
@@ -264,7 +264,7 @@ fn append<R: Real, L: Lanes<Real = R>, const D: usize>(
     let reach2 = L::splat(R::of(geometry.reach * geometry.reach));
     for run in &runs.list[..runs.count] {
         let (from, to) = cells.places(run.first, run.last);
-        let shift: [L; D] = std::array::from_fn(|d| L::splat(R::of(run.shift[d])));
+        let shift: [L; D] = array(|d| L::splat(R::of(run.shift[d])));
         let mut at = from;
         while at < to {
             let mut r2 = L::zero();

@@ -1,6 +1,6 @@
 //! What every sweep over pairs shares: rows, records, differences, packing.
 
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::Images;
 use crate::particles::NeighbourList;
@@ -41,8 +41,8 @@ impl<L: Lanes, const D: usize> RowGeometry<L, D> {
         Self {
             kernel: flow.kernel.lanes(),
             images: Images::new(domain),
-            low: std::array::from_fn(|d| edge(d, cutoff, f64::NEG_INFINITY)),
-            high: std::array::from_fn(|d| edge(d, domain.size[d] - cutoff, f64::INFINITY)),
+            low: array(|d| edge(d, cutoff, f64::NEG_INFINITY)),
+            high: array(|d| edge(d, domain.size[d] - cutoff, f64::INFINITY)),
         }
     }
 

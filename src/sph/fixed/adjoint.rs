@@ -18,7 +18,7 @@ use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::sweeps::{along, hot, Context, End, Pairs, WALLS};
 use super::work::{field, line, Work};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::RowKernel;
 use crate::sph::own::Own;
 use std::ops::Range;
@@ -105,7 +105,8 @@ impl<L: Lanes> Sums<L> {
 /// The mass flux's cotangent of a fluid row, with what its ghosts hand on.
 #[inline(always)]
 fn flux_bar<R: Real, L: Lanes<Real = R>>(c: &Context<'_, R>, j: isize, at: usize) -> [L; 2] {
-    let mut bar = [field::MX_BAR, field::MY_BAR].map(|f| c.get::<L>(f, j, at as isize));
+    let of = |field| c.get::<L>(field, j, at as isize);
+    let mut bar = [of(field::MX_BAR), of(field::MY_BAR)];
     for wall in WALLS {
         for k in 0..REACH {
             if j == c.near(wall, k) {
@@ -215,7 +216,7 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
                 let conormal = conormal * L::splat(R::of(wall.inward()));
                 c.put_line(line::ALONG[wall as usize], at, conormal * c.line(line::LEAN[wall as usize], here));
                 if METRIC {
-                    let sides = [-1, 0, 1].map(|k| c.get::<L>(field::T, c.near(wall, 0), here + k));
+                    let sides = array(|k| c.get::<L>(field::T, c.near(wall, 0), here + k as isize - 1));
                     c.put_line(line::LEAN_BAR[wall as usize], at, conormal * along(c, wall, here, sides));
                 }
             }
@@ -249,7 +250,7 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
             for j in c.fixed.grid.all_rows() {
                 let own = End::<L>::own(c, FLUX, j, here);
                 let get = |field| c.get::<L>(field, j, here);
-                let [u, v, a, b] = [field::U, field::V, field::BAR_U, field::BAR_V].map(get);
+                let (u, v, a, b) = (get(field::U), get(field::V), get(field::BAR_U), get(field::BAR_V));
                 let mut sums = Sums::<L>::zero();
                 let zero = L::zero();
                 let (mut u_bar, mut v_bar, mut pushed, mut gy_v) = (zero, zero, zero, zero);

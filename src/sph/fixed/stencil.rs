@@ -8,7 +8,7 @@
 //! * diffusion of the density: Morris' weights w = 2 F / (dx^2 sum F i^2).
 
 use super::grid::REACH;
-use crate::numerics::lanes::Real;
+use crate::numerics::lanes::{array, Real};
 use crate::sph::kernels::Kernel;
 
 /// Number of offsets along one direction.
@@ -63,5 +63,5 @@ pub fn stencil<R: Real>(kernel: &Kernel, spacing: f64) -> Stencil<R> {
 
 /// Weights of columns -2 .. 2 in the derivative along x of a field that does not depend on y.
 pub fn derivative<R: Real>(stencil: &Stencil<R>) -> [f64; WIDTH] {
-    std::array::from_fn(|i| stencil.iter().map(|row| row[i].gx.f64()).sum())
+    array(|i| stencil.iter().map(|row| row[i].gx.f64()).sum())
 }

@@ -9,7 +9,7 @@ use super::grid::{store_part, Fields, REACH};
 use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::work::{field, line, Work};
-use crate::numerics::lanes::{Lanes, Real, WIDEST};
+use crate::numerics::lanes::{array, Lanes, Real, WIDEST};
 use crate::numerics::sweep::RowKernel;
 use crate::sph::own::Own;
 use std::ops::{Deref, Range};
@@ -117,13 +117,13 @@ impl<'a, R: Real> Context<'a, R> {
     /// The two rows of fluid next to a wall.
     #[inline(always)]
     pub fn near_rows<L: Lanes<Real = R>>(&self, field: usize, wall: Wall, column: usize) -> [L; 2] {
-        [0, 1].map(|k| self.get(field, self.near(wall, k), column as isize))
+        array(|k| self.get(field, self.near(wall, k), column as isize))
     }
 
     /// The two rows of ghosts beyond a wall.
     #[inline(always)]
     pub fn ghost_rows<L: Lanes<Real = R>>(&self, field: usize, wall: Wall, column: usize) -> [L; 2] {
-        [0, 1].map(|k| self.get(field, self.ghost(wall, k), column as isize))
+        array(|k| self.get(field, self.ghost(wall, k), column as isize))
     }
 
     /// rho of a pressure.
@@ -243,7 +243,7 @@ impl<R: Real> RowKernel<R> for Spread<'_, R> {
                     *value = first[if column < 2 * nx { column % nx } else { 0 }];
                 }
                 // SAFETY: two numbers more than a vector are there.
-                let sides = [0, 1, 2].map(|k| unsafe { L::load(around.as_ptr().add(k)) });
+                let sides = array(|k| unsafe { L::load(around.as_ptr().add(k)) });
                 let slope = along(c, wall, at as isize, sides) * c.line(line::LEAN[wall as usize], at as isize);
                 let conormal = L::splat(R::of(wall.inward())) * slope;
                 let given = L::splat(R::of(c.fixed.channel.hot_excess));

@@ -55,18 +55,19 @@ impl<'a, R: Real> PartKernel<R> for Sweep<'a, R> {
 
     #[inline(always)]
     fn part<L: Lanes<Real = R>>(&self, row: usize, x: &mut &'a mut [R]) {
-        let [a, b] = [self.a, self.b].map(|of| &of[row * ROW..][..x.len()]);
+        let (a, b) = (&self.a[row * ROW..][..x.len()], &self.b[row * ROW..][..x.len()]);
         match self.change {
             Change::Mean { decay, rest } => {
-                let [decay, rest] = [decay, rest].map(L::splat);
+                let (decay, rest) = (L::splat(decay), L::splat(rest));
                 each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a);
             }
             Change::Square { decay, rest } => {
-                let [decay, rest] = [decay, rest].map(L::splat);
+                let (decay, rest) = (L::splat(decay), L::splat(rest));
                 each::<L, 1>(x, [a], |x, [a]| decay * x + rest * a * a);
             }
             Change::Move { rate, first, second, epsilon, decay } => {
-                let [rate, first, second, epsilon, decay] = [rate, first, second, epsilon, decay].map(L::splat);
+                let (rate, first, second) = (L::splat(rate), L::splat(first), L::splat(second));
+                let (epsilon, decay) = (L::splat(epsilon), L::splat(decay));
                 each::<L, 2>(x, [a, b], |x, [m, v]| {
                     let step = m * first / ((v * second).sqrt() + epsilon);
                     x - rate * (step + decay * x)

@@ -244,7 +244,7 @@ pub fn backward_block<L: Lanes>(
             row::each::<L, 1>(y_bar, [scale], |y, [scale]| y * scale);
             let mean = row::sum::<L>(y_bar, y_bar, |y, _| y) * width;
             let along = row::sum::<L>(y_bar, x, |y, x| y * x) * width;
-            let [mean, along, inverse] = [mean, along, layers.inverse[rows.start + r]].map(L::splat);
+            let (mean, along, inverse) = (L::splat(mean), L::splat(along), L::splat(layers.inverse[rows.start + r]));
             row::each::<L, 1>(y_bar, [x], |y, [x]| (y - mean - x * along) * inverse);
         }
     }
