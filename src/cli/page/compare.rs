@@ -278,7 +278,7 @@ fn beside(runs: &mut [Compared], base: &Path, together: Option<&Record>) -> anyh
     });
     table.row("the run's own page", pages);
     let searches: Vec<&Search> = runs.iter().filter_map(|run| run.search.as_ref()).collect();
-    if searches.len() == runs.len() {
+    if !searches.is_empty() && searches.len() == runs.len() {
         add_searches(&mut table, &searches, unlike.is_empty(), flat);
         page.charts.push(over_epochs(runs, &searches));
         page.charts.extend(best_walls(runs));
