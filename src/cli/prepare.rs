@@ -6,6 +6,7 @@ pub use crate::config::difference::difference;
 use crate::config::scene::Kernels;
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
+use crate::numerics::threads::available;
 pub use crate::numerics::threads::use_threads;
 use crate::scene::load::Loaded;
 pub use crate::scene::{build_design as build, require_design};
@@ -39,8 +40,7 @@ pub fn compute(kernels: Kernels, device: DeviceName) -> Result<Compute, BadInput
 
 /// Number of workers for some jobs: `threads` (0: the number of cores), and at most the number of jobs.
 pub fn workers(threads: usize, jobs: usize) -> usize {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    if threads > 0 { threads } else { cores }.min(jobs).max(1)
+    if threads > 0 { threads } else { available() }.min(jobs).max(1)
 }
 
 /// The results of `work` for all jobs, in order, by several workers. After an error no further job is started.

@@ -11,11 +11,15 @@ fn number(variable: &str) -> Option<usize> {
     std::env::var(variable).ok()?.parse().ok().filter(|&number| number > 0)
 }
 
-/// The number of cores that this process may use: those of its affinity and its control group's quota, and no more than
+/// The number of cores of this process's affinity and its control group's quota.
+pub fn available() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
+/// The number of cores that this process may use: [`available`] ones, and no more than
 /// Slurm or `OMP_NUM_THREADS` gives it.
 pub fn cores() -> usize {
-    let own = available_parallelism().map_or(1, usize::from);
-    GIVEN.into_iter().filter_map(number).fold(own, usize::min)
+    GIVEN.into_iter().filter_map(number).fold(available(), usize::min)
 }
 
 /// The number of threads that compute: `CANDLE_NUM_THREADS` if it is set, as [`use_threads`] does, or [`cores`].
@@ -31,7 +35,7 @@ pub fn use_threads(threads: usize) {
         let threads = match (threads, number(pool)) {
             (0, Some(given)) => given,
             (0, None) => cores(),
-            (wanted, _) => wanted.min(2 * available_parallelism().map_or(1, usize::from)),
+            (wanted, _) => wanted.min(2 * available()),
         };
         std::env::set_var(pool, threads.to_string());
     }

@@ -7,6 +7,7 @@ use crate::config::device::DeviceName;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::BadInput;
+use crate::numerics::threads::available;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 
@@ -119,7 +120,7 @@ impl BenchArguments {
 
     /// The threads to measure with.
     pub fn threads(&self) -> Vec<usize> {
-        let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+        let cores = available();
         each_once(match self.threads.is_empty() {
             false => self.threads.iter().map(|&count| if count == 0 { cores } else { count }).collect(),
             true if self.quick => vec![cores.min(2)],

@@ -17,6 +17,7 @@ mod how;
 pub use engine::Exchange;
 pub use how::How;
 
+use super::threads;
 use crate::error::BadInput;
 use std::sync::Arc;
 
@@ -62,7 +63,7 @@ impl Ranks {
     pub fn threads(&self) -> Option<usize> {
         let here = self.0.as_ref()?.on_this_machine();
         // Ranks that are bound to some cores are not given all.
-        let own = std::thread::available_parallelism().map_or(1, usize::from);
+        let own = threads::available();
         // SAFETY: asks for a number.
         let all = usize::try_from(unsafe { libc::sysconf(libc::_SC_NPROCESSORS_ONLN) }).unwrap_or(own);
         Some((all / here).clamp(1, own))

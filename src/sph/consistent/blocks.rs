@@ -113,9 +113,7 @@ impl Table {
     /// Calls `each` with the particle and the number of every lane that is somebody's, of lanes that begin at a place.
     #[inline(always)]
     fn scatter<L: Lanes>(&self, place: usize, value: L, mut each: impl FnMut(usize, L::Real)) {
-        let mut numbers = [L::Real::default(); WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { value.store(numbers.as_mut_ptr()) };
+        let numbers = value.numbers();
         for lane in 0..L::COUNT {
             if place + lane < self.places {
                 each(self.members[place + lane] as usize, numbers[lane]);

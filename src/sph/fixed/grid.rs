@@ -169,8 +169,6 @@ pub fn store_part<L: Lanes>(to: &Own<'_, L::Real>, place: usize, value: L, count
     if count >= L::COUNT {
         return to.store(place, value);
     }
-    let mut lanes = [L::Real::default(); WIDEST];
-    // SAFETY: no lane type is wider than WIDEST.
-    unsafe { value.store(lanes.as_mut_ptr()) };
+    let lanes = value.numbers();
     (0..count).for_each(|k| to.set(place + k, lanes[k]));
 }

@@ -192,9 +192,7 @@ fn prepare<R: Real, L: Lanes<Real = R>>(c: &Context<'_, R>, next_bar: &[R], j: i
     let mut t_bar = c.of_state::<L>(next_bar, row::T, j, at) * L::load_part(&c.fixed.open[at..]);
     let outlet = c.fixed.outlet;
     if at + L::COUNT > outlet {
-        let mut lanes = [R::default(); WIDEST];
-        // SAFETY: no lane type is wider than WIDEST.
-        unsafe { t_bar.store(lanes.as_mut_ptr()) };
+        let mut lanes = t_bar.numbers();
         for (k, lane) in lanes[..L::COUNT].iter_mut().enumerate() {
             if at + k == outlet {
                 let from = row::T * c.fixed.particles() + j as usize * c.fixed.grid.columns;
