@@ -568,7 +568,7 @@ fn scene_of(name: &str, sets: &[&str]) -> Scene<f64> {
 const STANDARD: &str = "method.name=standard";
 
 fn artificial_viscosity(model: &Model<f64>) -> Option<ArtificialViscosity> {
-    model.of_type::<hydrograd::sph::standard::Standard<f64>>().unwrap().laws.artificial_viscosity
+    model.of_type::<hydrograd::sph::standard::Standard<f64>>().unwrap().laws.further.0
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::lattice::{Lattice, WallHeat};
 use super::surface::Surface;
 use super::{Exact, Scene};
-use crate::config::scene::{self, Config, DensityEquation, FluxName, Method, ViscousPairs};
+use crate::config::scene::{self, Config, DensityEquation, Method};
 use crate::particles::tag;
 use crate::sph::consistent::Consistent;
 use crate::sph::division::Division;
@@ -12,7 +12,7 @@ use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
-use crate::sph::laws::{ArtificialViscosity, DensityDiffusion, Flux, Riemann, VelocityDiffusion};
+use crate::sph::laws::{further, Flux, Scales};
 use crate::sph::solver::Snapshot;
 use crate::sph::standard::{Laws, Layout, Standard};
 use crate::sph::{Model, Sweeps};
@@ -22,18 +22,6 @@ fn standard(config: &Config) -> scene::Standard {
     match config.method {
         Method::Standard(own) => own,
         _ => scene::Standard { background_pressure_factor: 0.0, ..Default::default() },
-    }
-}
-
-fn flux(own: &scene::Standard, sound_speed: f64, smoothing_length: f64, reference_density: f64) -> Flux {
-    let gradient = own.density_gradient;
-    match own.flux {
-        FluxName::Pair => Flux::Pair,
-        FluxName::Delta => Flux::Delta(
-            DensityDiffusion { strength: own.density_diffusion, sound_speed, smoothing_length, gradient },
-            VelocityDiffusion { strength: own.velocity_diffusion, sound_speed, smoothing_length, reference_density },
-        ),
-        FluxName::Riemann => Flux::Riemann(Riemann { sound_speed, limiter: own.riemann_limiter }),
     }
 }
 
@@ -170,21 +158,15 @@ impl<R: Sweeps> Parts<R> {
         let sound_speed = config.fluid.sound_speed_factor * self.velocity;
         let pressure = density * sound_speed * sound_speed;
         let smoothing_length = config.resolution.smoothing_length * dx;
-        let artificial = ArtificialViscosity {
-            alpha: own.artificial_viscosity,
-            beta: 0.0,
-            sound_speed,
-            smoothing_length,
-            every_pair: own.artificial_viscosity_pairs == ViscousPairs::All,
-        };
+        let scales = Scales { sound_speed, smoothing_length, reference_density: density };
         let slip = config.wall.slip;
-        let flux = flux(&own, sound_speed, smoothing_length, density);
+        let flux = Flux::of(&own, &scales);
         let normals =
             Laws::<R>::asks_for_normals(&flux, slip).then(|| lattice.normals(lid).into_iter().map(R::of).collect());
         let laws = Laws {
             // The strength at CFL 0.25 (Adami, Hu and Adams 2013), whatever the time step.
             transport: own.transport_velocity * 0.25 * dx / (sound_speed + self.velocity) / dt,
-            artificial_viscosity: (own.artificial_viscosity > 0.0).then_some(artificial),
+            further: further(&own, &scales),
             renormalises: own.density_renormalisation,
             flux,
             slip,

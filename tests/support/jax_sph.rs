@@ -233,14 +233,14 @@ impl Case {
         };
         let laws = Laws {
             transport: self.transport,
-            artificial_viscosity: (alpha > 0.0).then_some(ArtificialViscosity {
+            further: ((alpha > 0.0).then_some(ArtificialViscosity {
                 alpha,
                 beta: 0.0,
                 // 10 u_ref with a u_ref of 1 whatever the case's is, and the spacing for h: theirs.
                 sound_speed: 10.0,
                 smoothing_length: self.dx,
                 every_pair: true,
-            }),
+            }),),
             renormalises: self.config["solver"]["density_renormalize"].as_bool().unwrap(),
             flux: self.flux(h),
             slip: if self.config["solver"]["free_slip"].as_bool().unwrap() { Slip::Free } else { Slip::None },

@@ -193,13 +193,13 @@ impl RandomScene {
         };
         let laws = Laws {
             transport: if options.transport { 0.7 } else { 0.0 },
-            artificial_viscosity: options.artificial_viscosity.then_some(ArtificialViscosity {
+            further: (options.artificial_viscosity.then_some(ArtificialViscosity {
                 alpha: 0.7,
                 beta: 1.1,
                 sound_speed,
                 smoothing_length: options.smoothing * DX,
                 every_pair: options.density,
-            }),
+            }),),
             ..Laws::default()
         };
         Arc::new(Standard::new(flow, options.layout(), laws))

@@ -8,7 +8,8 @@
 //! With `every_pair`, as in JAX-SPH, the law also acts on pairs that separate, but not on wall particles. Then it is a
 //! viscosity, while otherwise it only resists compression.
 
-use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, Sums};
+use super::pair_law::{Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Scales, Side, Sums};
+use crate::config::scene::{Standard, ViscousPairs};
 use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use crate::sph::masks::below;
@@ -27,6 +28,21 @@ pub struct ArtificialViscosity {
     pub smoothing_length: f64,
     /// Whether it also acts on pairs that separate, and then only on pairs of fluid particles.
     pub every_pair: bool,
+}
+
+impl ArtificialViscosity {
+    /// The one that the method's keys choose, none for a strength of 0.
+    pub fn of(own: &Standard, scales: &Scales) -> Option<Self> {
+        let Scales { sound_speed, smoothing_length, .. } = *scales;
+        let every_pair = own.artificial_viscosity_pairs == ViscousPairs::All;
+        (own.artificial_viscosity > 0.0).then_some(Self {
+            alpha: own.artificial_viscosity,
+            beta: 0.0,
+            sound_speed,
+            smoothing_length,
+            every_pair,
+        })
+    }
 }
 
 /// alpha c, beta, h and 0.01 h^2 in lanes.

@@ -3,7 +3,8 @@
 //! A [`PairLaw`] has its contribution to the sums of particle i, the derivative of that with respect to the fields of i
 //! (the pair pass visits a pair from both sides), and the same by candle's operators. A tuple of laws is a law, so the
 //! pair pass ([`super::standard::rates`]) names none. `with_laws` lists the tuples that are compiled. A law that few
-//! scenes use is the last, optional element (`Option<Law>` is a law), so that it does not double the number of tuples.
+//! scenes use is an element of [`Further`], where `Option<Law>` is a law, so that it does not double the number of
+//! tuples: such a law is a file here and a line in [`Further`] and in [`further`].
 
 pub mod artificial_viscosity;
 pub mod body_force;
@@ -19,11 +20,12 @@ pub mod transport_velocity;
 pub mod velocity_diffusion;
 pub mod viscosity;
 
+use crate::config::scene::{self, FluxName};
 pub use crate::config::scene::{DensityGradient, Slip};
 pub use artificial_viscosity::ArtificialViscosity;
 pub use conduction::Conduction;
 pub use density_diffusion::DensityDiffusion;
-pub use pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar, Sums};
+pub use pair_law::{dot, Bars, Pair, PairBar, PairFields, PairLaw, PairTensors, Scales, Side, SideBar, Sums};
 pub use pressure::Pressure;
 pub use riemann::Riemann;
 pub use transport_velocity::TransportVelocity;
@@ -42,22 +44,50 @@ pub enum Flux {
     Riemann(Riemann),
 }
 
+impl Flux {
+    /// The form that the method's keys choose.
+    pub fn of(own: &scene::Standard, scales: &Scales) -> Self {
+        let Scales { sound_speed, smoothing_length, reference_density } = *scales;
+        let gradient = own.density_gradient;
+        match own.flux {
+            FluxName::Pair => Self::Pair,
+            FluxName::Delta => Self::Delta(
+                DensityDiffusion { strength: own.density_diffusion, sound_speed, smoothing_length, gradient },
+                VelocityDiffusion {
+                    strength: own.velocity_diffusion,
+                    sound_speed,
+                    smoothing_length,
+                    reference_density,
+                },
+            ),
+            FluxName::Riemann => Self::Riemann(Riemann { sound_speed, limiter: own.riemann_limiter }),
+        }
+    }
+}
+
+/// The laws that few scenes use.
+pub type Further = (Option<ArtificialViscosity>,);
+
+/// Those of them that the method's keys choose.
+pub fn further(own: &scene::Standard, scales: &Scales) -> Further {
+    (ArtificialViscosity::of(own, scales),)
+}
+
 /// Calls `$go` with the laws of a model and the constant of its dimension. The pair pass is compiled for the tuples
 /// here: with or without transport velocity, with or without heat, each with or without the scene's further laws; and
 /// for heat in several materials, without transport velocity.
 macro_rules! with_laws {
     ($model:expr, |$laws:ident, $d:ident| $go:expr) => {{
-        use $crate::sph::laws::{Conduction, Pressure, TransportVelocity, Viscosity};
+        use $crate::sph::laws::{Conduction, PairLaw, Pressure, TransportVelocity, Viscosity};
         let model = $model;
         let (pressure, viscosity) = (Pressure(model.equation_of_state), Viscosity(model.viscosity));
-        let (transport, conduction, further) =
-            (TransportVelocity, Conduction::<false>, model.laws.artificial_viscosity);
+        let (transport, conduction, further) = (TransportVelocity, Conduction::<false>, model.laws.further);
         macro_rules! of {
             ($dimension:literal) => {{
                 const $d: usize = $dimension;
                 let materials = model.heat.as_ref().is_some_and(|heat| heat.materials.is_some());
                 assert!(!(materials && model.layout.transport), "materials go without a transport velocity");
-                match (model.layout.transport, model.layout.heat, further.is_some()) {
+                match (model.layout.transport, model.layout.heat, PairLaw::acts(&further)) {
                     _ if materials => of!(go, (pressure, viscosity, Conduction::<true>, further)),
                     (false, false, false) => of!(go, (pressure, viscosity)),
                     (false, true, false) => of!(go, (pressure, viscosity, conduction)),

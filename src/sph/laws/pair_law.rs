@@ -5,6 +5,14 @@ use crate::sph::composed::Pairs;
 use crate::sph::pairs::Mask;
 use candle_core::{Result, Tensor};
 
+/// What laws take from a scene beside their own keys.
+#[derive(Debug, Clone, Copy)]
+pub struct Scales {
+    pub sound_speed: f64,
+    pub smoothing_length: f64,
+    pub reference_density: f64,
+}
+
 /// The fields of one particle of a pair.
 #[derive(Clone, Copy)]
 pub struct Side<L, const D: usize> {
@@ -154,6 +162,11 @@ pub trait PairLaw: Copy + Send + Sync {
 
     /// What it is called in a plan.
     fn name(&self, names: &mut Vec<&'static str>);
+
+    /// Whether it does anything in this scene.
+    fn acts(&self) -> bool {
+        true
+    }
 }
 
 macro_rules! tuple_of_laws {
@@ -183,9 +196,13 @@ macro_rules! tuple_of_laws {
             fn name(&self, names: &mut Vec<&'static str>) {
                 $(self.$place.name(names);)*
             }
+            fn acts(&self) -> bool {
+                $(self.$place.acts() ||)* false
+            }
         }
     };
 }
+tuple_of_laws!(A 0);
 tuple_of_laws!(A 0, B 1);
 tuple_of_laws!(A 0, B 1, C 2);
 tuple_of_laws!(A 0, B 1, C 2, E 3);
@@ -227,6 +244,9 @@ impl<A: PairLaw> PairLaw for Option<A> {
         if let Some(law) = self {
             law.name(names);
         }
+    }
+    fn acts(&self) -> bool {
+        self.is_some()
     }
 }
 

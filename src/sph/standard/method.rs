@@ -60,7 +60,7 @@ impl<R: Sweeps> Method<R> for Standard<R> {
     }
     fn artificial_viscosity(&self) -> f64 {
         // An artificial viscosity alpha is equivalent to alpha h c / (2 (d + 2)) (Monaghan 2005, eq. 8.8).
-        self.laws.artificial_viscosity.as_ref().map_or(0.0, |of| {
+        self.laws.further.0.as_ref().map_or(0.0, |of| {
             of.alpha * of.smoothing_length * of.sound_speed / (2.0 * (self.layout.dimension as f64 + 2.0))
         })
     }

@@ -5,7 +5,7 @@ use super::pair_cache::PairCache;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
 use crate::sph::flow::Flow;
-use crate::sph::laws::{ArtificialViscosity, Flux, Slip};
+use crate::sph::laws::{Flux, Further, Slip};
 use std::ops::Deref;
 
 /// The laws that a scene chooses. The default has pair forces and no-slip walls, and no transport velocity.
@@ -13,7 +13,7 @@ use std::ops::Deref;
 pub struct Laws<R> {
     /// Strength of the transport velocity; 0 switches it off.
     pub transport: f64,
-    pub artificial_viscosity: Option<ArtificialViscosity>,
+    pub further: Further,
     /// Whether an evolved density is renormalised in each step, see [`super::renormalisation`].
     pub renormalises: bool,
     pub flux: Flux,

@@ -6,7 +6,7 @@ use super::sweeps::Sweeps;
 use crate::particles::NeighbourList;
 use crate::sph::inventory::{dropped, words, Dropped, Field, Operator};
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::laws::{with_laws, Flux, PairLaw};
+use crate::sph::laws::{with_laws, Flux};
 use crate::sph::pairs::stride;
 use crate::sph::rows::components;
 

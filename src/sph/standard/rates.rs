@@ -420,9 +420,7 @@ pub fn composed<R: Real>(
             // (With the conductivities that the fields have.)
             Conduction::<false>.composed(pairs, &fields, &mut sums)?;
         }
-        if let Some(artificial) = model.laws.artificial_viscosity {
-            artificial.composed(pairs, &fields, &mut sums)?;
-        }
+        model.laws.further.composed(pairs, &fields, &mut sums)?;
     } else {
         with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
     }
