@@ -2,7 +2,7 @@
 
 use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::adjoint::run::run;
-use hydrograd::config::scene::Config;
+use hydrograd::config::scene::{Config, Family};
 use hydrograd::design::diagnostics::{simulate, Diagnostics};
 use hydrograd::design::objectives::Figure;
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile};
@@ -556,7 +556,7 @@ fn what_was_put_into_a_summary_is_read_again() {
     record.put("q_first", 0.0234);
     record.put("best_epoch", 1);
     record.put("q_per_epoch", [0.0234, 0.0237, f64::NAN]);
-    record.put("warnings", [Warning { problem: "a".into(), advice: "b".into() }]);
+    record.put("warnings", [Warning::new("code", [2.0, 1.0], "a".into(), "b")]);
     record.put("before", Record::of(&Diagnostics { q: 0.0234, ..Diagnostics::default() }));
     let text = serde_json::to_string(&record).unwrap();
     let read: Record = serde_json::from_str(&text).unwrap();
@@ -569,5 +569,14 @@ fn what_was_put_into_a_summary_is_read_again() {
     // A record of an earlier version, without some figures.
     let older: Record = serde_json::from_str(r#"{ "q": 0.02 }"#).unwrap();
     assert!(older.search(Figure::of_config(&Config::default())).is_none() && older.warnings().is_empty());
-    assert_eq!(record.without_heat().number("q"), None);
+    // A box without heat has no figures of it, and a closed one has no flow rate.
+    let found = Diagnostics { q: 0.02, flow_rate: 0.1, mean_density: 1.0, ..Diagnostics::default() };
+    let mut config = Family::Custom.defaults();
+    let has = |config: &Config| {
+        let record = Record::of_measured(config, &found);
+        ["q", "flow_rate", "mean_density"].map(|key| record.number(key).is_some())
+    };
+    assert_eq!(has(&config), [false, true, true]);
+    config.region.periodic[0] = false;
+    assert_eq!(has(&config), [false, false, true]);
 }

@@ -2,12 +2,12 @@
 
 use hydrograd::config::method::Method;
 use hydrograd::config::scene::{Config, Family};
-use hydrograd::design::diagnostics::Diagnostics;
+use hydrograd::design::diagnostics::{drift, Diagnostics};
 use hydrograd::design::optimise::{Epoch, Optimisation};
 use hydrograd::design::optimisers::of_config;
 use hydrograd::particles::tag;
 use hydrograd::scene::particle_fields::ParticleFields;
-use hydrograd::scene::warnings::{of_channel, of_particles, of_search};
+use hydrograd::scene::warnings::{of_measured, of_particles, of_search};
 
 fn quiet(config: &Config) -> Diagnostics {
     Diagnostics {
@@ -22,8 +22,7 @@ fn quiet(config: &Config) -> Diagnostics {
 #[test]
 fn a_run_that_can_be_trusted_gets_no_warning() {
     let config = Config::default();
-    let history: Vec<Vec<f64>> = (0..100).map(|k| vec![0.02 * k as f64, 0.0235]).collect();
-    assert_eq!(of_channel(&config, &quiet(&config), &history), []);
+    assert_eq!(of_measured(&config, &quiet(&config)), []);
 }
 
 /// A row of fluid particles at these positions.
@@ -83,7 +82,7 @@ fn each_doubt_has_its_warning() {
     let of = |change: &dyn Fn(&mut Diagnostics)| {
         let mut found = quiet(&config);
         change(&mut found);
-        of_channel(&config, &found, &[])
+        of_measured(&config, &found)
     };
     for (found, part) in [
         (of(&|found| found.u_max = 2.0 * reference), "2.0 times as fast as fluid.reference_velocity"),
@@ -94,15 +93,19 @@ fn each_doubt_has_its_warning() {
         assert_eq!(found.len(), 1, "{found:?}");
         assert!(found[0].problem.contains(part) && !found[0].advice.is_empty(), "{found:?}");
     }
-    // Q that falls by 4 % within the window, and Q that oscillates about a mean.
-    let end = 4.0;
-    let history = |q: &dyn Fn(f64) -> f64| -> Vec<Vec<f64>> {
-        (0..=400).map(|k| 0.01 * k as f64).map(|t| vec![t, q(t)]).collect()
-    };
-    let window = config.objective.window;
-    let falling =
-        of_channel(&config, &quiet(&config), &history(&|t| 0.0235 * (1.0 - 0.04 * (t - end + window) / window)));
-    assert!(falling.len() == 1 && falling[0].problem.contains("not steady: it changes by -2.0 %"), "{falling:?}");
-    let swinging = of_channel(&config, &quiet(&config), &history(&|t| 0.0235 * (1.0 + 0.02 * (40.0 * t).sin())));
-    assert_eq!(swinging, []);
+    let unsteady = of(&|found| found.q_drift = Some(-0.02));
+    assert!(unsteady.len() == 1 && unsteady[0].problem.contains("outflowing heat changes by -2.0 %"), "{unsteady:?}");
+    assert_eq!(
+        (unsteady[0].code.as_str(), unsteady[0].value, unsteady[0].limit),
+        ("not-steady", Some(-0.02), Some(0.01))
+    );
+}
+
+#[test]
+fn a_drift_is_a_change_of_means() {
+    let series = |of: &dyn Fn(f64) -> f64| drift(&(0..100).map(|k| of(k as f64 / 100.0)).collect::<Vec<_>>());
+    // A value that falls by 4 %, and one that oscillates about a mean.
+    assert!((series(&|t| 0.0235 * (1.0 - 0.04 * t)).unwrap() + 0.02 / 0.98).abs() < 1e-3);
+    assert!(series(&|t| 0.0235 * (1.0 + 0.02 * (400.0 * t).sin())).unwrap().abs() < 1e-3);
+    assert_eq!((drift(&[1.0, 2.0]), drift(&[0.0; 8])), (None, None));
 }

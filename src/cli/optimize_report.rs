@@ -19,8 +19,10 @@ use crate::report::text::shown;
 use crate::scene::load::Loaded;
 use crate::scene::observers::Frames;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::plausible::Findings;
 use crate::scene::record::{Record, FIGURES};
 use crate::scene::verification::wall_settings;
+use crate::scene::{warnings, Scene};
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
 use serde_json::{json, Value};
@@ -73,16 +75,9 @@ pub fn report<R: Sweeps>(
     let (b, a) = (&before.diagnostics, &after.diagnostics);
     // The time of all sessions of a resumed run.
     let seconds = history.iter().map(|e| e.seconds).sum();
-    let has_heat = has_walls || config.initial.temperature.is_some();
-    let record_of = |found: &Diagnostics, seconds: f64| {
-        let record = Record::of_design(loaded, found, problem.steps, seconds);
-        if has_heat {
-            record
-        } else {
-            record.without_heat()
-        }
-    };
-    let records = [record_of(b, before.seconds), record_of(a, seconds)];
+    let has_heat = config.has_heat();
+    let records =
+        [(b, before.seconds), (a, seconds)].map(|(found, s)| Record::of_design(loaded, found, problem.steps, s));
     // The search's Q differs from that of these particles.
     let has_own = own.is_some() && note.is_empty();
     let mut table = Table::new(["", "before", "after"]);
@@ -95,9 +90,8 @@ pub fn report<R: Sweeps>(
     if has_own {
         row(&format!("the same flow with {motion} particles: Q"), b.q, a.q);
     }
-    // The objective is already shown; for walls the first figure is Q.
-    for (key, name) in if has_walls { &FIGURES[1..] } else { &OF_SHAPES[..] } {
-        if records[1].0.contains_key(*key) {
+    for (key, name) in &FIGURES {
+        if records[1].0.contains_key(*key) && problem.figure.measured_as != Some(key) {
             let [x, y] = records.each_ref().map(|record| record.number(key).unwrap_or(f64::NAN));
             row(name, x, y);
         }
@@ -109,6 +103,11 @@ pub fn report<R: Sweeps>(
     }
     let mut text = table.to_text();
     let mut record = Record::of_search(problem, optimisation, records);
+    let mut warnings = record.warnings();
+    warnings.extend(warnings::of_measured(config, a));
+    let scene = Scene::<R>::from_config(&with_best.config)?;
+    warnings.extend(Findings::of(&with_best.config, &scene)?.warnings);
+    record.put("warnings", &warnings);
     if has_walls {
         record.put_walls(parametrisation, optimisation);
         record.put("search", config.optimise.search);
@@ -154,7 +153,7 @@ pub fn report<R: Sweeps>(
         files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
     }
     files::write_summary(folder, &record)?;
-    warn(&record.warnings());
+    warn(&warnings);
     let [first, best] = designs;
     Ok(Outcome { text, record, history: history.clone(), first, best })
 }
@@ -226,22 +225,13 @@ fn plot_history<R>(folder: &Path, problem: &Problem<R>, optimisation: &Optimisat
     Ok(())
 }
 
-/// Figures of shapes before and after; those of heat are left out without heat.
-const OF_SHAPES: [(&str, &str); 6] = [
-    ("flow_rate", "flow rate"),
-    ("q", "heat outflow"),
-    ("wall_heat_flux", "wall heat flux"),
-    ("mean_outlet_temperature", "mixed outlet temperature"),
-    ("mean_density", "mean density"),
-    ("u_max", "fastest particle along x"),
-];
-
 /// The gain, its epoch and time, the surrogate's prediction, rejected designs, and whether the optimiser has stopped.
 fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> String {
     let (history, best) = (&optimisation.history, optimisation.best);
     let gain = change(history[0].shown(), history[best].shown());
     let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
-    let mut text = format!("\n{symbol} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
+    let of = if figure.measured_as.is_some() { String::new() } else { format!(", {},", figure.quantity) };
+    let mut text = format!("\n{symbol}{of} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}

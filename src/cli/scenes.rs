@@ -13,6 +13,7 @@ use crate::report::table::Table;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::plausible::{Criterion, Findings};
+use crate::scene::warnings::Warning;
 use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::Sweeps;
@@ -147,7 +148,10 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     println!("run time            about {}, from {done} steps of {:.3} ms", duration(each * steps as f64), 1e3 * each);
     println!("picture             {}", folder.join("particles.png").display());
     let mut warnings = findings.warnings.clone();
-    warnings.extend(failed.map(|error| format!("the first {done} steps fail already: {error}")));
+    warnings.extend(failed.map(|error| {
+        let problem = format!("the first {done} steps fail already: {error}");
+        Warning::new("divergence", [done as f64, steps as f64], problem, "what is said above, or a smaller time.cfl")
+    }));
     let of_criterion = |one: &Criterion| json!({ "name": one.name, "allows": one.dt, "by": one.formula });
     let kinds: Map<String, Value> =
         findings.particles.iter().map(|(name, count)| (name.to_string(), json!(count))).collect();
@@ -174,7 +178,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         0 => println!("\nnothing looks implausible"),
         count => println!("\n{count} to look at:"),
     }
-    warnings.iter().for_each(|warning| println!("  - {warning}"));
+    warnings.iter().for_each(|one| println!("  - {}; try {}", one.problem, one.advice));
     Ok(())
 }
 

@@ -12,7 +12,6 @@ use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::{Dynamics, RunError};
 use crate::config::layers::Setting;
 use crate::config::scene::Precision;
-use crate::design::diagnostics::Measurement;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
@@ -20,6 +19,7 @@ use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::plausible::Findings;
 use crate::scene::record::Recovery;
 use crate::scene::{checkpoint, Scene};
 use crate::sph::divergence::{self, Divergence};
@@ -158,9 +158,9 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         configuration: &loaded.text,
         steps: EvenSteps::new(scene.steps, CHECKPOINTS),
         began,
-        window: scene.design.as_ref().map_or(0, |design| design.window),
+        window: scene.window(),
     };
-    let mut measurement = scene.design.as_ref().map(Measurement::of);
+    let mut measurement = scene.measurement();
     let clock = Instant::now();
     let (mut from, mut recovered) = (first, Vec::<Recovery>::new());
     let mut solver = loop {
@@ -175,9 +175,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
             Err(error) => error.downcast::<RunError>()?,
         };
         let good = good.state();
-        let Some(found) = Divergence::of(&error, &scene.model, good) else {
+        let Some(mut found) = Divergence::of(&error, &scene.model, good) else {
             return Err(divergence::told(&error, &scene.model, good).into());
         };
+        found.cause = Findings::of(config, &scene)?.cause(&found.cause).unwrap_or(found.cause);
         let path = folder.join(LAST_GOOD);
         checkpoint::write(&path, &scene.model, good, &loaded.text)?;
         if recovered.len() == halvings {
@@ -229,9 +230,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         recovered: &recovered,
         pictures,
     };
-    match (&scene.design, measurement) {
-        (Some(design), Some(measured)) => report_design(&finished, design, &measured.diagnostics(), &start)?,
-        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt))?,
+    let measured = measurement.map(|it| it.diagnostics());
+    match (&scene.design, &measured) {
+        (Some(design), Some(measured)) => report_design(&finished, design, measured, &start)?,
+        _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt), measured.as_ref())?,
     }
     page::write(folder)?;
     // The checkpoint comes last, so that a run with it is complete: the averages of its end are in no checkpoint.
@@ -241,7 +243,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
 
 /// Returns an error if a resumed run has nothing left to do, or not enough for the averages of its end.
 fn check_unfinished<R: Sweeps>(step: usize, scene: &Scene<R>) -> Result<(), BadInput> {
-    let (steps, window) = (scene.steps, scene.design.as_ref().map_or(0, |design| design.window));
+    let (steps, window) = (scene.steps, scene.window());
     let time = |steps: usize| steps as f64 * scene.model.dt;
     let (problem, allowed) = if step >= steps {
         (

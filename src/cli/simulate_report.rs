@@ -2,13 +2,15 @@
 
 use super::files;
 use super::guard;
-use crate::config::scene::Family;
+use crate::config::scene::{Config, Family};
 use crate::design::diagnostics::Diagnostics;
+use crate::design::objectives::Figure;
 use crate::design::Problem;
 use crate::report::plots::compare;
 use crate::scene::figures::FlowFigures;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::plausible::Findings;
 use crate::scene::record::{Record, Recovery};
 use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
@@ -57,20 +59,14 @@ pub fn report_design<R: Sweeps>(
             record.put("top_offsets", top);
         }
     }
-    let mut warnings = warnings::of_channel(&loaded.config, d, history);
-    warnings.extend(warnings::of_particles(&loaded.config, finished.end));
+    let mut warnings = finished.warnings()?;
+    warnings.extend(warnings::of_measured(&loaded.config, d));
     record.put("warnings", &warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
-    let per_depth = if is_deep { ", per depth" } else { "" };
-    let (q, flux, stored, imbalance) = (d.q, d.wall_heat_flux, d.stored_heat_rate, 100.0 * d.energy_imbalance);
-    println!("Q                   {q:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet{per_depth}");
-    println!("wall heat flux      {flux:.6}   stored {stored:+.6}, imbalance {imbalance:+.2} %");
-    println!("flow rate           {:.6}   fastest particle {:.4}", d.flow_rate, d.u_max);
-    println!("body force          {:.6}   pumping power {:.6}", d.body_force, d.pumping_power);
-    println!("outlet temperature  {:.6}   mixed", d.mean_outlet_temperature);
-    println!("mean density        {:.6}", d.mean_density);
+    print_measured(&loaded.config, d);
+    print_dimensionless(&loaded.config, d.u_max);
     println!(
         "files in {}: report.html, summary.json, temperature.png, flow.png, history.csv, history.png, state.h5{}{}",
         folder.display(),
@@ -83,7 +79,57 @@ pub fn report_design<R: Sweeps>(
     Ok(())
 }
 
-pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> anyhow::Result<()> {
+impl<R: Sweeps> Finished<'_, R> {
+    /// The warnings of the scene, and of its particles at the end.
+    fn warnings(&self) -> anyhow::Result<Vec<Warning>> {
+        let config = &self.loaded.config;
+        let mut all = Findings::of(config, self.scene)?.warnings;
+        all.extend(warnings::of_particles(config, self.end));
+        Ok(all)
+    }
+}
+
+/// Prints the measurements of a flow that have a meaning in its scene.
+fn print_measured(config: &Config, d: &Diagnostics) {
+    let per_depth = if config.dimension() == 3 { ", per depth" } else { "" };
+    if config.flows_through() && config.has_heat() {
+        println!(
+            "Q                   {:.6}   outflowing heat, rho u (T - T_in) integrated over the outlet{per_depth}",
+            d.q
+        );
+    }
+    if config.has_heat() {
+        let (flux, stored) = (d.wall_heat_flux, d.stored_heat_rate);
+        let balance = match config.heat_passes() {
+            true => format!(", imbalance {:+.2} %", 100.0 * d.energy_imbalance),
+            false => String::new(),
+        };
+        println!("wall heat flux      {flux:.6}   stored {stored:+.6}{balance}");
+    }
+    if config.flows_through() {
+        println!("flow rate           {:.6}   fastest particle along x {:.4}", d.flow_rate, d.u_max);
+        println!("body force          {:.6}   pumping power {:.6}", d.body_force, d.pumping_power);
+        if config.has_heat() {
+            println!(
+                "outlet temperature  {:.6}   mixed; mean of all fluid {:.6}",
+                d.mean_outlet_temperature, d.mean_temperature
+            );
+        }
+    } else if config.has_heat() {
+        println!("mean temperature    {:.6}", d.mean_temperature);
+    }
+    println!("mean density        {:.6}", d.mean_density);
+    if config.scene == Family::Custom && config.flows_through() {
+        let Figure { symbol, quantity, .. } = Figure::of_config(config);
+        println!("objective           {:.6}   {symbol}, {quantity}, mean of its samples", d.objective(config));
+    }
+}
+
+pub fn report_flow<R: Sweeps>(
+    finished: &Finished<R>,
+    found: &FlowFigures,
+    measured: Option<&Diagnostics>,
+) -> anyhow::Result<()> {
     let Finished { loaded, folder, scene, .. } = finished;
     let rests = found.wall_flux.is_some();
     if !rests {
@@ -101,9 +147,13 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
             pictures.push_str(", temperature.png");
         }
     }
-    let mut warnings = warnings::of_flow(&loaded.config, found, finished.history);
-    warnings.extend(warnings::of_particles(&loaded.config, finished.end));
-    let mut record = Record::of_flow(loaded, scene, found, finished.divided, finished.seconds);
+    let mut warnings = finished.warnings()?;
+    warnings.extend(warnings::of_flow(&loaded.config, found, finished.history));
+    let known = |code: &str| warnings.iter().any(|warning| warning.code == code);
+    let more = measured.map_or(vec![], |measured| warnings::of_measured(&loaded.config, measured));
+    let more: Vec<Warning> = more.into_iter().filter(|warning| !known(&warning.code)).collect();
+    warnings.extend(more);
+    let mut record = Record::of_flow(loaded, scene, found, measured, finished.divided, finished.seconds);
     record.put("warnings", &warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
@@ -112,6 +162,9 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         let energy = found.kinetic_energy;
         println!("kinetic energy      {energy:.6}{}", against(energy, found.exact_kinetic_energy));
         println!("fastest particle    {:.6}", found.largest_velocity);
+    }
+    if let Some(measured) = measured {
+        print_measured(&loaded.config, measured);
     }
     if let Some(error) = found.velocity_error {
         let over = format!(", over {}", scene.exact.amplitude_name());
@@ -136,6 +189,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
              (a larger channel.length)"
         );
     }
+    print_dimensionless(&loaded.config, found.largest_velocity);
     println!(
         "files in {}: report.html, summary.json, history.csv{}{pictures}{}, state.h5{}",
         folder.display(),
@@ -148,9 +202,29 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     Ok(())
 }
 
+/// Prints the dimensionless numbers, and what they take.
+fn print_dimensionless(config: &Config, fastest: f64) {
+    let all = config.dimensionless(fastest);
+    let value = |x: f64| if x < 0.1 { format!("{x:.2e}") } else { format!("{x:.4}") };
+    let mut text = String::new();
+    for (k, one) in all.iter().enumerate() {
+        text.push_str(&format!("{}{} {}", if k > 0 { ", " } else { "" }, one.name, value(one.value)));
+        let next = all.get(k + 1).map(|next| (next.length, next.speed));
+        // Numbers that take the same length and speed share the remark.
+        let parts = [one.length, one.speed].into_iter().flatten().map(|it| format!("{} {}", it.of, value(it.value)));
+        let remark = parts.collect::<Vec<_>>().join(", ");
+        if !remark.is_empty() && next != Some((one.length, one.speed)) {
+            text.push_str(&format!(" ({remark})"));
+        }
+    }
+    if !all.is_empty() {
+        println!("dimensionless       {text}");
+    }
+}
+
 /// Prints warnings to stderr at the end, apart from the figures.
 pub fn warn(warnings: &[Warning]) {
-    for Warning { problem, advice } in warnings {
+    for Warning { problem, advice, .. } in warnings {
         guard::warn(problem, advice);
     }
 }

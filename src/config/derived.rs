@@ -2,6 +2,7 @@
 
 use crate::config::scene::{Config, DriveName, Family};
 use crate::config::stability::{CflLimit, FREE_SURFACE};
+use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeStepLimits {
@@ -9,6 +10,22 @@ pub struct TimeStepLimits {
     pub diffusive: f64,
     /// Limit by the body force of a custom scene; infinite for others.
     pub force: f64,
+}
+
+/// A dimensionless number of a run, and the length and the speed that it takes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Dimensionless {
+    pub name: &'static str,
+    pub value: f64,
+    pub length: Option<Scale>,
+    pub speed: Option<Scale>,
+}
+
+/// A length or a speed of a run, and what it is of.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Scale {
+    pub value: f64,
+    pub of: &'static str,
 }
 
 /// dt <= 0.25 sqrt(dx / |g|) (Monaghan 1992, sec. 11; Morris, Fox and Zhu 1997, eq. 19).
@@ -80,6 +97,70 @@ impl Config {
     /// The power that drives the plane channel, density g length times the flow rate, per depth.
     pub fn plane_power(&self) -> f64 {
         self.fluid.density * self.plane_force() * self.channel.length * self.plane_flow_rate()
+    }
+
+    /// The length of the scene that dimensionless numbers take, and where it is from.
+    pub fn characteristic_length(&self) -> Scale {
+        let (value, of) = match self.scene {
+            Family::HeatedChannel | Family::HeatedChannel3d => (self.channel.height, "channel.height"),
+            Family::Custom => {
+                let sides = (0..self.region.size.len()).map(|d| (self.region.periodic[d], self.region.size[d]));
+                let narrowest = sides.min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+                (narrowest.map_or(1.0, |(_, size)| size), "narrowest side of region.size between walls")
+            }
+            Family::HydrostaticTank => (self.tank.height, "tank.height"),
+            scene if scene.has_surface() => (self.water.height, "water.height"),
+            _ => (1.0, "height of the channel or side of the box"),
+        };
+        Scale { value, of }
+    }
+
+    /// The dimensionless numbers of a run whose fastest particle was as fast as `fastest`.
+    pub fn dimensionless(&self, fastest: f64) -> Vec<Dimensionless> {
+        let length = self.characteristic_length();
+        let speed = Scale { value: self.fluid.reference_velocity, of: "fluid.reference_velocity" };
+        let viscosity = self.model_viscosity();
+        let moves = self.scene != Family::Slab;
+        let by = |name, diffusivity: f64| Dimensionless {
+            name,
+            value: speed.value * length.value / diffusivity,
+            length: Some(length),
+            speed: Some(speed),
+        };
+        let mut all = Vec::new();
+        if moves {
+            all.push(by("Reynolds", viscosity));
+        }
+        if moves && self.has_heat() {
+            all.push(by("Peclet", self.thermal_diffusivity()));
+            let value = viscosity / self.thermal_diffusivity();
+            all.push(Dimensionless { name: "Prandtl", value, length: None, speed: None });
+        }
+        if moves {
+            let value = fastest / self.sound_speed();
+            all.push(Dimensionless {
+                name: "Mach",
+                value,
+                length: None,
+                speed: Some(Scale { value: fastest, of: "fastest particle" }),
+            });
+        }
+        all
+    }
+
+    /// Whether fluid passes the section where flow and heat are measured: a channel, or a box that is periodic along x.
+    pub fn flows_through(&self) -> bool {
+        self.scene.has_design() || (self.scene == Family::Custom && self.region.periodic[0])
+    }
+
+    /// Whether heat from the walls leaves through that section, and nowhere else.
+    pub fn heat_passes(&self) -> bool {
+        self.scene.has_design() || (self.flows_through() && self.has_heat() && self.region.inlet_until.is_some())
+    }
+
+    /// Whether the flow should become steady. A scene that states its exact solution says what it does instead.
+    pub fn settles(&self) -> bool {
+        self.flows_through() && self.exact.velocity.is_empty() && self.exact.temperature.is_none()
     }
 
     pub fn has_design(&self) -> bool {

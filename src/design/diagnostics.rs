@@ -1,13 +1,17 @@
-//! Measurements of a run of the heated channel, which can be checked against each other.
+//! Measurements of a flow through a section, which can be checked against each other.
 
+use super::deformation::Map;
+use super::objectives::outlet::{Flows, Outlet};
 use super::problem::Problem;
 use crate::adjoint::run::{run, Observer};
 use crate::adjoint::Dynamics;
 use crate::config::device::Compute;
+use crate::config::scene::{Config, ObjectiveKind};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
-use crate::sph::Sweeps;
+use crate::sph::{Model, Sweeps};
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// Largest number of samples in the averages.
 const SAMPLES: usize = 100;
@@ -22,6 +26,8 @@ pub struct Diagnostics {
     pub flow_rate: f64,
     /// Mixed temperature of the outflow: T_in + Q / (sum of rho u times the spacing).
     pub mean_outlet_temperature: f64,
+    /// Mean temperature of all fluid, weighted by mass.
+    pub mean_temperature: f64,
     /// Heat from the walls into the fluid upstream of the targets.
     pub wall_heat_flux: f64,
     /// Change of the heat in that fluid per time.
@@ -35,6 +41,22 @@ pub struct Diagnostics {
     pub body_force: f64,
     /// Pumping power per depth: body_force times the momentum of the fluid.
     pub pumping_power: f64,
+    /// Change of Q and of the flow rate from the first half of the window to the second, relative to their means; none
+    /// for few samples, and for a mean of 0.
+    pub q_drift: Option<f64>,
+    pub flow_rate_drift: Option<f64>,
+}
+
+impl Diagnostics {
+    /// The objective's value.
+    pub fn objective(&self, config: &Config) -> f64 {
+        match config.objective.kind {
+            ObjectiveKind::HeatOutflow => self.q,
+            ObjectiveKind::WallHeat => self.wall_heat_flux,
+            ObjectiveKind::FlowRate => self.flow_rate,
+            ObjectiveKind::OutletTemperature => self.mean_outlet_temperature - config.fluid.inlet_temperature,
+        }
+    }
 }
 
 pub struct Finished<R> {
@@ -61,9 +83,35 @@ pub fn simulate<R: Sweeps>(
     Ok(Finished { diagnostics: measurement.diagnostics(), solver, seconds: clock.elapsed().as_secs_f64() })
 }
 
+/// Where and when a flow is measured.
+#[derive(Debug, Clone)]
+pub struct Section {
+    /// The targets that the flow passes; none in a closed box, where heat is that of all walls and all fluid.
+    pub outlet: Option<Outlet>,
+    /// Depth of the simulated domain; 1 in two dimensions.
+    pub depth: f64,
+    /// The steps after which is measured.
+    pub steps: BTreeSet<usize>,
+}
+
+impl Section {
+    /// The steps at which the objective of shapes is taken, so that both are one number; else up to [`SAMPLES`] in the
+    /// objective's window, but not the initial state, which is given.
+    pub fn of<R>(design: &Problem<R>) -> Self {
+        let (steps, window) = (design.steps, design.window);
+        let stride = window.div_ceil(SAMPLES).max(1);
+        let steps = match design.deformation.map {
+            Map::Shapes(_) => (1..=steps).filter(|&step| design.objective.weight(step).is_some()).collect(),
+            _ => ((steps - window).max(1)..=steps).rev().step_by(stride).collect(),
+        };
+        Self { outlet: Some(design.outlet.clone()), depth: design.depth, steps }
+    }
+}
+
 /// An observer that measures a run in the window of the objective.
 pub struct Measurement<'a, R> {
-    design: &'a Problem<R>,
+    model: &'a Model<R>,
+    section: Section,
     samples: Vec<Sample>,
 }
 
@@ -80,15 +128,13 @@ struct Sample {
     power: f64,
     /// Heat upstream of the targets.
     heat: f64,
+    /// Mean temperature of the fluid above the inlet's.
+    temperature: f64,
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
     fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
-        let (steps, window) = (self.design.steps, self.design.window);
-        let stride = window.div_ceil(SAMPLES).max(1);
-        // The initial state is not sampled, because it is given.
-        let is_inside = solver.step >= (steps - window).max(1);
-        if is_inside && (steps - solver.step).is_multiple_of(stride) {
+        if self.section.steps.contains(&solver.step) {
             self.samples.push(self.sample(dynamics, solver)?);
         }
         Ok(())
@@ -97,7 +143,11 @@ impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
 
 impl<'a, R: Sweeps> Measurement<'a, R> {
     pub fn of(design: &'a Problem<R>) -> Self {
-        Self { design, samples: Vec::new() }
+        Self::new(&design.model, Section::of(design))
+    }
+
+    pub fn new(model: &'a Model<R>, section: Section) -> Self {
+        Self { model, section, samples: Vec::new() }
     }
 
     /// Discards the samples from `step` on.
@@ -106,15 +156,17 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
     }
 
     fn sample(&self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<Sample> {
-        let design = self.design;
-        let (model, outlet, depth) = (&design.model, &design.outlet, design.depth);
+        let (model, depth) = (self.model, self.section.depth);
         let (n, l) = (model.particles(), model.rows);
-        let flows = outlet.numbers(&dynamics.look(solver)?)?;
-        let scale = outlet.spacing;
-        let target_x = outlet.place();
+        let fields = dynamics.look(solver)?;
+        let (flows, scale, target_x) = match &self.section.outlet {
+            Some(outlet) => (outlet.numbers(&fields)?, outlet.spacing, outlet.place()),
+            None => (Flows { mass: 0.0, volume: 0.0, heat: 0.0 }, 0.0, f64::INFINITY),
+        };
         let wall = solver.wall_heat_flux(target_x)? / depth;
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.inlet_below);
         let (mut density, mut fluids, mut fastest, mut heat, mut momentum) = (0.0, 0.0, f64::NEG_INFINITY, 0.0, 0.0);
+        let (mut mass, mut warmth) = (0.0, 0.0);
         for i in (0..n).filter(|&i| model.is_fluid(i)) {
             density += solver.looked.density[i].f64();
             fluids += 1.0;
@@ -122,9 +174,12 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             fastest = fastest.max(u);
             momentum += solver.mass(i) * u;
             let x = solver.state[i].f64();
-            if let Some(row) = l.temperature().filter(|_| x > inlet && x < target_x) {
-                heat += solver.mass(i) * solver.state[row * n + i].f64();
+            if let Some(row) = l.temperature() {
+                let excess = solver.mass(i) * solver.state[row * n + i].f64();
+                warmth += excess;
+                heat += if x > inlet && x < target_x { excess } else { 0.0 };
             }
+            mass += solver.mass(i);
         }
         let force = solver.driving_force();
         Ok(Sample {
@@ -138,14 +193,19 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             force,
             power: force * momentum / depth,
             heat: heat / depth,
+            temperature: warmth / mass,
         })
+    }
+
+    fn drift(&self, of: fn(&Sample) -> f64) -> Option<f64> {
+        drift(&self.samples.iter().map(of).collect::<Vec<_>>())
     }
 
     /// The averages over the samples.
     pub fn diagnostics(&self) -> Diagnostics {
         let sum = |of: fn(&Sample) -> f64| self.samples.iter().map(of).fold(0.0, |sum, x| sum + x);
         let mean = |of: fn(&Sample) -> f64| sum(of) / (self.samples.len() as f64).max(1.0);
-        let model = &self.design.model;
+        let model = self.model;
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.reference);
         let heat: Vec<(f64, f64)> = self.samples.iter().map(|it| (it.step as f64 * model.dt, it.heat)).collect();
         let stored = slope(&heat);
@@ -154,6 +214,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             q,
             flow_rate: mean(|it| it.flow),
             mean_outlet_temperature: inlet + sum(|it| it.q) / sum(|it| it.mass_flow),
+            mean_temperature: inlet + mean(|it| it.temperature),
             wall_heat_flux: wall,
             stored_heat_rate: stored,
             energy_imbalance: (wall - q - stored) / wall,
@@ -161,8 +222,21 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             u_max: mean(|it| it.u_max),
             body_force: mean(|it| it.force),
             pumping_power: mean(|it| it.power),
+            q_drift: self.drift(|it| it.q),
+            flow_rate_drift: self.drift(|it| it.flow),
         }
     }
+}
+
+/// Change of a series from its first half to its second, relative to the mean; none for fewer than four values.
+pub fn drift(values: &[f64]) -> Option<f64> {
+    let half = values.len() / 2;
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    if half < 2 {
+        return None;
+    }
+    let drift = (mean(&values[half..]) - mean(&values[..half])) / mean(values);
+    Some(drift).filter(|drift| drift.is_finite())
 }
 
 /// Slope of the least-squares line, 0 for fewer than two points.

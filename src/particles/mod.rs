@@ -5,6 +5,7 @@ pub mod domain;
 mod error;
 pub mod neighbour_list;
 pub mod neighbourhood;
+pub mod placer;
 pub mod reach;
 
 pub use domain::Domain;

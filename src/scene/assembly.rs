@@ -239,6 +239,7 @@ impl<R: Sweeps> Parts<R> {
             reference_velocity: self.velocity,
             exact: self.exact,
             design: None,
+            section: None,
         }
     }
 }

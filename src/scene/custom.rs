@@ -16,11 +16,13 @@ use crate::config::custom::{Fill, VariableEntry};
 use crate::config::formula::Function;
 use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
-use crate::design::objectives::Outlet;
+use crate::design::diagnostics::Section;
+use crate::design::objectives::{Outlet, Samples};
 use crate::design::parametrisations::Numbers;
 use crate::design::shapes::{self, Shapes};
 use crate::design::{Deformation, Problem};
 use crate::error::BadInput;
+use crate::particles::placer::keep_apart;
 use crate::particles::{tag, Domain};
 use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
@@ -102,7 +104,22 @@ fn lattice(config: &Config) -> Lattice {
 /// Formulas that are not finite somewhere, and shapes that contain nothing.
 pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, BadInput> {
     let Built { parts, model, base, .. } = assemble(config)?;
-    Ok(parts.started(model, &base))
+    let section = section(config, &model);
+    Ok(Scene { section, ..parts.started(model, &base) })
+}
+
+/// Where and when the flow is measured: as the objective is, or over the last quarter of a run that is shorter than the
+/// objective's window.
+fn section<R: Sweeps>(config: &Config, model: &Model<R>) -> Option<Section> {
+    let steps = config.steps();
+    let outlet = config.flows_through().then(|| outlet(config, model));
+    let window = match config.objective.window > config.duration() {
+        true => steps.div_ceil(4),
+        false => heated_channel::window(config),
+    };
+    let samples = Samples::window(steps, window, config.objective.samples);
+    let steps = samples.0.into_keys().collect();
+    (outlet.is_some() || config.has_heat()).then(|| Section { outlet, depth: config.depth(), steps })
 }
 
 /// The design problem of a checked configuration with `variables`.
@@ -217,6 +234,17 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (mut model, mut base) = parts.assemble(|_| [0.0; 3]);
     (model.flow.tags, model.flow.walls_slide) = (tags, true);
     let l = model.layout;
+    if consistent.is_some() {
+        let fluid: Vec<usize> = (0..n).filter(|&i| !is_wall[i]).collect();
+        let mut places: Vec<f64> =
+            (0..d).flat_map(|e| fluid.iter().map(move |&i| (e, i))).map(|(e, i)| base[e * n + i]).collect();
+        let (distance, normal) = (|p| surroundings.distance(p), |p| surroundings.normal(p));
+        keep_apart(&mut places, &surroundings.domain, config.resolution.dx, distance, normal)
+            .map_err(|error| BadInput::at("shapes", format!("particles cannot be placed: {error}")))?;
+        for (k, &i) in fluid.iter().enumerate() {
+            (0..d).for_each(|e| base[e * n + i] = places[e * fluid.len() + k]);
+        }
+    }
     for i in 0..n {
         let place = parts.lattice.place(i);
         if is_wall[i] {
@@ -227,11 +255,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
             }
             continue;
         }
-        let mut p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
-        if consistent.is_some() {
-            p = surroundings.away_from_walls(p);
-            (0..d).for_each(|e| base[e * n + i] = p[e]);
-        }
+        let p = std::array::from_fn(|e| if e < d { base[e * n + i] } else { 0.0 });
         for (e, velocity) in initial.iter().enumerate() {
             base[(l.velocity() + e) * n + i] = value(velocity, || format!("initial.velocity[{e}]"), p)?;
         }

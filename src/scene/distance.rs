@@ -37,9 +37,6 @@ const CLOSE: f64 = 0.05;
 /// Smallest distance between surface points, in spacings.
 const APART: f64 = 0.45;
 
-/// Smallest initial distance of a particle from a wall, in spacings.
-const BESIDE: f64 = 0.35;
-
 /// A point on the surface, and the unit normal there into the fluid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Foot {
@@ -170,16 +167,6 @@ impl Walls<'_> {
         std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
     }
 
-    /// The position, or if it is nearer to a wall than `BESIDE`, the one at that distance from the wall.
-    pub fn away_from_walls(&self, p: [f64; 3]) -> [f64; 3] {
-        let least = BESIDE * self.spacing;
-        let s = self.distance(p);
-        match self.normal(p) {
-            Some(normal) if s < least => std::array::from_fn(|d| p[d] + (least - s) * normal[d]),
-            _ => p,
-        }
-    }
-
     /// The feet of positions, each at least `APART` from all before it. There are none in a corner between walls,
     /// which may have different conditions.
     pub fn points(&self, places: impl Iterator<Item = [f64; 3]>) -> Vec<Foot> {
@@ -261,7 +248,8 @@ impl Cells {
     }
 }
 
-/// The distance from a shape. A box that touches a closed side of the domain has no surface there.
+/// The distance from a shape. A box that touches a closed side of the domain, or its own periodic image, has no surface
+/// there.
 fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
     let dimension = domain.dimension;
     let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = entry;
@@ -281,6 +269,10 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
             let reaches = |d: usize| -> (f64, f64) {
                 let touches = |place: f64, side: f64| (place - side).abs() < 1e-9 * domain.size[d];
                 let closed = !domain.periodic[d];
+                // A box as long as the period has no ends: it touches its own images.
+                if !closed && upper[d] - lower[d] > domain.size[d] * (1.0 - 1e-9) {
+                    return (f64::NEG_INFINITY, f64::INFINITY);
+                }
                 let low = if closed && touches(lower[d], 0.0) { f64::NEG_INFINITY } else { lower[d] };
                 (low, if closed && touches(upper[d], domain.size[d]) { f64::INFINITY } else { upper[d] })
             };

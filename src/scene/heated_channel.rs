@@ -86,6 +86,11 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     Ok(Scene { design: Some(design), ..parts.scene(model, start) })
 }
 
+/// Number of steps in the objective's window, at most those of the run.
+pub(super) fn window(config: &Config) -> usize {
+    ((config.objective.window / config.time_step()).round() as usize).clamp(1, config.steps())
+}
+
 /// The design problem of a model and its deformation.
 pub(super) fn problem<R: Sweeps>(
     config: &Config,
@@ -96,7 +101,7 @@ pub(super) fn problem<R: Sweeps>(
     outlet: Outlet,
 ) -> Result<Problem<R>, BadInput> {
     let (steps, gradient) = (config.steps(), config.optimise.gradient);
-    let window = ((config.objective.window / config.time_step()).round() as usize).clamp(1, steps);
+    let window = window(config);
     let samples = Samples::window(steps, window, config.objective.samples);
     Ok(Problem {
         model,

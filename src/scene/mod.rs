@@ -30,6 +30,7 @@ pub use exact::Exact;
 
 use crate::config::builtin::SCENES;
 use crate::config::scene::{Config, Family};
+use crate::design::diagnostics::{Measurement, Section};
 use crate::design::shape::Shape;
 use crate::design::Problem;
 use crate::error::{BadInput, Error};
@@ -53,6 +54,8 @@ pub struct Scene<R> {
     pub exact: Exact,
     /// The design problem of scenes with a design.
     pub design: Option<Problem<R>>,
+    /// Where and when a custom scene is measured; none if neither fluid passes it nor heat is in it.
+    pub section: Option<Section>,
 }
 
 impl<R: Sweeps> Scene<R> {
@@ -80,6 +83,20 @@ impl<R: Sweeps> Scene<R> {
             Family::Custom => Some(custom::problem(config)?),
             _ => Self::from_config(config)?.design,
         })
+    }
+
+    /// The measurement of a run, of scenes with figures beside their energy.
+    pub fn measurement(&self) -> Option<Measurement<'_, R>> {
+        match (&self.design, &self.section) {
+            (Some(design), _) => Some(Measurement::of(design)),
+            (None, section) => section.clone().map(|section| Measurement::new(&self.model, section)),
+        }
+    }
+
+    /// Number of steps at the end over which a run is measured; 0 without a measurement.
+    pub fn window(&self) -> usize {
+        let first = self.section.as_ref().and_then(|section| section.steps.first().copied());
+        self.design.as_ref().map_or(first.map_or(0, |first| self.steps - first), |design| design.window)
     }
 
     /// The same particles with their initial disorder, without velocity and driving forces.

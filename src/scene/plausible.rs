@@ -1,11 +1,13 @@
 //! Estimates for a scene before it runs: what a configuration builds, and warnings about implausible values.
 
 use super::custom::Geometry;
+use super::warnings::Warning;
 use super::Scene;
 use crate::config::custom::Kind;
-use crate::config::scene::{Config, Family, Method};
+use crate::config::scene::{Config, Family, Method, ObjectiveKind};
 use crate::error::BadInput;
 use crate::particles::tag;
+use crate::sph::divergence::Cause;
 use crate::sph::Sweeps;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +30,7 @@ pub struct Findings {
     pub narrowest: Option<usize>,
     /// Number of particles across the thinnest wall with fluid on both sides.
     pub thinnest: Option<usize>,
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 /// Largest resolved number of viscous or thermal diffusion lengths per spacing.
@@ -37,6 +39,7 @@ const CELL_NUMBER: f64 = 10.0;
 const COMPRESSION: f64 = 0.02;
 /// Largest ratio of the reference velocity to the expected speed; larger ones make steps needlessly short.
 const TOO_CAREFUL: f64 = 10.0;
+const MANY_STEPS: usize = 2_000_000;
 
 impl Findings {
     /// The estimates for a scene and the configuration that it was built from.
@@ -64,94 +67,143 @@ impl Findings {
         smallest.map_or("none", |criterion| criterion.name)
     }
 
-    fn implausible(&self, config: &Config) -> Vec<String> {
+    /// The cause of a divergence, if its numbers name none and the scene has one: walls that are too thin, or too near to
+    /// each other.
+    pub fn cause(&self, found: &Cause) -> Option<Cause> {
+        let known = ["thin-wall", "narrow-passage", "cell-reynolds-number", "cell-peclet-number"];
+        let warning = |code: &&str| self.warnings.iter().find(|warning| warning.code == **code);
+        let warning = known.iter().find_map(warning).filter(|_| found.is_open)?;
+        Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
+    }
+
+    fn implausible(&self, config: &Config) -> Vec<Warning> {
         let mut all = Vec::new();
+        let mut warn = |code: &str, value_and_limit: [f64; 2], problem: String, advice: String| {
+            all.push(Warning::new(code, value_and_limit, problem, advice));
+        };
         let (fluid, dx, u, c) = (&config.fluid, config.resolution.dx, self.speed, config.sound_speed());
         let reference = fluid.reference_velocity;
         let own = config.scene == Family::Custom || config.scene.has_design();
         if own && u > reference * (1.0 + 1e-9) {
-            all.push(format!(
-                "the flow may become as fast as {u:.3}, a Mach number of {:.2}, and fluid.reference_velocity is {reference}: density \
-                 would change by {:.1} %; try fluid.reference_velocity={:.2} (smaller steps) or a smaller force",
-                u / c,
-                100.0 * (u / c).powi(2),
-                u
-            ));
+            warn(
+                "expected-speed",
+                [u, reference],
+                format!(
+                    "the flow may become as fast as {u:.3}, a Mach number of {:.2}, and fluid.reference_velocity is {reference}: \
+                     density would change by {:.1} %",
+                    u / c,
+                    100.0 * (u / c).powi(2),
+                ),
+                format!("fluid.reference_velocity={u:.2} (smaller steps), or a smaller force"),
+            );
         }
         if own && u > 0.0 && reference > TOO_CAREFUL * u {
-            all.push(format!(
-                "fluid.reference_velocity = {reference} is {:.0} times the fastest flow that is to be expected ({u:.3}): steps are \
-                 as many times smaller than need be",
-                reference / u
-            ));
+            warn(
+                "large-reference-velocity",
+                [reference / u, TOO_CAREFUL],
+                format!(
+                    "fluid.reference_velocity = {reference} is {:.0} times the fastest flow that is to be expected ({u:.3}): steps \
+                     are as many times smaller than need be",
+                    reference / u
+                ),
+                format!("fluid.reference_velocity={:.2e}", 2.0 * u),
+            );
         }
-        let diffusivities = [
-            ("Reynolds", config.model_viscosity() + config.artificial_kinematic_viscosity(), "fluid.viscosity"),
-            (
-                "Peclet",
-                if config.has_heat() { config.thermal_diffusivity() } else { f64::INFINITY },
-                "fluid.conductivity",
-            ),
-        ];
-        for (name, diffusivity, key) in diffusivities {
+        let viscosity = config.model_viscosity() + config.artificial_kinematic_viscosity();
+        let heat = if config.has_heat() { config.thermal_diffusivity() } else { f64::INFINITY };
+        for (code, name, symbol, diffusivity, key) in [
+            ("cell-reynolds-number", "Reynolds", "nu", viscosity, "fluid.viscosity"),
+            ("cell-peclet-number", "Peclet", "alpha", heat, "fluid.conductivity"),
+        ] {
             let cell = u * dx / diffusivity;
             if cell > CELL_NUMBER {
-                all.push(format!(
-                    "the cell {name} number u dx / {} is {cell:.0}: layers at walls are thinner than a particle; try \
-                     resolution.dx={:.2e}, or a larger {key}",
-                    if name == "Reynolds" { "nu" } else { "alpha" },
-                    CELL_NUMBER * diffusivity / u
-                ));
+                warn(
+                    code,
+                    [cell, CELL_NUMBER],
+                    format!(
+                        "the cell {name} number u dx / {symbol} is {cell:.0}: layers at walls are thinner than a particle"
+                    ),
+                    format!("resolution.dx={:.2e}, or a larger {key}", CELL_NUMBER * diffusivity / u),
+                );
             }
         }
         let support = config.support();
         if let Some(narrowest) = self.narrowest.filter(|&count| (count as f64) < 2.0 * support) {
-            all.push(format!(
-                "the narrowest passage is {narrowest} particles wide: below {:.0} a particle's sums reach both walls, and the flow \
-                 is not resolved; try resolution.dx={:.2e}",
-                2.0 * support,
-                dx * narrowest as f64 / (2.0 * support)
-            ));
+            warn(
+                "narrow-passage",
+                [narrowest as f64, 2.0 * support],
+                format!(
+                    "the narrowest passage is {narrowest} particles wide: below {:.0} a particle's sums reach both walls, and the \
+                     flow is not resolved",
+                    2.0 * support
+                ),
+                format!("resolution.dx={:.2e}", dx * narrowest as f64 / (2.0 * support)),
+            );
         }
         let lines = config.shapes.iter().filter(|shape| shape.kind == Kind::Polyline);
         let lines = lines.filter_map(|shape| shape.thickness).map(|thickness| thickness / dx);
         let thinnest = self.thinnest.map(|count| count as f64).into_iter().chain(lines).reduce(f64::min);
         if let Some(thinnest) = thinnest.filter(|&count| count < support * (1.0 - 1e-9)) {
-            all.push(format!(
-                "the thinnest wall is {thinnest:.1} particles thick, and the kernel reaches {support:.1}: fluid on one side sees the \
-                 fluid on the other; make it thicker, or dx smaller"
-            ));
+            warn(
+                "thin-wall",
+                [thinnest, support],
+                format!(
+                    "the thinnest wall is {thinnest:.1} particles thick, and the kernel reaches {support:.1}: fluid on one side \
+                     sees the fluid on the other"
+                ),
+                "a thicker wall, or a smaller resolution.dx".into(),
+            );
         }
         if config.scene == Family::Custom {
             let region = &config.region;
             for (d, g) in region.acceleration.iter().enumerate().filter(|&(d, _)| !region.periodic[d]) {
                 let compression = g.abs() * region.size[d] / (c * c);
                 if compression > COMPRESSION {
-                    all.push(format!(
-                        "region.acceleration[{d}] = {g} compresses the fluid by {:.0} % over region.size[{d}]; try a larger \
-                         fluid.reference_velocity or fluid.sound_speed_factor",
-                        100.0 * compression
-                    ));
+                    warn(
+                        "compression",
+                        [compression, COMPRESSION],
+                        format!(
+                            "region.acceleration[{d}] = {g} compresses the fluid by {:.0} % over region.size[{d}]",
+                            100.0 * compression
+                        ),
+                        "a larger fluid.reference_velocity or fluid.sound_speed_factor".into(),
+                    );
                 }
             }
             let bare = matches!(config.method, Method::Standard(own) if own.background_pressure_factor == 0.0);
             if bare && config.has_walls() {
-                all.push(
-                    "without a background pressure particles behind obstacles may leave holes; try \
-                     method.background_pressure_factor=0.05"
-                        .into(),
+                warn(
+                    "no-background-pressure",
+                    [0.0, 0.05],
+                    "without a background pressure particles behind obstacles may leave holes".into(),
+                    "method.background_pressure_factor=0.05".into(),
                 );
             }
             let crossing = region.size[0] / u;
             if u > 0.0 && config.duration() < crossing && region.periodic[0] && region.acceleration[0] != 0.0 {
-                all.push(format!(
-                    "the run ends at {:.3}, before the flow has crossed the box once ({crossing:.3})",
-                    config.duration()
-                ));
+                warn(
+                    "short-run",
+                    [config.duration(), crossing],
+                    format!(
+                        "the run ends at {:.3}, before the flow has crossed the box once ({crossing:.3})",
+                        config.duration()
+                    ),
+                    format!("time.end={:.3}", 2.0 * crossing),
+                );
+            }
+            if config.has_design() && !config.flows_through() && config.objective.kind != ObjectiveKind::WallHeat {
+                warn(
+                    "no-through-flow",
+                    [0.0, 0.0],
+                    "nothing flows through the section of the objective: the box is closed along x".into(),
+                    "region.periodic=[true, false], or objective.kind=wall-heat".into(),
+                );
             }
         }
-        if config.steps() > 2_000_000 {
-            all.push(format!("{} steps are many: rounding and patience have limits", config.steps()));
+        if config.steps() > MANY_STEPS {
+            let problem = format!("{} steps are many: rounding and patience have limits", config.steps());
+            let advice = "a larger time.cfl, or a smaller fluid.sound_speed_factor".into();
+            warn("many-steps", [config.steps() as f64, MANY_STEPS as f64], problem, advice);
         }
         all
     }

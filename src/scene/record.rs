@@ -4,7 +4,7 @@ use super::figures::FlowFigures;
 use super::load::Loaded;
 use super::warnings::{self, Warning};
 use super::Scene;
-use crate::config::scene::Family;
+use crate::config::scene::{Config, Family};
 use crate::design::diagnostics::Diagnostics;
 use crate::design::objectives::Figure;
 use crate::design::optimise::Epoch;
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{json, Map, Value};
 
 /// Figures of a summary and their names, the most important first.
-pub const FIGURES: [(&str, &str); 10] = [
+pub const FIGURES: [(&str, &str); 11] = [
     ("q", "outflowing heat Q"),
     ("wall_heat_flux", "wall heat flux"),
     ("stored_heat_rate", "heat stored per time"),
@@ -26,13 +26,24 @@ pub const FIGURES: [(&str, &str); 10] = [
     ("body_force", "body force"),
     ("pumping_power", "pumping power"),
     ("mean_outlet_temperature", "mixed outlet temperature"),
+    ("mean_temperature", "mean temperature"),
     ("mean_density", "mean density"),
-    ("u_max", "fastest particle"),
+    ("u_max", "fastest particle along x"),
 ];
 
 /// Figures that exist only with heat.
-const HEAT: [&str; 6] =
-    ["q", "q_sum", "mean_outlet_temperature", "wall_heat_flux", "stored_heat_rate", "energy_imbalance"];
+const HEAT: [&str; 8] = [
+    "q",
+    "q_sum",
+    "q_drift",
+    "mean_outlet_temperature",
+    "mean_temperature",
+    "wall_heat_flux",
+    "stored_heat_rate",
+    "energy_imbalance",
+];
+/// Figures that exist only where fluid passes a section.
+const PASSING: [&str; 6] = ["q", "q_sum", "q_drift", "flow_rate", "flow_rate_drift", "mean_outlet_temperature"];
 
 /// The figures of a run by name, in insertion order. Files of every version can be read: unknown figures are missing.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -40,6 +51,22 @@ const HEAT: [&str; 6] =
 pub struct Record(pub Map<String, Value>);
 
 impl Record {
+    /// The measurements of a flow that have a meaning in its scene.
+    pub fn of_measured(config: &Config, found: &Diagnostics) -> Self {
+        let mut record = Self::of(found);
+        let mut leave_out = |keys: &[&str]| keys.iter().for_each(|key| drop(record.0.shift_remove(*key)));
+        if !config.has_heat() {
+            leave_out(&HEAT);
+        }
+        if !config.flows_through() {
+            leave_out(&PASSING);
+        }
+        if !config.heat_passes() {
+            leave_out(&["energy_imbalance"]);
+        }
+        record
+    }
+
     /// The fields of a struct of figures, such as [`Diagnostics`].
     pub fn of(figures: &impl Serialize) -> Self {
         match json!(figures) {
@@ -49,9 +76,10 @@ impl Record {
     }
 
     pub fn of_design(loaded: &Loaded, found: &Diagnostics, steps: usize, seconds: f64) -> Self {
-        let mut record = Self::of(found);
+        let mut record = Self::of_measured(&loaded.config, found);
+        record.put("dimensionless", loaded.config.dimensionless(found.u_max));
         record.put_run(loaded, steps, seconds);
-        if loaded.config.dimension() == 2 {
+        if loaded.config.dimension() == 2 && record.0.contains_key("q") {
             record.put("q_sum", found.q / loaded.config.resolution.dx);
         }
         record
@@ -62,6 +90,7 @@ impl Record {
         loaded: &Loaded,
         scene: &Scene<R>,
         found: &FlowFigures,
+        measured: Option<&Diagnostics>,
         divided: Divided,
         seconds: f64,
     ) -> Self {
@@ -73,6 +102,14 @@ impl Record {
         record.put("divided_steps", divided.steps);
         record.put("most_parts", divided.most.max(1));
         record.0.extend(Self::of(found).0);
+        if let Some(measured) = measured {
+            record.0.extend(Self::of_measured(&loaded.config, measured).0);
+            if loaded.config.flows_through() {
+                record.put("objective_kind", loaded.config.objective.kind);
+                record.put("objective", measured.objective(&loaded.config));
+            }
+        }
+        record.put("dimensionless", loaded.config.dimensionless(found.largest_velocity));
         record.put_run(loaded, scene.steps, seconds);
         record
     }
@@ -137,11 +174,6 @@ impl Record {
         self.put("offsets_first", &history[0].variables);
         self.put("offsets_best", &history[optimisation.best].variables);
         self.put("offsets_last", history.last().map(|epoch| &epoch.variables));
-    }
-
-    pub fn without_heat(mut self) -> Self {
-        HEAT.iter().for_each(|key| drop(self.0.shift_remove(*key)));
-        self
     }
 
     pub fn put(&mut self, key: &str, value: impl Serialize) {

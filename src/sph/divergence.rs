@@ -71,6 +71,9 @@ impl Numbers {
 pub struct Cause {
     pub why: String,
     pub advice: String,
+    /// Whether the numbers of the state name no cause.
+    #[serde(skip)]
+    pub is_open: bool,
 }
 
 impl Cause {
@@ -83,6 +86,7 @@ impl Cause {
             return Self {
                 why: format!("the flow is too fast for its sound speed, {sound:.3}: Mach {mach:.2}, fastest particle {fastest:.3}"),
                 advice: format!("fluid.reference_velocity={fastest:.3}, which makes the sound speed follow, or a slower flow"),
+                is_open: false,
             };
         }
         let (sound_share, diffusion_share) = (courant_number / cfl.most, diffusion_number / most_diffusion);
@@ -94,6 +98,7 @@ impl Cause {
                         cfl.most
                     ),
                     advice: format!("time.cfl={}", cfl.safe),
+                    is_open: false,
                 },
                 false => Self {
                     why: format!(
@@ -101,6 +106,7 @@ impl Cause {
                         most_diffusion
                     ),
                     advice: format!("time.diffusion_number={:.3}", 0.5 * most_diffusion),
+                    is_open: false,
                 },
             };
         }
@@ -110,6 +116,7 @@ impl Cause {
                     "too little viscosity for the spacing: the cell Reynolds number u dx / nu is {cell_reynolds_number:.0}"
                 ),
                 advice: "a smaller resolution.dx, a larger viscosity or a smaller Reynolds number".into(),
+                is_open: false,
             };
         }
         Self {
@@ -118,6 +125,7 @@ impl Cause {
                  Mach {mach:.2}), so it is the arrangement of the particles"
             ),
             advice: model.advice().into(),
+            is_open: true,
         }
     }
 }

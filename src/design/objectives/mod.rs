@@ -111,6 +111,8 @@ pub struct Figure {
     pub symbol: &'static str,
     pub quantity: &'static str,
     pub unit: &'static str,
+    /// The measurement that is the same number, if one is (see [`crate::design::diagnostics::Diagnostics`]).
+    pub measured_as: Option<&'static str>,
     /// The reported figure over the value.
     pub factor: f64,
 }
@@ -126,11 +128,18 @@ impl Figure {
                 ("outlet temperature", "T", "mixed outlet temperature above the inlet's", "scene units")
             }
         };
+        let measured_as = match config.objective.kind {
+            ObjectiveKind::HeatOutflow => Some("q"),
+            ObjectiveKind::WallHeat => Some("wall_heat_flux"),
+            ObjectiveKind::FlowRate => Some("flow_rate"),
+            // That one is absolute.
+            ObjectiveKind::OutletTemperature => None,
+        };
         // The figure is in flux form, whatever the loss uses.
         let factor = match (config.objective.kind, config.objective.form) {
             (ObjectiveKind::HeatOutflow, ObjectiveForm::Sum) => config.resolution.dx,
             _ => 1.0,
         };
-        Self { name, symbol, quantity, unit, factor }
+        Self { name, symbol, quantity, unit, measured_as, factor }
     }
 }
