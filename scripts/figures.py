@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
 """The figures in the pages, measured anew: runs hydrograd and writes the tables where they stand.
 
-    python3 scripts/figures.py NAME...      measures, prints, and writes the README.md that has the place
+    python3 scripts/figures.py NAME...      measures, prints, and writes the page that has the place
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse; summary writes the
+fields of summary.json from data/summary.toml. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
-bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
+bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate. `pictures` and `pictures-slow` make the pictures (pictures.py).
 
-Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
+The tables need no packages. Build first: cargo build --release (or HYDROGRAD=PROGRAM). Results go to runs/figures/.
 """
 import csv
 import json
@@ -23,6 +24,7 @@ import sys
 
 sys.dont_write_bytecode = True
 from pages import ROOT, check, table, write
+from pictures import QUICK, SLOW, remake
 from speed import FIGURES as SPEED
 from speed import OUT, PROGRAM
 
@@ -432,8 +434,21 @@ def surrogate_inverse():
                       f"{model[1]:.4f}, and the true start ends {model[2]:.4f} away."])
 
 
+def summary():
+    """The fields of summary.json, from data/summary.toml: nothing is measured."""
+    import tomllib
+    with open(os.path.join(ROOT, "data/summary.toml"), "rb") as file:
+        groups = tomllib.load(file)
+    out = []
+    for title, fields in groups.items():
+        rows = [[f"`{name}`", of["unit"], of["in"].replace(" ", ", "), of.get("when", ""), of["what"]] for name, of in fields.items()]
+        out += [f"## {title}", "", table(["field", "unit", "in the file of", "there if", "what"], rows), ""]
+    return "\n".join(out)
+
+
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, summary)
+PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 
 
@@ -441,9 +456,12 @@ def main():
     wanted, only_print = [name for name in sys.argv[1:] if name != "--print"], "--print" in sys.argv
     if wanted == ["--check"]:
         sys.exit("\n".join(check(FIGURES)) or 0)
-    if not wanted or any(name not in FIGURES for name in wanted):
+    if not wanted or any(name not in {**FIGURES, **PICTURES} for name in wanted):
         sys.exit(__doc__)
     for name in wanted:
+        if name in PICTURES:
+            print(remake(PICTURES[name]))
+            continue
         text = re.sub(r"e([+-])0(\d)\b", lambda m: "e" + m[1].strip("+") + m[2], FIGURES[name]())
         print(f"\n## {name}\n\n{text}\n")
         if not only_print and not write(name, text):
