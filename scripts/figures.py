@@ -6,7 +6,7 @@
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
 Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse; summary writes the
-fields of summary.json from data/summary.toml. Of designs by the surrogate:
+fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate. `pictures` and `pictures-slow` make the pictures (pictures.py).
 
@@ -21,6 +21,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 
 sys.dont_write_bytecode = True
 from pages import ROOT, check, table, write
@@ -227,14 +228,16 @@ def drift():
 
 
 def gain():
+    clock = time.monotonic()
     folder = run("gain", "optimize")
+    seconds = time.monotonic() - clock
     s = load(folder)
     found = s["verification"]
     rows = [[check["check"], "failed" if check["gain"] is None else f"{check['q_reference']:.6f}",
              "" if check["gain"] is None else f"{check['q_best']:.6f}", "" if check["gain"] is None else f"{100 * check['gain']:+.2f} %"]
             for check in found]
     return "\n".join([f"Q {s['q_first']:.6f} -> {max(s['q_per_epoch']):.6f} ({percent(max(s['q_per_epoch']), s['q_first'])}) in epoch {s['best_epoch'] + 1}, "
-                      f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
+                      f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s, and the whole command {seconds:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
 
 
 def constraints():
@@ -246,7 +249,7 @@ def constraints():
             rows.append([drive, walls, f"{s['q_first']:.6f}", percent(s["q"], s["q_first"]), f"{100 * s['gain_survives']:+.2f} %",
                          percent(s["flow_rate"], before["flow_rate"]), percent(s["pumping_power"], before["pumping_power"]),
                          f"{sum(s['seconds_per_epoch']):.1f}"])
-    return table(["held", "walls", "Q flat", "Q best", "survives its checks", "flow rate", "pumping power", "seconds"], rows)
+    return table(["held", "walls", "Q flat", "Q best", "survives its checks", "flow rate", "pumping power", "seconds of search"], rows)
 
 
 def shapes():
@@ -434,6 +437,12 @@ def surrogate_inverse():
                       f"{model[1]:.4f}, and the true start ends {model[2]:.4f} away."])
 
 
+def busy():
+    """Threads on a machine that others use too."""
+    from busy import report
+    return report([4, 8], 3, ["simulate", "heated-channel"])
+
+
 def summary():
     """The fields of summary.json, from data/summary.toml: nothing is measured."""
     import tomllib
@@ -447,7 +456,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, summary)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, summary, busy)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

@@ -251,6 +251,17 @@ fn figures_have_one_place_and_a_script() {
 }
 
 #[test]
+fn pictures_have_a_script_and_a_page() {
+    let script = std::fs::read_to_string(root().join("scripts/pictures.py")).unwrap();
+    let shown: Vec<String> = pages().iter().flat_map(Page::links).collect();
+    for entry in std::fs::read_dir(root().join("data/pictures")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        assert!(script.contains(&name), "scripts/pictures.py does not make {name}");
+        assert!(shown.iter().any(|link| link.ends_with(&format!("/{name}"))), "no page shows {name}");
+    }
+}
+
+#[test]
 fn words_are_those_of_a_shell() {
     let line = r#"hydrograd train --set "pushforward.after=[-1, 2]" --out runs/x  # not this"#;
     assert_eq!(words(line), ["hydrograd", "train", "--set", "pushforward.after=[-1, 2]", "--out", "runs/x"]);

@@ -27,7 +27,7 @@ upper = 0.08
 /// The kind of a run, and its command without settings that make it short.
 const RUNS: [(&str, &str); 18] = [
     ("channel", "simulate --set design.walls=both"),
-    ("channel", "simulate heated-channel-3d --set time.end=0.1 --set objective.window=0.05"),
+    ("channel", "simulate heated-channel-3d --set time.steps=20 --set objective.window=0.01"),
     ("flow", "simulate taylor-green --set time.steps=20"),
     ("flow", "simulate slab --set time.steps=20"),
     ("flow", "simulate isothermal-channel --set time.steps=20"),
@@ -39,7 +39,7 @@ const RUNS: [(&str, &str); 18] = [
     ("walls", "optimize --epochs 1 --no-verify --set optimise.search=scene --set objective.kind=wall-heat"),
     ("walls", "optimize --epochs 1 --no-verify --set time.end=0.1 --set objective.window=0.05 --dynamics surrogate --trust check=1 \
       --set surrogate.settle=50 --set surrogate.steps=2 --set surrogate.window=0.05 --model MODELS/heated-channel/model.safetensors"),
-    ("walls", "optimize heated-channel-3d --epochs 1 --no-verify --set time.end=0.1 --set objective.window=0.05"),
+    ("walls", "optimize heated-channel-3d --epochs 1 --no-verify --set time.steps=20 --set objective.window=0.01"),
     ("shapes", "optimize pin.toml --epochs 1"),
     ("shapes", "optimize pin.toml --epochs 1 --no-verify --set objective.kind=flow-rate"),
     ("starts", "optimize --start all --epochs 1"),
