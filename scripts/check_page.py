@@ -125,6 +125,11 @@ class Page:
         last = int(slider.get_attribute("max"))
         before, said = self.wall(), self.one("#epoch-now").text
         self.expect(before, "draws the wall")
+        if self.one("#wall canvas"):
+            shades = self.js("""const c = document.querySelector('#wall canvas'), r = c.width / c.clientWidth, h = c.height;
+                const d = c.getContext('2d').getImageData(Math.round(r * (c.clientWidth - 73)), 0, 1, h).data;
+                return new Set(Array.from({ length: h }, (_, y) => d.slice(4 * y, 4 * y + 3).join())).size""")
+            self.expect(shades > 50, f"a wall over x and z has a scale of colours ({shades})")
         # By the keyboard alone.
         slider.send_keys(Keys.HOME if int(slider.get_attribute("value")) > 1 else Keys.END)
         time.sleep(0.2)

@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
 """The figures in the pages, measured anew: runs hydrograd and writes the tables where they stand.
 
-    python3 scripts/figures.py NAME...      measures, prints, and writes the README.md that has the place
+    python3 scripts/figures.py NAME...      measures, prints, and writes the page that has the place
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse. Of designs by the surrogate:
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse; summary writes the
+fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
-bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate.
+bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate. `pictures` and `pictures-slow` make the pictures (pictures.py).
 
-Needs no packages. Build first: cargo build --release. Results go to runs/figures/.
+The tables need no packages. Build first: cargo build --release (or HYDROGRAD=PROGRAM). Results go to runs/figures/.
 """
 import csv
 import json
@@ -20,9 +21,11 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 
 sys.dont_write_bytecode = True
 from pages import ROOT, check, table, write
+from pictures import QUICK, SLOW, remake
 from speed import FIGURES as SPEED
 from speed import OUT, PROGRAM
 
@@ -225,14 +228,16 @@ def drift():
 
 
 def gain():
+    clock = time.monotonic()
     folder = run("gain", "optimize")
+    seconds = time.monotonic() - clock
     s = load(folder)
     found = s["verification"]
     rows = [[check["check"], "failed" if check["gain"] is None else f"{check['q_reference']:.6f}",
              "" if check["gain"] is None else f"{check['q_best']:.6f}", "" if check["gain"] is None else f"{100 * check['gain']:+.2f} %"]
             for check in found]
     return "\n".join([f"Q {s['q_first']:.6f} -> {max(s['q_per_epoch']):.6f} ({percent(max(s['q_per_epoch']), s['q_first'])}) in epoch {s['best_epoch'] + 1}, "
-                      f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
+                      f"{sum(s['seconds_per_epoch']):.1f} s; the checks take {s['verification_seconds']:.1f} s, and the whole command {seconds:.1f} s.", "", table(["check", "Q flat", "Q best", "gain"], rows)])
 
 
 def constraints():
@@ -244,7 +249,7 @@ def constraints():
             rows.append([drive, walls, f"{s['q_first']:.6f}", percent(s["q"], s["q_first"]), f"{100 * s['gain_survives']:+.2f} %",
                          percent(s["flow_rate"], before["flow_rate"]), percent(s["pumping_power"], before["pumping_power"]),
                          f"{sum(s['seconds_per_epoch']):.1f}"])
-    return table(["held", "walls", "Q flat", "Q best", "survives its checks", "flow rate", "pumping power", "seconds"], rows)
+    return table(["held", "walls", "Q flat", "Q best", "survives its checks", "flow rate", "pumping power", "seconds of search"], rows)
 
 
 def shapes():
@@ -432,8 +437,27 @@ def surrogate_inverse():
                       f"{model[1]:.4f}, and the true start ends {model[2]:.4f} away."])
 
 
+def busy():
+    """Threads on a machine that others use too."""
+    from busy import report
+    return report([4, 8], 3, ["simulate", "heated-channel"])
+
+
+def summary():
+    """The fields of summary.json, from data/summary.toml: nothing is measured."""
+    import tomllib
+    with open(os.path.join(ROOT, "data/summary.toml"), "rb") as file:
+        groups = tomllib.load(file)
+    out = []
+    for title, fields in groups.items():
+        rows = [[f"`{name}`", of["unit"], of["in"].replace(" ", ", "), of.get("when", ""), of["what"]] for name, of in fields.items()]
+        out += [f"## {title}", "", table(["field", "unit", "in the file of", "there if", "what"], rows), ""]
+    return "\n".join(out)
+
+
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, summary, busy)
+PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 
 
@@ -441,9 +465,12 @@ def main():
     wanted, only_print = [name for name in sys.argv[1:] if name != "--print"], "--print" in sys.argv
     if wanted == ["--check"]:
         sys.exit("\n".join(check(FIGURES)) or 0)
-    if not wanted or any(name not in FIGURES for name in wanted):
+    if not wanted or any(name not in {**FIGURES, **PICTURES} for name in wanted):
         sys.exit(__doc__)
     for name in wanted:
+        if name in PICTURES:
+            print(remake(PICTURES[name]))
+            continue
         text = re.sub(r"e([+-])0(\d)\b", lambda m: "e" + m[1].strip("+") + m[2], FIGURES[name]())
         print(f"\n## {name}\n\n{text}\n")
         if not only_print and not write(name, text):

@@ -1,4 +1,4 @@
-"""Figures in the pages: each stands between `<!-- figures: NAME -->` and `<!-- end -->` in one README.md."""
+"""Figures in the pages: each stands between `<!-- figures: NAME -->` and `<!-- end -->` in one page."""
 import os
 import re
 import subprocess
@@ -8,8 +8,8 @@ PLACE = re.compile(r"<!-- figures: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
 
 
 def pages():
-    """All README.md that git knows or could know."""
-    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*README.md"]
+    """All pages that git knows or could know."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"]
     listed = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout.split("\n")
     return [os.path.join(ROOT, page) for page in sorted(set(listed)) if page]
 

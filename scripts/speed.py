@@ -6,7 +6,7 @@ import sys
 
 from pages import ROOT, table
 
-PROGRAM = os.path.join(ROOT, "target/release/hydrograd")
+PROGRAM = os.environ.get("HYDROGRAD", os.path.join(ROOT, "target/release/hydrograd"))
 OUT = os.path.join(ROOT, "runs/figures")
 
 

@@ -59,6 +59,7 @@ mod schedule;
 mod slurm;
 mod stress;
 mod study;
+mod summary;
 mod surrogate;
 mod surrogate_design;
 mod surrogate_inverse;

@@ -385,6 +385,22 @@ fn runs_of_different_problems_are_not_ranked() {
     assert!(text.contains("Not the same in all of them: scene.") && !text.contains(" marked\""), "{text}");
 }
 
+#[test]
+fn runs_that_hold_different_things_are_not_ranked() {
+    let folder = TempDir::new().unwrap();
+    let at = folder.path();
+    optimize(at, "force", &["--no-verify", "--set", "output.frames=0"]);
+    optimize(at, "rate", &["--no-verify", "--set", "output.frames=0", "--set", "fluid.drive=flow-rate"]);
+    let text = succeeds(at, &["compare", "force", "rate", "--out", "page.html"]);
+    assert!(text.contains("not to be ranked") && !text.contains("Best of"), "{text}");
+    let text = page(&at.join("page.html"));
+    assert!(text.contains("Not the same in all of them: fluid.drive.") && !text.contains(" marked\""), "{text}");
+    // How the flow is solved is no other problem.
+    optimize(at, "slower", &["--no-verify", "--set", "output.frames=0", "--set", "fluid.reference_velocity=1.2"]);
+    let text = succeeds(at, &["compare", "force", "slower", "--out", "page.html"]);
+    assert!(text.contains("Best of 2 searches"), "{text}");
+}
+
 /// A folder as `evaluate` leaves it.
 fn evaluated(at: &Path, name: &str, model: &str, data: &str, mse: f64) {
     std::fs::create_dir(at.join(name)).unwrap();

@@ -4,6 +4,7 @@ use hydrograd::report::plots::axis::{log_ticks, Axis, PlotArea};
 use hydrograd::report::plots::colors::heat;
 use hydrograd::report::plots::drawing::{averaged, text_width, Color, Drawing, Point, Shape};
 use hydrograd::report::plots::lines::{apart, labels, Line, Look, MOST, ROW};
+use hydrograd::report::plots::{history, HistoryPoint};
 
 /// The ticks of an axis over this range.
 fn linear(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
@@ -176,4 +177,14 @@ fn names_are_where_nothing_else_is() {
     assert_eq!(labels[0].at, (113.0, 300.0));
     // The two that end together are a row apart, in the order of their ends.
     assert!((labels[3].at.1 - labels[2].at.1 - ROW).abs() < 1e-9 && labels[2].at.0 > 600.0, "{labels:?}");
+}
+
+#[test]
+fn one_epoch_is_a_point() {
+    let folder = tempfile::tempdir().unwrap();
+    let point = HistoryPoint { epoch: 1, q: 0.02, loss: -0.02, gradient_norm: 0.1, truth: f64::NAN };
+    history(&folder.path().join("history"), &[point], ("Q", "Q"), None).unwrap();
+    let drawn = std::fs::read_to_string(folder.path().join("history.svg")).unwrap();
+    // One in each panel: the objective, the loss and the gradient's norm.
+    assert_eq!(drawn.matches("<circle").count(), 3);
 }

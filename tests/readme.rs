@@ -26,7 +26,7 @@ fn root() -> PathBuf {
 /// All markdown of the repository, without what a run or a build leaves.
 fn pages() -> Vec<Page> {
     let mut folders: Vec<PathBuf> =
-        ["src", "tests", "scripts", "models", "data"].map(|name| root().join(name)).to_vec();
+        ["src", "tests", "scripts", "models", "data", ".github"].map(|name| root().join(name)).to_vec();
     let mut paths = vec![root().join("README.md")];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
@@ -125,6 +125,24 @@ fn problem(line: &str, whole: bool) -> Option<String> {
 fn the_first_page_is_short() {
     let lines = std::fs::read_to_string(root().join("README.md")).unwrap().lines().count();
     assert!(lines <= MOST_LINES, "README.md has {lines} lines, more than {MOST_LINES}");
+}
+
+#[test]
+fn the_version_is_the_same_everywhere() {
+    let version = env!("CARGO_PKG_VERSION");
+    let places = [
+        ("README.md", format!("version = {{{version}}}")),
+        (".github/CITATION.cff", format!("\nversion: {version}\n")),
+        (".github/CONTRIBUTING.md", format!("`v{version}`")),
+    ];
+    for (name, text) in places {
+        let page = std::fs::read_to_string(root().join(name)).unwrap();
+        assert!(page.contains(&text), "{name} has no {text:?}");
+    }
+    // The newest version of the change log is the first one.
+    let log = std::fs::read_to_string(root().join("src/cli/CHANGES.md")).unwrap();
+    let newest = log.lines().find_map(|line| line.strip_prefix("## ")).unwrap();
+    assert_eq!(newest.split(' ').next(), Some(version));
 }
 
 #[test]
@@ -230,6 +248,17 @@ fn figures_have_one_place_and_a_script() {
         }
     }
     assert!(seen.len() > 10, "{seen:?}");
+}
+
+#[test]
+fn pictures_have_a_script_and_a_page() {
+    let script = std::fs::read_to_string(root().join("scripts/pictures.py")).unwrap();
+    let shown: Vec<String> = pages().iter().flat_map(Page::links).collect();
+    for entry in std::fs::read_dir(root().join("data/pictures")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        assert!(script.contains(&name), "scripts/pictures.py does not make {name}");
+        assert!(shown.iter().any(|link| link.ends_with(&format!("/{name}"))), "no page shows {name}");
+    }
 }
 
 #[test]

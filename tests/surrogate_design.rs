@@ -190,6 +190,7 @@ fn every_way_to_search_is_compared() {
     assert!(["compare.png", "horizons.png", "horizons.csv"].iter().all(|name| file(name).is_file()));
     let summary: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(file("summary.json")).unwrap()).unwrap();
+    support::summary::check("compare", &summary);
     // The gain of the solver's search is the one of its own summary.
     let (own, compared) = (&summary["solver"], &summary["compared: solver"]["gain"]);
     let gain = own["q"].as_f64().unwrap() / own["q_first"].as_f64().unwrap() - 1.0;

@@ -46,6 +46,32 @@ fn named_files(page: &str) -> Vec<PathBuf> {
     outside.split('`').skip(1).step_by(2).filter(|text| text.starts_with("runs/")).map(PathBuf::from).collect()
 }
 
+/// The words that `scripts/pictures.py` put into a picture of the pages.
+fn words_of_picture(name: &str) -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/pictures").join(name);
+    let bytes = std::fs::read(file).unwrap();
+    let begin = b"iTXtwords\0\0\0\0\0";
+    let at = bytes.windows(begin.len()).position(|some| some == begin);
+    let at = at.unwrap_or_else(|| panic!("{name} has no words; make it with scripts/figures.py pictures"));
+    // A chunk begins with its length, before its kind.
+    let length = u32::from_be_bytes(bytes[at - 4..at].try_into().unwrap()) as usize;
+    String::from_utf8(bytes[at + begin.len()..at + 4 + length].to_vec()).unwrap()
+}
+
+/// The words of a drawing of a run.
+fn words_of_drawing(file: &Path) -> String {
+    let text = std::fs::read_to_string(file).unwrap();
+    let drawing = roxmltree::Document::parse(&text).unwrap();
+    let texts = drawing.descendants().filter(|node| node.has_tag_name("text")).filter_map(|node| node.text());
+    texts.map(str::trim).collect::<Vec<_>>().join("\n")
+}
+
+/// A file of a run.
+fn summary(folder: &Path, run: &str) -> serde_json::Value {
+    let text = std::fs::read_to_string(folder.join("runs").join(run).join("summary.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
 /// What a reader does to have the program; not done here.
 const BUILDING: [&str; 4] = ["sudo apt-get ", "cargo build ", "export PATH=", "mkdir -p ~/flows "];
 
@@ -96,9 +122,25 @@ fn the_tutorial_is_what_happens() {
     for file in named {
         assert!(folder.path().join(&file).exists(), "the tutorial names {}", file.display());
     }
+    // Shipped pictures are of runs of this program, and the pages quote such a run.
+    for (picture, drawing) in [
+        ("optimize-shapes.png", "optimize-heated-channel/shapes.svg"),
+        ("optimize-temperature.png", "optimize-heated-channel/temperature.svg"),
+        ("pin.png", "pin/temperature.svg"),
+    ] {
+        let drawn = words_of_drawing(&folder.path().join("runs").join(drawing));
+        assert_eq!(words_of_picture(picture), drawn, "{picture}: /usr/bin/python3 scripts/figures.py pictures");
+    }
+    let found = summary(folder.path(), "optimize-heated-channel");
+    let (first, best) = (found["q_first"].as_f64().unwrap(), found["q"].as_f64().unwrap());
+    let (epoch, epochs) = (found["best_epoch"].as_u64().unwrap() + 1, found["q_per_epoch"].as_array().unwrap().len());
+    let gain = 100.0 * (best / first - 1.0);
+    let quoted = format!("Q {first:.6} -> {best:.6} ({gain:+.2} %) in epoch {epoch} of {epochs}, ");
+    for page in [page.as_str(), include_str!("../README.md")] {
+        assert!(page.contains(&quoted), "a page does not say `{quoted}`");
+    }
     // What the page says of its own design.
-    let summary = std::fs::read_to_string(folder.path().join("runs/pin/summary.json")).unwrap();
-    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    let summary = summary(folder.path(), "pin");
     let (first, best) = (summary["q_first"].as_f64(), summary["q"].as_f64());
     let gain = best.unwrap() / first.unwrap() - 1.0;
     assert!(gain > 0.05 && gain < 0.15, "a gain of {gain}");

@@ -43,7 +43,7 @@ pub use guard::{guarded, install_panic_hook};
 use clap::{Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
-/// Differentiable particle flow: simulate a fluid by SPH and shape its walls by exact gradients.
+/// Differentiable particle flow: simulate a fluid by SPH, and shape its walls by gradients of whole runs.
 #[derive(Debug, Parser)]
 #[command(name = "hydrograd", version, arg_required_else_help = true)]
 #[command(after_help = "\

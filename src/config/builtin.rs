@@ -197,7 +197,10 @@ pub const SCENES: &[BuiltIn] = &[
     built_in!("dam-break-3d", "the same in 3D, periodic across (no design)"),
     built_in!("falling-block", "2D block of water that falls into an empty tank (no design)"),
     built_in!("hydrostatic-tank", "2D still water under gravity, against its exact pressure (no design)"),
-    built_in!("custom", "a box, walls of any shape, forces and heat of your own, all from the file (no design)"),
+    built_in!(
+        "custom",
+        "a box, walls of any shape, forces and heat of your own, all from the file; its shapes may be a design"
+    ),
 ];
 
 /// Presets: sets of keys that `--preset` merges into a scene.

@@ -9,3 +9,4 @@ pub mod lanes;
 pub mod program;
 pub mod random_scene;
 pub mod standard;
+pub mod summary;

@@ -214,10 +214,16 @@ pub fn parts(folder: &Folder) -> anyhow::Result<Page> {
 /// Keys of a file, those of nested tables behind their names and dots, and their values.
 type Values = BTreeMap<String, String>;
 
+/// Sections of a configuration, and keys, that say what the problem is: what flows where, what drives it, what is held.
+const OF_PROBLEM: [&str; 7] =
+    ["scene", "fluid.", "channel.", "region.", "heat.", "wall.hot_temperature", "objective.kind"];
+/// Keys there that say how it is solved.
+const OF_SOLUTION: [&str; 3] = ["fluid.reference_velocity", "fluid.sound_speed_factor", "channel.wall_rows"];
+
 /// The problem of a run: figures of runs of different problems must not be ranked.
 fn problem(folder: &Folder) -> Values {
     let mut found = flat(&folder.config());
-    found.retain(|key, _| ["scene", "objective.kind", "region.size", "region.periodic"].contains(&key.as_str()));
+    found.retain(|key, _| OF_PROBLEM.iter().any(|of| key.starts_with(of)) && !OF_SOLUTION.contains(&key.as_str()));
     if let Some(scores) = evaluation(folder) {
         found.extend(["data", "split"].map(|key| (key.to_string(), scores[key].to_string())));
         found.insert("steps of a rollout".into(), scores["scores"][0]["steps"].to_string());

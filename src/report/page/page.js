@@ -212,17 +212,29 @@
     function drawMap() {
       const along = [...new Set(w.nodes)].sort((a, b) => a - b), across = [...new Set(w.across)].sort((a, b) => a - b);
       const all = values[0].flat(), low = Math.min(...all), high = Math.max(...all);
+      // Heights are at the middles of cells.
+      const ends = (v) => { const half = v.length > 1 ? 0.5 * (v[1] - v[0]) : 0.5; return [v[0] - half, v[v.length - 1] + half]; };
+      const [x0, x1] = ends(along), [z0, z1] = ends(across);
       let canvas = place.querySelector("canvas");
       if (!canvas) { place.innerHTML = `<canvas role="img"></canvas>`; canvas = place.querySelector("canvas"); }
-      const width = Math.max(260, place.clientWidth), height = Math.max(80, Math.round(width * across.length / along.length));
-      const c = sized(canvas, width, Math.min(height, 420)), h = Math.min(height, 420);
+      const width = Math.max(260, place.clientWidth), left = 48, top = 22, inner = width - left - 96;
+      const tall = Math.min(380, Math.max(60, inner * (z1 - z0) / (x1 - x0))), c = sized(canvas, width, top + tall + 38);
       values[0][k].forEach((v, i) => {
         const a = along.indexOf(w.nodes[i]), b = across.indexOf(w.across[i]);
         c.fillStyle = shades[Math.round(255 * (v - low) / (high - low || 1))];
-        c.fillRect(Math.floor(a * width / along.length), Math.floor(h - (b + 1) * h / across.length), Math.ceil(width / along.length), Math.ceil(h / across.length));
+        c.fillRect(left + a * inner / along.length, top + tall - (b + 1) * tall / across.length, inner / along.length + 0.5, tall / across.length + 0.5);
       });
+      const bar = left + inner + 16;
+      for (let y = 0; y < tall; y++) { c.fillStyle = shades[Math.round(255 * (1 - y / tall))]; c.fillRect(bar, top + y, 14, 1.5); }
+      axes(c, { left, top, inner, tall }, [x0, x1], [z0, z1]);
+      c.textAlign = "left";
+      for (const [v, text] of axis([low, high], false).ticks) if (v >= low && v <= high) c.fillText(text, bar + 19, top + tall * (1 - (v - low) / (high - low || 1)) + 4);
+      c.fillText("height", bar, top - 8);
+      c.fillText("z (scene units)", left, top - 8);
+      c.textAlign = "right";
+      c.fillText("x (scene units)", left + inner, top + tall + 32);
       canvas.setAttribute("aria-label", `Height of the wall over x (to the right) and z (up) in epoch ${k + 1}`);
-      note.textContent = `Height over x (to the right, ${number(along[0], 3)} to ${number(along[along.length - 1], 3)}) and z (up, ${number(across[0], 3)} to ${number(across[across.length - 1], 3)}); dark: ${number(low, 3)}, bright: ${number(high, 3)}; here ${number(Math.min(...values[0][k]), 3)} to ${number(Math.max(...values[0][k]), 3)}.`;
+      note.textContent = `Heights of all epochs: ${number(low, 3)} to ${number(high, 3)}; here ${number(Math.min(...values[0][k]), 3)} to ${number(Math.max(...values[0][k]), 3)}.`;
     }
 
     function show() {
@@ -244,6 +256,22 @@
   // ---- particles over time
 
   if (data.fields) fields(data.fields);
+
+  // The frame of a canvas with ticks below and on the left.
+  function axes(c, l, [x0, x1], [y0, y1]) {
+    c.font = "11px system-ui, sans-serif";
+    c.fillStyle = c.strokeStyle = color("quiet");
+    c.lineWidth = 1;
+    c.textAlign = "right";
+    for (const [v, text] of linear(y0, y1, 0, Math.max(2, Math.min(5, l.tall / 40))).ticks) {
+      c.fillText(text, l.left - 5, l.top + l.tall * (1 - (v - y0) / (y1 - y0)) + 4);
+    }
+    c.textAlign = "center";
+    for (const [v, text] of linear(x0, x1, 0, Math.max(2, Math.min(8, l.inner / 70))).ticks) {
+      c.fillText(text, l.left + l.inner * (v - x0) / (x1 - x0), l.top + l.tall + 16);
+    }
+    c.strokeRect(l.left, l.top, l.inner, l.tall);
+  }
 
   function sized(canvas, width, height) {
     const ratio = Math.min(window.devicePixelRatio || 1, 3);
@@ -291,17 +319,6 @@
       canvases.forEach((canvas, p) => {
         const f = at(panels[p]), l = layout(canvas), c = sized(canvas, l.width, l.height);
         const radius = Math.max(0.6, 0.5 * all.diameter * l.scale), values = f.values[quantity];
-        c.font = "11px system-ui, sans-serif";
-        c.fillStyle = color("quiet");
-        c.strokeStyle = color("quiet");
-        c.textAlign = "right";
-        for (const [v, text] of linear(y0, y1, 0, Math.max(2, Math.min(5, l.tall / 40))).ticks) {
-          c.fillText(text, l.left - 5, l.top + l.tall - (v - y0) * l.scale + 4);
-        }
-        c.textAlign = "center";
-        for (const [v, text] of linear(x0, x1, 0, Math.max(2, Math.min(8, l.inner / 70))).ticks) {
-          c.fillText(text, l.left + (v - x0) * l.scale, l.top + l.tall + 16);
-        }
         c.save();
         c.beginPath();
         c.rect(l.left, l.top, l.inner, l.tall);
@@ -325,9 +342,7 @@
           }
         }
         c.restore();
-        c.strokeStyle = color("quiet");
-        c.lineWidth = 1;
-        c.strokeRect(l.left, l.top, l.inner, l.tall);
+        axes(c, l, all.x, all.y);
         canvas.setAttribute("aria-label", `Particles ${all.panels[p].title} by ${q.name} at time ${number(f.time, 4)}`);
       });
       const last = longest[Number(slider.value)].time;
