@@ -12,6 +12,7 @@ use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::plausible::Findings;
 use crate::scene::record::{Record, Recovery};
+use crate::scene::tank::pressure_error;
 use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
 use crate::sph::division::Divided;
@@ -154,6 +155,9 @@ pub fn report_flow<R: Sweeps>(
     let more: Vec<Warning> = more.into_iter().filter(|warning| !known(&warning.code)).collect();
     warnings.extend(more);
     let mut record = Record::of_flow(loaded, scene, found, measured, finished.divided, finished.seconds);
+    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+        record.put("pressure_error", error);
+    }
     record.put("warnings", &warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
@@ -171,6 +175,9 @@ pub fn report_flow<R: Sweeps>(
         println!("velocity error      {}", mean_error(error, &over));
     } else if !rests {
         println!("velocity error      unknown: this flow has no closed form");
+    }
+    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+        println!("pressure error      {}", mean_error(error, ", over the exact pressure at the bottom"));
     }
     if let Some(error) = found.temperature_error {
         let over = if rests { ", over the walls' difference" } else { "" };
