@@ -13,6 +13,7 @@ use crate::design::problem::ADJOINT;
 use crate::design::shape::{Shape, TOP};
 use crate::design::{Optimisation, Parametrisation, Problem};
 use crate::io::atomic::write_bytes_atomically;
+use crate::numerics::threads::{self, in_words};
 use crate::report::plots::{history, wall_shapes, HistoryPoint};
 use crate::report::table::Table;
 use crate::report::text::shown;
@@ -153,6 +154,8 @@ pub fn report<R: Sweeps>(
     } else {
         files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
     }
+    let warnings = record.warnings();
+    record.put_warnings(loaded, warnings);
     files::write_summary(folder, &record)?;
     warn(&record.warnings());
     let [first, best] = designs;
@@ -241,7 +244,8 @@ fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> Stri
     let (history, best) = (&optimisation.history, optimisation.best);
     let gain = change(history[0].shown(), history[best].shown());
     let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
-    let mut text = format!("\n{symbol} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
+    let mut text =
+        format!("\n{symbol} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s on {}\n", in_words(threads::count()));
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}

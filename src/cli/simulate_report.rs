@@ -59,7 +59,7 @@ pub fn report_design<R: Sweeps>(
     }
     let mut warnings = warnings::of_channel(&loaded.config, d, history);
     warnings.extend(warnings::of_particles(&loaded.config, finished.end));
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
@@ -79,7 +79,7 @@ pub fn report_design<R: Sweeps>(
     );
     let scene = if is_deep { format!(" {}", loaded.config.scene.name()) } else { String::new() };
     println!("next: hydrograd optimize{scene}    shapes the wall so that Q grows");
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 
@@ -104,7 +104,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
     let mut warnings = warnings::of_flow(&loaded.config, found, finished.history);
     warnings.extend(warnings::of_particles(&loaded.config, finished.end));
     let mut record = Record::of_flow(loaded, scene, found, finished.divided, finished.seconds);
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
@@ -144,7 +144,7 @@ pub fn report_flow<R: Sweeps>(finished: &Finished<R>, found: &FlowFigures) -> an
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 

@@ -4,6 +4,7 @@ use super::custom::Geometry;
 use super::Scene;
 use crate::config::custom::Kind;
 use crate::config::scene::{Config, Family, Method};
+use crate::config::suggest;
 use crate::error::BadInput;
 use crate::particles::tag;
 use crate::sph::Sweeps;
@@ -72,10 +73,10 @@ impl Findings {
         if own && u > reference * (1.0 + 1e-9) {
             all.push(format!(
                 "the flow may become as fast as {u:.3}, a Mach number of {:.2}, and fluid.reference_velocity is {reference}: density \
-                 would change by {:.1} %; try fluid.reference_velocity={:.2} (smaller steps) or a smaller force",
+                 would change by {:.1} %; try fluid.reference_velocity={} (smaller steps) or a smaller force",
                 u / c,
                 100.0 * (u / c).powi(2),
-                u
+                suggest::at_least(u)
             ));
         }
         if own && u > 0.0 && reference > TOO_CAREFUL * u {
@@ -97,10 +98,10 @@ impl Findings {
             let cell = u * dx / diffusivity;
             if cell > CELL_NUMBER {
                 all.push(format!(
-                    "the cell {name} number u dx / {} is {cell:.0}: layers at walls are thinner than a particle; try \
-                     resolution.dx={:.2e}, or a larger {key}",
+                    "the cell {name} number u dx / {} is {cell:.0}: layers at walls are thinner than a particle; try {}, or a \
+                     larger {key}",
                     if name == "Reynolds" { "nu" } else { "alpha" },
-                    CELL_NUMBER * diffusivity / u
+                    config.finer(CELL_NUMBER * diffusivity / u)
                 ));
             }
         }
@@ -108,9 +109,9 @@ impl Findings {
         if let Some(narrowest) = self.narrowest.filter(|&count| (count as f64) < 2.0 * support) {
             all.push(format!(
                 "the narrowest passage is {narrowest} particles wide: below {:.0} a particle's sums reach both walls, and the flow \
-                 is not resolved; try resolution.dx={:.2e}",
+                 is not resolved; try {}",
                 2.0 * support,
-                dx * narrowest as f64 / (2.0 * support)
+                config.finer(dx * narrowest as f64 / (2.0 * support))
             ));
         }
         let lines = config.shapes.iter().filter(|shape| shape.kind == Kind::Polyline);

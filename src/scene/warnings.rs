@@ -5,6 +5,7 @@
 use super::figures::FlowFigures;
 use super::particle_fields::ParticleFields;
 use crate::config::scene::{Config, Family};
+use crate::config::suggest;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::particles::tag;
@@ -44,7 +45,7 @@ fn warning(problem: String, advice: impl Into<String>) -> Warning {
 fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
     let mach = fastest / sound;
-    let advice = format!("fluid.reference_velocity={fastest:.3}, which makes the sound speed follow");
+    let advice = format!("fluid.reference_velocity={} (the sound speed follows)", suggest::at_least(fastest));
     if mach > MACH {
         let problem = format!("the flow reaches Mach {mach:.2} ({fastest:.4} of a sound speed of {sound:.4}): it is not weakly compressible");
         return Some(warning(problem, advice));
