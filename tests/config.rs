@@ -27,7 +27,7 @@ fn families_and_their_scenes_have_the_same_name() {
 #[test]
 fn nearest_spacings_divide_both() {
     let near = |dx: f64, across: &[f64]| nearest_spacings(dx, &[&[1.0], across].concat());
-    assert_eq!(near(0.03, &[0.2]), [0.02857143, 0.03333333]);
+    assert_eq!(near(0.03, &[0.2]), [0.028571429, 0.033333333]);
     assert_eq!(near(0.021, &[0.26]), [0.02]);
     assert_eq!(near(0.03, &[0.2, 0.25]), [0.025, 0.05]);
     assert!(near(0.02, &[std::f64::consts::FRAC_1_PI]).is_empty());

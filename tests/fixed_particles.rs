@@ -218,13 +218,13 @@ fn a_drive_finds_the_body_force() {
         (0..fixed.fluid_particles()).map(|i| mass(i) * state[row::U * n + i]).sum()
     };
     let mut expected = at_rest(&under_force);
-    under_force.settle(&mut expected, (20, 20), 1e-11, 100_000, &mut |_| ());
+    under_force.settle(&mut expected, 20, 20, 1e-11, 100_000);
     let (force, moved) = (under_force.channel.body_force, momentum(&under_force, &expected));
     for drive in [Drive::Momentum(moved), Drive::Power(force * moved)] {
         let channel = Channel { body_force: 0.0, drive: Some(drive), ..viscous_channel() };
         let fixed = Fixed::<f64>::new(channel).unwrap();
         let mut state = at_rest(&fixed);
-        fixed.settle(&mut state, (20, 20), 1e-11, 100_000, &mut |_| ());
+        fixed.settle(&mut state, 20, 20, 1e-11, 100_000);
         let found = by_rows(&state, &expected);
         assert!(found < 1e-7, "{drive:?}: {found:e}");
         let mut next = state.clone();
@@ -366,7 +366,7 @@ fn the_steady_gradient_is_the_slope(channel: Channel) {
     };
     let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
     let options = SteadyOptions { tolerance: 1e-10, ..SteadyOptions::default() };
-    let found = fixed.steady_gradient(&settle(&walls), &weights, &options, &mut |_| ());
+    let found = fixed.steady_gradient(&settle(&walls), &weights, &options);
     let exact: f64 = found.walls.iter().zip(&direction).map(|(g, d)| g * d).sum();
     assert!((slope / exact - 1.0).abs() < 1e-5, "{slope} {exact}, {} steps, {:e}", found.steps, found.residual);
 }
@@ -467,7 +467,7 @@ fn the_heated_channel_against_finite_elements() {
 
         let settle = |nodes: &[f64], depth: usize, tolerance: f64| {
             let mut state = fixed.state(&wall(&fixed, nodes), &flat, &poiseuille);
-            let (steps, _) = fixed.settle(&mut state, (20, depth), tolerance, 40_000, &mut |_| ());
+            let (steps, _) = fixed.settle(&mut state, 20, depth, tolerance, 40_000);
             (state, steps)
         };
         let shapes = reference_shapes();
@@ -496,12 +496,7 @@ fn the_heated_channel_against_finite_elements() {
         let bar = heat_outflow(&fixed, &state).1;
         let gradient = |tolerance: f64| {
             let start = std::time::Instant::now();
-            let found = fixed.steady_gradient(
-                &state,
-                &bar,
-                &SteadyOptions { tolerance, ..SteadyOptions::default() },
-                &mut |_| (),
-            );
+            let found = fixed.steady_gradient(&state, &bar, &SteadyOptions { tolerance, ..SteadyOptions::default() });
             let unit = |k: usize| (0..25).map(|i| (i == k) as u8 as f64).collect::<Vec<_>>();
             let nodes: Vec<f64> = (0..25).map(|k| dot(&wall(&fixed, &unit(k)), &found.walls)).collect();
             (nodes, found.steps, 1e3 * start.elapsed().as_secs_f64())

@@ -126,7 +126,9 @@ pub struct GradientArguments {
 impl CommonArguments {
     /// An error if the scene has no design, before any key of one is looked at.
     pub(super) fn require_design(&self) -> Result<(), Error> {
-        Ok(require_design(&Config::load_settings(self.scene.as_deref(), None, &[])?.config)?)
+        // What is wrong with the scene itself may be put right by an option.
+        let scene = Config::load_settings(self.scene.as_deref(), None, &[]);
+        Ok(scene.map_or(Ok(()), |loaded| require_design(&loaded.config))?)
     }
 
     /// Loads the scene with `defaults` below and `options` above what the user set.

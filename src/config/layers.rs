@@ -247,7 +247,8 @@ impl Merged {
     /// Reads an assignment to a key, or to an element of the value that a key has: `shapes[0].radius=0.1`.
     pub fn layer<S: Schema>(&self, setting: &Setting) -> Result<Layer, BadInput> {
         let (path, text) = setting.assignment.split_once('=').unwrap_or_default();
-        let Some((key, rest)) = path.find('[').map(|at| path.trim().split_at(at)) else {
+        let path = path.trim();
+        let Some((key, rest)) = path.find('[').map(|at| path.split_at(at)) else {
             return Layer::from_setting::<S>(setting);
         };
         let bad = |problem: String| BadInput::new(problem).place(&setting.label);
@@ -257,24 +258,24 @@ impl Merged {
         let table = if section.is_empty() { Some(self.document.as_item()) } else { self.document.get(section) };
         let mut whole = table.and_then(|table| table.get(name)).and_then(value_of).unwrap_or(Array::new().into());
         let (mut at, mut shown) = (&mut whole, key.to_string());
-        let steps = steps(rest).ok_or_else(|| bad(format!("`{path}` is not a key")).allowed(ELEMENT))?;
-        for step in steps {
-            at = match (step, at) {
-                (Step::Entry(number), Value::Array(all)) => {
+        // `[0].centre[1]` has the parts `[0]`, `.centre` and `[1]`.
+        let mut begins: Vec<usize> = rest.match_indices(['[', '.']).map(|(begin, _)| begin).collect();
+        begins.push(rest.len());
+        for part in begins.windows(2).map(|pair| &rest[pair[0]..pair[1]]) {
+            let number = part.strip_prefix('[').and_then(|inside| inside.strip_suffix(']')?.trim().parse().ok());
+            at = match (number, part.strip_prefix('.'), at) {
+                (Some(number), _, Value::Array(all)) => {
                     let count = all.len();
-                    all.get_mut(number).ok_or_else(|| {
-                        let last = count.checked_sub(1).map(|last| format!("{shown}[0] ... {shown}[{last}]"));
-                        bad(format!("there is no {shown}[{number}]: {shown} has {count} entries"))
-                            .allowed(last.unwrap_or(format!("{shown}=[...], which gives them all")))
-                    })?
+                    let missing = format!("there is no {shown}[{number}]: {shown} has {count} entries");
+                    all.get_mut(number).ok_or_else(|| bad(missing).allowed(ELEMENT))?
                 }
-                (Step::Key(key), Value::InlineTable(table)) => table.get_or_insert(key, 0),
-                (_, other) => {
+                (_, Some(name), Value::InlineTable(table)) => table.get_or_insert(name, 0),
+                (_, _, other) => {
                     let problem = format!("`{path}`: {shown} is {}, without such a part", other.to_string().trim());
                     return Err(bad(problem).allowed(ELEMENT));
                 }
             };
-            shown += &step.to_string();
+            shown += part;
         }
         *at = parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
         let entry = Entry { element: Some(path.into()), ..Entry::new(key.into(), whole, setting.label.clone()) };
@@ -435,43 +436,6 @@ impl Merged {
 
 /// The form of a key of an element, for messages.
 const ELEMENT: &str = "an entry of what is given, such as shapes[0].radius or region.size[1]";
-
-/// A step from a value to a part of it.
-#[derive(Debug, Clone, Copy)]
-enum Step<'a> {
-    Entry(usize),
-    Key(&'a str),
-}
-
-impl std::fmt::Display for Step<'_> {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Entry(number) => write!(out, "[{number}]"),
-            Self::Key(key) => write!(out, ".{key}"),
-        }
-    }
-}
-
-/// The steps of a text such as `[0].centre[1]`; none if it is not one.
-fn steps(mut rest: &str) -> Option<Vec<Step<'_>>> {
-    let mut all = Vec::new();
-    while !rest.is_empty() {
-        let (step, after) = match rest.strip_prefix('[') {
-            Some(inside) => {
-                let (number, after) = inside.split_once(']')?;
-                (Step::Entry(number.trim().parse().ok()?), after)
-            }
-            None => {
-                let name = rest.strip_prefix('.')?;
-                let (key, after) = name.split_at(name.find(['.', '[']).unwrap_or(name.len()));
-                (Step::Key(Some(key).filter(|key| !key.is_empty())?), after)
-            }
-        };
-        all.push(step);
-        rest = after;
-    }
-    Some(all)
-}
 
 /// Whether two values are equal, in any notation.
 fn same(one: &Value, other: &Value) -> bool {

@@ -37,10 +37,12 @@ pub fn alternatives(advice: &str) -> Vec<&str> {
     all
 }
 
-/// The assignments `section.key=value` in a text.
+/// The assignments `section.key=value` in a text, but for those behind an option, such as `--set`.
 pub fn assignments(text: &str) -> Vec<&str> {
     let words = text.split(' ').map(|word| word.trim_matches(['(', ')', '`', ',', ';', ':']));
-    words.filter(|word| word.split_once('=').is_some_and(|(key, _)| is_key(key) && key.contains('.'))).collect()
+    let pairs = std::iter::once("").chain(words.clone()).zip(words);
+    let is_one = |word: &str| word.split_once('=').is_some_and(|(key, _)| is_key(key) && key.contains('.'));
+    pairs.filter(|(before, word)| !before.starts_with("--") && is_one(word)).map(|(_, word)| word).collect()
 }
 
 /// Whether a word has the form of a key.

@@ -230,7 +230,7 @@ impl<R: Sweeps> Problem<R> {
 
     /// As [`Self::evaluate_steady`], with the number of steps.
     fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
-        let (steady, state, steps) = self.settled(variables, tolerance, &mut |_| ())?;
+        let (steady, state, steps) = self.settled(variables, tolerance)?;
         let objective =
             |state: Tensor| value(&*self.objective, &self.dynamics().fields_of_steady(steady.shown(&state)?));
         Ok((self.tensor(&state).and_then(objective).map_err(unexpected)?, steps))
@@ -241,17 +241,12 @@ impl<R: Sweeps> Problem<R> {
     }
 
     /// The steady state of a design's run, and the number of steps to it.
-    fn settled(
-        &self,
-        variables: &[f64],
-        tolerance: f64,
-        progress: Progress<'_>,
-    ) -> Result<(&dyn Steady<R>, Vec<R>, usize), Error> {
+    fn settled(&self, variables: &[f64], tolerance: f64) -> Result<(&dyn Steady<R>, Vec<R>, usize), Error> {
         let Some(steady) = self.model.steady() else {
             return Err(Error::run("there is no steady state of particles that move", "method.name=fixed"));
         };
         let mut state = self.start(variables).state;
-        let (steps, residual) = steady.settle(&mut state, tolerance, progress);
+        let (steps, residual) = steady.settle(&mut state, tolerance);
         interrupt::check_own()?;
         // A NaN must fail as well.
         if residual.is_nan() || residual > 100.0 * tolerance {
@@ -263,8 +258,8 @@ impl<R: Sweeps> Problem<R> {
 
     /// [`Self::differentiate`] at the steady state of fixed particles, which takes one state for any length of the run.
     fn differentiate_steady(&self, variables: &[f64], progress: Progress<'_>) -> Result<Derivative, Error> {
-        let (steady, state, steps) =
-            self.settled(variables, steady_tolerance::<R>(), &mut |share| progress(0.5 * share))?;
+        let (steady, state, steps) = self.settled(variables, steady_tolerance::<R>())?;
+        progress(0.5);
         let go = || -> candle_core::Result<(f64, Vec<R>)> {
             let variable = Var::from_tensor(&self.tensor(&state)?)?;
             let dynamics = self.dynamics();
@@ -278,7 +273,7 @@ impl<R: Sweeps> Problem<R> {
             Ok((value.to_dtype(DType::F64)?.to_scalar::<f64>()?, bar))
         };
         let (value, bar) = go().map_err(unexpected)?;
-        let found = steady.gradient(&state, &bar, &mut |share| progress(0.5 + 0.5 * share));
+        let found = steady.gradient(&state, &bar);
         interrupt::check_own()?;
         if found.residual.is_nan() || found.residual > 1e-2 {
             let what = format!("the adjoint of the steady state does not converge: {:.1e}", found.residual);

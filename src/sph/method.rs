@@ -282,11 +282,11 @@ pub trait Recorder<R>: Send {
 /// Solver of the steady state of a flow, and of the gradient of a quantity there.
 pub trait Steady<R> {
     /// Advances a state until no field changes by more than `tolerance` per time. Returns the number of steps and the
-    /// remaining change per time, relative to the flow's own scales. `progress` is called with the completed share.
-    fn settle(&self, state: &mut Vec<R>, tolerance: f64, progress: &mut dyn FnMut(f64)) -> (usize, f64);
+    /// remaining change per time, relative to the flow's own scales.
+    fn settle(&self, state: &mut Vec<R>, tolerance: f64) -> (usize, f64);
     /// The cotangent of the initial state, given that of the steady state, `bar`, both `[F, N]`; zero but for
     /// positions.
-    fn gradient(&self, state: &[R], bar: &[R], progress: &mut dyn FnMut(f64)) -> SteadyGradient<R>;
+    fn gradient(&self, state: &[R], bar: &[R]) -> SteadyGradient<R>;
     /// The fields of a steady state, on the graph if the state is.
     fn shown(&self, state: &Tensor) -> candle_core::Result<Shown>;
 }

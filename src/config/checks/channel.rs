@@ -82,7 +82,7 @@ impl Config {
         // Starts a millionth above, because the search excludes the given spacing.
         let near = nearest_spacings(most * (1.0 + 1e-6), &self.extents());
         let near = near.into_iter().find(|&finer| finer <= most * (1.0 + 1e-6))?;
-        Some(suggest::shortest(near, |short| short <= most && divides(short, &self.extents())))
+        Some(suggest::shortest(near, |short| (0.999 * near..=most).contains(&short) && divides(short, &self.extents())))
     }
 
     /// Advice to take a spacing of at most this.
@@ -265,10 +265,13 @@ fn divides(dx: f64, extents: &[f64]) -> bool {
 pub fn nearest_spacings(dx: f64, extents: &[f64]) -> Vec<f64> {
     let Some(&length) = extents.first().filter(|_| dx > 0.0) else { return vec![] };
     let fits = |count: &usize| *count > 0 && divides(length / *count as f64, extents);
+    let is_near = |exact: f64, count: usize| exact.round() as usize == count;
     let start = (length / dx).floor() as usize;
     let larger = (start.saturating_sub(10_000)..=start).rev().find(fits);
     let smaller = (start + 1..start + 10_000).find(fits);
-    let spacing = |count: usize| suggest::shortest(length / count as f64, |short| divides(short, extents));
+    let spacing = |count: usize| {
+        suggest::shortest(length / count as f64, |short| is_near(length / short, count) && divides(short, extents))
+    };
     let mut found: Vec<f64> = larger.into_iter().chain(smaller).map(spacing).collect();
     found.sort_by(|a, b| (a - dx).abs().total_cmp(&(b - dx).abs()));
     found

@@ -170,11 +170,11 @@ impl<R: Real> Recorder<R> for Tape<R> {
 }
 
 impl<R: Real> Steady<R> for FixedParticles<R> {
-    fn settle(&self, state: &mut Vec<R>, tolerance: f64, progress: &mut dyn FnMut(f64)) -> (usize, f64) {
-        self.lattice.settle(state, (BLOCK, DEPTH), tolerance, MOST_STEPS, progress)
+    fn settle(&self, state: &mut Vec<R>, tolerance: f64) -> (usize, f64) {
+        self.lattice.settle(state, BLOCK, DEPTH, tolerance, MOST_STEPS)
     }
-    fn gradient(&self, state: &[R], bar: &[R], progress: &mut dyn FnMut(f64)) -> SteadyGradient<R> {
-        let found = self.lattice.steady_gradient(state, bar, &SteadyOptions::default(), progress);
+    fn gradient(&self, state: &[R], bar: &[R]) -> SteadyGradient<R> {
+        let found = self.lattice.steady_gradient(state, bar, &SteadyOptions::default());
         // The remaining rows are the derivatives by positions, including those of the walls.
         let (n, inner) = (self.flow.particles(), self.lattice.fluid_particles());
         let mut by_state = bar.to_vec();

@@ -44,16 +44,6 @@ impl Default for SteadyOptions {
     }
 }
 
-/// The share of the way that a residual has made from the first one to the last, in its logarithm.
-fn share(first: f64, now: f64, last: f64) -> f64 {
-    let share = (first / now).ln() / (first / last).ln();
-    if share.is_finite() {
-        share.clamp(0.0, 1.0)
-    } else {
-        0.0
-    }
-}
-
 impl<R: Real> Fixed<R> {
     /// The rate at which a step changes a state, 1/time: the largest of |du/dt| and |dv/dt| over the fastest |u|,
     /// |dp/dt| over density c times that, and |dT/dt| over the hot wall's excess.
@@ -81,14 +71,7 @@ impl<R: Real> Fixed<R> {
     /// derivative of the quantity by the state, in which the y rows of boundary points are for a fixed flow.
     ///
     /// The run is assumed to begin with p = 0, so fluid that a wall displaces is not pressed into the rest.
-    /// `progress` is called with the completed share of the way to the tolerance.
-    pub fn steady_gradient(
-        &self,
-        state: &[R],
-        bar: &[R],
-        options: &SteadyOptions,
-        progress: &mut dyn FnMut(f64),
-    ) -> SteadyGradient {
+    pub fn steady_gradient(&self, state: &[R], bar: &[R], options: &SteadyOptions) -> SteadyGradient {
         let mut work = self.work();
         let (n, fluid) = (self.particles(), self.fluid_particles());
         let mut solve = Solve::new(self, state, &mut work);
@@ -100,7 +83,7 @@ impl<R: Real> Fixed<R> {
         for _ in 1..options.block {
             right = solve.step(&right, Some(&b));
         }
-        let (lambda, residual) = solve.gmres(&right, options, progress);
+        let (lambda, residual) = solve.gmres(&right, options);
         // One more step with the walls gives (dF/dwalls)^T lambda and the multiple of w that remains.
         let (steps, scale) = (solve.steps + 1, solve.mass_scale());
         let mut last = vec![R::default(); state.len()];
@@ -121,18 +104,9 @@ impl<R: Real> Fixed<R> {
 
     /// Advances a state until [`Self::residual`] is at most `tolerance`, or for `most` steps. Returns the number of
     /// steps and the residual. Blocks of steps are accelerated by Anderson's (1965) method with `depth` previous blocks
-    /// (0: plain steps). Mass is conserved, because averages of states of equal mass have that mass. `progress` is called
-    /// with the completed share of the way to the tolerance.
-    pub fn settle(
-        &self,
-        state: &mut Vec<R>,
-        (block, depth): (usize, usize),
-        tolerance: f64,
-        most: usize,
-        progress: &mut dyn FnMut(f64),
-    ) -> (usize, f64) {
+    /// (0: plain steps). Mass is conserved, because averages of states of equal mass have that mass.
+    pub fn settle(&self, state: &mut Vec<R>, block: usize, depth: usize, tolerance: f64, most: usize) -> (usize, f64) {
         let mut work = self.work();
-        let mut first = f64::NAN;
         let (mut from, mut next) = (state.clone(), state.clone());
         let (mut steps, mut residual) = (0, f64::INFINITY);
         // Differences between the ends of blocks, and between their increments.
@@ -148,8 +122,6 @@ impl<R: Real> Fixed<R> {
             }
             steps += block.max(1);
             residual = self.residual(&next, state);
-            first = first.max(residual);
-            progress(share(first, residual, tolerance));
             if residual <= tolerance || !residual.is_finite() {
                 break;
             }
@@ -264,7 +236,7 @@ impl<'a, R: Real> Solve<'a, R> {
     }
 
     /// Solves lambda = (A^T)^m lambda + `right`, and returns the residual relative to that of lambda = `right`.
-    fn gmres(&mut self, right: &[R], options: &SteadyOptions, progress: &mut dyn FnMut(f64)) -> (Vec<R>, f64) {
+    fn gmres(&mut self, right: &[R], options: &SteadyOptions) -> (Vec<R>, f64) {
         let axpy = |y: &mut [R], a: f64, x: &[R]| y.iter_mut().zip(x).for_each(|(y, x)| *y += R::of(a) * *x);
         let scaled = |x: &[R], a: f64| -> Vec<R> { x.iter().map(|x| R::of(x.f64() * a)).collect() };
         let size = self.product(right, right).sqrt();
@@ -280,7 +252,6 @@ impl<'a, R: Real> Solve<'a, R> {
                 break;
             }
             let k = columns.len();
-            progress(share(size, rest[k].abs(), options.tolerance * size));
             let mut next = vectors[k].clone();
             for _ in 0..options.block {
                 next = self.step(&next, None);
