@@ -116,7 +116,7 @@ fn files_without_a_key() {
 fn an_error_says_who_gave_the_value() {
     let given = "default of scene heated-channel with --set channel.height=0.6: the plane channel";
     Case::new(&[]).refuses(&["simulate", "--set", "channel.height=0.6"], &[given]);
-    refuses_sets(&["fluid.reference_velocity=0.5"], &["error: --set fluid.reference_velocity=0.5: the plane channel"]);
+    refuses_sets(&["fluid.reference_velocity=0.2"], &["error: --set fluid.reference_velocity=0.2: the plane channel"]);
     let custom = "scene = \"custom\"\n";
     refuses_file(&format!("{custom}qqqqq = 1\n"), &["`hydrograd scenes custom` prints every key"]);
     refuses_file(&format!("{custom}[initial]\nvelocity == 3\n"), &["`hydrograd scenes custom`"]);
@@ -440,7 +440,10 @@ fn what_is_held_and_which_walls_need_the_consistent_formulation() {
         let set = format!("{key}={value}");
         Case::new(&[]).refuses(&["generate", "--set", &set, "--out", "out"], &[key, "a data set of"]);
     }
-    refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "try: --set design.walls=both"]);
+    // Both walls alone would not do: there are more nodes than offsets.
+    refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "allowed: design.walls = both"]);
+    let shaped = ["design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]", "design.top_offsets=[0, 0]"];
+    refuses_sets(&shaped, &["design.top_offsets", "try: --set design.walls=both"]);
     let top = ["design.walls=both", "design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]"];
     refuses_sets(&[&top[..], &["design.top_offsets=[0]"]].concat(), &["design.top_offsets", "1 numbers for 2 nodes"]);
     refuses_sets(&[&top[..], &["design.top_offsets=[0, 0.03]"]].concat(), &["design.top_offsets", "0.03"]);
