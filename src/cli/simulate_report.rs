@@ -62,7 +62,7 @@ pub fn report_design<R: Sweeps>(
     }
     let mut warnings = finished.warnings()?;
     warnings.extend(warnings::of_measured(&loaded.config, d));
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
@@ -76,7 +76,7 @@ pub fn report_design<R: Sweeps>(
     );
     let scene = if is_deep { format!(" {}", loaded.config.scene.name()) } else { String::new() };
     println!("next: hydrograd optimize{scene}    shapes the wall so that Q grows");
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 
@@ -158,7 +158,7 @@ pub fn report_flow<R: Sweeps>(
     if let Some(error) = pressure_error(&loaded.config, finished.end) {
         record.put("pressure_error", error);
     }
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
@@ -205,7 +205,7 @@ pub fn report_flow<R: Sweeps>(
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 

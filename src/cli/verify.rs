@@ -49,7 +49,7 @@ pub struct VerifyArguments {
     /// Floating-point type (run.precision).
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
-    /// Worker threads, 0 for every core (run.threads).
+    /// Worker threads, 0 for every core that the process may use (run.threads).
     #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
 }

@@ -5,6 +5,7 @@ use super::warnings::Warning;
 use super::Scene;
 use crate::config::custom::Kind;
 use crate::config::scene::{Config, Family, Method, ObjectiveKind};
+use crate::config::suggest;
 use crate::design::shape::Shape;
 use crate::error::BadInput;
 use crate::particles::tag;
@@ -100,7 +101,7 @@ impl Findings {
                     u / c,
                     100.0 * (u / c).powi(2),
                 ),
-                format!("fluid.reference_velocity={u:.2} (smaller steps), or a smaller force"),
+                format!("fluid.reference_velocity={} (smaller steps), or a smaller force", suggest::at_least(u)),
             );
         }
         if own && u > 0.0 && reference > TOO_CAREFUL * u {
@@ -129,7 +130,7 @@ impl Findings {
                     format!(
                         "the cell {name} number u dx / {symbol} is {cell:.0}: layers at walls are thinner than a particle"
                     ),
-                    format!("resolution.dx={:.2e}, or a larger {key}", CELL_NUMBER * diffusivity / u),
+                    format!("{}, or a larger {key}", config.finer(CELL_NUMBER * diffusivity / u)),
                 );
             }
         }
@@ -143,7 +144,7 @@ impl Findings {
                      flow is not resolved",
                     2.0 * support
                 ),
-                format!("resolution.dx={:.2e}", dx * narrowest as f64 / (2.0 * support)),
+                config.finer(dx * narrowest as f64 / (2.0 * support)),
             );
         }
         let lines = config.shapes.iter().filter(|shape| shape.kind == Kind::Polyline);
