@@ -233,7 +233,7 @@ fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> Stri
     let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
     let of = if figure.measured_as.is_some() { String::new() } else { format!(", {},", figure.quantity) };
     let mut text = format!(
-        "\n{symbol}{of} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s on {}\n",
+        "\n{symbol} {gain}{of} in epoch {epoch} of {epochs}, {seconds:.1} s on {}\n",
         in_words(threads::count())
     );
     text.push_str(&surrogate_text(figure, optimisation));
