@@ -66,7 +66,7 @@ fn messages_have_place_allowed_values_and_advice() {
     refused(&["latent=8"], &["unknown field `latent`", "try: `model.latent`"]);
     refused(&["model.kind=gn"], &["`gn`", "gns, egnn", "try: `gns`"]);
     refused(&["noise=much"], &["noise=much", "a number", "allowed: noise: Standard deviation", ">= 0"]);
-    refused(&["ema=1"], &["ema=1: ema = 1", "0 <= ema < 1", "the default ema = 0"]);
+    refused(&["ema=1"], &["ema=1: ema = 1", "0 <= ema < 1", "ema=0 (the default)"]);
     refused(&["learning_rate_least=1"], &["learning_rate_least=1: ", "<= learning_rate, 0.0005"]);
     refused(&["learning_rate=1e-7"], &["default of a training: learning_rate_least = 0.000001"]);
     refused(&["noise"], &["there is no `=`", "model.latent=128"]);

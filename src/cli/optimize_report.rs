@@ -232,10 +232,8 @@ fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> Stri
     let gain = change(history[0].shown(), history[best].shown());
     let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
     let of = if figure.measured_as.is_some() { String::new() } else { format!(", {},", figure.quantity) };
-    let mut text = format!(
-        "\n{symbol} {gain}{of} in epoch {epoch} of {epochs}, {seconds:.1} s on {}\n",
-        in_words(threads::count())
-    );
+    let mut text = format!("\n{symbol} {gain}{of} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
+    text.push_str(&format!("searched on {}\n", in_words(threads::count())));
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}
