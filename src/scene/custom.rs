@@ -47,13 +47,18 @@ pub(super) struct Geometry {
     /// Index of the shape to which each particle belongs, if any.
     pub shape: Vec<Option<usize>>,
     pub is_wall: Vec<bool>,
+    /// Indices of the shapes that hold no particle, because they lie outside of the box or behind later shapes.
+    pub idle: Vec<usize>,
 }
+
+/// Largest number of particles of a finer lattice in which a shape is looked for.
+const MOST_TRIED: usize = 2_000_000;
 
 impl Geometry {
     /// The geometry of a checked configuration.
     ///
     /// # Errors
-    /// Shapes that leave no fluid or contain no particle.
+    /// Shapes that leave no fluid, and shapes that are too small for the spacing.
     pub fn of(config: &Config) -> Result<Self, BadInput> {
         let shapes = shapes(config)?;
         let lattice = lattice(config);
@@ -69,27 +74,37 @@ impl Geometry {
                 _ => lattice.is_wall(i),
             };
         }
-        for k in 0..shapes.len() {
-            if !shape.contains(&Some(k)) {
-                let key = format!("shapes[{k}]");
-                return Err(BadInput::at(&key, format!("{key} holds no particle"))
-                    .allowed("shapes that hold the middle of at least one cell that no later shape has")
-                    .advice("a smaller resolution.dx, or another place"));
-            }
+        let (dx, idle) = (config.resolution.dx, (0..shapes.len()).filter(|k| !shape.contains(&Some(*k))));
+        let idle: Vec<usize> = idle.collect();
+        for &k in &idle {
+            // Does a finer lattice have a cell in it?
+            let finer = |parts: f64| {
+                let mut fine = config.clone();
+                fine.resolution.dx = dx / parts;
+                let fine = self::lattice(&fine);
+                let mut places = (0..fine.particles()).map(|i| fine.place(i));
+                fine.particles() < MOST_TRIED && places.any(|p| surroundings.shape_at(p) == Some(k))
+            };
+            let Some(parts) = [2.0, 4.0, 8.0, 16.0].into_iter().find(|&parts| finer(parts)) else { continue };
+            let key = format!("shapes[{k}]");
+            let larger = shapes[k].entry.at_least(config.support() * dx).map(|size| format!("{key}.{size}, or "));
+            return Err(BadInput::at(&key, format!("{key} is too small or too thin: it holds no particle"))
+                .allowed("shapes that hold the middle of at least one cell")
+                .advice(format!("{}resolution.dx={}", larger.unwrap_or_default(), dx / parts)));
         }
         if !is_wall.contains(&false) {
             return Err(BadInput::at("shapes", "the shapes leave no fluid").allowed("some fluid in the box"));
         }
-        Ok(Self { lattice, shape, is_wall })
+        Ok(Self { lattice, shape, is_wall, idle })
     }
 }
 
-fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
+pub(super) fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
     let d = config.dimension();
     config.shapes.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, d)).collect()
 }
 
-fn lattice(config: &Config) -> Lattice {
+pub(super) fn lattice(config: &Config) -> Lattice {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
     let rows = config.wall_rows();
     let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
@@ -180,7 +195,7 @@ struct Built<R> {
 
 fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
-    let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
+    let Geometry { lattice, shape, is_wall, .. } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
     let (initial, warmth) = config.initial.at_start(d)?;
     let reference = fluid.inlet_temperature;
@@ -302,7 +317,7 @@ fn stated(config: &Config) -> Result<Exact, BadInput> {
 }
 
 /// The walls as surfaces, in the box without the rows that close it.
-fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
+pub(super) fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
     let (dimension, region) = (config.dimension(), &config.region);
     let domain = Domain {
         dimension,
@@ -314,22 +329,23 @@ fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
 
 /// The conditions at a surface point by the wall behind it.
 fn knows_at(config: &Config, walls: &Walls, foot: &Foot, has_heat: bool) -> Result<Vec<Knows>, BadInput> {
-    // A position a quarter of a spacing inside the wall.
-    let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
-    let shapes = walls.shapes;
-    let wall = walls.shape_at(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
-    let mut moves = [0.0; 3];
-    let mut temperature = None;
-    if let Some(k) = wall {
-        for (e, velocity) in shapes[k].velocity.iter().enumerate() {
-            moves[e] = value(velocity, || format!("shapes[{k}].velocity[{e}]"), foot.place)?;
-        }
-        if let Some(formula) = &shapes[k].temperature {
-            temperature = Some(value(formula, || format!("shapes[{k}].temperature"), foot.place)?);
-        }
-    }
+    let (moves, wall) = wall_at(walls, foot)?;
+    let formula = wall.and_then(|k| Some((k, walls.shapes[k].temperature.as_ref()?)));
+    let temperature =
+        formula.map(|(k, formula)| value(formula, || format!("shapes[{k}].temperature"), foot.place)).transpose()?;
     let warmth = temperature.map_or(Knows::NoHeatFlux, |t| Knows::Temperature(t - config.fluid.inlet_temperature));
     Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
+}
+
+/// The velocity of the wall at a foot and the shape that the wall is, if it is one.
+pub(super) fn wall_at(walls: &Walls, foot: &Foot) -> Result<([f64; 3], Option<usize>), BadInput> {
+    let behind = walls.beside(foot, -0.25 * walls.spacing);
+    let wall = walls.shape_at(behind).filter(|&k| walls.shapes[k].entry.fill == Fill::Wall);
+    let mut moves = [0.0; 3];
+    for (e, velocity) in wall.iter().flat_map(|&k| &walls.shapes[k].velocity).enumerate() {
+        moves[e] = value(velocity, || format!("shapes[{}].velocity[{e}]", wall.unwrap_or_default()), foot.place)?;
+    }
+    Ok((moves, wall))
 }
 
 /// Points on the walls' surface and the dummy particles behind it, and the feet of both.
