@@ -152,7 +152,8 @@ def after(label, text):
 
 def first_of(advice):
     """The assignments of the first alternative that has any; none if the advice is in words."""
-    for one in re.split(r", or | or |, ", advice):
+    # Commas in brackets do not separate alternatives.
+    for one in re.split(r", or | or |, (?![^\[]*\])", advice):
         found = ASSIGNMENT.findall(one)
         if found:
             return found

@@ -185,15 +185,16 @@ impl ShapeEntry {
     /// A number or vector of the shape, as an assignment, that makes it at least as thick as `size`; none for shapes that have
     /// no such number.
     pub fn at_least(&self, size: f64) -> Option<String> {
-        // Three digits, so that it is easy to read.
-        let short = |x: f64| format!("{:.3}", 1000.0 * x).parse().map_or(x, |milli: f64| milli / 1000.0);
+        // Three digits of the size, rounded up, so that it is easy to read.
+        let unit = 10f64.powi(2 - size.log10().floor() as i32);
+        let short = |x: f64| (x * unit).ceil() / unit;
         match self.kind {
             Kind::Polyline => Some(format!("thickness={}", short(size))),
             Kind::Disc | Kind::Cylinder => Some(format!("radius={}", short(0.5 * size))),
             Kind::Box => {
                 let (lower, upper) = (self.lower.as_deref()?, self.upper.as_deref()?);
-                let wider: Vec<f64> = lower.iter().zip(upper).map(|(a, b)| short(b.max(a + size))).collect();
-                Some(format!("upper={wider:?}"))
+                let wider = lower.iter().zip(upper).map(|(a, b)| short(b.max(a + size)).to_string());
+                Some(format!("upper=[{}]", wider.collect::<Vec<String>>().join(",")))
             }
             Kind::Polygon | Kind::Where => None,
         }

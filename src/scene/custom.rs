@@ -28,6 +28,7 @@ use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::{Model, Sweeps};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// The value of a formula at a position, which must be finite.
@@ -74,29 +75,47 @@ impl Geometry {
                 _ => lattice.is_wall(i),
             };
         }
-        let (dx, idle) = (config.resolution.dx, (0..shapes.len()).filter(|k| !shape.contains(&Some(*k))));
-        let idle: Vec<usize> = idle.collect();
-        for &k in &idle {
-            // Does a finer lattice have a cell in it?
-            let finer = |parts: f64| {
-                let mut fine = config.clone();
-                fine.resolution.dx = dx / parts;
-                let fine = self::lattice(&fine);
-                let mut places = (0..fine.particles()).map(|i| fine.place(i));
-                fine.particles() < MOST_TRIED && places.any(|p| surroundings.shape_at(p) == Some(k))
-            };
-            let Some(parts) = [2.0, 4.0, 8.0, 16.0].into_iter().find(|&parts| finer(parts)) else { continue };
-            let key = format!("shapes[{k}]");
-            let larger = shapes[k].entry.at_least(config.support() * dx).map(|size| format!("{key}.{size}, or "));
-            return Err(BadInput::at(&key, format!("{key} is too small or too thin: it holds no particle"))
-                .allowed("shapes that hold the middle of at least one cell")
-                .advice(format!("{}resolution.dx={}", larger.unwrap_or_default(), dx / parts)));
-        }
+        let idle: Vec<usize> = (0..shapes.len()).filter(|k| !shape.contains(&Some(*k))).collect();
+        too_small(config, &surroundings, &idle)?;
         if !is_wall.contains(&false) {
             return Err(BadInput::at("shapes", "the shapes leave no fluid").allowed("some fluid in the box"));
         }
         Ok(Self { lattice, shape, is_wall, idle })
     }
+}
+
+/// Refuses those shapes without a particle that a finer lattice would have particles in.
+fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadInput> {
+    let (dx, mut left, mut small) = (config.resolution.dx, idle.to_vec(), vec![]);
+    let mut finest = dx;
+    for parts in [2.0, 4.0, 8.0, 16.0] {
+        let mut fine = config.clone();
+        fine.resolution.dx = dx / parts;
+        let fine = lattice(&fine);
+        if left.is_empty() || fine.particles() > MOST_TRIED {
+            break;
+        }
+        let found: HashSet<usize> =
+            (0..fine.particles()).filter_map(|i| walls.shape_at(fine.place(i))).filter(|k| left.contains(k)).collect();
+        left.retain(|k| !found.contains(k));
+        finest = if found.is_empty() { finest } else { dx / parts };
+        small.extend(found);
+    }
+    small.sort_unstable();
+    let Some(first) = small.first() else { return Ok(()) };
+    let size = config.support() * dx;
+    let sizes = small.iter().map(|&k| Some(format!("shapes[{k}].{}", walls.shapes[k].entry.at_least(size)?)));
+    let sizes = sizes.collect::<Option<Vec<String>>>().map(|sizes| format!("{}, or ", sizes.join(" ")));
+    let bears = match config.method {
+        Method::Consistent(_) => " with method.name=standard, which bears thin walls",
+        _ => "",
+    };
+    Err(BadInput::at(
+        format!("shapes[{first}]"),
+        format!("shapes[{first}] is too small or too thin: it holds no particle"),
+    )
+    .allowed("shapes that hold the middle of at least one cell")
+    .advice(format!("{}resolution.dx={finest}{bears}", sizes.unwrap_or_default())))
 }
 
 pub(super) fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {

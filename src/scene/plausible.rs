@@ -80,16 +80,15 @@ impl Findings {
         if !found.is_open || config.scene != Family::Custom {
             return Ok(None);
         }
-        if let Some(cause) = flaws::nearest(config, place)? {
+        let warned = |code: &str| {
+            let warning = self.warnings.iter().find(|warning| warning.code.starts_with(code))?;
+            Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
+        };
+        // The standard method bears flaws of walls, but no flow that is faster than expected.
+        if let (Method::Standard(_), Some(cause)) = (&config.method, warned("expected-speed")) {
             return Ok(Some(cause));
         }
-        let warning = self.warnings.iter().find(|warning| warning.code.starts_with("cell-"));
-        let cause = |warning: &Warning| Cause {
-            why: warning.problem.clone(),
-            advice: warning.advice.clone(),
-            is_open: false,
-        };
-        Ok(warning.map(cause))
+        Ok(flaws::nearest(config, place)?.or_else(|| warned("expected-speed")).or_else(|| warned("cell-")))
     }
 
     fn implausible(&self, config: &Config) -> Vec<Warning> {
