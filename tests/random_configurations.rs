@@ -2,6 +2,7 @@
 //! Nothing panics. `HYDROGRAD_RANDOM=60` draws so many of each scene (about a thousand in all).
 
 use hydrograd::adjoint::run::run;
+use hydrograd::adjoint::RunError;
 use hydrograd::config::builtin::SCENES;
 use hydrograd::config::range::Range;
 use hydrograd::config::scene::{Config, Kernels};
@@ -225,6 +226,7 @@ fn attempt_own(path: &str, sets: &[String]) -> Result<(), (String, String)> {
     let scene = Scene::<f64>::from_config(&loaded.config).map_err(|error| told(&error))?;
     let dynamics = Sph::new(scene.model.clone(), Kernels::Fused);
     let Err(error) = run(&dynamics, &scene.start, scene.steps, &mut []) else { return Ok(()) };
+    let error: RunError = error.downcast().expect("an error of the flow");
     let mut found = Divergence::of(&error, &scene.model, &scene.start).expect("an error of the flow");
     let findings = Findings::of(&loaded.config, &scene).unwrap();
     let own = findings.cause(&loaded.config, &found.cause, &found.position).unwrap();
