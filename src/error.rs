@@ -150,6 +150,17 @@ impl BadInput {
         self
     }
 
+    /// Changes the advice; an empty one is left out.
+    pub fn readvised(mut self, change: impl Fn(&str) -> String) -> Self {
+        self.advice = self.advice.map(|advice| change(&advice)).filter(|advice| !advice.is_empty());
+        self
+    }
+
+    /// Whether both are about the same key, or both about none.
+    pub fn is_like(&self, other: &Self) -> bool {
+        self.key == other.key
+    }
+
     /// Fills in the place from the key, unless a place is known already.
     pub fn located(mut self, place_of: impl Fn(&str) -> Option<String>) -> Self {
         if let (None, Some(key)) = (&self.place, &self.key) {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::support::advice;
 use crate::support::program::refused;
 use assert_cmd::Command;
 use tempfile::TempDir;
@@ -32,6 +33,7 @@ impl Case {
         assert!(output.stdout.is_empty());
         assert!(message.starts_with("error: "), "{message}");
         assert_eq!(files(self.folder.path()), before, "something was written");
+        advice::are_followed(self.folder.path(), arguments, &message);
         message
     }
 
@@ -103,6 +105,58 @@ fn unknown_key() {
 }
 
 #[test]
+fn files_without_a_key() {
+    for text in ["", "# nothing\n\n", "[channel]\n"] {
+        refuses_file(text, &["mine.toml is a file without a key", "try: hydrograd scenes heated-channel"]);
+    }
+}
+
+/// A key that nobody gave is not to blame.
+#[test]
+fn an_error_says_who_gave_the_value() {
+    let given = "default of scene heated-channel with --set channel.height=0.6: the plane channel";
+    Case::new(&[]).refuses(&["simulate", "--set", "channel.height=0.6"], &[given]);
+    refuses_sets(&["fluid.reference_velocity=0.2"], &["error: --set fluid.reference_velocity=0.2: the plane channel"]);
+    let custom = "scene = \"custom\"\n";
+    refuses_file(&format!("{custom}qqqqq = 1\n"), &["`hydrograd scenes custom` prints every key"]);
+    refuses_file(&format!("{custom}[initial]\nvelocity == 3\n"), &["`hydrograd scenes custom`"]);
+}
+
+#[test]
+fn elements_of_what_is_given() {
+    let text = "scene = \"custom\"\n[[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2]\nradius = 0.1\n";
+    let case = Case::new(&[("mine.toml", text)]);
+    let refuses = |set: &str, parts: &[&str]| {
+        case.refuses(
+            &["simulate", "mine.toml", "--out", "out", "--set", set],
+            &[&[&*format!("--set {set}")], parts].concat(),
+        );
+    };
+    refuses("shapes[1].radius=0.1", &["there is no shapes[1]: shapes has 1 entries", "such as shapes[0].radius"]);
+    refuses("shapes[0].raduis=0.1", &["unknown field `raduis`", "try: `radius`"]);
+    refuses("shapes[0].radius=-1", &["shapes[0].radius: -1", "a length above 0"]);
+    refuses("shapes[0].centre[2]=1", &["there is no shapes[0].centre[2]", "2 entries"]);
+    refuses("shapes[0].radius[1]=1", &["shapes[0].radius is 0.1, without such a part"]);
+    refuses("shapes[x].radius=1", &["`shapes[x].radius`: shapes is [", "without such a part"]);
+    refuses("shaeps[0].radius=1", &["unknown field `shaeps`", "try: `shapes`"]);
+    refuses("region.size[1]=0.51", &["does not divide region.size[1] = 0.51", "--set region.size[1]=0.5"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_folder_whose_name_is_no_text() {
+    use std::os::unix::ffi::OsStrExt;
+    let case = Case::new(&[]);
+    let name = std::ffi::OsStr::from_bytes(b"out\xff");
+    for command in ["simulate", "optimize", "check-gradient"] {
+        let mut line = Command::cargo_bin("hydrograd").unwrap();
+        let output = line.current_dir(case.folder.path()).args([command, "--out"]).arg(name).output().unwrap();
+        refused(&[command, "--out"], &output, &["--out out", "not text (UTF-8)", "allowed: a folder"]);
+        assert!(files(case.folder.path()).is_empty());
+    }
+}
+
+#[test]
 fn unknown_section() {
     let parts = ["mine.toml", "line 1", "optimize", "try: `optimise`"];
     refuses_file("[optimize]\nepochs = 2\n", &parts);
@@ -146,7 +200,8 @@ fn not_toml() {
 
 #[test]
 fn out_of_range() {
-    let parts = ["mine.toml, line 3", "time.cfl = 4.5", "0 < time.cfl <= 4", "time.cfl = 1.5"];
+    let parts =
+        ["mine.toml, line 3", "time.cfl = 4.5", "0 < time.cfl <= 4", "--set time.cfl=1.5 (the built-in scene's)"];
     refuses_file("[time]\n\ncfl = 4.5\n", &parts);
     let cases = [
         ("resolution.dx=0", "resolution.dx > 0"),
@@ -196,11 +251,11 @@ fn spacing_does_not_divide() {
         "--set resolution.dx=0.03",
         "resolution.dx = 0.03",
         "channel.length = 1",
-        "resolution.dx=0.03333333333333333",
-        "resolution.dx=0.02857142857142857",
+        "try: --set resolution.dx=0.028571429 or --set resolution.dx=0.033333333\n",
     ];
     refuses_sets(&["resolution.dx=0.03"], &parts);
-    let parts = ["resolution.dx = 0.02", "channel.height = 0.21", "resolution.dx=0.01"];
+    let parts =
+        ["error: --set channel.height=0.21: resolution.dx = 0.02", "channel.height = 0.21", "resolution.dx=0.01"];
     refuses_sets(&["channel.height=0.21"], &parts);
     refuses_sets(&["resolution.dx=1e-7"], &["resolution.dx = 0.0000001", "particles"]);
 }
@@ -379,13 +434,16 @@ fn what_is_held_and_which_walls_need_the_consistent_formulation() {
     refuses_sets(&["fluid.drive=pumping-power", "fluid.body_force=0"], &["fluid.drive", "a body force above 0"]);
     refuses_sets(
         &["channel.height=0.6"],
-        &["as fast as 10.350", "sound speed of 10.000", "fluid.reference_velocity=10.35"],
+        &["as fast as 10.350", "sound speed of 10.000", "fluid.reference_velocity=10.4"],
     );
     for (key, value) in [("design.walls", "both"), ("fluid.drive", "flow-rate")] {
         let set = format!("{key}={value}");
         Case::new(&[]).refuses(&["generate", "--set", &set, "--out", "out"], &[key, "a data set of"]);
     }
-    refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "try: --set design.walls=both"]);
+    // Both walls alone would not do: there are more nodes than offsets.
+    refuses_sets(&["design.top_offsets=[0]"], &["design.top_offsets", "allowed: design.walls = both"]);
+    let shaped = ["design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]", "design.top_offsets=[0, 0]"];
+    refuses_sets(&shaped, &["design.top_offsets", "try: --set design.walls=both"]);
     let top = ["design.walls=both", "design.nodes=[0.4, 0.5]", "design.offsets=[0, 0]"];
     refuses_sets(&[&top[..], &["design.top_offsets=[0]"]].concat(), &["design.top_offsets", "1 numbers for 2 nodes"]);
     refuses_sets(&[&top[..], &["design.top_offsets=[0, 0.03]"]].concat(), &["design.top_offsets", "0.03"]);
@@ -454,6 +512,8 @@ fn unknown_command_or_option() {
     case.refuses(&["optimse"], &["optimse", "optimize"]);
     case.refuses(&["optimize", "--presision", "f32"], &["--presision", "--precision"]);
     case.refuses(&["optimize", "--precision", "f16"], &["f16", "f32", "f64"]);
+    let message = case.refuses(&["optimize", "--momentum", "3"], &["--momentum"]);
+    assert!(!message.contains("-- --"), "{message}");
     case.refuses(&["optimize", "heated-channel", "--resume", "x"], &["--resume", "SCENE"]);
 }
 
@@ -486,7 +546,7 @@ fn settings_of_a_training() {
     set("latent=8", &["--set latent=8", "try: `model.latent`"]);
     set("model.kind=gsn", &["--set model.kind=gsn", "gns, egnn", "try: `gns`"]);
     set("noise=much", &["--set noise=much", "a number", "Standard deviation of the position noise"]);
-    set("clip=-1", &["--set clip=-1: clip = -1", "clip >= 0", "the default clip = 0"]);
+    set("clip=-1", &["--set clip=-1: clip = -1", "clip >= 0", "try: --set clip=0 (the default)"]);
     set(
         "pushforward.after=[-1]",
         &["--set pushforward.after=[-1]", "three lists", "--set pushforward.unrolls=[0] --set"],
@@ -553,7 +613,7 @@ fn numbers_of_the_flows() {
     let refuses = |scene: &str, set: &str, parts: &[&str]| {
         case.refuses(&["simulate", scene, "--out", "out", "--set", set], parts)
     };
-    refuses("taylor-green", "flow.reynolds=0", &["flow.reynolds = 0", "flow.reynolds > 0", "= 100"]);
+    refuses("taylor-green", "flow.reynolds=0", &["flow.reynolds = 0", "flow.reynolds > 0", "=100"]);
     refuses("taylor-green", "resolution.dx=0.03", &["does not divide 1", "try: --set resolution.dx=0.030303"]);
     refuses("taylor-green-3d", "resolution.dx=0.3", &["does not divide 2 pi", "try: --set resolution.dx=0.2991"]);
     refuses(
@@ -565,7 +625,7 @@ fn numbers_of_the_flows() {
     refuses("taylor-green-3d", "resolution.dx=0.01", &["particles", "at most 1e8"]);
     refuses("slab", "resolution.dx=0.03", &["does not divide 0.5", "try: --set resolution.dx=0.0294"]);
     refuses("slab", "resolution.dx=0.1", &["too coarse", "8 spacings"]);
-    refuses("slab", "heat.conductivity_ratio=0", &["heat.conductivity_ratio = 0", "0.000001", "= 1"]);
+    refuses("slab", "heat.conductivity_ratio=0", &["heat.conductivity_ratio = 0", "0.000001", "=1"]);
     refuses("slab", "flow.reynolds=1", &["not a key of scene slab"]);
     refuses("poiseuille", "heat.prandtl=2", &["not a key of scene poiseuille", "isothermal-channel"]);
     refuses("isothermal-channel", "channel.length=5.02", &["channel.length = 5.02", "try: --set channel.length=5"]);
@@ -693,7 +753,11 @@ fn threads_are_refused_alike_everywhere() {
     ] {
         for threads in ["5000", "-1", "two"] {
             let arguments = [command, &["--threads", threads]].concat();
-            let parts = [&format!("'{threads}'"), "--threads", "allowed: whole numbers from 0 (every core) to 1024"];
+            let parts = [
+                &format!("'{threads}'"),
+                "--threads",
+                "allowed: whole numbers from 0 (every core that the process may use) to 1024",
+            ];
             Case::new(&[]).refuses(&arguments, &parts);
         }
     }

@@ -18,6 +18,7 @@ fn advice_about_keys_becomes_options() {
         ("clipping (clip=1)", "clipping (--set clip=1)"),
         ("a data set with trajectories=4/2/2", "a data set with --trajectories 4/2/2"),
         ("seed=1 model.latent=8", "--set seed=1 --set model.latent=8"),
+        ("region.size[1]=0.5", "--set region.size[1]=0.5"),
         ("--set time.cfl=1 or --memory 3MB", "--set time.cfl=1 or --memory 3MB"),
         ("the built-in scene's time.cfl = 2", "the built-in scene's time.cfl = 2"),
         ("`hydrograd scenes heated-channel` prints them", "`hydrograd scenes heated-channel` prints them"),
@@ -77,6 +78,21 @@ fn options_override_keys() {
     assert_eq!(loaded.config, expected);
     let folder = arguments.folder(&loaded).unwrap();
     assert_eq!(folder, Path::new("runs/optimize-heated-channel"));
+}
+
+#[test]
+fn options_that_newcomers_try() {
+    let line =
+        "hydrograd optimize --method standard --dx 0.025 --end 1.5 --optimiser adam --learning-rate 1e-3 --bound 0.01";
+    let Command::Optimize(arguments) = parse(line) else { panic!("not optimize") };
+    let config = arguments.load().unwrap().config;
+    let sets = ["method.name=standard", "resolution.dx=0.025", "time.end=1.5", "optimise.method=adam"];
+    let sets = [&sets[..], &["optimise.learning_rate=1e-3", "design.bound=0.01"]].concat();
+    let sets: Vec<String> = sets.into_iter().map(String::from).collect();
+    assert_eq!(config, Config::load(None, None, &sets).unwrap().config);
+    let Command::Simulate(arguments) = parse("hydrograd simulate --dx 0.03") else { panic!("not simulate") };
+    let error = arguments.load().unwrap_err().to_string();
+    assert!(error.starts_with("--dx 0.03: resolution.dx = 0.03 does not divide"), "{error}");
 }
 
 #[test]

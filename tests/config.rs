@@ -26,14 +26,29 @@ fn families_and_their_scenes_have_the_same_name() {
 
 #[test]
 fn nearest_spacings_divide_both() {
-    let near = |dx: f64, across: &[f64]| {
-        let across: Vec<(&str, f64)> = across.iter().map(|&extent| ("", extent)).collect();
-        nearest_spacings(dx, 1.0, &across)
-    };
-    assert_eq!(near(0.03, &[0.2]), [1.0 / 30.0, 1.0 / 35.0]);
+    let near = |dx: f64, across: &[f64]| nearest_spacings(dx, &[&[1.0], across].concat());
+    assert_eq!(near(0.03, &[0.2]), [0.028571429, 0.033333333]);
     assert_eq!(near(0.021, &[0.26]), [0.02]);
-    assert_eq!(near(0.03, &[0.2, 0.25]), [1.0 / 20.0, 1.0 / 40.0]);
+    assert_eq!(near(0.03, &[0.2, 0.25]), [0.025, 0.05]);
     assert!(near(0.02, &[std::f64::consts::FRAC_1_PI]).is_empty());
+}
+
+#[test]
+fn elements_of_arrays_and_shapes_are_set() {
+    let shapes = "shapes=[{ kind = \"disc\", centre = [0.3, 0.2], radius = 0.1 }, \
+                  { kind = \"polygon\", points = [[0.6, 0.2], [0.7, 0.2], [0.7, 0.3]] }]";
+    let set = ["shapes[0].radius=0.05", "shapes[1].points[2][0]=0.8", "shapes[0].centre[1]=0.25", "region.size[1]=0.6"];
+    let sets: Vec<String> = std::iter::once(shapes).chain(set).map(String::from).collect();
+    let loaded = Config::load(Some("custom"), None, &sets).unwrap();
+    let config = &loaded.config;
+    assert_eq!((config.shapes[0].radius, config.shapes[0].centre.clone()), (Some(0.05), Some(vec![0.3, 0.25])));
+    assert_eq!(config.shapes[1].points.as_ref().unwrap()[2], [0.8, 0.3]);
+    assert_eq!(config.region.size, [1.0, 0.6]);
+    // Each has its own place, and what is set as a whole replaces all.
+    assert_eq!(loaded.place("shapes[0].radius"), Some("shapes[0].radius=0.05"));
+    let again = Config::load(Some("custom"), None, &[&sets[..], &[shapes.to_string()]].concat()).unwrap();
+    assert_eq!((again.config.shapes[0].radius, again.place("shapes[0].radius")), (Some(0.1), None));
+    assert_eq!(loaded.with(&[]).unwrap().config, loaded.config);
 }
 
 #[test]

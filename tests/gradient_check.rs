@@ -6,6 +6,16 @@ fn f(x: &[f64]) -> Result<f64, ()> {
     Ok(x[0].sin() * x[1].exp())
 }
 
+/// Along a direction in which hardly anything changes, differences are as good as along others.
+#[test]
+fn a_direction_across_the_gradient_is_no_error() {
+    let x = [0.3, -0.2];
+    let (value, right) = (f(&x).unwrap(), [x[0].cos() * x[1].exp(), x[0].sin() * x[1].exp()]);
+    let across = vec![vec![-right[1], right[0] * (1.0 + 1e-9)]];
+    let found = check(value, &right, &x, &across, &[1e-4, 1e-5], f).unwrap();
+    assert!(found[0].gradient.abs() < 1e-8 && found[0].best().unwrap().error < 1e-8, "{found:?}");
+}
+
 #[test]
 fn right_gradient_passes_and_wrong_one_does_not() {
     let x = [0.3, -0.2];

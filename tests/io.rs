@@ -545,6 +545,38 @@ fn a_changed_byte_of_hdf5_is_found_wherever_it_is() {
 }
 
 #[test]
+fn a_changed_byte_of_tensors_or_metadata_is_found_wherever_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.safetensors");
+    let metadata =
+        BTreeMap::from([("best_epoch".to_owned(), "5".to_owned()), ("config".to_owned(), "a = \"b\"".to_owned())]);
+    let tensors = Tensors::from([("a".to_owned(), (vec![3], Data::F64(vec![1.5; 3])))]);
+    write_tensors(&path, &tensors, &metadata).unwrap();
+    let found = TensorFile::read(&path).unwrap();
+    assert_eq!((found.tensors, found.metadata), (tensors, metadata.into_iter().collect()));
+    let whole = fs::read(&path).unwrap();
+    let name = b"\"checksum\":";
+    let name_at = whole.windows(name.len()).position(|part| part == name).unwrap();
+    for place in (0..whole.len()).filter(|place| !(name_at..name_at + name.len()).contains(place)) {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 1;
+        assert!(TensorFile::parse(&path, &bytes).is_err(), "byte {place} of {}", whole.len());
+    }
+    // A file of version 0.1.0, whose checksum is that of its tensors.
+    let body = [1.5f64; 3].map(f64::to_le_bytes).concat();
+    let sum = crc32c::crc32c(&body);
+    let header = format!(
+        r#"{{"__metadata__":{{"best_epoch":"5","crc32c":"{sum:08x}"}},"a":{{"dtype":"F64","shape":[3],"data_offsets":[0,24]}}}}"#
+    );
+    let mut old = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes(), &body].concat();
+    let found = TensorFile::parse(&path, &old).unwrap();
+    assert_eq!(found.metadata, BTreeMap::from([("best_epoch".to_owned(), "5".to_owned())]));
+    let last = old.len() - 1;
+    old[last] ^= 1;
+    assert!(TensorFile::parse(&path, &old).is_err());
+}
+
+#[test]
 fn a_full_disk_is_one_line_of_hdf5() {
     let text =
         "H5F__close_cb(): can't close file: file write failed: time = Mon Nov 23 00:54:54 2026\n, filename = 'a.h5', \

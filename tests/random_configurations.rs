@@ -1,6 +1,7 @@
 //! Configurations drawn at random: each is either refused with one clear error, or runs, or says that the run has diverged.
 //! Nothing panics. `HYDROGRAD_RANDOM=60` draws so many of each scene (about a thousand in all).
 
+use crate::support::advice;
 use hydrograd::adjoint::run::run;
 use hydrograd::adjoint::RunError;
 use hydrograd::config::builtin::SCENES;
@@ -126,6 +127,34 @@ fn random_numbers_run_or_are_refused() {
         }
     }
     assert!(4 * ran > all, "only {ran} of {all} ran: they say little");
+}
+
+/// Values that are wrong by themselves or together: what the error suggests is taken.
+#[test]
+fn suggestions_for_wrong_numbers_can_be_followed() {
+    let (mut taken, mut refused) = (0, 0);
+    for (place, scene) in SCENES.iter().enumerate() {
+        let keys: Vec<String> = described::<Config>(scene.text()).into_iter().map(|(key, _)| key).collect();
+        let numbers = scene.family().defaults().numbers();
+        for (number, (key, usual, _)) in
+            numbers.into_iter().filter(|(key, ..)| keys.iter().any(|own| own == key)).enumerate()
+        {
+            let mut random = numbered(11, "wrong", (1000 * place + number) as u32);
+            let near = usual * (0.5 + uniform(&mut random));
+            for value in [-1.0, 0.0, 1e12, 0.37 * usual, 2.7 * usual, (1e3 * near).round() / 1e3] {
+                let sets = [match toml_is_whole(scene.text(), key) {
+                    true => format!("{key}={}", value.round() as i64),
+                    false => format!("{key}={value:e}"),
+                }];
+                if let Err(Error::Input(bad)) = Config::load(Some(scene.name), None, &sets) {
+                    refused += 1;
+                    taken += advice::are_possible(scene.name, &sets, &bad.to_string());
+                }
+            }
+        }
+    }
+    println!("{refused} refusals, {taken} suggestions");
+    assert!(2 * taken > refused, "only {taken} suggestions of {refused} errors: they say little");
 }
 
 /// Whether a key's value in a scene's text is a whole number.

@@ -47,6 +47,26 @@ fn with<'a>(first: &[&'a str], then: &[&'a str]) -> Vec<&'a str> {
 }
 
 #[test]
+fn threads_are_said_and_too_many_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |threads: &str| {
+        let arguments =
+            ["simulate", "taylor-green", "--dx", "0.1", "--end", "0.02", "--threads", threads, "--out", "out"];
+        let output = hydrograd(folder.path(), &arguments);
+        assert!(output.status.success());
+        let text = std::fs::read_to_string(folder.path().join("out/summary.json")).unwrap();
+        let summary: Value = serde_json::from_str(&text).unwrap();
+        let printed = String::from_utf8(output.stdout).unwrap();
+        (summary["threads"].as_u64().unwrap(), printed, String::from_utf8(output.stderr).unwrap())
+    };
+    let (threads, printed, error) = run("1");
+    assert!(threads == 1 && printed.contains(" s on 1 thread (") && error.is_empty(), "{threads} {printed} {error}");
+    let (threads, _, error) = run("1000");
+    assert!(threads > 1 && error.starts_with("warning: 1000 threads on "), "{threads} {error}");
+    assert!(error.contains("try: --threads "), "{error}");
+}
+
+#[test]
 fn optimize_writes_what_it_says_and_resumes_bit_for_bit() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();

@@ -1,13 +1,19 @@
 //! Warnings about figures that cannot be trusted.
 
+use hydrograd::config::layers::Setting;
 use hydrograd::config::method::Method;
 use hydrograd::config::scene::{Config, Family};
+use hydrograd::config::suggest::assignments;
 use hydrograd::design::diagnostics::{drift, Diagnostics};
 use hydrograd::design::optimise::{Epoch, Optimisation};
 use hydrograd::design::optimisers::of_config;
+use hydrograd::error::Error;
 use hydrograd::particles::tag;
+use hydrograd::scene::load::Loaded;
 use hydrograd::scene::particle_fields::ParticleFields;
+use hydrograd::scene::plausible::Findings;
 use hydrograd::scene::warnings::{of_measured, of_particles, of_search};
+use hydrograd::scene::Scene;
 
 fn quiet(config: &Config) -> Diagnostics {
     Diagnostics {
@@ -42,6 +48,65 @@ fn row(places: Vec<f64>) -> ParticleFields {
         time: 0.0,
         step: 0,
     }
+}
+
+/// What is in force already, what the scene refuses, and longer steps are not suggested.
+#[test]
+fn advice_is_what_is_left_to_do() {
+    let load = |scene: &str, sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        Config::load(Some(scene), None, &sets).unwrap()
+    };
+    let diverged = |loaded: &Loaded, advice: &str| match loaded.advised(Error::diverged("it diverged", advice)) {
+        Error::Diverged { advice, .. } => advice,
+        other => panic!("{other}"),
+    };
+    let advice = "resolution.smoothing_length=0.9 (more neighbours), a smaller time.jitter, or time.cfl=0.5";
+    assert_eq!(diverged(&load("taylor-green", &[]), advice), advice);
+    let at_most = load("taylor-green", &["resolution.smoothing_length=0.9"]);
+    assert_eq!(diverged(&at_most, advice), "a smaller time.jitter, or time.cfl=0.5");
+    // Neither longer steps nor those that another limit rules.
+    let small = load("taylor-green", &["time.cfl=0.2", "resolution.smoothing_length=0.9"]);
+    let found = diverged(&small, advice);
+    let half = found.strip_suffix(", or a smaller time.jitter").unwrap();
+    let after = small.with(&[Setting::set(half)]).unwrap().config;
+    assert!((after.time_step() / small.config.time_step() - 0.5).abs() < 0.01, "{half}");
+    // Keys of another scene.
+    assert_eq!(at_most.possible("design.bound=0.01, or a flat wall"), "a flat wall");
+    // The default start of the heated channel.
+    let channel = load("heated-channel", &[]);
+    let found = of_measured(&channel.config, &Diagnostics { q_drift: Some(0.2), ..quiet(&channel.config) });
+    let [drifts] = &found[..] else { panic!("{found:?}") };
+    assert!(drifts.advice.contains("time.start=developed"));
+    assert!(
+        channel.possible(&drifts.advice).starts_with("time.end=")
+            && !channel.possible(&drifts.advice).contains("start")
+    );
+}
+
+/// What looks implausible in a scene comes with spacings that divide it.
+#[test]
+fn spacings_that_are_suggested_divide_the_box() {
+    let sets = |more: &[&str]| more.iter().map(|set| set.to_string()).collect::<Vec<String>>();
+    let disc = r#"shapes=[{ kind = "disc", centre = [0.5, 0.25], radius = 0.2 }]"#;
+    let mut taken = 0;
+    for given in [
+        &["initial.temperature=1.0", "fluid.conductivity=1e-3"][..],
+        &["fluid.viscosity=1e-3", "time.end=50"],
+        &[disc],
+        &[disc, "region.size=[1.1, 0.5]", "resolution.dx=0.05"],
+    ] {
+        let config = Config::load(Some("custom"), None, &sets(given)).unwrap().config;
+        let scene = Scene::<f64>::from_config(&config).unwrap();
+        for warning in Findings::of(&config, &scene).unwrap().warnings {
+            for one in assignments(&warning.advice).into_iter().filter(|one| one.starts_with("resolution.dx")) {
+                let after = Config::load(Some("custom"), None, &sets(&[given, &[one]].concat()));
+                assert!(after.unwrap().config.resolution.dx < config.resolution.dx, "{given:?}: {warning:?}");
+                taken += 1;
+            }
+        }
+    }
+    assert!(taken >= 4, "{taken}");
 }
 
 #[test]

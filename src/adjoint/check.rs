@@ -17,7 +17,8 @@ pub struct Direction {
 pub struct DifferenceStep {
     pub step: f64,
     pub difference: f64,
-    /// |difference - gradient| / |gradient|.
+    /// |difference - g.d| / (|g| |d|): relative to the largest derivative along a direction of this length, so that
+    /// nothing is divided by that of a direction along which little changes.
     pub error: f64,
     /// |f(x + h d) - f(x) - h g.d|.
     pub remainder: f64,
@@ -51,6 +52,7 @@ pub fn check<E>(
     mut f: impl FnMut(&[f64]) -> Result<f64, E>,
 ) -> Result<Vec<Direction>, E> {
     let mut results = Vec::new();
+    let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
     for d in directions {
         let slope: f64 = gradient.iter().zip(d).map(|(g, d)| g * d).sum();
         let mut points = Vec::new();
@@ -61,7 +63,7 @@ pub fn check<E>(
             points.push(DifferenceStep {
                 step,
                 difference,
-                error: (difference - slope).abs() / slope.abs(),
+                error: (difference - slope).abs() / (length(gradient) * length(d)),
                 remainder: (up - value - step * slope).abs(),
             });
         }

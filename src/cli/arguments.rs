@@ -1,16 +1,18 @@
 //! Options that several commands share. Each option that overrides a configuration key becomes a [`Setting`].
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, Command, ValueEnum};
 
-use super::prepare::require_design;
 use crate::config::builtin;
 use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Kernels, Precision};
+use crate::config::suggest::is_key;
 use crate::error::{BadInput, Error};
 use crate::scene::load::Loaded;
+use crate::scene::require_design;
 
 /// Options that stand for a key of the scene.
 pub const OPTIONS: [(&str, &str); 14] = [
@@ -49,10 +51,19 @@ pub struct CommonArguments {
     /// Folder for the results [default: runs/COMMAND-SCENE].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Particle spacing (resolution.dx) [default: the scene's].
+    #[arg(long, value_name = "LENGTH", allow_hyphen_values = true)]
+    pub dx: Option<String>,
+    /// Time at which the run ends (time.end) [default: the scene's].
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+    pub end: Option<String>,
+    /// How the scene is solved: consistent, standard or fixed (method.name) [default: the scene's].
+    #[arg(long = "method", value_name = "NAME")]
+    pub method_name: Option<String>,
     /// Floating-point type (run.precision) [default: the scene's].
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
-    /// Worker threads, 0 for every core (run.threads) [default: the scene's].
+    /// Worker threads, 0 for every core that the process may use (run.threads) [default: the scene's].
     #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Seed of every random number (run.seed) [default: the scene's].
@@ -115,7 +126,9 @@ pub struct GradientArguments {
 impl CommonArguments {
     /// An error if the scene has no design, before any key of one is looked at.
     pub(super) fn require_design(&self) -> Result<(), Error> {
-        Ok(require_design(&Config::load_settings(self.scene.as_deref(), None, &[])?.config)?)
+        // What is wrong with the scene itself may be put right by an option.
+        let scene = Config::load_settings(self.scene.as_deref(), None, &[]);
+        Ok(scene.map_or(Ok(()), |loaded| require_design(&loaded.config))?)
     }
 
     /// Loads the scene with `defaults` below and `options` above what the user set.
@@ -127,6 +140,12 @@ impl CommonArguments {
     ) -> Result<Loaded, Error> {
         let mut settings = defaults;
         settings.extend(self.sets.iter().map(|text| set_option(text)));
+        let plain = [
+            ("--dx", "resolution.dx", &self.dx),
+            ("--end", "time.end", &self.end),
+            ("--method", "method.name", &self.method_name),
+        ];
+        settings.extend(given(plain));
         settings.extend(self.precision.map(|value| option("run.precision", name_of(value))));
         settings.extend(self.threads.map(|value| option("run.threads", value)));
         settings.extend(self.seed.map(|value| option("run.seed", value)));
@@ -163,6 +182,9 @@ pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
             .place(format!("--out {}", folder.display()))
             .allowed("a folder that can be written to, or a new one")
     };
+    if folder.to_str().is_none() {
+        return Err(bad("a name that is not text (UTF-8), which files of results could not hold".into()));
+    }
     let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
     if !existing.is_dir() {
         return Err(bad(format!("{} is a file", existing.display())));
@@ -184,14 +206,36 @@ impl GradientArguments {
     }
 }
 
-/// The option that stands for a key: one of its own, or `--set`.
+/// The option that stands for a key.
 fn option_of(key: &str) -> Option<&'static str> {
     OPTIONS.iter().chain(&OWN_OPTIONS).find(|(_, own)| *own == key).map(|(option, _)| *option)
+}
+
+/// The options of the command that runs.
+static OF_COMMAND: OnceLock<Vec<String>> = OnceLock::new();
+
+/// Remembers which options there are: advice names no others.
+pub(super) fn runs(command: &Command) {
+    let options = command.get_arguments().filter_map(|argument| Some(format!("--{}", argument.get_long()?)));
+    // The first call counts.
+    let _ = OF_COMMAND.set(options.collect());
+}
+
+fn is_there(option: &str) -> bool {
+    OF_COMMAND.get().is_none_or(|all| all.iter().any(|one| one == option))
 }
 
 /// The setting of a key that has an option of its own.
 pub(super) fn option(key: &str, value: impl std::fmt::Display) -> Setting {
     Setting::option(option_of(key).expect("the key has an option"), key, value)
+}
+
+/// The settings of options that are values of keys as they were written: option, key, value.
+pub(super) fn given(plain: [(&str, &str, &Option<String>); 3]) -> Vec<Setting> {
+    let setting = |(option, key, value): (&str, &str, &Option<String>)| {
+        value.as_ref().map(|value| Setting::option(option, key, value))
+    };
+    plain.into_iter().filter_map(setting).collect()
 }
 
 /// The setting of `--set`, which names itself so in messages.
@@ -223,13 +267,13 @@ fn options_in(advice: &str) -> String {
     for word in advice.split(' ') {
         // `(time.cfl=1)` begins with a bracket.
         let bare = word.trim_start_matches(['(', '`']);
-        let is_of_key = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "._".contains(c);
-        let is_key = |key: &str| key.starts_with(|c: char| c.is_ascii_lowercase()) && key.chars().all(is_of_key);
         let shown = match bare.split_once('=') {
-            Some((key, value)) if is_key(key) && !before.starts_with("--") => match option_of(key) {
-                Some(option) => format!("{option} {value}"),
-                None => format!("--set {bare}"),
-            },
+            Some((key, value)) if is_key(key) && !before.starts_with("--") => {
+                match option_of(key).filter(|it| is_there(it)) {
+                    Some(option) => format!("{option} {value}"),
+                    None => format!("--set {bare}"),
+                }
+            }
             _ => bare.to_string(),
         };
         words.push(format!("{}{shown}", &word[..word.len() - bare.len()]));
@@ -251,7 +295,7 @@ const MOST_THREADS: usize = 1024;
 pub(super) fn threads(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(count) if count <= MOST_THREADS => Ok(count),
-        _ => Err(format!("allowed: whole numbers from 0 (every core) to {MOST_THREADS}")),
+        _ => Err(format!("allowed: whole numbers from 0 (every core that the process may use) to {MOST_THREADS}")),
     }
 }
 

@@ -60,7 +60,7 @@ pub struct CalibrateArguments {
     /// Runs, each with its gradient, at most.
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = at_least_one)]
     pub epochs: usize,
-    /// Worker threads, 0 for every core.
+    /// Worker threads, 0 for every core that the process may use.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
     /// Folder for the results.

@@ -59,7 +59,7 @@ impl CheckGradientArguments {
 }
 
 const KIND: &str = "check-gradient";
-/// Largest relative error of a directional derivative.
+/// Largest error of a directional derivative, relative to the lengths of gradient and direction.
 const TOLERANCE_F64: f64 = 1e-5;
 /// The same for a steady state, whose adjoint is solved to 1e-4.
 const TOLERANCE_STEADY: f64 = 1e-3;
@@ -186,8 +186,11 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
             "--gradient segments: a truncated gradient is not exact, this is by how much"
         } else if clipped > 0 {
             "optimise.clip=0: a clipped gradient is not exact, this is by how much"
+        } else if growth.first().is_some_and(|(_, last)| growth.iter().any(|(_, norm)| *norm > EXPLODED * last)) {
+            "fewer --steps: nearby runs drift apart (rough walls, long runs), and differences lose their meaning first; see gradient_check.png"
         } else {
-            "fewer --steps: where nearby runs drift apart (rough walls, long runs), differences lose their meaning first; see gradient_check.png"
+            "see gradient_check.png: the error of a right gradient falls with the square of the step, down to rounding; if it does not, \
+             please report it"
         };
         return Err(Error::run(
             format!("the gradient check FAILED: relative error {worst:.1e}, allowed {tolerance:.0e}"),

@@ -105,7 +105,7 @@ pub struct Study {
     /// `key=value`, below those of the grid.
     pub sets: Vec<String>,
     pub out: PathBuf,
-    /// Of each training; 0 for every core.
+    /// Of each training; 0 for every core that the process may use.
     pub threads: usize,
 }
 

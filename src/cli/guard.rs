@@ -80,7 +80,8 @@ fn tell(text: &str) {
 
 /// Prints a warning with advice to stderr.
 pub(super) fn warn(problem: &str, advice: &str) {
-    complain(&shown(&with_options(&format!("warning: {problem}\n  try: {advice}"))));
+    let advice = if advice.is_empty() { String::new() } else { format!("\n  try: {advice}") };
+    complain(&shown(&with_options(&format!("warning: {problem}{advice}"))));
 }
 
 /// Prints a line to stderr. If stderr is closed the line is lost (`eprintln!` would panic).

@@ -40,6 +40,9 @@ mod verify;
 pub use crate::report::text::shown;
 pub use guard::{guarded, install_panic_hook};
 
+use crate::error::Error;
+use crate::scene::load::Loaded;
+use clap::error::{ContextKind, ContextValue};
 use clap::{Command as Line, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
@@ -62,7 +65,22 @@ pub struct Cli {
 }
 
 pub fn parse(words: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
-    Cli::from_arg_matches(&line().try_get_matches_from(words)?)
+    let matches = line().try_get_matches_from(words).map_err(|mut error| {
+        // To give what looks like an option as a value, behind `--`, is never meant.
+        if let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested) {
+            tips.retain(|tip| !tip.to_string().contains("as a value"));
+            if !tips.is_empty() {
+                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+            }
+        }
+        error
+    })?;
+    let mut command = (Cli::command(), &matches);
+    while let Some((name, below)) = command.1.subcommand() {
+        command = (command.0.find_subcommand(name).cloned().unwrap_or_default(), below);
+    }
+    arguments::runs(&command.0);
+    Cli::from_arg_matches(&matches)
 }
 
 /// The command line, with paragraphs of its help as single lines, which clap wraps to the width of the terminal.
@@ -138,19 +156,27 @@ pub enum Command {
     Man(completions::ManArguments),
 }
 
+/// Runs a command on a scene; its error advises what the scene allows.
+fn on(scene: Loaded, command: impl FnOnce(Loaded) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    command(scene.clone()).map_err(|error| match error.downcast::<Error>() {
+        Ok(error) => scene.advised(error).into(),
+        Err(error) => error,
+    })
+}
+
 pub fn run(cli: Cli) -> anyhow::Result<()> {
     if cli.json {
         machine::begin()?;
     }
     env_logger::Builder::from_default_env().init();
     match cli.command {
-        Command::Simulate(arguments) => simulate::run(arguments.load()?, arguments),
-        Command::Optimize(arguments) => optimize::run(arguments.load()?, arguments),
+        Command::Simulate(arguments) => on(arguments.load()?, |scene| simulate::run(scene, arguments)),
+        Command::Optimize(arguments) => on(arguments.load()?, |scene| optimize::run(scene, arguments)),
         Command::Verify(arguments) => verify::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
-        Command::CheckGradient(arguments) => check_gradient::run(arguments.load()?, arguments),
-        Command::Recover(arguments) => recover::run(arguments.load()?, arguments),
+        Command::CheckGradient(arguments) => on(arguments.load()?, |scene| check_gradient::run(scene, arguments)),
+        Command::Recover(arguments) => on(arguments.load()?, |scene| recover::run(scene, arguments)),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Train(arguments) => train::run(arguments),
         Command::Evaluate(arguments) => evaluate::run(arguments),

@@ -30,7 +30,7 @@ pub struct ModelDataArguments {
     /// Where the network runs: cpu, cuda or cuda:N; a GPU takes the composed one.
     #[arg(long, value_name = "DEVICE", default_value_t)]
     pub device: DeviceName,
-    /// Worker threads, 0 for every core; 1 is best on a busy machine.
+    /// Worker threads, 0 for every core that the process may use; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }

@@ -1,7 +1,7 @@
 //! `hydrograd optimize`: searches for the best wall.
 
 use super::arguments::{
-    name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
+    given, name_of, option, CommonArguments, ExplainArgument, GradientArguments, OverwriteArgument, ResumeArgument,
 };
 use super::explain::explain;
 use super::optimize_report::Outcome;
@@ -63,6 +63,15 @@ pub struct OptimizeArguments {
     /// them.
     #[arg(long, value_enum)]
     pub start: Option<StartName>,
+    /// How the next wall is found: l-bfgs-b or adam (optimise.method).
+    #[arg(long, visible_alias = "optimizer", value_name = "NAME")]
+    pub optimiser: Option<String>,
+    /// Length of the optimiser's steps (optimise.learning_rate).
+    #[arg(long, value_name = "X", allow_hyphen_values = true)]
+    pub learning_rate: Option<String>,
+    /// How far the wall may move, up and down (design.bound).
+    #[arg(long, value_name = "LENGTH", allow_hyphen_values = true)]
+    pub bound: Option<String>,
     /// Optimiser steps (optimise.epochs).
     #[arg(long, value_name = "N")]
     pub epochs: Option<usize>,
@@ -90,6 +99,11 @@ impl OptimizeArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         self.common.require_design()?;
         let mut options = self.gradient.settings();
+        options.extend(given([
+            ("--optimiser", "optimise.method", &self.optimiser),
+            ("--learning-rate", "optimise.learning_rate", &self.learning_rate),
+            ("--bound", "design.bound", &self.bound),
+        ]));
         options.extend(self.epochs.map(|value| option("optimise.epochs", value)));
         options.extend(self.start.and_then(StartName::setting));
         options.extend(self.dynamics.map(|value| option("optimise.dynamics", name_of(value))));

@@ -13,6 +13,7 @@ use crate::design::problem::ADJOINT;
 use crate::design::shape::{Shape, TOP};
 use crate::design::{Optimisation, Parametrisation, Problem};
 use crate::io::atomic::write_bytes_atomically;
+use crate::numerics::threads::{self, in_words};
 use crate::report::plots::{history, wall_shapes, HistoryPoint};
 use crate::report::table::Table;
 use crate::report::text::shown;
@@ -107,7 +108,7 @@ pub fn report<R: Sweeps>(
     warnings.extend(warnings::of_measured(config, a));
     let scene = Scene::<R>::from_config(&with_best.config)?;
     warnings.extend(Findings::of(&with_best.config, &scene)?.warnings);
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     if has_walls {
         record.put_walls(parametrisation, optimisation);
         record.put("search", config.optimise.search);
@@ -153,7 +154,7 @@ pub fn report<R: Sweeps>(
         files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
     }
     files::write_summary(folder, &record)?;
-    warn(&warnings);
+    warn(&record.warnings());
     let [first, best] = designs;
     Ok(Outcome { text, record, history: history.clone(), first, best })
 }
@@ -231,7 +232,10 @@ fn found_text(figure: Figure, optimisation: &Optimisation, seconds: f64) -> Stri
     let gain = change(history[0].shown(), history[best].shown());
     let (symbol, epoch, epochs) = (figure.symbol, best + 1, history.len());
     let of = if figure.measured_as.is_some() { String::new() } else { format!(", {},", figure.quantity) };
-    let mut text = format!("\n{symbol}{of} {gain} in epoch {epoch} of {epochs}, {seconds:.1} s\n");
+    let mut text = format!(
+        "\n{symbol} {gain}{of} in epoch {epoch} of {epochs}, {seconds:.1} s on {}\n",
+        in_words(threads::count())
+    );
     text.push_str(&surrogate_text(figure, optimisation));
     match optimisation.rejected() {
         0 => {}

@@ -18,11 +18,14 @@ use crate::sph::Sweeps;
 use crate::surrogate::design::{model_of, SurrogateProblem};
 use crate::surrogate::models::load::identity;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// The kind of the folder of a single run.
 pub const KIND: &str = "optimize";
 /// Units of the progress bar per epoch.
 const UNITS: u64 = 1000;
+/// Time between two lines about an epoch where there is no bar.
+const BETWEEN: Duration = Duration::from_secs(30);
 /// The key of the model's checksum in a checkpoint.
 const MODEL: &str = "model";
 
@@ -75,8 +78,9 @@ fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, 
     let name = if how.name.is_empty() { String::new() } else { format!("{}: ", how.name) };
     let label = format!("optimize {}", how.name);
     let bar = Progress::among(how.tasks, config.optimise.epochs.saturating_sub(done) as u64 * UNITS, label.trim_end());
+    let told = Instant::now();
     let mut kept =
-        Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, bar };
+        Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, told, bar };
     search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
     kept.bar.finish();
     Ok((own, report(loaded, folder, (&solver.problem, scene.as_ref()), &optimisation)?))
@@ -93,17 +97,26 @@ struct Kept<'a> {
     done: usize,
     /// Prefix of the lines.
     name: String,
+    /// When the last line was printed.
+    told: Instant,
     bar: Progress,
 }
 
 impl Watch for Kept<'_> {
     fn share(&mut self, now: &Optimisation, share: f64) {
+        // A log of hours shows that a long epoch goes on.
+        if self.bar.is_hidden() && self.told.elapsed() >= BETWEEN {
+            self.told = Instant::now();
+            let percent = (100.0 * share) as u64;
+            self.bar.log(&format!("{}epoch {:3}  {percent} % done", self.name, now.history.len() + 1));
+        }
         let base = (now.history.len() - self.done) as u64 * UNITS;
         self.bar.set_position(base + (share * UNITS as f64) as u64);
     }
 
     fn epoch(&mut self, now: &Optimisation) -> anyhow::Result<()> {
         self.confirmed(now)?;
+        self.told = Instant::now();
         let Some(last) = now.history.last() else { return Ok(()) };
         let Epoch { figure, loss, gradient_norm, seconds, failure, .. } = last;
         let (epoch, symbol) = (format!("{}epoch {:3}", self.name, now.history.len()), self.figure.symbol);

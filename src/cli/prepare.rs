@@ -1,13 +1,13 @@
 //! Common preparations of runs.
 
+use super::guard;
 use crate::adjoint::RunError;
 use crate::config::device::{Compute, DeviceName};
 pub use crate::config::difference::difference;
 use crate::config::scene::Kernels;
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
-use crate::numerics::threads::available;
-pub use crate::numerics::threads::use_threads;
+use crate::numerics::threads::{self, available, cores, in_words};
 use crate::scene::load::Loaded;
 pub use crate::scene::{build_design as build, require_design};
 use crate::sph::divergence;
@@ -16,6 +16,16 @@ use crate::sph::Model;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::ScopedJoinHandle;
+
+/// Sets the number of threads, as [`threads::use_threads`] does, and warns of more than there are cores for.
+pub fn use_threads(threads: usize) {
+    threads::use_threads(threads);
+    let (asked, cores) = (threads.max(threads::count()), cores());
+    if asked > cores {
+        let problem = format!("{} on {cores} cores wait for each other", in_words(asked));
+        guard::warn(&problem, &format!("run.threads={cores}, or 0 (every core that the process may use)"));
+    }
+}
 
 /// Opens the device of a configuration, before anything is written.
 pub fn open_device(loaded: &Loaded) -> Result<(), BadInput> {

@@ -15,6 +15,7 @@ use crate::config::scene::Precision;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
+use crate::numerics::threads::{count, in_words};
 use crate::report::progress::Progress;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
@@ -208,7 +209,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     end.write(folder, loaded)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     let each = 1e9 * seconds / (done * n) as f64;
-    println!("{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s ({each:.0} ns per particle and step)");
+    println!(
+        "{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s on {} ({each:.0} ns per particle and step)",
+        in_words(count())
+    );
     let divided = solver.divided;
     if let Some(Recovery { from_step, parts, .. }) = recovered.last() {
         let times = if recovered.len() == 1 { "once".into() } else { format!("{} times", recovered.len()) };

@@ -12,6 +12,7 @@ use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::plausible::Findings;
 use crate::scene::record::{Record, Recovery};
+use crate::scene::tank::pressure_error;
 use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
 use crate::sph::division::Divided;
@@ -61,7 +62,7 @@ pub fn report_design<R: Sweeps>(
     }
     let mut warnings = finished.warnings()?;
     warnings.extend(warnings::of_measured(&loaded.config, d));
-    record.put("warnings", &warnings);
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
@@ -75,7 +76,7 @@ pub fn report_design<R: Sweeps>(
     );
     let scene = if is_deep { format!(" {}", loaded.config.scene.name()) } else { String::new() };
     println!("next: hydrograd optimize{scene}    shapes the wall so that Q grows");
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 
@@ -154,7 +155,10 @@ pub fn report_flow<R: Sweeps>(
     let more: Vec<Warning> = more.into_iter().filter(|warning| !known(&warning.code)).collect();
     warnings.extend(more);
     let mut record = Record::of_flow(loaded, scene, found, measured, finished.divided, finished.seconds);
-    record.put("warnings", &warnings);
+    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+        record.put("pressure_error", error);
+    }
+    record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
@@ -171,6 +175,9 @@ pub fn report_flow<R: Sweeps>(
         println!("velocity error      {}", mean_error(error, &over));
     } else if !rests {
         println!("velocity error      unknown: this flow has no closed form");
+    }
+    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+        println!("pressure error      {}", mean_error(error, ", over the exact pressure at the bottom"));
     }
     if let Some(error) = found.temperature_error {
         let over = if rests { ", over the walls' difference" } else { "" };
@@ -198,7 +205,7 @@ pub fn report_flow<R: Sweeps>(
         finished.pictures
     );
     println!("next: --set resolution.dx={:?}    the same at half the spacing", 0.5 * loaded.config.resolution.dx);
-    warn(&warnings);
+    warn(&record.warnings());
     Ok(())
 }
 

@@ -65,7 +65,7 @@ pub struct StressArguments {
     /// Folder for stress.json, stress.csv, the maps, and runs/ with a file per run.
     #[arg(long, value_name = "DIR", default_value = "runs/stress")]
     pub out: PathBuf,
-    /// Runs at a time, each on one thread; 0 for every core.
+    /// Runs at a time, each on one thread; 0 for every core that the process may use.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
 }

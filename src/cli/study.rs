@@ -50,7 +50,7 @@ pub struct StudyArguments {
     /// Folder for the results, one below it for each point.
     #[arg(long, value_name = "DIR", default_value = "runs/study")]
     pub out: PathBuf,
-    /// Worker threads of a training, 0 for every core; 1 is best on a busy machine.
+    /// Worker threads of a training, 0 for every core that the process may use; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
     #[command(flatten)]

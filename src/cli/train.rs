@@ -73,7 +73,7 @@ pub struct TrainArguments {
     /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
-    /// Worker threads, 0 for every core.
+    /// Worker threads, 0 for every core that the process may use.
     #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
     /// Implementation of the network; a training can go on with the other one.

@@ -57,7 +57,7 @@ pub struct ValidateArguments {
     /// Folder for validation.csv, validation.json, the pictures, and cases/ with a file per case.
     #[arg(long, value_name = "DIR", default_value = "runs/validate")]
     pub out: PathBuf,
-    /// Cases at a time, each on one thread; 0 for every core.
+    /// Cases at a time, each on one thread; 0 for every core that the process may use.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
 }

@@ -19,7 +19,7 @@ use clap::Args;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Evaluate a wall again at half the spacing, with other particles, over twice the time and from another seed.
+/// Evaluate a wall, or the shapes of a scene of one's own, again at half the spacing, with other particles, over twice the time and from another seed.
 ///
 /// What is left of its gain under all of these is a gain of the wall; the rest is one of the solver's error, which an
 /// optimiser finds as readily.
@@ -49,7 +49,7 @@ pub struct VerifyArguments {
     /// Floating-point type (run.precision).
     #[arg(long, value_enum)]
     pub precision: Option<Precision>,
-    /// Worker threads, 0 for every core (run.threads).
+    /// Worker threads, 0 for every core that the process may use (run.threads).
     #[arg(long, value_name = "N", value_parser = threads, allow_hyphen_values = true)]
     pub threads: Option<usize>,
 }
@@ -80,6 +80,9 @@ impl VerifyArguments {
             return Ok(Given { wall: path.clone(), scene: self.scene.clone(), folder });
         }
         let (config, wall) = (path.join("config.toml"), path.join("shape.csv"));
+        // A search for the numbers of shapes has them in its summary.
+        let summary = path.join("summary.json");
+        let wall = if numbers_of(&summary).is_some() { summary } else { wall };
         if let Some(file) = [&config, &wall].into_iter().find(|file| !file.is_file()) {
             let bad = bad(format!("{name} is not the folder of a run: no file {}", file.display()));
             return Err(match path.join("flat/shape.csv").is_file() {
@@ -108,6 +111,24 @@ impl VerifyArguments {
 
 const KIND: &str = "verify";
 
+/// The first and the best numbers of shapes in the summary of a search; none in other files.
+fn numbers_of(file: &Path) -> Option<[Shape; 2]> {
+    let record: Record = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
+    let rows = record.rows("variables")?;
+    let of = |name: &str| -> Option<Shape> {
+        let offsets: Option<Vec<f64>> = rows.iter().map(|row| row.get(name)?.as_f64()).collect();
+        Some(Shape {
+            nodes: (0..rows.len()).map(|k| k as f64).collect(),
+            across: None,
+            offsets: offsets?,
+            top: None,
+            hot_from: 0.0,
+            hot_to: 0.0,
+        })
+    };
+    Some([of("first")?, of("best")?])
+}
+
 pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
     let given = arguments.given()?;
     let loaded = arguments.load(&given)?;
@@ -131,10 +152,15 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
         Ok(shape)
     };
     let is_surface = loaded.config.dimension() == 3;
-    let columns = if is_surface { read_surface(&given.wall) } else { read_columns(&given.wall) };
-    let best = wall(columns?, shape::TOP)?;
-    let first = read_column(&given.wall, "first", is_surface)?;
-    let first = first.map(|first| wall(first, "top_first")).transpose()?;
+    let (first, best) = match numbers_of(&given.wall) {
+        Some([first, best]) => (Some(first), best),
+        None => {
+            let columns = if is_surface { read_surface(&given.wall) } else { read_columns(&given.wall) };
+            let best = wall(columns?, shape::TOP)?;
+            let first = read_column(&given.wall, "first", is_surface)?;
+            (first.map(|first| wall(first, "top_first")).transpose()?, best)
+        }
+    };
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     let verification = Verification::of_search(&loaded, first, best)?;

@@ -149,7 +149,11 @@ impl BuiltIn {
                 .allowed(near.join(", "));
             let others = SCENES.iter().filter(|other| other.keys().iter().any(|key| key == path));
             let others: Vec<&str> = others.map(|other| other.name).collect();
-            return Err(bad.advice(format!("leave it out, or take a scene that has it: {}", others.join(", "))));
+            return Err(bad.advice(format!(
+                "leave it out (`hydrograd scenes {}` prints every key), or take a scene that has it: {}",
+                self.name,
+                others.join(", ")
+            )));
         }
         Ok(())
     }

@@ -1,10 +1,10 @@
 //! Layers of configuration: texts and `key=value` settings that override a complete text. Each is first checked alone,
 //! so that an error points to what the user wrote. Scenes and trainings use the same code, see [`Schema`].
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use toml_edit::{Document, DocumentMut, Item, Table, Value};
+use toml_edit::{Array, Document, DocumentMut, Item, Table, Value};
 
 use crate::config::before;
 use crate::config::method::Method;
@@ -39,6 +39,8 @@ struct Entry {
     path: String,
     value: Value,
     place: String,
+    /// The element of the value that the user wrote, such as `shapes[0].radius`; none if it is the whole value.
+    element: Option<String>,
     /// The key that the user wrote, if it is an old one (see [`before`]).
     before: Option<String>,
     /// Whether the entry is ignored if the chosen method has no such key.
@@ -48,10 +50,10 @@ struct Entry {
 impl Entry {
     fn new(path: String, value: Value, place: String) -> Self {
         match before::today(&path) {
-            None => Self { path, value, place, before: None, lenient: false },
+            None => Self { path, value, place, element: None, before: None, lenient: false },
             Some(today) => {
                 let lenient = before::had_no_effect(&path, value.as_str().unwrap_or_default());
-                Self { path: today, value, place, before: Some(path), lenient }
+                Self { path: today, value, place, element: None, before: Some(path), lenient }
             }
         }
     }
@@ -180,6 +182,10 @@ impl Layer {
         self.entries.iter().map(|entry| (entry.path.as_str(), entry.place.as_str()))
     }
 
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
     fn has(&self, path: &str) -> bool {
         self.entries.iter().any(|entry| entry.path == path)
     }
@@ -221,12 +227,62 @@ impl Merged {
             }
         }
         for entry in &layer.entries {
-            match entry.is_of_method() && !self.methods.is_empty() {
-                true => self.of_method.push(entry.clone()),
-                false => self.set(&entry.path, entry.value.clone(), &entry.place),
+            let (path, place) = (&entry.path, &entry.place);
+            match &entry.element {
+                _ if entry.is_of_method() && !self.methods.is_empty() => self.of_method.push(entry.clone()),
+                Some(element) => {
+                    let of_rest = self.places.get(path).unwrap_or(place).clone();
+                    self.set(path, entry.value.clone(), &of_rest);
+                    self.places.insert(element.clone(), place.clone());
+                }
+                None => {
+                    self.places.retain(|old, _| !old.strip_prefix(path).is_some_and(|rest| rest.starts_with('[')));
+                    self.set(path, entry.value.clone(), place);
+                }
             }
         }
         self.fit_method();
+    }
+
+    /// Reads an assignment to a key, or to an element of the value that a key has: `shapes[0].radius=0.1`.
+    pub fn layer<S: Schema>(&self, setting: &Setting) -> Result<Layer, BadInput> {
+        let (path, text) = setting.assignment.split_once('=').unwrap_or_default();
+        let path = path.trim();
+        let Some((key, rest)) = path.find('[').map(|at| path.split_at(at)) else {
+            return Layer::from_setting::<S>(setting);
+        };
+        let bad = |problem: String| BadInput::new(problem).place(&setting.label);
+        // An unknown key has its own error.
+        Layer::from_setting::<S>(&Setting { label: setting.label.clone(), assignment: format!("{key}=[]") })?;
+        let (section, name) = key.split_once('.').unwrap_or(("", key));
+        let table = if section.is_empty() { Some(self.document.as_item()) } else { self.document.get(section) };
+        let mut whole = table.and_then(|table| table.get(name)).and_then(value_of).unwrap_or(Array::new().into());
+        let (mut at, mut shown) = (&mut whole, key.to_string());
+        // `[0].centre[1]` has the parts `[0]`, `.centre` and `[1]`.
+        let mut begins: Vec<usize> = rest.match_indices(['[', '.']).map(|(begin, _)| begin).collect();
+        begins.push(rest.len());
+        for part in begins.windows(2).map(|pair| &rest[pair[0]..pair[1]]) {
+            let number = part.strip_prefix('[').and_then(|inside| inside.strip_suffix(']')?.trim().parse().ok());
+            at = match (number, part.strip_prefix('.'), at) {
+                (Some(number), _, Value::Array(all)) => {
+                    let count = all.len();
+                    let missing = format!("there is no {shown}[{number}]: {shown} has {count} entries");
+                    all.get_mut(number).ok_or_else(|| bad(missing).allowed(ELEMENT))?
+                }
+                (_, Some(name), Value::InlineTable(table)) => table.get_or_insert(name, 0),
+                (_, _, other) => {
+                    let problem = format!("`{path}`: {shown} is {}, without such a part", other.to_string().trim());
+                    return Err(bad(problem).allowed(ELEMENT));
+                }
+            };
+            shown += part;
+        }
+        *at = parse_value(text.trim()).map_err(|problem| bad(problem).allowed("a TOML value"))?;
+        let entry = Entry { element: Some(path.into()), ..Entry::new(key.into(), whole, setting.label.clone()) };
+        entry
+            .read_alone::<S>()
+            .map_err(|error| explain::<S>(&error, error.message(), Some(key)).place(&setting.label))?;
+        Ok(Layer { entries: vec![entry] })
     }
 
     /// Chooses a method if none was chosen.
@@ -285,13 +341,14 @@ impl Merged {
                     value.is_some_and(|value| same(value, &entry.value))
                 };
                 if wrong.is_none() && !entry.lenient && !self.methods.iter().any(usual) {
-                    let having = Method::having(&key).join(" or ");
+                    let having = Method::having(&key);
+                    let (first, having) = (having.first().copied().unwrap_or_default(), having.join(" or "));
                     let written = entry.before.as_ref().unwrap_or(&entry.path);
                     let bad =
                         BadInput::new(format!("{written} is a key of the method {having}, and the method is {name}"));
                     let allowed = Method::keys_of(&name).join(", ");
                     let bad = bad.place(&entry.place).allowed(format!("in [method] with name = {name}: {allowed}"));
-                    wrong = Some(bad.advice(format!("method.name={having}, or leave {written} out")));
+                    wrong = Some(bad.advice(format!("method.name={first}, or leave {written} out")));
                 }
                 continue;
             }
@@ -348,12 +405,22 @@ impl Merged {
     pub fn checked<S: Schema>(&self, more: impl Fn(&S) -> Result<(), BadInput>) -> Result<S, BadInput> {
         let config: S = self.read();
         let origin = config.origin();
-        let place_of = |key: &str| {
-            // `design.offsets[3]` has the place of the array.
-            let key = key.split('[').next().unwrap_or(key);
-            Some(self.places.get(key).cloned().unwrap_or_else(|| origin.clone()))
-        };
-        config.check().and_then(|()| more(&config)).map_err(|bad| bad.located(place_of))?;
+        config.check().and_then(|()| more(&config)).map_err(|bad| {
+            let text = bad.to_string();
+            bad.located(|key| {
+                // `shapes[0].radius` has its own place, or that of `shapes`.
+                let ends = key.char_indices().filter(|(_, c)| "[.".contains(*c)).map(|(at, _)| &key[..at]);
+                let own = std::iter::once(key).chain(ends.rev()).find_map(|part| self.places.get(part));
+                // Of a default, a key that the message names too is to blame, or else what was given at all.
+                let named = || self.places.iter().find(|(key, _)| text.contains(*key)).map(|(_, place)| place);
+                let given: BTreeSet<&String> = self.places.values().collect();
+                let given: Vec<&str> = given.into_iter().map(String::as_str).collect();
+                Some(own.or_else(named).cloned().unwrap_or(match given.len() {
+                    1..=3 => format!("{origin} with {}", given.join(", ")),
+                    _ => origin.clone(),
+                }))
+            })
+        })?;
         Ok(config)
     }
 
@@ -366,6 +433,9 @@ impl Merged {
         &self.places
     }
 }
+
+/// The form of a key of an element, for messages.
+const ELEMENT: &str = "an entry of what is given, such as shapes[0].radius or region.size[1]";
 
 /// Whether two values are equal, in any notation.
 fn same(one: &Value, other: &Value) -> bool {

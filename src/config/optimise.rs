@@ -123,7 +123,7 @@ impl Optimise {
                 "optimise.clip with a gradient that does not go back through a run",
             )
             .allowed("0 with optimise.gradient = steady or differences")
-            .advice("optimise.gradient=segments"));
+            .advice("optimise.gradient=segments, or optimise.clip=0"));
         }
         let every_state = self.gradient != GradientMode::Taped && self.segment <= 1;
         if self.store == Precision::F32 && precision == Precision::F64 && !every_state {

@@ -1,5 +1,6 @@
 //! Ranges of single numbers.
 
+use crate::config::suggest;
 use crate::error::BadInput;
 
 /// Largest number of particles. More are taken for a mistake in `resolution.dx`.
@@ -69,6 +70,12 @@ pub fn countable(dx: f64, particles: f64) -> Result<(), BadInput> {
 /// Whether a number is whole and above 0, up to rounding.
 pub fn is_whole(count: f64) -> bool {
     count.round() >= 1.0 && (count - count.round()).abs() <= WHOLE
+}
+
+/// The whole number of spacings nearest to a length, as a length in few digits; at least one spacing.
+pub fn whole_spacings(length: f64, dx: f64) -> f64 {
+    let near = (length / dx).round().max(1.0) * dx;
+    suggest::shortest(near, |short| ((short - near) / dx).abs() <= 0.1 * WHOLE)
 }
 
 /// A number of spacings in words.

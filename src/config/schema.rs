@@ -49,7 +49,7 @@ pub trait Schema: Default + Serialize + DeserializeOwned {
                 let bad = bad.key(key).allowed(range.describe(key));
                 let default = usual.numbers().into_iter().find(|(other, _, _)| *other == key);
                 return Err(match default.filter(|_| values(&usual).iter().any(|(path, _)| path == key)) {
-                    Some((_, default, _)) => bad.advice(format!("{whose} {key} = {default}")),
+                    Some((_, default, _)) => bad.advice(format!("{key}={default} ({whose})")),
                     // An optional key may have no default.
                     None => bad,
                 });

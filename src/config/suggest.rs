@@ -17,3 +17,69 @@ pub fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
         .min_by_key(|(distance, _)| *distance)
         .map(|(_, candidate)| candidate)
 }
+
+/// The alternatives in a text of advice: `a=1, b=2 or less` has three. What is in brackets is not divided.
+pub fn alternatives(advice: &str) -> Vec<&str> {
+    let (mut all, mut from, mut depth) = (Vec::new(), 0, 0);
+    for (at, c) in advice.char_indices() {
+        match c {
+            '(' | '[' | '{' => depth += 1,
+            ')' | ']' | '}' => depth -= 1,
+            _ if depth > 0 || at < from => continue,
+            _ => {}
+        }
+        if let Some(between) = [", or ", ", ", " or "].iter().find(|between| advice[at..].starts_with(**between)) {
+            all.push(&advice[from..at]);
+            from = at + between.len();
+        }
+    }
+    all.push(&advice[from..]);
+    all
+}
+
+/// The assignments `section.key=value` in a text, but for those behind an option, such as `--set`.
+pub fn assignments(text: &str) -> Vec<&str> {
+    let words = text.split(' ').map(|word| word.trim_matches(['(', ')', '`', ',', ';', ':']));
+    let pairs = std::iter::once("").chain(words.clone()).zip(words);
+    let is_one = |word: &str| word.split_once('=').is_some_and(|(key, _)| is_key(key) && key.contains('.'));
+    pairs.filter(|(before, word)| !before.starts_with("--") && is_one(word)).map(|(_, word)| word).collect()
+}
+
+/// Whether a word has the form of a key.
+pub fn is_key(word: &str) -> bool {
+    let is_of_key = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "._[]".contains(c);
+    word.starts_with(|c: char| c.is_ascii_lowercase()) && word.chars().all(is_of_key)
+}
+
+/// Advice without those alternatives whose assignments do not work; empty if none is left.
+pub fn possible(advice: &str, works: impl Fn(&[&str]) -> bool) -> String {
+    let all = alternatives(advice);
+    let is_possible = |one: &&&str| {
+        let assignments = assignments(one);
+        assignments.is_empty() || works(&assignments)
+    };
+    let left: Vec<&str> = all.iter().filter(is_possible).copied().collect();
+    if left.len() == all.len() {
+        advice.to_string()
+    } else {
+        left.join(", or ")
+    }
+}
+
+/// The number with the fewest digits that is near `x` and accepted; `x` if no shorter one is.
+pub fn shortest(x: f64, accepts: impl Fn(f64) -> bool) -> f64 {
+    let rounded = |digits: usize| -> [f64; 2] {
+        let unit = 10f64.powi(x.abs().log10().floor() as i32 - digits as i32);
+        // Written and read again, so that the number is the decimal one.
+        [(x / unit).round(), (x / unit).floor()].map(|count| {
+            let text = format!("{:.*e}", digits, count * unit);
+            text.parse().unwrap_or(x)
+        })
+    };
+    (0..16).flat_map(rounded).find(|&short| accepts(short)).unwrap_or(x)
+}
+
+/// The smallest number of three digits that is not below `x`, for limits from below.
+pub fn at_least(x: f64) -> f64 {
+    shortest(x * 1.005, |short| (x..=1.01 * x).contains(&short))
+}

@@ -6,12 +6,17 @@
 use super::atomic::write_atomically;
 use super::FileError;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// The metadata entry with the CRC-32C of the tensors' bytes; files of other programs have none.
-const CHECKSUM: &str = "crc32c";
+/// The metadata entry with the CRC-32C of the whole file, in which this entry is [`OPEN`]. Files of other programs have
+/// none.
+const CHECKSUM: &str = "checksum";
+const OPEN: &str = "00000000";
+/// The entry of versions up to 0.1.0, with the CRC-32C of the tensors' bytes alone: in such a file no more is checked.
+const OF_TENSORS: &str = "crc32c";
 const HINT_TENSOR: &str = "the file may come from another version or another kind of run";
 
 /// Elements of a tensor in row-major order.
@@ -84,9 +89,8 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
     let mut ordered: Vec<_> = tensors.iter().collect();
     ordered.sort_by_key(|(_, (_, data))| std::cmp::Reverse(data.kind().1));
 
-    let checksum = ordered.iter().fold(0, |sum, (_, (_, data))| crc32c::crc32c_append(sum, data.bytes()));
     let mut metadata = metadata.clone();
-    metadata.insert(CHECKSUM.to_owned(), format!("{checksum:08x}"));
+    metadata.insert(CHECKSUM.to_owned(), OPEN.to_owned());
     let mut header = serde_json::Map::new();
     header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
     let mut offset = 0;
@@ -96,14 +100,40 @@ pub fn write_tensors(path: &Path, tensors: &Tensors, metadata: &BTreeMap<String,
         header.insert((*name).clone(), entry);
         offset = end;
     }
-    let mut header = serde_json::Value::Object(header).to_string().into_bytes();
-    header.resize(header.len().next_multiple_of(8), b' ');
+    let text = serde_json::Value::Object(header).to_string().into_bytes();
+    let size = text.len().next_multiple_of(8);
+    let mut header = (size as u64).to_le_bytes().to_vec();
+    header.extend(text);
+    header.resize(size + 8, b' ');
+    let of_header = crc32c::crc32c(&header);
+    let checksum = ordered.iter().fold(of_header, |sum, (_, (_, data))| crc32c::crc32c_append(sum, data.bytes()));
+    if let Some(at) = place(&header, OPEN) {
+        header[at].copy_from_slice(format!("{checksum:08x}").as_bytes());
+    }
 
     write_atomically(path, |writer| {
-        writer.write_all(&(header.len() as u64).to_le_bytes())?;
         writer.write_all(&header)?;
         ordered.iter().try_for_each(|(_, (_, data))| writer.write_all(data.bytes()))
     })
+}
+
+/// Where a header has this checksum. (Within other texts of the header quotation marks are preceded by a backslash.)
+fn place(header: &[u8], checksum: &str) -> Option<Range<usize>> {
+    let mark = format!("\"{CHECKSUM}\":\"{checksum}\"");
+    let at = header.windows(mark.len()).position(|part| part == mark.as_bytes())? + mark.len() - 1;
+    Some(at - checksum.len()..at)
+}
+
+/// Whether a file, whose first part is its header, has the checksum that is in its metadata.
+fn is_whole(bytes: &[u8], header: usize, metadata: &mut HashMap<String, String>) -> bool {
+    let of_tensors = metadata.remove(OF_TENSORS);
+    match metadata.remove(CHECKSUM) {
+        Some(expected) => place(&bytes[..header], &expected).is_some_and(|at| {
+            let before = crc32c::crc32c_append(crc32c::crc32c(&bytes[..at.start]), OPEN.as_bytes());
+            expected == format!("{:08x}", crc32c::crc32c_append(before, &bytes[at.end..]))
+        }),
+        None => of_tensors.is_none_or(|expected| expected == format!("{:08x}", crc32c::crc32c(&bytes[header..]))),
+    }
 }
 
 /// Contents of a tensor file, with access by name that explains what is wrong.
@@ -135,10 +165,9 @@ impl TensorFile {
         let invalid = |error: SafeTensorError| damaged(format!("{error} ({} bytes)", bytes.len()));
         let (size, header) = SafeTensors::read_metadata(bytes).map_err(invalid)?;
         let mut metadata = header.metadata().clone().unwrap_or_default();
-        // Behind the header's own length, eight bytes.
-        let found = format!("{:08x}", crc32c::crc32c(&bytes[size + 8..]));
-        if metadata.remove(CHECKSUM).is_some_and(|expected| expected != found) {
-            return Err(damaged("its numbers are not those that were written (checksum)".to_owned()));
+        // The header begins with its own length, eight bytes.
+        if !is_whole(bytes, size + 8, &mut metadata) {
+            return Err(damaged("its numbers or texts are not those that were written (checksum)".to_owned()));
         }
         let file = SafeTensors::deserialize(bytes).map_err(invalid)?;
         let mut tensors = Tensors::new();

@@ -27,6 +27,15 @@ pub fn count() -> usize {
     number(POOLS[0]).unwrap_or_else(cores)
 }
 
+/// A number of threads in words.
+pub fn in_words(threads: usize) -> String {
+    if threads == 1 {
+        "1 thread".into()
+    } else {
+        format!("{threads} threads")
+    }
+}
+
 /// Sets the number of threads; 0 takes [`cores`], or what the environment variables of the pools say. Must come before
 /// the first operator, because the pools read it once.
 pub fn use_threads(threads: usize) {

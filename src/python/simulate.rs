@@ -51,7 +51,7 @@ pub fn simulate<R: Sweeps>(
         _ => scene.start.clone(),
     };
     let (steps, clock) = (scene.steps, Instant::now());
-    let mut measurement = shaped.as_deref().or(scene.design.as_ref()).map(Measurement::of);
+    let mut measurement = shaped.as_deref().map_or_else(|| scene.measurement(), |design| Some(Measurement::of(design)));
     let mut good = LastGood::new(&start);
     let (mut times, mut position, mut velocity, mut temperature) = (vec![], vec![], vec![], vec![]);
     let (kept, rows) = (EvenSteps::new(steps, frames), EvenSteps::new(steps, HISTORY));
@@ -78,10 +78,13 @@ pub fn simulate<R: Sweeps>(
     let mut solver = found.map_err(diverged(model, good.state()))?;
     let seconds = clock.elapsed().as_secs_f64();
     teller.always(Told::Steps(steps, steps));
-    let mut figures = match &measurement {
-        Some(measured) => Record::of(&measured.diagnostics()),
-        None => Record::of(&scene.figures(&solver.state, steps as f64 * model.dt)),
+    let mut figures = match config.has_design() {
+        true => Record::default(),
+        false => Record::of(&scene.figures(&solver.state, steps as f64 * model.dt)),
     };
+    if let Some(measured) = &measurement {
+        figures.0.extend(Record::of_measured(config, &measured.diagnostics()).0);
+    }
     figures.put("steps", steps);
     figures.put("time_step", config.time_step());
     figures.put("seconds", seconds);

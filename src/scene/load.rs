@@ -13,9 +13,11 @@ use crate::config::difference::differences;
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::method::kind::Given;
 use crate::config::method::Method;
+use crate::config::range::WHOLE;
 use crate::config::scene::{Config, DesignWalls, DynamicsName, Family, GradientMode, Search, Start, Trust};
 use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
+use crate::config::suggest::{assignments, possible};
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::{start_shape, Scheduled};
@@ -78,11 +80,27 @@ impl Config {
     }
 
     /// [`Config::load`] for settings that carry the names of command-line options for error messages.
+    ///
+    /// The alternatives in the advice of an error are tried, and those that lead to the same error are left out.
     pub fn load_settings(
         scene_or_file: Option<&str>,
         preset: Option<&str>,
         settings: &[Setting],
     ) -> Result<Loaded, Error> {
+        Self::load_once(scene_or_file, preset, settings).map_err(|bad| {
+            let works = |assignments: &[&str]| {
+                let more = [settings, &assignments.iter().copied().map(Setting::set).collect::<Vec<_>>()].concat();
+                let is_about =
+                    |other: &BadInput, one: &&str| one.split('=').next().is_some_and(|key| other.is_about(key));
+                Self::load_once(scene_or_file, preset, &more)
+                    .err()
+                    .is_none_or(|other| !other.is_like(&bad) && !assignments.iter().any(|one| is_about(&other, one)))
+            };
+            bad.clone().readvised(|advice| possible(advice, works)).into()
+        })
+    }
+
+    fn load_once(scene_or_file: Option<&str>, preset: Option<&str>, settings: &[Setting]) -> Result<Loaded, BadInput> {
         let (base, file, source) = open(scene_or_file.unwrap_or(SCENES[0].name))?;
         let mut merged = base.merged();
         if let Some(name) = preset {
@@ -105,11 +123,11 @@ impl Config {
             merged.apply::<Config>(&layer);
         }
         for setting in settings {
-            let layer = Layer::from_setting::<Config>(setting)?;
+            let layer = merged.layer::<Config>(setting).map_err(|bad| with_help(bad, base))?;
             base.accepts(&layer)?;
             merged.apply::<Config>(&layer);
         }
-        Ok(finish(merged, source)?)
+        finish(merged, source)
     }
 
     /// The settings that make this configuration from its built-in scene, except for the keys and sections in `free`.
@@ -140,12 +158,44 @@ impl Loaded {
         }
     }
 
+    /// Advice without what this scene refuses, what is in force already, and what does not make steps shorter where it
+    /// should; empty if nothing is left.
+    pub fn possible(&self, advice: &str) -> String {
+        possible(advice, |assignments| {
+            let settings: Vec<Setting> = assignments.iter().copied().map(Setting::set).collect();
+            let is_of_step =
+                |one: &&str| ["time.cfl=", "time.diffusion_number="].iter().any(|key| one.starts_with(key));
+            let (shorter, now) = (assignments.iter().any(is_of_step), &self.config);
+            self.with(&settings).is_ok_and(|other| {
+                other.config != *now && (!shorter || other.config.time_step() < now.time_step() * (1.0 - WHOLE))
+            })
+        })
+    }
+
+    /// An error of a run of this scene with the advice that is [`Self::possible`]. That of a divergence begins with
+    /// something to set: if all else is in force, steps of half the length.
+    pub fn advised(&self, error: Error) -> Error {
+        match error {
+            Error::Input(bad) => bad.readvised(|advice| self.possible(advice)).into(),
+            Error::Run { problem, advice } => Error::Run { problem, advice: self.possible(&advice) },
+            Error::Diverged { problem, advice, offence } => {
+                let mut advice = self.possible(&advice);
+                if assignments(&advice).is_empty() {
+                    let half = format!("time.step={:.2e}", 0.5 * self.config.time_step());
+                    advice = if advice.is_empty() { half } else { format!("{half}, or {advice}") };
+                }
+                Error::Diverged { problem, advice, offence }
+            }
+            Error::Stopped => Error::Stopped,
+        }
+    }
+
     /// The same configuration with further settings, such as those of each start of `--start all`. Defaults are derived
     /// anew. If the settings choose another method, keys that it lacks are dropped.
     pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
         let mut merged = self.given.clone();
         for setting in settings {
-            let layer = Layer::from_setting::<Config>(setting)?;
+            let layer = merged.layer::<Config>(setting)?;
             self.config.scene.built_in().accepts(&layer)?;
             merged.apply::<Config>(&layer);
         }
@@ -230,13 +280,27 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     let path = Path::new(name);
     let text = std::fs::read_to_string(path).map_err(|error| unreadable(name, path, &error))?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let layer = Layer::from_text::<Config>(name, &text)?
+    let of_scene = |line: &str| Some(line.trim().strip_prefix("scene")?.trim().strip_prefix('=')?.trim().to_string());
+    let said = text.lines().find_map(of_scene).unwrap_or_default();
+    let base = builtin::scene(said.trim_matches(['"', '\''])).unwrap_or(&SCENES[0]);
+    let layer = Layer::from_text::<Config>(name, &text).map_err(|bad| with_help(bad, base))?;
+    if layer.is_empty() {
+        return Err(BadInput::new(format!("{name} is a file without a key"))
+            .allowed("a scene: the key `scene`, and those keys that differ from the built-in scene of that name")
+            .advice(format!("hydrograd scenes {} > my.toml", base.name)));
+    }
+    let layer = layer
         .change("design.file", |file| folder.join(file).to_string_lossy().into())
         .change("surrogate.model", |file| folder.join(file).to_string_lossy().into());
     let family = layer.string("scene").unwrap_or(SCENES[0].name);
     // The file was read as a Config, so its family exists.
     let scene = builtin::scene(family).expect("every scene family has a built-in scene");
     Ok((scene, Some(layer), Source::File(path.to_path_buf())))
+}
+
+/// An error whose advice is where every key is explained, for this scene.
+fn with_help(bad: BadInput, base: &BuiltIn) -> BadInput {
+    bad.readvised(|advice| advice.replace(&format!("scenes {}`", SCENES[0].name), &format!("scenes {}`", base.name)))
 }
 
 fn unreadable(name: &str, path: &Path, error: &std::io::Error) -> BadInput {

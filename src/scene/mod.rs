@@ -23,7 +23,7 @@ pub mod particle_fields;
 pub mod plausible;
 pub mod record;
 mod surface;
-mod tank;
+pub mod tank;
 pub mod verification;
 pub mod warnings;
 

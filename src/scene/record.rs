@@ -10,6 +10,7 @@ use crate::design::objectives::Figure;
 use crate::design::optimise::Epoch;
 use crate::design::{Optimisation, Parametrisation, Problem};
 use crate::numerics::lanes::Real;
+use crate::numerics::threads;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::VERSION;
 use crate::sph::division::Divided;
@@ -120,6 +121,7 @@ impl Record {
         self.put("steps", steps);
         self.put("time_step", config.time_step());
         self.put("wall_seconds", seconds);
+        self.put("threads", threads::count());
         self.put("peak_memory_bytes", peak_memory_bytes());
         self.put("version", VERSION);
         self.put("seed", config.run.seed);
@@ -178,6 +180,12 @@ impl Record {
 
     pub fn put(&mut self, key: &str, value: impl Serialize) {
         self.0.insert(key.into(), json!(value));
+    }
+
+    /// Adds warnings, with that of their advice which the scene allows.
+    pub fn put_warnings(&mut self, loaded: &Loaded, mut warnings: Vec<Warning>) {
+        warnings.iter_mut().for_each(|warning| warning.advice = loaded.possible(&warning.advice));
+        self.put("warnings", warnings);
     }
 
     pub fn number(&self, key: &str) -> Option<f64> {

@@ -4,8 +4,10 @@
 
 use super::assembly::{count, Parts};
 use super::lattice::Lattice;
+use super::particle_fields::ParticleFields;
 use super::Scene;
 use crate::config::scene::{Config, Family};
+use crate::particles::tag;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::rows::Quantity;
 use crate::sph::Sweeps;
@@ -37,6 +39,17 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
         fill_with_still_water(config, &mut scene);
     }
     scene
+}
+
+/// Root mean square of the error of still water's pressure over its fluid particles, over the pressure at the bottom; none in
+/// other scenes.
+pub fn pressure_error(config: &Config, end: &ParticleFields) -> Option<f64> {
+    let weight = -config.fluid.density * config.fluid.gravity[1];
+    let (n, height) = (end.tag.len(), config.water.height);
+    let fluid = (0..n).filter(|&i| end.tag[i] == tag::FLUID);
+    let square = |i: usize| (end.pressure[i] - weight * (height - end.position[n + i])).powi(2);
+    let (sum, count) = fluid.fold((0.0, 0.0), |(sum, count), i| (sum + square(i), count + 1.0));
+    (config.scene == Family::HydrostaticTank).then(|| (sum / count).sqrt() / (weight * height))
 }
 
 /// Gives still water, whose pressure is rho g times the depth, the density that the equation of state has for this

@@ -5,8 +5,8 @@
 
 use super::figures::FlowFigures;
 use super::particle_fields::ParticleFields;
-use crate::config::discretisation::Start;
 use crate::config::scene::{Config, Family};
+use crate::config::suggest;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::optimise::{Epoch, Optimisation};
 use crate::particles::tag;
@@ -58,7 +58,7 @@ impl Warning {
 fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
     let mach = fastest / sound;
-    let advice = format!("fluid.reference_velocity={fastest:.3}, which makes the sound speed follow");
+    let advice = format!("fluid.reference_velocity={} (the sound speed follows)", suggest::at_least(fastest));
     if mach > MACH {
         let problem = format!("the flow reaches Mach {mach:.2} ({fastest:.4} of a sound speed of {sound:.4}): it is not weakly compressible");
         return Some(Warning::new("mach-number", [mach, MACH], problem, advice));
@@ -141,8 +141,7 @@ pub fn of_measured(config: &Config, found: &Diagnostics) -> Vec<Warning> {
             "the flow is not steady: {name} changes by {:+.1} % from the first half of the objective's window to the second",
             100.0 * drift
         );
-        let developed = config.scene.has_design() && config.time.start != Start::Developed;
-        let advice = if developed { format!("{}, or time.start=developed", longer()) } else { longer() };
+        let advice = format!("{}, or time.start=developed", longer());
         all.push(Warning::new("not-steady", [drift, DRIFT], problem, advice));
     }
     all

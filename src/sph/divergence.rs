@@ -85,7 +85,7 @@ impl Cause {
         if mach > MACH {
             return Self {
                 why: format!("the flow is too fast for its sound speed, {sound:.3}: Mach {mach:.2}, fastest particle {fastest:.3}"),
-                advice: format!("fluid.reference_velocity={fastest:.3}, which makes the sound speed follow, or a slower flow"),
+                advice: format!("fluid.reference_velocity={fastest:.3} (the sound speed follows), or a slower flow"),
                 is_open: false,
             };
         }

@@ -1,5 +1,6 @@
 //! What several tests share.
 #![allow(dead_code)]
+pub mod advice;
 pub mod consistent;
 pub mod data_set;
 pub mod differences;

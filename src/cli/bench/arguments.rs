@@ -51,7 +51,7 @@ pub struct BenchArguments {
     /// Floating-point types, separated by commas.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "f64,f32")]
     pub precision: Vec<Precision>,
-    /// Numbers of threads, separated by commas; 0 for every core [default: 1,2].
+    /// Numbers of threads, separated by commas; 0 for every core that the process may use [default: 1,2].
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = threads, allow_hyphen_values = true)]
     pub threads: Vec<usize>,
     /// Implementation of the operators (`kernels` measures both).

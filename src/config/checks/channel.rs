@@ -2,6 +2,7 @@
 
 use crate::config::range::{countable, is_whole, spacings};
 use crate::config::scene::{BodyForceRegion, Config, DesignWalls, DriveName, Family};
+use crate::config::suggest;
 use crate::error::BadInput;
 
 /// Largest speed of a weakly compressible flow relative to the speed of sound.
@@ -24,11 +25,10 @@ impl Config {
                     None => "whole numbers of spacings in channel.length and channel.height",
                     Some(_) => "whole numbers of spacings in channel.length, channel.height and channel.span",
                 });
-                let near = nearest_spacings(dx, channel.length, &across);
-                let near: Vec<String> = near.iter().map(|dx| format!("resolution.dx={dx}")).collect();
+                let near = self.advised_spacings(dx);
                 return Err(match near.is_empty() {
                     true => bad.advice("another channel.height: a simple fraction of channel.length"),
-                    false => bad.advice(near.join(" or ")),
+                    false => bad.advice(near),
                 });
             }
         }
@@ -39,7 +39,7 @@ impl Config {
             if extent < shortest {
                 return Err(BadInput::at(key, format!("{key} = {extent} is too short"))
                     .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
-                    .advice("a smaller resolution.dx"));
+                    .advice(self.finer(extent / shortest * dx)));
             }
         }
         Ok(())
@@ -48,21 +48,53 @@ impl Config {
     /// A finer spacing for comparison: half; in three dimensions the largest up to four fifths that divides all
     /// extents.
     pub fn finer_spacing(&self) -> f64 {
-        let (dx, channel) = (self.resolution.dx, &self.channel);
+        let dx = self.resolution.dx;
         if self.dimension() == 2 {
             return 0.5 * dx;
         }
-        if self.scene == Family::Custom {
-            let size = &self.region.size;
-            let divides = |finer: f64| size.iter().all(|size| is_whole(size / finer));
-            let first = (size[0] / (0.8 * dx) - 1e-9).ceil() as usize;
-            let finer = (first..=2 * (size[0] / dx).round() as usize).map(|count| size[0] / count as f64);
-            return finer.into_iter().find(|&finer| divides(finer)).unwrap_or(0.5 * dx);
-        }
-        let across = [("channel.height", channel.height), ("channel.span", channel.span)];
-        // Starts a millionth above four fifths, because the search excludes the given spacing.
-        let near = nearest_spacings(0.8 * dx * (1.0 + 1e-6), channel.length, &across);
-        near.into_iter().find(|&finer| finer <= 0.8 * dx * (1.0 + 1e-9)).unwrap_or(0.5 * dx)
+        self.spacing_up_to(0.8 * dx).unwrap_or(0.5 * dx)
+    }
+
+    /// The lengths that the spacing must divide.
+    fn extents(&self) -> Vec<f64> {
+        let (channel, tank, water) = (&self.channel, &self.tank, &self.water);
+        let deep = self.dimension() == 3;
+        let mut all = match self.scene {
+            Family::Custom => self.region.size.clone(),
+            scene if scene.has_design() => {
+                vec![channel.length, channel.height, if deep { channel.span } else { 0.0 }]
+            }
+            scene if scene.has_surface() => {
+                let block = if scene == Family::FallingBlock { [water.x, water.y] } else { [0.0; 2] };
+                let length = if scene == Family::HydrostaticTank { 0.0 } else { water.length };
+                let depth = if deep { tank.depth } else { 0.0 };
+                vec![tank.length, tank.height, depth, length, water.height, block[0], block[1]]
+            }
+            Family::IsothermalChannel => vec![self.box_facts().0, channel.length],
+            _ => vec![self.box_facts().0],
+        };
+        all.retain(|extent| *extent > 0.0);
+        all
+    }
+
+    /// The largest spacing up to `most` that divides what it must divide, if there is one near.
+    pub fn spacing_up_to(&self, most: f64) -> Option<f64> {
+        // Starts a millionth above, because the search excludes the given spacing.
+        let near = nearest_spacings(most * (1.0 + 1e-6), &self.extents());
+        let near = near.into_iter().find(|&finer| finer <= most * (1.0 + 1e-6))?;
+        Some(suggest::shortest(near, |short| (0.999 * near..=most).contains(&short) && divides(short, &self.extents())))
+    }
+
+    /// Advice to take a spacing of at most this.
+    pub fn finer(&self, most: f64) -> String {
+        let finer = self.spacing_up_to(most).map(|dx| format!("resolution.dx={dx}"));
+        finer.unwrap_or("a smaller resolution.dx".into())
+    }
+
+    /// Advice to take one of the spacings near `dx` that divide what they must divide; empty if there is none.
+    pub(super) fn advised_spacings(&self, dx: f64) -> String {
+        let near = nearest_spacings(dx, &self.extents());
+        near.iter().map(|dx| format!("resolution.dx={dx}")).collect::<Vec<_>>().join(" or ")
     }
 
     /// Checks that inlet, hot section, target and outlet are in this order.
@@ -116,7 +148,10 @@ impl Config {
             format!("the plane channel's flow would be as fast as {fastest:.3}, with a sound speed of {sound:.3}"),
         )
         .allowed(format!("flows up to {FASTEST} of the sound speed, reference_velocity * sound_speed_factor"))
-        .advice(format!("fluid.reference_velocity={:.2} (smaller steps), or a smaller fluid.body_force", fastest)))
+        .advice(format!(
+            "fluid.reference_velocity={} (smaller steps), or a smaller fluid.body_force",
+            suggest::at_least(fastest)
+        )))
     }
 
     /// Checks the flow rate or the power that is held.
@@ -175,15 +210,16 @@ impl Config {
         let walls = if self.design.walls == DesignWalls::Both { 2.0 } else { 1.0 };
         let limit = (channel.height - fewest * dx) / walls;
         if limit < -1e-9 * dx {
-            let lowest = fewest * dx;
+            let (lowest, finer) = (fewest * dx, self.finer(channel.height / fewest));
             return Err(BadInput::at("channel.height", format!("channel.height = {} is too low", channel.height))
                 .allowed(format!("at least {}, {lowest:.6}", spacings(fewest)))
-                .advice("a smaller resolution.dx"));
+                .advice(finer));
         }
         if bound > limit.max(0.0) * whole {
-            let advice = "a smaller resolution.dx, or a smaller design.bound";
+            let finer = self.finer((channel.height - walls * bound) / fewest);
+            let advice = format!("design.bound={}, or {finer}", shorter(limit.max(0.0)));
             let why = format!("the channel keeps {} of fluid", spacings(fewest));
-            return fail(limit.max(0.0), &why, advice.into());
+            return fail(limit.max(0.0), &why, advice);
         }
         // Dummy particles move with the surface of their column. At the ends of the hot section the surface steps to y
         // = 0. The face of the step consists of the rows of the higher column; rows that end above the foot of the step
@@ -193,37 +229,50 @@ impl Config {
         if bound > limit * whole && self.method.facts().wall_cells {
             let rows = (bound / dx - 1e-9).ceil();
             let why = format!("the {} wall rows must cover it", channel.wall_rows);
-            return fail(limit, &why, format!("channel.wall_rows={rows}"));
+            return fail(limit, &why, format!("channel.wall_rows={rows}, or design.bound={}", shorter(limit)));
         }
         // Adjacent control points of a wall over x and z may differ by twice the bound, for a slope of at most 2.
         if self.dimension() == 3 {
             let limit = self.control_distances().into_iter().fold(f64::INFINITY, f64::min);
             if bound > limit * whole {
-                let advice = "a smaller design.bound, or fewer design.control_points or design.control_points_across";
-                return fail(
-                    limit,
-                    "no more than the control points' distance, for a slope of 2 at most",
-                    advice.into(),
+                let advice = format!(
+                    "design.bound={}, or fewer design.control_points or design.control_points_across",
+                    shorter(limit)
                 );
+                return fail(limit, "no more than the control points' distance, for a slope of 2 at most", advice);
             }
         }
         // In a dip the rows are stretched to (1 + bound / height) dx; beyond 1.5 dx fewer than two rows are within the
         // usual support of 3 dx.
         let limit = 0.5 * channel.height / walls;
         if bound > limit * whole {
-            return fail(limit, "half the channel's height at most", "a smaller design.bound".into());
+            return fail(limit, "half the channel's height at most", format!("design.bound={}", shorter(limit)));
         }
         Ok(())
     }
 }
 
-/// The next larger and the next smaller spacing that divide the length and all extents across it, if they exist.
-pub fn nearest_spacings(dx: f64, length: f64, across: &[(&str, f64)]) -> Vec<f64> {
-    let divides = |columns: usize, extent: f64| is_whole(extent / length * columns as f64);
-    let fits = |columns: &usize| *columns > 0 && across.iter().all(|(_, extent)| divides(*columns, *extent));
+/// A number of few digits that is not above a limit.
+fn shorter(limit: f64) -> f64 {
+    suggest::shortest(limit, |short| (0.98 * limit..=limit).contains(&short))
+}
+
+fn divides(dx: f64, extents: &[f64]) -> bool {
+    extents.iter().all(|extent| is_whole(extent / dx))
+}
+
+/// The next larger and the next smaller spacing that divide all extents, if they exist, the nearer one first.
+pub fn nearest_spacings(dx: f64, extents: &[f64]) -> Vec<f64> {
+    let Some(&length) = extents.first().filter(|_| dx > 0.0) else { return vec![] };
+    let fits = |count: &usize| *count > 0 && divides(length / *count as f64, extents);
+    let is_near = |exact: f64, count: usize| exact.round() as usize == count;
     let start = (length / dx).floor() as usize;
     let larger = (start.saturating_sub(10_000)..=start).rev().find(fits);
     let smaller = (start + 1..start + 10_000).find(fits);
-    let spacing = |columns: usize| length / columns as f64;
-    larger.into_iter().chain(smaller).map(spacing).collect()
+    let spacing = |count: usize| {
+        suggest::shortest(length / count as f64, |short| is_near(length / short, count) && divides(short, extents))
+    };
+    let mut found: Vec<f64> = larger.into_iter().chain(smaller).map(spacing).collect();
+    found.sort_by(|a, b| (a - dx).abs().total_cmp(&(b - dx).abs()));
+    found
 }

@@ -1,7 +1,7 @@
 //! Checks of custom scenes and of their design variables.
 
 use crate::config::custom::{Fill, ShapeNumber, VariableEntry};
-use crate::config::range::{countable, is_whole};
+use crate::config::range::{countable, is_whole, whole_spacings};
 use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::BadInput;
 
@@ -159,14 +159,14 @@ impl Config {
             if !is_whole(size / dx) {
                 return Err(bad(format!("resolution.dx = {dx} does not divide {key} = {size}"))
                     .allowed("a whole number of spacings along each side")
-                    .advice(format!("{key} = {}", count.max(1.0) * dx)));
+                    .advice(format!("{} or {key}={}", self.advised_spacings(dx), whole_spacings(*size, dx))));
             }
             // With periodic images, a particle must see each neighbour only once.
             let fewest = if *periodic { 2.0 * (support + self.time.skin) } else { 1.0 };
             if count < fewest {
                 return Err(bad(format!("resolution.dx = {dx} is too coarse for {key} = {size}"))
                     .allowed(format!("at least {fewest:.1} spacings along a periodic side"))
-                    .advice(format!("resolution.dx={}", size / fewest.ceil())));
+                    .advice(self.finer(size / fewest)));
             }
         }
         Ok(())

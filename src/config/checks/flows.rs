@@ -1,6 +1,6 @@
 //! Checks of the verification flows in a box.
 
-use crate::config::range::{countable, is_whole, spacings};
+use crate::config::range::{countable, is_whole, spacings, whole_spacings};
 use crate::config::scene::{Config, DriveName, Family};
 use crate::error::BadInput;
 
@@ -27,7 +27,7 @@ impl Config {
                 format!("channel.length = {} does not hold whole spacings", channel.length),
             )
             .allowed(format!("multiples of resolution.dx = {dx}, at least {shortest}"))
-            .advice(format!("channel.length={}", (channel.length / dx).round().max((shortest / dx).ceil()) * dx)));
+            .advice(format!("channel.length={}", whole_spacings(channel.length.max(shortest), dx))));
         }
         let (low, high) = (channel.inlet_length, channel.length - channel.outlet_length - dx);
         if channel.hot_from < low || channel.hot_from > high {
@@ -40,12 +40,10 @@ impl Config {
         Ok(())
     }
 
-    /// Checks that dx divides the box of a verification flow, and that the box is large enough.
-    pub(super) fn check_box(&self) -> Result<(), BadInput> {
-        let dx = self.resolution.dx;
-        // The size that must be a multiple of dx, its name, the dimension, whether there are walls, and the number of
-        // sizes.
-        let (size, text, dimension, walls, parts) = match self.scene {
+    /// The size of a verification flow's box that dx divides, its name, the dimension, whether there are walls, and
+    /// the number of sizes.
+    pub(super) fn box_facts(&self) -> (f64, &'static str, i32, bool, f64) {
+        match self.scene {
             Family::TaylorGreen3d => (std::f64::consts::TAU, "2 pi, the side of the box", 3, false, 1.0),
             Family::Poiseuille | Family::Couette => (1.0, "1, the height of the channel", 1, true, 1.0),
             Family::IsothermalChannel => (1.0, "1, the height of the channel", 2, true, self.channel.length),
@@ -55,7 +53,13 @@ impl Config {
             Family::LidDrivenCavity3d => (1.0, "1, the side of the cavity", 3, true, 1.0),
             Family::Slab => (0.5, "0.5, half of the slab", 1, true, 2.0),
             _ => (1.0, "1, the side of the box", 2, false, 1.0),
-        };
+        }
+    }
+
+    /// Checks that dx divides the box of a verification flow, and that the box is large enough.
+    pub(super) fn check_box(&self) -> Result<(), BadInput> {
+        let dx = self.resolution.dx;
+        let (size, text, dimension, walls, parts) = self.box_facts();
         let bad = |problem: String| BadInput::at("resolution.dx", problem);
         let particles = parts * (size / dx).powi(dimension);
         countable(dx, particles)?;
@@ -75,12 +79,12 @@ impl Config {
             };
             return Err(bad(format!("resolution.dx = {dx} is too coarse"))
                 .allowed(format!("at least {rule} in {text}"))
-                .advice(format!("resolution.dx={}", size / fewest.ceil())));
+                .advice(self.finer(size / fewest)));
         }
         if !is_whole(size / dx) {
             return Err(bad(format!("resolution.dx = {dx} does not divide {text}"))
                 .allowed(format!("{size} over a whole number"))
-                .advice(format!("resolution.dx={}", size / count)));
+                .advice(self.advised_spacings(dx)));
         }
         Ok(())
     }

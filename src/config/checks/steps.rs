@@ -25,7 +25,8 @@ impl Config {
                     self.objective.samples
                 ),
             )
-            .allowed(format!("1 ... {steps}")));
+            .allowed(format!("1 ... {steps}"))
+            .advice(format!("objective.samples={steps}")));
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! Checks of scenes with water in a tank.
 
-use crate::config::range::{countable, spacings, WHOLE};
+use crate::config::range::{countable, spacings, whole_spacings, WHOLE};
 use crate::config::scene::{Config, Family};
 use crate::error::BadInput;
 
@@ -26,7 +26,7 @@ impl Config {
             if (extent / dx - count).abs() > WHOLE {
                 return Err(BadInput::at(key, format!("resolution.dx = {dx} does not divide {key} = {extent}"))
                     .allowed("whole numbers of spacings")
-                    .advice(format!("{key}={}", (1e9 * count * dx).round() / 1e9)));
+                    .advice(format!("{key}={}", whole_spacings(extent, dx))));
             }
         }
         let (support, rows) = (self.support(), self.fluid_rows());
@@ -34,14 +34,14 @@ impl Config {
             if extent < rows * dx * (1.0 - WHOLE) {
                 return Err(BadInput::at(key, format!("{key} = {extent} is too small"))
                     .allowed(format!("at least {}: no particle sees two walls", spacings(rows)))
-                    .advice("a smaller resolution.dx"));
+                    .advice(format!("{}, or a larger {key}", self.finer(extent / rows))));
             }
         }
         let shortest = 2.0 * (support + self.time.skin) * dx;
         if deep && tank.depth < shortest {
             return Err(BadInput::at("tank.depth", format!("tank.depth = {} is too short", tank.depth))
                 .allowed(format!("at least 2 ({support} + time.skin) dx = {shortest}"))
-                .advice("a smaller resolution.dx"));
+                .advice(format!("{}, or a larger tank.depth", self.finer(tank.depth / shortest * dx))));
         }
         let (length, x, y) = (
             if still { tank.length } else { water.length },
@@ -56,7 +56,7 @@ impl Config {
             if from + extent > most + slack {
                 return Err(BadInput::at(key, format!("{key} = {extent} reaches out of the tank"))
                     .allowed(format!("up to {}, {key_of_tank} less where the water begins", most - from))
-                    .advice(format!("a larger {key_of_tank}")));
+                    .advice(format!("{key_of_tank}={}", whole_spacings(from + extent, dx))));
             }
         }
         let gravity = self.fluid.gravity;
@@ -71,7 +71,7 @@ impl Config {
                 false if deep => "three finite numbers",
                 false => "three finite numbers, the last one 0",
             })
-            .advice("fluid.gravity=[0.0, -1.0, 0.0]"));
+            .advice("fluid.gravity=[0.0,-1.0,0.0]"));
         }
         Ok(())
     }

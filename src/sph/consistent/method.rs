@@ -79,14 +79,14 @@ impl<R: Sweeps> Method<R> for Consistent<R> {
         match (&self.fits.shift, self.layout.rates) {
             // Over a rough wall smaller steps do not help, but more neighbours do (src/sph/README.md has the figures).
             (Shift::Chain(_), _) => {
-                "over a rough wall method.name=fixed or resolution.smoothing_length=1.1, or a gentler one (a smaller \
-                 design.amplitude or design.bound); over a flat one time.cfl=0.5"
+                "method.name=fixed or resolution.smoothing_length=1.1 (over a rough wall), time.cfl=0.5 (over a flat one), or a \
+                 gentler wall (a smaller design.amplitude or design.bound)"
             }
             // A disordered start beside walls: src/validation/README.md has the figures.
             (_, true) => "resolution.smoothing_length=0.9 (more neighbours), a smaller time.jitter, or time.cfl=0.5",
             (_, false) => {
-                "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step); where a wall is shaped, a gentler one \
-                 (a smaller design.amplitude or design.bound)"
+                "time.cfl=0.5 or time.diffusion_number=0.125 (a smaller time step), or a gentler wall, where one is shaped (a \
+                 smaller design.amplitude or design.bound)"
             }
         }
     }
