@@ -344,11 +344,11 @@ fn wrong_files_are_one_clear_error() {
         ("shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = 0.1, colour = 1 }]", &["unknown field", "colour"]),
         (
             "shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = 0.01 }]",
-            &["shapes[0] is too small or too thin: it holds no particle", "shapes[0].radius=0.03, or", "dx=0.0125"],
+            &["shapes[0] is too small or too thin: it holds no particle", "dx=0.0125", ", or shapes[0].radius=0.03"],
         ),
         (
             "shapes = [{ kind = \"box\", lower = [0.26, 0.1], upper = [0.262, 0.4] }]",
-            &["shapes[0].upper=[0.32,0.4], or", "resolution.dx=0.00625 with method.name=standard"],
+            &["resolution.dx=0.003125 with method.name=standard", ", or shapes[0].upper=[0.32,0.4]"],
         ),
         ("shapes = [{ kind = \"where\", positive = \"1\" }]", &["the shapes leave no fluid"]),
         ("shapes = [{ kind = \"where\", positive = \"x >\" }]", &["shapes[0].positive = \"x >\""]),

@@ -187,7 +187,7 @@ impl ShapeEntry {
     pub fn at_least(&self, size: f64) -> Option<String> {
         // Three digits of the size, rounded up, so that it is easy to read.
         let unit = 10f64.powi(2 - size.log10().floor() as i32);
-        let short = |x: f64| (x * unit).ceil() / unit;
+        let short = |x: f64| (x * unit - 1e-6).ceil() / unit;
         match self.kind {
             Kind::Polyline => Some(format!("thickness={}", short(size))),
             Kind::Disc | Kind::Cylinder => Some(format!("radius={}", short(0.5 * size))),

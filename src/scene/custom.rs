@@ -54,6 +54,8 @@ pub(super) struct Geometry {
 
 /// Largest number of particles of a finer lattice in which a shape is looked for.
 const MOST_TRIED: usize = 2_000_000;
+/// A larger shape is suggested before a finer lattice with more particles than this.
+const MANY: usize = 50_000;
 
 impl Geometry {
     /// The geometry of a checked configuration.
@@ -87,7 +89,7 @@ impl Geometry {
 /// Refuses those shapes without a particle that a finer lattice would have particles in.
 fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadInput> {
     let (dx, mut left, mut small) = (config.resolution.dx, idle.to_vec(), vec![]);
-    let mut finest = dx;
+    let (mut finest, mut particles) = (dx, 0);
     for parts in [2.0, 4.0, 8.0, 16.0] {
         let mut fine = config.clone();
         fine.resolution.dx = dx / parts;
@@ -98,24 +100,31 @@ fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadIn
         let found: HashSet<usize> =
             (0..fine.particles()).filter_map(|i| walls.shape_at(fine.place(i))).filter(|k| left.contains(k)).collect();
         left.retain(|k| !found.contains(k));
-        finest = if found.is_empty() { finest } else { dx / parts };
+        if !found.is_empty() {
+            (finest, particles) = (dx / parts, fine.particles());
+        }
         small.extend(found);
     }
     small.sort_unstable();
     let Some(first) = small.first() else { return Ok(()) };
     let size = config.support() * dx;
     let sizes = small.iter().map(|&k| Some(format!("shapes[{k}].{}", walls.shapes[k].entry.at_least(size)?)));
-    let sizes = sizes.collect::<Option<Vec<String>>>().map(|sizes| format!("{}, or ", sizes.join(" ")));
+    let sizes = sizes.collect::<Option<Vec<String>>>().map(|sizes| sizes.join(" "));
     let bears = match config.method {
-        Method::Consistent(_) => " with method.name=standard, which bears thin walls",
+        Method::Consistent(_) => " with method.name=standard (it bears thin walls)",
         _ => "",
     };
+    let finer = format!("resolution.dx={finest}{bears}");
     Err(BadInput::at(
         format!("shapes[{first}]"),
         format!("shapes[{first}] is too small or too thin: it holds no particle"),
     )
     .allowed("shapes that hold the middle of at least one cell")
-    .advice(format!("{}resolution.dx={finest}{bears}", sizes.unwrap_or_default())))
+    .advice(match sizes {
+        Some(sizes) if particles > MANY => format!("{sizes}, or {finer}"),
+        Some(sizes) => format!("{finer}, or {sizes}"),
+        None => finer,
+    }))
 }
 
 pub(super) fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
