@@ -348,7 +348,7 @@ fn wrong_files_are_one_clear_error() {
         ),
         (
             "shapes = [{ kind = \"box\", lower = [0.26, 0.1], upper = [0.262, 0.4] }]",
-            &["resolution.dx=0.003125 with method.name=standard", ", or shapes[0].upper=[0.32,0.4]"],
+            &["try: shapes[0].upper=[0.32,0.4], or resolution.dx=0.003125 with method.name=standard"],
         ),
         ("shapes = [{ kind = \"where\", positive = \"1\" }]", &["the shapes leave no fluid"]),
         ("shapes = [{ kind = \"where\", positive = \"x >\" }]", &["shapes[0].positive = \"x >\""]),
