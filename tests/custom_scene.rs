@@ -11,6 +11,7 @@ use hydrograd::scene::custom_shape::Shape;
 use hydrograd::scene::distance::{images, Walls};
 use hydrograd::scene::plausible::Findings;
 use hydrograd::scene::Scene;
+use hydrograd::sph::divergence::Cause;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::Solver;
 use std::path::{Path, PathBuf};
@@ -341,7 +342,14 @@ fn wrong_files_are_one_clear_error() {
         ("shapes = [{ kind = \"disc\", centre = [0.5], radius = 0.1 }]", &["shapes[0].centre", "2 finite numbers"]),
         ("shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = -1 }]", &["shapes[0].radius", "a length above 0"]),
         ("shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = 0.1, colour = 1 }]", &["unknown field", "colour"]),
-        ("shapes = [{ kind = \"disc\", centre = [5.5, 0.2], radius = 0.1 }]", &["shapes[0] holds no particle"]),
+        (
+            "shapes = [{ kind = \"disc\", centre = [0.5, 0.2], radius = 0.01 }]",
+            &["shapes[0] is too small or too thin: it holds no particle", "dx=0.0125", ", or shapes[0].radius=0.03"],
+        ),
+        (
+            "shapes = [{ kind = \"box\", lower = [0.26, 0.1], upper = [0.262, 0.4] }]",
+            &["try: shapes[0].upper=[0.32,0.4], or resolution.dx=0.003125 with method.name=standard"],
+        ),
         ("shapes = [{ kind = \"where\", positive = \"1\" }]", &["the shapes leave no fluid"]),
         ("shapes = [{ kind = \"where\", positive = \"x >\" }]", &["shapes[0].positive = \"x >\""]),
         ("shapes = [{ kind = \"polygon\", points = [[0, 0], [1, 1]] }]", &["shapes[0].points", "at least 3 points"]),
@@ -710,4 +718,54 @@ fn passages_and_walls_are_measured() {
     assert_eq!(closed.speed, 0.0);
     let open = findings("[region]\nperiodic = [true, true]\n[time]\nend = 2\n");
     assert!((open.speed - 1.28).abs() < 1e-9, "{}", open.speed);
+}
+
+/// Shapes outside of the box and behind others have no effect. That is said, and the scene runs.
+#[test]
+fn shapes_without_effect_are_warned_of() {
+    let outside = "[[shapes]]\nkind = \"disc\"\ncentre = [5.5, 0.2]\nradius = 0.1\n";
+    let behind = "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n\
+                  [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.11\n";
+    let found = findings(&format!("[region]\nperiodic = [false, false]\n{outside}{behind}"));
+    let idle = found.warnings.iter().filter(|warning| warning.code == "idle-shape");
+    let problems: Vec<&str> = idle.map(|warning| &warning.problem[..9]).collect();
+    assert_eq!((&found.idle[..], problems), (&[0, 1][..], vec!["shapes[0]", "shapes[1]"]));
+    assert!(findings("[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n").idle.is_empty());
+}
+
+/// The cause is the flaw of the walls that is nearest to where the flow diverged, and what is suggested first helps.
+#[test]
+fn divergence_over_thin_walls_says_so() {
+    let blade = "[region]\nsize = [0.85, 0.575]\nacceleration = [5.0, 0.0]\n[time]\nsteps = 50\n\
+                 [fluid]\nviscosity = 0.001\nreference_velocity = 0.3\n[[shapes]]\nkind = \"polygon\"\n\
+                 points = [[0.19199, 0.54938], [0.092338, 0.68008], [0.089297, 0.63195], [0.10678, 0.37334]]\n\
+                 [[shapes]]\nkind = \"box\"\nlower = [0.5, 0.2]\nupper = [0.6, 0.3]\nvelocity = [0.3, 0.0]\n";
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{blade}")).unwrap();
+    let simulate = |more: &[&str]| {
+        let mut command = Command::cargo_bin("hydrograd").unwrap();
+        command.current_dir(folder.path()).args(["simulate", "mine.toml", "--out", "run", "--threads", "1"]);
+        command.args(["--set", "output.frames=0"]).args(more).output().unwrap()
+    };
+    let output = simulate(&[]);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{text}");
+    let cause = text.lines().find(|line| line.contains("likely cause")).unwrap_or_default();
+    assert!(cause.contains("the wall is") && cause.contains("spacings thick"), "{text}");
+    assert!(text.contains("--set method.name=standard"), "{text}");
+    let output = simulate(&["--set", "method.name=standard"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    // Beside the box that is said to move, and stays, that is the cause; without walls there is none.
+    let open = Cause { why: String::new(), advice: String::new(), is_open: true };
+    let config = config(blade);
+    let found = findings(blade);
+    let cause = |place: &[f64]| found.cause(&config, &open, place).unwrap().unwrap().why;
+    assert!(cause(&[0.62, 0.25]).contains("shapes[1].velocity leads out of the wall with 0.300"));
+    assert!(cause(&[0.48, 0.25]).contains("shapes[1].velocity leads into the wall with 0.300"));
+    assert!(cause(&[0.1, 0.5]).contains("spacings thick"));
+    let free = "[region]\nperiodic = [true, true]\nacceleration = [0.0, 0.0]\n";
+    assert_eq!(findings(free).cause(&self::config(free), &open, &[0.1, 0.1]).unwrap(), None);
+    let known = Cause { is_open: false, ..open };
+    assert_eq!(found.cause(&config, &known, &[0.1, 0.5]).unwrap(), None);
 }

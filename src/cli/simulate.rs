@@ -179,7 +179,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         let Some(mut found) = Divergence::of(&error, &scene.model, good) else {
             return Err(divergence::told(&error, &scene.model, good).into());
         };
-        found.cause = Findings::of(config, &scene)?.cause(&found.cause).unwrap_or(found.cause);
+        let own = Findings::of(config, &scene)?.cause(config, &found.cause, &found.position)?;
+        found.cause = own.unwrap_or(found.cause);
         let path = folder.join(LAST_GOOD);
         checkpoint::write(&path, &scene.model, good, &loaded.text)?;
         if recovered.len() == halvings {

@@ -182,6 +182,24 @@ impl Kind {
 }
 
 impl ShapeEntry {
+    /// A number or vector of the shape, as an assignment, that makes it at least as thick as `size`; none for shapes that have
+    /// no such number.
+    pub fn at_least(&self, size: f64) -> Option<String> {
+        // Three digits of the size, rounded up, so that it is easy to read.
+        let unit = 10f64.powi(2 - size.log10().floor() as i32);
+        let short = |x: f64| (x * unit - 1e-6).ceil() / unit;
+        match self.kind {
+            Kind::Polyline => Some(format!("thickness={}", short(size))),
+            Kind::Disc | Kind::Cylinder => Some(format!("radius={}", short(0.5 * size))),
+            Kind::Box => {
+                let (lower, upper) = (self.lower.as_deref()?, self.upper.as_deref()?);
+                let wider = lower.iter().zip(upper).map(|(a, b)| short(b.max(a + size)).to_string());
+                Some(format!("upper=[{}]", wider.collect::<Vec<String>>().join(",")))
+            }
+            Kind::Polygon | Kind::Where => None,
+        }
+    }
+
     /// Checks shape number `place`; returns the first error.
     pub fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");

@@ -28,6 +28,7 @@ use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::{Model, Sweeps};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// The value of a formula at a position, which must be finite.
@@ -47,13 +48,20 @@ pub(super) struct Geometry {
     /// Index of the shape to which each particle belongs, if any.
     pub shape: Vec<Option<usize>>,
     pub is_wall: Vec<bool>,
+    /// Indices of the shapes that hold no particle, because they lie outside of the box or behind later shapes.
+    pub idle: Vec<usize>,
 }
+
+/// Largest number of particles of a finer lattice in which a shape is looked for.
+const MOST_TRIED: usize = 2_000_000;
+/// A larger shape is suggested before a finer lattice with more particles than this.
+const MANY: usize = 50_000;
 
 impl Geometry {
     /// The geometry of a checked configuration.
     ///
     /// # Errors
-    /// Shapes that leave no fluid or contain no particle.
+    /// Shapes that leave no fluid, and shapes that are too small for the spacing.
     pub fn of(config: &Config) -> Result<Self, BadInput> {
         let shapes = shapes(config)?;
         let lattice = lattice(config);
@@ -69,27 +77,62 @@ impl Geometry {
                 _ => lattice.is_wall(i),
             };
         }
-        for k in 0..shapes.len() {
-            if !shape.contains(&Some(k)) {
-                let key = format!("shapes[{k}]");
-                return Err(BadInput::at(&key, format!("{key} holds no particle"))
-                    .allowed("shapes that hold the middle of at least one cell that no later shape has")
-                    .advice("a smaller resolution.dx, or another place"));
-            }
-        }
+        let idle: Vec<usize> = (0..shapes.len()).filter(|k| !shape.contains(&Some(*k))).collect();
+        too_small(config, &surroundings, &idle)?;
         if !is_wall.contains(&false) {
             return Err(BadInput::at("shapes", "the shapes leave no fluid").allowed("some fluid in the box"));
         }
-        Ok(Self { lattice, shape, is_wall })
+        Ok(Self { lattice, shape, is_wall, idle })
     }
 }
 
-fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
+/// Refuses those shapes without a particle that a finer lattice would have particles in.
+fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadInput> {
+    let (dx, mut left, mut small) = (config.resolution.dx, idle.to_vec(), vec![]);
+    let (mut finest, mut particles) = (dx, 0);
+    for parts in [2.0, 4.0, 8.0, 16.0] {
+        let mut fine = config.clone();
+        fine.resolution.dx = dx / parts;
+        let fine = lattice(&fine);
+        if left.is_empty() || fine.particles() > MOST_TRIED {
+            break;
+        }
+        let found: HashSet<usize> =
+            (0..fine.particles()).filter_map(|i| walls.shape_at(fine.place(i))).filter(|k| left.contains(k)).collect();
+        left.retain(|k| !found.contains(k));
+        if !found.is_empty() {
+            (finest, particles) = (dx / parts, fine.particles());
+        }
+        small.extend(found);
+    }
+    small.sort_unstable();
+    let Some(first) = small.first() else { return Ok(()) };
+    let size = config.support() * dx;
+    let sizes = small.iter().map(|&k| Some(format!("shapes[{k}].{}", walls.shapes[k].entry.at_least(size)?)));
+    let sizes = sizes.collect::<Option<Vec<String>>>().map(|sizes| sizes.join(" "));
+    let bears = match config.method {
+        Method::Consistent(_) => " with method.name=standard (it bears thin walls)",
+        _ => "",
+    };
+    let finer = format!("resolution.dx={finest}{bears}");
+    Err(BadInput::at(
+        format!("shapes[{first}]"),
+        format!("shapes[{first}] is too small or too thin: it holds no particle"),
+    )
+    .allowed("shapes that hold the middle of at least one cell")
+    .advice(match sizes {
+        Some(sizes) if particles > MANY => format!("{sizes}, or {finer}"),
+        Some(sizes) => format!("{finer}, or {sizes}"),
+        None => finer,
+    }))
+}
+
+pub(super) fn shapes(config: &Config) -> Result<Vec<Shape<'_>>, BadInput> {
     let d = config.dimension();
     config.shapes.iter().enumerate().map(|(k, entry)| Shape::new(entry, k, d)).collect()
 }
 
-fn lattice(config: &Config) -> Lattice {
+pub(super) fn lattice(config: &Config) -> Lattice {
     let (d, dx, region) = (config.dimension(), config.resolution.dx, &config.region);
     let rows = config.wall_rows();
     let walls: [usize; 3] = std::array::from_fn(|e| if e < d && !region.periodic[e] { rows } else { 0 });
@@ -180,7 +223,7 @@ struct Built<R> {
 
 fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
-    let Geometry { lattice, shape, is_wall } = Geometry::of(config)?;
+    let Geometry { lattice, shape, is_wall, .. } = Geometry::of(config)?;
     let (shapes, n) = (shapes(config)?, lattice.particles());
     let (initial, warmth) = config.initial.at_start(d)?;
     let reference = fluid.inlet_temperature;
@@ -302,7 +345,7 @@ fn stated(config: &Config) -> Result<Exact, BadInput> {
 }
 
 /// The walls as surfaces, in the box without the rows that close it.
-fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
+pub(super) fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
     let (dimension, region) = (config.dimension(), &config.region);
     let domain = Domain {
         dimension,
@@ -314,22 +357,23 @@ fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Walls<'a> {
 
 /// The conditions at a surface point by the wall behind it.
 fn knows_at(config: &Config, walls: &Walls, foot: &Foot, has_heat: bool) -> Result<Vec<Knows>, BadInput> {
-    // A position a quarter of a spacing inside the wall.
-    let behind = std::array::from_fn(|e| foot.place[e] - 0.25 * config.resolution.dx * foot.normal[e]);
-    let shapes = walls.shapes;
-    let wall = walls.shape_at(behind).filter(|&k| shapes[k].entry.fill == Fill::Wall);
-    let mut moves = [0.0; 3];
-    let mut temperature = None;
-    if let Some(k) = wall {
-        for (e, velocity) in shapes[k].velocity.iter().enumerate() {
-            moves[e] = value(velocity, || format!("shapes[{k}].velocity[{e}]"), foot.place)?;
-        }
-        if let Some(formula) = &shapes[k].temperature {
-            temperature = Some(value(formula, || format!("shapes[{k}].temperature"), foot.place)?);
-        }
-    }
+    let (moves, wall) = wall_at(walls, foot)?;
+    let formula = wall.and_then(|k| Some((k, walls.shapes[k].temperature.as_ref()?)));
+    let temperature =
+        formula.map(|(k, formula)| value(formula, || format!("shapes[{k}].temperature"), foot.place)).transpose()?;
     let warmth = temperature.map_or(Knows::NoHeatFlux, |t| Knows::Temperature(t - config.fluid.inlet_temperature));
     Ok([Knows::Velocity(moves)].into_iter().chain(has_heat.then_some(warmth)).collect())
+}
+
+/// The velocity of the wall at a foot and the shape that the wall is, if it is one.
+pub(super) fn wall_at(walls: &Walls, foot: &Foot) -> Result<([f64; 3], Option<usize>), BadInput> {
+    let behind = walls.beside(foot, -0.25 * walls.spacing);
+    let wall = walls.shape_at(behind).filter(|&k| walls.shapes[k].entry.fill == Fill::Wall);
+    let mut moves = [0.0; 3];
+    for (e, velocity) in wall.iter().flat_map(|&k| &walls.shapes[k].velocity).enumerate() {
+        moves[e] = value(velocity, || format!("shapes[{}].velocity[{e}]", wall.unwrap_or_default()), foot.place)?;
+    }
+    Ok((moves, wall))
 }
 
 /// Points on the walls' surface and the dummy particles behind it, and the feet of both.

@@ -164,7 +164,19 @@ impl Walls<'_> {
     }
 
     fn in_front(&self, foot: &Foot) -> [f64; 3] {
-        std::array::from_fn(|d| foot.place[d] + 0.25 * self.spacing * foot.normal[d])
+        self.beside(foot, 0.25 * self.spacing)
+    }
+
+    /// The place at a distance from a foot, along its normal.
+    pub fn beside(&self, foot: &Foot, by: f64) -> [f64; 3] {
+        std::array::from_fn(|d| foot.place[d] + by * foot.normal[d])
+    }
+
+    /// The length of the way from a foot through the fluid (`side` 1) or the wall (-1) to the next surface; none if it
+    /// is longer than `most`.
+    pub fn way(&self, foot: &Foot, side: f64, most: f64) -> Option<f64> {
+        let lengths = (1..).map(|k| f64::from(k) * self.spacing / 8.0).take_while(|&length| length <= most);
+        lengths.skip(1).find(|&length| side * self.distance(self.beside(foot, side * length)) < 0.0)
     }
 
     /// The feet of positions, each at least `APART` from all before it. There are none in a corner between walls,
@@ -194,7 +206,7 @@ impl Walls<'_> {
     }
 
     /// The distance between two positions or their nearest periodic images.
-    fn apart(&self, a: [f64; 3], b: [f64; 3]) -> f64 {
+    pub fn apart(&self, a: [f64; 3], b: [f64; 3]) -> f64 {
         let along = |d: usize| self.domain.nearest(d, b[d] - a[d]);
         (0..self.domain.dimension).map(|d| along(d).powi(2)).sum::<f64>().sqrt()
     }

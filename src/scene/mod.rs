@@ -13,6 +13,7 @@ pub mod developed;
 pub mod distance;
 pub mod exact;
 pub mod figures;
+mod flaws;
 pub mod flows;
 pub mod heated_channel;
 mod lattice;

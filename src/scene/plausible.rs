@@ -1,6 +1,7 @@
 //! Estimates for a scene before it runs: what a configuration builds, and warnings about implausible values.
 
 use super::custom::Geometry;
+use super::flaws;
 use super::warnings::Warning;
 use super::Scene;
 use crate::config::custom::Kind;
@@ -32,6 +33,8 @@ pub struct Findings {
     pub narrowest: Option<usize>,
     /// Number of particles across the thinnest wall with fluid on both sides.
     pub thinnest: Option<usize>,
+    /// Indices of shapes without a particle.
+    pub idle: Vec<usize>,
     pub warnings: Vec<Warning>,
 }
 
@@ -60,6 +63,7 @@ impl Findings {
             speed,
             narrowest: grid.as_ref().and_then(|grid| grid.narrowest(false)),
             thinnest: grid.as_ref().and_then(|grid| grid.narrowest(true)),
+            idle: grid.map_or(vec![], |grid| grid.idle),
             warnings: vec![],
         };
         findings.warnings = findings.implausible(config);
@@ -74,13 +78,24 @@ impl Findings {
         smallest.map_or("none", |criterion| criterion.name)
     }
 
-    /// The cause of a divergence, if its numbers name none and the scene has one: walls that are too thin, or too near to
-    /// each other.
-    pub fn cause(&self, found: &Cause) -> Option<Cause> {
-        let known = ["thin-wall", "narrow-passage", "cell-reynolds-number", "cell-peclet-number"];
-        let warning = |code: &&str| self.warnings.iter().find(|warning| warning.code == **code);
-        let warning = known.iter().find_map(warning).filter(|_| found.is_open)?;
-        Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
+    /// The cause of a divergence at a place, if its numbers name none and the scene has one: the nearest flaw of its walls,
+    /// or layers thinner than a particle.
+    ///
+    /// # Errors
+    /// As for building the scene.
+    pub fn cause(&self, config: &Config, found: &Cause, place: &[f64]) -> Result<Option<Cause>, BadInput> {
+        if !found.is_open || config.scene != Family::Custom {
+            return Ok(None);
+        }
+        let warned = |code: &str| {
+            let warning = self.warnings.iter().find(|warning| warning.code.starts_with(code))?;
+            Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
+        };
+        // The standard method bears flaws of walls, but no flow that is faster than expected.
+        if let (Method::Standard(_), Some(cause)) = (&config.method, warned("expected-speed")) {
+            return Ok(Some(cause));
+        }
+        Ok(flaws::nearest(config, place)?.or_else(|| warned("expected-speed")).or_else(|| warned("cell-")))
     }
 
     fn implausible(&self, config: &Config) -> Vec<Warning> {
@@ -159,6 +174,14 @@ impl Findings {
                      sees the fluid on the other"
                 ),
                 "a thicker wall, or a smaller resolution.dx".into(),
+            );
+        }
+        for k in &self.idle {
+            warn(
+                "idle-shape",
+                [0.0, 1.0],
+                format!("shapes[{k}] holds no particle: it lies outside of the box or behind later shapes, and has no effect"),
+                format!("another place of shapes[{k}]"),
             );
         }
         if config.scene == Family::Custom {

@@ -1,0 +1,63 @@
+//! What in the walls of a scene of one's own may make its flow diverge: walls that are too thin, passages that are too
+//! narrow, and walls at rest that move the fluid out of them. It is found at points of the surface, in any direction.
+
+use super::custom;
+use crate::config::scene::{Config, Method};
+use crate::error::BadInput;
+use crate::sph::divergence::Cause;
+
+/// Smallest velocity out of a wall that counts, over the reference velocity.
+const BLOWS: f64 = 0.05;
+
+/// The flaw nearest to a place, as the cause of a divergence there; none if the walls have no flaw.
+///
+/// # Errors
+/// As for building the scene.
+pub(super) fn nearest(config: &Config, place: &[f64]) -> Result<Option<Cause>, BadInput> {
+    let (dx, support) = (config.resolution.dx, config.support());
+    let shapes = custom::shapes(config)?;
+    let walls = custom::surroundings(config, &shapes);
+    let lattice = custom::lattice(config);
+    let near = (0..lattice.particles()).map(|i| lattice.place(i)).filter(|p| walls.distance(*p).abs() <= dx);
+    let mut found: Option<(f64, String)> = None;
+    for foot in walls.points(near) {
+        let [x, y, z] = foot.place;
+        let at = if place.len() == 3 { format!("({x:.3}, {y:.3}, {z:.3})") } else { format!("({x:.3}, {y:.3})") };
+        let (velocity, shape) = custom::wall_at(&walls, &foot)?;
+        let out: f64 = velocity.iter().zip(foot.normal).map(|(u, n)| u * n).sum();
+        let thick = walls.way(&foot, -1.0, support * dx);
+        let wide = walls.way(&foot, 1.0, 2.0 * support * dx);
+        let problem = if let (Some(k), true) = (shape, out.abs() > BLOWS * config.fluid.reference_velocity) {
+            format!(
+                "at {at} shapes[{k}].velocity leads {} the wall with {:.3}, and walls stay where they are: it blows or sucks",
+                if out > 0.0 { "out of" } else { "into" },
+                out.abs()
+            )
+        } else if let Some(thick) = thick {
+            format!(
+                "at {at} the wall is {:.1} spacings thick, and the kernel reaches {support:.1}: fluid on one side sees the fluid on \
+                 the other",
+                thick / dx
+            )
+        } else if let Some(wide) = wide {
+            format!(
+                "at {at} the passage is {:.1} spacings wide: below {:.1} a particle's sums reach both walls",
+                wide / dx,
+                2.0 * support
+            )
+        } else {
+            continue;
+        };
+        let apart = walls.apart(foot.place, std::array::from_fn(|d| place.get(d).copied().unwrap_or(0.0)));
+        if found.as_ref().is_none_or(|(nearest, _)| apart < *nearest) {
+            found = Some((apart, problem));
+        }
+    }
+    let advice = match config.method {
+        Method::Consistent(_) => {
+            "method.name=standard (it bears such walls, as steps of the lattice and less exactly), or a smaller resolution.dx"
+        }
+        _ => "time.cfl=0.25, or a smaller resolution.dx",
+    };
+    Ok(found.map(|(_, why)| Cause { why, advice: advice.into(), is_open: false }))
+}
