@@ -211,7 +211,10 @@ def main():
         os.makedirs(folder, exist_ok=True)
         with concurrent.futures.ThreadPoolExecutor(2) as pool:
             numbers = asked.only or range(asked.count)
-            outcomes = list(pool.map(lambda number: tried(asked.seed, number, folder), numbers))
+            outcomes = []
+            for one in pool.map(lambda number: tried(asked.seed, number, folder), numbers):
+                outcomes.append(one)
+                print(f"scene {one.number}: {one.kind} {one.then}", file=sys.stderr, flush=True)
     kinds = collections.Counter(one.kind for one in outcomes)
     print(f"{len(outcomes)} scenes of seed {asked.seed}: " + ", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) + "\n")
     rows = collections.defaultdict(list)
