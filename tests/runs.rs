@@ -184,7 +184,8 @@ fn doubtful_figures_are_warned_of() {
     let short = hydrograd(at, &with(&["simulate"], &["--out", "short"]));
     assert!(short.status.success());
     assert!(
-        says(&short).contains("warning: the flow is not steady: the outflowing heat") && says(&short).contains("try: --set time.end=0.6"),
+        says(&short).contains("warning: the flow is not steady: the outflowing heat")
+            && says(&short).contains("try: --set time.end=0.6"),
         "{}",
         says(&short)
     );

@@ -68,7 +68,10 @@ fn messages_have_place_allowed_values_and_advice() {
     refused(&["noise=much"], &["noise=much", "a number", "allowed: noise: Standard deviation", ">= 0"]);
     refused(&["ema=1"], &["ema=1: ema = 1", "0 <= ema < 1", "ema=0 (the default)"]);
     refused(&["learning_rate_least=1"], &["learning_rate_least=1: ", "<= learning_rate, 0.0005"]);
-    refused(&["learning_rate=1e-7"], &["default of a training: learning_rate_least = 0.000001"]);
+    refused(
+        &["learning_rate=1e-7"],
+        &["learning_rate=1e-7: learning_rate_least = 0.000001", "learning_rate_least <= learning_rate"],
+    );
     refused(&["noise"], &["there is no `=`", "model.latent=128"]);
     refused(&["pushforward.after=[-1, 5, 4, 6]"], &["pushforward.after = [-1, 5, 4, 6]", "must grow"]);
     let folder = tempfile::tempdir().unwrap();
@@ -80,7 +83,10 @@ fn messages_have_place_allowed_values_and_advice() {
             assert!(message.contains(part), "no `{part}` in: {message}");
         }
     };
-    of_file("steps = 5\n[model]\nlatent = 0\n", &["train.toml, line 3", "1 <= model.latent <= 4096", "= 64"]);
+    of_file(
+        "steps = 5\n[model]\nlatent = 0\n",
+        &["train.toml, line 3", "1 <= model.latent <= 4096", "model.latent=64 (the default)"],
+    );
     of_file("steps = 5\nnoise = \"a lot\"\n", &["line 2", "noise = \"a lot\"", "a number", "Length, >= 0"]);
     of_file("[optimizer]\n", &["line 1", "unknown field `optimizer`"]);
     let missing = Settings::load(Some(&folder.path().join("none.toml")), None, &[]).unwrap_err().to_string();
