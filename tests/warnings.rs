@@ -9,10 +9,11 @@ use hydrograd::design::optimise::{Epoch, Optimisation};
 use hydrograd::design::optimisers::of_config;
 use hydrograd::error::Error;
 use hydrograd::particles::tag;
+use hydrograd::scene::figures::FlowFigures;
 use hydrograd::scene::load::Loaded;
 use hydrograd::scene::particle_fields::ParticleFields;
 use hydrograd::scene::plausible::Findings;
-use hydrograd::scene::warnings::{of_measured, of_particles, of_search};
+use hydrograd::scene::warnings::{of_flow, of_measured, of_particles, of_search};
 use hydrograd::scene::Scene;
 
 fn quiet(config: &Config) -> Diagnostics {
@@ -173,4 +174,52 @@ fn a_drift_is_a_change_of_means() {
     assert!((series(&|t| 0.0235 * (1.0 - 0.04 * t)).unwrap() + 0.02 / 0.98).abs() < 1e-3);
     assert!(series(&|t| 0.0235 * (1.0 + 0.02 * (400.0 * t).sin())).unwrap().abs() < 1e-3);
     assert_eq!((drift(&[1.0, 2.0]), drift(&[0.0; 8])), (None, None));
+}
+
+/// The codes of what looks implausible in a scene.
+fn codes(scene: &str, sets: &[&str]) -> Vec<String> {
+    let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+    let config = Config::load(Some(scene), None, &sets).unwrap_or_else(|error| panic!("{error}")).config;
+    let found = Findings::of(&config, &Scene::<f64>::from_config(&config).unwrap()).unwrap();
+    found.warnings.into_iter().map(|warning| warning.code).collect()
+}
+
+#[test]
+fn what_a_scene_does_not_resolve_is_known_before_it_runs() {
+    let sine = ["design.shape=sine", "design.amplitude=0.02", "design.periods=5"];
+    assert_eq!(codes("heated-channel", &[]), [] as [&str; 0]);
+    assert_eq!(codes("heated-channel", &sine), ["wall-curvature"]);
+    assert_eq!(codes("heated-channel", &[&sine[..], &["method.name=fixed"]].concat()), [] as [&str; 0]);
+    assert_eq!(codes("heated-channel", &["fluid.conductivity=0.07313"]), ["cell-peclet-number"]);
+    let disc = [
+        r#"shapes=[{ kind = "disc", centre = [0.5, 0.25], radius = 0.05 }]"#,
+        r#"variables=[{ number = "shapes[0].radius", lower = 0.04, upper = 0.06 }]"#,
+    ];
+    assert!(!codes("custom", &disc).contains(&"no-through-flow".to_string()));
+    let closed = [&disc[..], &["region.periodic=[false, false]", "region.acceleration=[0.0, 0.0]"]].concat();
+    assert!(codes("custom", &closed).contains(&"no-through-flow".to_string()));
+}
+
+#[test]
+fn figures_far_from_exact_ones_are_told() {
+    let found = |energy: f64| FlowFigures {
+        time: 1.0,
+        kinetic_energy: energy,
+        exact_kinetic_energy: Some(1.0),
+        largest_velocity: 0.5,
+        velocity_error: Some(0.001),
+        temperature_error: None,
+        wall_flux: None,
+        exact_wall_flux: None,
+        nusselt: None,
+        exact_nusselt: None,
+    };
+    let config = Family::Couette.defaults();
+    assert_eq!(of_flow(&config, &found(1.004), &[]), []);
+    let told = of_flow(&config, &found(1.12), &[]);
+    assert!(told.len() == 1 && told[0].code == "exact-solution" && told[0].problem.contains("12.0 %"), "{told:?}");
+    // A slab's flux at a wall whose exact one is nothing is not compared, the other one is.
+    let slab = FlowFigures { wall_flux: Some([33.1, 0.0]), exact_wall_flux: Some([56.4, 0.0]), ..found(1.0) };
+    let told = of_flow(&Family::Slab.defaults(), &slab, &[]);
+    assert!(told.len() == 1 && told[0].problem.contains("at the lower wall is -41.3 %"), "{told:?}");
 }
