@@ -95,7 +95,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// The steps at which the objective of shapes is taken, so that both are one number; else up to [`SAMPLES`] in the
+    /// The steps at which the objective of shapes is taken, so that both are one number; else up to a hundred in the
     /// objective's window, but not the initial state, which is given.
     pub fn of<R>(design: &Problem<R>) -> Self {
         let (steps, window) = (design.steps, design.window);
