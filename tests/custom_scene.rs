@@ -14,6 +14,8 @@ use hydrograd::scene::Scene;
 use hydrograd::sph::divergence::Cause;
 use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::solver::Solver;
+use rand_chacha::rand_core::{RngCore, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
 
 /// The configuration of a file that begins with `scene = "custom"`.
@@ -567,37 +569,27 @@ fn points_lie_on_the_surface_about_a_spacing_apart() {
     });
 }
 
-/// Random numbers of a test.
-struct Random(u64);
-
-impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        low + (high - low) * (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 /// A shape of a kind at a random place: its entry, and the distance from it by a formula of its own.
 type Distance = Box<dyn Fn([f64; 3]) -> f64>;
 
-fn random_shape(kind: usize, dimension: usize, random: &mut Random) -> (String, Distance) {
+fn random_shape(kind: usize, dimension: usize, random: &mut dyn FnMut(f64, f64) -> f64) -> (String, Distance) {
     let z = if dimension == 3 { ", 0.25" } else { "" };
     let depth = move |p: [f64; 3]| if dimension == 3 { p[2] - 0.25 } else { 0.0 };
     match kind {
         0 => {
-            let height = random.between(0.05, 0.15);
+            let height = random(0.05, 0.15);
             let (lower, upper) = if dimension == 3 { (", -0.1", ", 0.6") } else { ("", "") };
             let text = format!("kind = \"box\"\nlower = [-0.1, -0.1{lower}]\nupper = [1.1, {height}{upper}]");
             (text, Box::new(move |p| p[1] - height))
         }
         1 => {
-            let (x, y, r) = (random.between(0.3, 0.7), random.between(0.23, 0.27), random.between(0.06, 0.11));
+            let (x, y, r) = (random(0.3, 0.7), random(0.23, 0.27), random(0.06, 0.11));
             let text = format!("kind = \"disc\"\ncentre = [{x}, {y}{z}]\nradius = {r}");
             (text, Box::new(move |p| ((p[0] - x).powi(2) + (p[1] - y).powi(2) + depth(p).powi(2)).sqrt() - r))
         }
         _ => {
             // A square that stands on its corner.
-            let (x, y, r) = (random.between(0.3, 0.7), random.between(0.23, 0.27), random.between(0.08, 0.12));
+            let (x, y, r) = (random(0.3, 0.7), random(0.23, 0.27), random(0.08, 0.12));
             let points = format!("[[{}, {y}], [{x}, {}], [{}, {y}], [{x}, {}]]", x + r, y + r, x - r, y - r);
             let square = move |p: [f64; 3]| {
                 // By its symmetry: the distance from the edge between two corners.
@@ -617,7 +609,8 @@ fn random_shape(kind: usize, dimension: usize, random: &mut Random) -> (String, 
 
 #[test]
 fn particles_begin_apart_from_walls_and_from_each_other() {
-    let mut random = Random(11);
+    let mut numbers = ChaCha8Rng::seed_from_u64(11);
+    let mut random = |low, high| low + (high - low) * (numbers.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
     for case in 0..200 {
         let (kind, dimension) = (case % 3, if case % 10 < 8 { 2 } else { 3 });
         let (shape, distance) = random_shape(kind, dimension, &mut random);
@@ -626,11 +619,8 @@ fn particles_begin_apart_from_walls_and_from_each_other() {
             2 => "size = [1.0, 0.5]\nperiodic = [true, false]\nacceleration = [0.6, 0]",
             _ => "size = [1.0, 0.5, 0.5]\nperiodic = [true, false, true]\nacceleration = [0.6, 0, 0]",
         };
-        let text = format!("scene = \"custom\"\n[[shapes]]\n{shape}\n[region]\n{region}\n[resolution]\ndx = {dx}\n");
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), &text).unwrap();
-        let loaded = Config::load(file.path().to_str(), None, &[]).unwrap_or_else(|error| panic!("{text}: {error}"));
-        let scene = Scene::<f64>::from_config(&loaded.config).unwrap_or_else(|error| panic!("{text}: {error}"));
+        let text = format!("[[shapes]]\n{shape}\n[region]\n{region}\n[resolution]\ndx = {dx}\n");
+        let scene = consistent(&text);
         let (model, state) = (&scene.model, &scene.start.state);
         let n = model.particles();
         let place =

@@ -54,6 +54,7 @@ pub fn check<E>(
     let mut results = Vec::new();
     let length = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
     for d in directions {
+        let scale = length(gradient) * length(d);
         let slope: f64 = gradient.iter().zip(d).map(|(g, d)| g * d).sum();
         let mut points = Vec::new();
         for &step in steps {
@@ -63,7 +64,7 @@ pub fn check<E>(
             points.push(DifferenceStep {
                 step,
                 difference,
-                error: (difference - slope).abs() / (length(gradient) * length(d)),
+                error: (difference - slope).abs() / scale,
                 remainder: (up - value - step * slope).abs(),
             });
         }

@@ -150,12 +150,10 @@ pub fn report_flow<R: Sweeps>(
     }
     let mut warnings = finished.warnings()?;
     warnings.extend(warnings::of_flow(&loaded.config, found, finished.history));
-    let known = |code: &str| warnings.iter().any(|warning| warning.code == code);
-    let more = measured.map_or(vec![], |measured| warnings::of_measured(&loaded.config, measured));
-    let more: Vec<Warning> = more.into_iter().filter(|warning| !known(&warning.code)).collect();
-    warnings.extend(more);
+    warnings.extend(measured.into_iter().flat_map(|measured| warnings::of_section(&loaded.config, measured)));
     let mut record = Record::of_flow(loaded, scene, found, measured, finished.divided, finished.seconds);
-    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+    let pressure_error = pressure_error(&loaded.config, finished.end);
+    if let Some(error) = pressure_error {
         record.put("pressure_error", error);
     }
     record.put_warnings(loaded, warnings);
@@ -176,7 +174,7 @@ pub fn report_flow<R: Sweeps>(
     } else if !rests {
         println!("velocity error      unknown: this flow has no closed form");
     }
-    if let Some(error) = pressure_error(&loaded.config, finished.end) {
+    if let Some(error) = pressure_error {
         println!("pressure error      {}", mean_error(error, ", over the exact pressure at the bottom"));
     }
     if let Some(error) = found.temperature_error {

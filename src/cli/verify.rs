@@ -57,6 +57,8 @@ pub struct VerifyArguments {
 /// The input of `verify`: the wall and its scene.
 struct Given {
     wall: PathBuf,
+    /// The first and the best numbers of shapes, if the search was for those.
+    numbers: Option<[Shape; 2]>,
     scene: Option<String>,
     /// Default output folder.
     folder: PathBuf,
@@ -77,12 +79,13 @@ impl VerifyArguments {
         if path.is_file() {
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
             let folder = folder.unwrap_or(Path::new(".")).to_path_buf();
-            return Ok(Given { wall: path.clone(), scene: self.scene.clone(), folder });
+            return Ok(Given { wall: path.clone(), numbers: None, scene: self.scene.clone(), folder });
         }
         let (config, wall) = (path.join("config.toml"), path.join("shape.csv"));
         // A search for the numbers of shapes has them in its summary.
         let summary = path.join("summary.json");
-        let wall = if numbers_of(&summary).is_some() { summary } else { wall };
+        let numbers = numbers_of(&summary);
+        let wall = if numbers.is_some() { summary } else { wall };
         if let Some(file) = [&config, &wall].into_iter().find(|file| !file.is_file()) {
             let bad = bad(format!("{name} is not the folder of a run: no file {}", file.display()));
             return Err(match path.join("flat/shape.csv").is_file() {
@@ -96,7 +99,7 @@ impl VerifyArguments {
                 .allowed("--scene with a CSV file")
                 .advice(format!("hydrograd verify {} --scene {scene}", wall.display())));
         }
-        Ok(Given { wall, scene: Some(config.to_string_lossy().into()), folder: path.clone() })
+        Ok(Given { wall, numbers, scene: Some(config.to_string_lossy().into()), folder: path.clone() })
     }
 
     fn load(&self, given: &Given) -> Result<Loaded, Error> {
@@ -116,15 +119,7 @@ fn numbers_of(file: &Path) -> Option<[Shape; 2]> {
     let record: Record = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
     let rows = record.rows("variables")?;
     let of = |name: &str| -> Option<Shape> {
-        let offsets: Option<Vec<f64>> = rows.iter().map(|row| row.get(name)?.as_f64()).collect();
-        Some(Shape {
-            nodes: (0..rows.len()).map(|k| k as f64).collect(),
-            across: None,
-            offsets: offsets?,
-            top: None,
-            hot_from: 0.0,
-            hot_to: 0.0,
-        })
+        rows.iter().map(|row| row.get(name)?.as_f64()).collect::<Option<Vec<f64>>>().map(Shape::of_numbers)
     };
     Some([of("first")?, of("best")?])
 }
@@ -152,7 +147,7 @@ pub fn run(arguments: VerifyArguments) -> anyhow::Result<()> {
         Ok(shape)
     };
     let is_surface = loaded.config.dimension() == 3;
-    let (first, best) = match numbers_of(&given.wall) {
+    let (first, best) = match given.numbers.clone() {
         Some([first, best]) => (Some(first), best),
         None => {
             let columns = if is_surface { read_surface(&given.wall) } else { read_columns(&given.wall) };

@@ -35,6 +35,12 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// The numbers of shapes in the place of offsets; their positions are 0, 1, 2, ..., because numbers have none.
+    pub fn of_numbers(offsets: Vec<f64>) -> Self {
+        let nodes = (0..offsets.len()).map(|k| k as f64).collect();
+        Self { nodes, across: None, offsets, top: None, hot_from: 0.0, hot_to: 0.0 }
+    }
+
     /// A checked shape.
     ///
     /// Errors: numbers that are not finite, lengths that differ, no node, nodes out of order or outside the hot

@@ -96,8 +96,11 @@ impl<R: Sweeps> Scene<R> {
 
     /// Number of steps at the end over which a run is measured; 0 without a measurement.
     pub fn window(&self) -> usize {
-        let first = self.section.as_ref().and_then(|section| section.steps.first().copied());
-        self.design.as_ref().map_or(first.map_or(0, |first| self.steps - first), |design| design.window)
+        match (&self.design, &self.section) {
+            (Some(design), _) => design.window,
+            (None, Some(section)) => section.steps.first().map_or(0, |first| self.steps - first),
+            (None, None) => 0,
+        }
     }
 
     /// The same particles with their initial disorder, without velocity and driving forces.

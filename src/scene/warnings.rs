@@ -110,9 +110,14 @@ fn exact(config: &Config, found: &FlowFigures) -> Option<Warning> {
     Some(Warning::new("exact-solution", [error, KNOWN], problem, advice))
 }
 
-/// The warnings of a flow that was measured over the objective's window.
+/// The warnings of a channel, or of a search, by what was measured over the objective's window.
 pub fn of_measured(config: &Config, found: &Diagnostics) -> Vec<Warning> {
-    let mut all: Vec<Warning> = speed(config, found.u_max).into_iter().collect();
+    speed(config, found.u_max).into_iter().chain(of_section(config, found)).collect()
+}
+
+/// The warnings about density, balance and drift, but not about the speed, which [`of_flow`] judges.
+pub fn of_section(config: &Config, found: &Diagnostics) -> Vec<Warning> {
+    let mut all = Vec::new();
     let longer = || format!("time.end={:.3}", 2.0 * config.duration());
     let density = found.mean_density / config.fluid.density - 1.0;
     if density.abs() > DENSER {

@@ -58,8 +58,7 @@ impl Parametrisation for Numbers {
 
     /// The numbers take the place of offsets.
     fn sampled(&self, variables: &[f64]) -> Shape {
-        let (nodes, offsets) = (self.positions().to_vec(), self.values(variables));
-        Shape { nodes, across: None, offsets, top: None, hot_from: 0.0, hot_to: 0.0 }
+        Shape::of_numbers(self.values(variables))
     }
 
     /// Numbers have no neighbours, so there is no roughness penalty.
